@@ -1,0 +1,43 @@
+# Every target sets up what it needs first, and a second run finds it there.
+# `make run PYTHON=/usr/bin/python3.12` chooses the Python.
+
+PYTEST_ARGS ?=
+
+# another environment's modules must not stand in for those of .venv
+unexport PYTHONPATH PYTHONHOME
+
+.PHONY: help run test soak bench clean
+.NOTPARALLEL:
+
+help:
+	@echo 'make run     set up and play the demo scene; results in out/'
+	@echo 'make test    set up and run every check and test (PYTEST_ARGS="..." for pytest)'
+	@echo 'make soak    the tests that take minutes'
+	@echo 'make bench   measure speed and error on this machine'
+	@echo 'make clean   remove what the set-up and the tests made; out/ stays'
+
+run:
+	@sh tools/setup.sh run
+	.venv/bin/cushion demo
+
+test:
+	@sh tools/setup.sh test
+	@sh tools/fetch_recordings.sh
+	.venv/bin/python -m ruff check .
+	.venv/bin/python -m ruff format --check .
+	.venv/bin/python -m mypy --strict
+	.venv/bin/python -m pytest $(PYTEST_ARGS)
+
+soak:
+	@sh tools/setup.sh test
+	@sh tools/fetch_recordings.sh
+	.venv/bin/python -m pytest -m soak $(PYTEST_ARGS)
+
+bench:
+	@sh tools/setup.sh run
+	@sh tools/fetch_recordings.sh
+	.venv/bin/cushion bench
+
+clean:
+	rm -rf .venv .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis build dist *.egg-info
+	find audioflinger_hook device tests tools -type d -name __pycache__ -exec rm -rf {} +

@@ -1,0 +1,226 @@
+"""The set-up: what the wheel holds, what the Makefile offers, and the scripts behind it."""
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.recordings import ROOT, WHY_NONE, recordings
+
+PACKAGES = ["audioflinger_hook", "device"]
+SCRIPTS = ["tools/setup.sh", "tools/fetch_recordings.sh", ".ci/run"]
+SET_UP = ROOT / "tools/setup.sh"
+FETCH = ROOT / "tools/fetch_recordings.sh"
+IN_CI = os.environ.get("CI") == "true"
+
+# The programs, beside the shell's own, that the scripts may count on before anything is set up.
+PROGRAMS = ["basename", "cat", "chmod", "cksum", "dirname", "find", "grep", "head", "ls", "mkdir"]
+PROGRAMS += ["mktemp", "readlink", "rm", "sed", "sh", "sort", "tail", "tr"]
+
+
+# --- the wheel
+
+
+@pytest.fixture(scope="module")
+def wheel_names(tmp_path_factory):
+    """Names of the files in a wheel built from a copy of the project."""
+    copy = tmp_path_factory.mktemp("wheel")
+    for name in ["pyproject.toml", "README.md", "LICENSE"]:
+        if (ROOT / name).exists():
+            shutil.copy(ROOT / name, copy)
+    for name in [*PACKAGES, "tests", "tools"]:
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / name, copy / name, ignore=ignored)
+    (copy / "device/probe").mkdir()
+    (copy / "device/probe/probe.toml").write_text("")
+    (copy / "device/probe/probe.xml").write_text("")
+    build = "from setuptools import build_meta; print(build_meta.build_wheel('.'))"
+    done = subprocess.run([sys.executable, "-c", build], cwd=copy, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    with zipfile.ZipFile(copy / done.stdout.splitlines()[-1]) as wheel:
+        return wheel.namelist()
+
+
+def test_the_wheel_holds_the_two_packages_and_nothing_else(wheel_names):
+    tops = {name.split("/")[0] for name in wheel_names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
+
+
+def test_the_wheel_holds_every_module_of_the_packages(wheel_names):
+    modules = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    assert {path.relative_to(ROOT).as_posix() for path in modules} <= set(wheel_names)
+
+
+def test_the_wheel_holds_the_packages_type_markers_and_data(wheel_names):
+    markers = {f"{package}/py.typed" for package in PACKAGES}
+    assert markers | {"device/probe/probe.toml", "device/probe/probe.xml"} <= set(wheel_names)
+
+
+def test_the_wheel_holds_the_licence(wheel_names):
+    assert [name for name in wheel_names if name.endswith("/LICENSE")]
+
+
+def test_the_version_is_in_the_changelog():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text()
+
+
+# --- the Makefile, the scripts
+
+
+@pytest.mark.parametrize("target", ["help", "run", "test", "soak", "bench", "clean"])
+def test_make_knows(target):
+    make = shutil.which("make")
+    if not make:
+        pytest.skip("make is not here: install it with the system's package manager")
+    env = {name: text for name, text in os.environ.items() if not name.startswith("MAKE")}
+    command = [make, "--dry-run", "-C", str(ROOT), target]
+    done = subprocess.run(command, env=env, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_a_script_is_executable_and_parses(script):
+    assert os.access(ROOT / script, os.X_OK)
+    shell = Path((ROOT / script).read_text().splitlines()[0]).name.removeprefix("env ")
+    done = subprocess.run([shell, "-n", str(ROOT / script)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_set_up_names_no_sound_server():
+    servers = r"pulseaudio|pipewire|wireplumber|jackd|systemctl"
+    assert not re.search(servers, SET_UP.read_text() + (ROOT / "Makefile").read_text())
+
+
+# --- the scripts on machines that this one is not
+
+
+@pytest.fixture
+def bare(tmp_path):
+    """A copy of the scripts in a folder with a space, and a PATH with PROGRAMS and `add` only."""
+
+    class Bare:
+        folder = tmp_path / "a copy"
+        bin = tmp_path / "bin"
+        calls = tmp_path / "calls"
+
+        def add(self, name, script="exit 1"):
+            """A program that notes its call and then does `script`."""
+            program = self.bin / name
+            note = f'echo "{name} $*" >>"{self.calls}"' if name != "id" else ""
+            program.write_text(f"#!/bin/sh\n{note}\n{script}\n")
+            program.chmod(0o755)
+
+        def run(self, script, *arguments, **env):
+            command = ["sh", str(self.folder / "tools" / script.name), *arguments]
+            env = {"PATH": str(self.bin), "PYTHON": sys.executable, **env}
+            return subprocess.run(command, env=env, capture_output=True, text=True, timeout=60)
+
+        def called(self):
+            return self.calls.read_text().splitlines() if self.calls.exists() else []
+
+    machine = Bare()
+    (machine.folder / "tools").mkdir(parents=True)
+    machine.bin.mkdir()
+    for script in [SET_UP, FETCH]:
+        shutil.copy(script, machine.folder / "tools")
+    shutil.copy(ROOT / "pyproject.toml", machine.folder)
+    for name in PROGRAMS:
+        found = shutil.which(name)
+        assert found, name
+        (machine.bin / name).symlink_to(found)
+    return machine
+
+
+@pytest.mark.parametrize("python", ["/nonexistent/python", "false"])
+def test_the_set_up_refuses_a_python_that_does_not_run(bare, python):
+    done = bare.run(SET_UP, "run", PYTHON=python)
+    assert done.returncode == 1
+    assert done.stderr == f"setup: error: PYTHON={python} is not a Python that runs\n"
+
+
+def test_the_set_up_says_what_to_do_without_a_new_enough_python(bare):
+    old = 'echo "$0"; echo 3.9; exit 1'
+    for version in ["", ".11", ".12", ".13", ".14"]:
+        bare.add(f"python3{version}", old)
+    script = bare.folder / "tools" / SET_UP.name
+    script.write_text(script.read_text().replace("/usr/bin/python3;", ";"))
+    done = bare.run(SET_UP, "test", PYTHON="")
+    assert done.returncode == 1
+    assert "3.11 or newer is needed (python3 is 3.9)" in done.stderr
+    assert "make test PYTHON=" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("manager", "expected"),
+    [
+        ("apt-get", r"sudo apt-get install --no-install-recommends .*\bgcc libc6-dev\b"),
+        ("dnf", r"sudo dnf install .*\bgcc\b"),
+        ("pacman", r"sudo pacman -S --needed .*\bgcc\b"),
+        ("zypper", r"sudo zypper install .*\bgcc\b"),
+    ],
+)
+def test_without_the_right_to_install_the_set_up_prints_the_command(bare, manager, expected):
+    bare.add("id", "echo 1000")
+    bare.add("sudo")
+    bare.add(manager, "exit 0")
+    done = bare.run(SET_UP, "run")
+    assert done.returncode == 1
+    assert re.fullmatch(expected, done.stderr.splitlines()[-1].strip())
+    assert not [call for call in bare.called() if call.startswith(f"{manager} install")]
+    assert not (bare.folder / ".venv").exists()
+
+
+def test_the_command_begins_with_an_update_where_apt_knows_no_packages(bare):
+    bare.add("id", "echo 1000")
+    bare.add("sudo")
+    bare.add("apt-get")
+    last_line = bare.run(SET_UP, "run").stderr.splitlines()[-1]
+    assert last_line.strip().startswith("sudo apt-get update && sudo apt-get install ")
+
+
+def test_without_apt_the_recordings_are_left_out_in_one_line(bare):
+    done = bare.run(FETCH)
+    assert done.returncode == 0
+    assert len(done.stderr.splitlines()) == 1
+    assert not (bare.folder / ".cache").exists()
+
+
+def test_without_a_network_the_recordings_leave_no_half_cache(bare):
+    bare.add("id", "echo 1000")
+    for name in ["apt-get", "apt-cache", "dpkg-deb", "sudo"]:
+        bare.add(name)
+    done = bare.run(FETCH)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert list((bare.folder / ".cache").iterdir()) == []
+
+
+def test_recordings_that_are_there_are_kept(bare):
+    mine = bare.folder / "mine" / "speech.wav"
+    mine.parent.mkdir()
+    mine.touch()
+    bare.add("apt-get")
+    assert bare.run(FETCH, CUSHION_RECORDINGS="mine").returncode == 0
+    assert mine.exists()
+    assert bare.called() == []
+
+
+# --- what may be missing at home but not in CI
+
+
+@pytest.mark.skipif(not IN_CI, reason="only with CI=true, where nothing may be left out")
+def test_in_ci_there_are_recordings():
+    assert {path.suffix for path in recordings()} == {".wav", ".oga"}, WHY_NONE
+
+
+@pytest.mark.skipif(not IN_CI, reason="only with CI=true, where nothing may be left out")
+def test_in_ci_there_is_matplotlib():
+    assert importlib.util.find_spec("matplotlib")
