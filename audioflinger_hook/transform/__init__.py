@@ -1,0 +1,14 @@
+"""The transform: principal frequencies of sound, mapped to 20-220 Hz of vibration.
+
+    intake -> bandpass -> spectrum -> principal -> scaling --.
+                                                             |-> reference (unit by unit)
+    image --------------'   partials -> oscillators ---------|
+                            limiter    smoothing             '-> live (overlapped, early)
+
+Pure: samples in, samples out; no clock, no I/O, no mixer.
+"""
+
+from audioflinger_hook.transform.haptic import Form, HapticTransform
+from audioflinger_hook.transform.parameters import LIMITS, TransformParameters
+
+__all__ = ["LIMITS", "Form", "HapticTransform", "TransformParameters"]

@@ -1,0 +1,13 @@
+"""The array types of the transform."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+Frames = NDArray[np.floating[Any]]
+"""Sound as it arrives: (frames, channels) or (frames,), float32 or float64, full scale +-1."""

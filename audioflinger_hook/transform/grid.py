@@ -1,0 +1,55 @@
+"""The live form's fixed grid: hop, low rate and window, all counted in frames of the stream."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from audioflinger_hook.transform.parameters import TransformParameters
+
+LOW_RATE_HZ = 3_000.0
+"""Rate at which oscillators run: over six times the highest vibration frequency allowed."""
+
+HOPS_A_WINDOW = 3
+"""Windows overlap by three quarters: the hop is about 12 ms."""
+
+
+@dataclass(frozen=True)
+class LiveGrid:
+    """How the live form divides time at one samplerate.
+
+    Everything is a whole number of frames, so that no split of the input can shift it:
+    `decimation` frames are one step of the low rate, `steps` of those are one hop.
+    """
+
+    samplerate: int
+    window_frames: int
+    decimation: int
+    steps: int
+
+    @classmethod
+    def at(cls, parameters: TransformParameters, samplerate: int) -> LiveGrid:
+        """Return the grid for a samplerate in Hz."""
+        window_frames = parameters.window_frames(samplerate)
+        decimation = max(1, round(samplerate / LOW_RATE_HZ))
+        steps = max(2, round(window_frames / (HOPS_A_WINDOW * decimation)))
+        return cls(samplerate, window_frames, decimation, steps)
+
+    @property
+    def hop_frames(self) -> int:
+        """Frames from one analysis to the next."""
+        return self.decimation * self.steps
+
+    @property
+    def low_rate_hz(self) -> float:
+        """Steps a second."""
+        return self.samplerate / self.decimation
+
+    @property
+    def hop_s(self) -> float:
+        """Seconds from one analysis to the next."""
+        return self.hop_frames / self.samplerate
+
+    @property
+    def hops_in_window(self) -> int:
+        """Hops that together cover one window."""
+        return -(-self.window_frames // self.hop_frames)

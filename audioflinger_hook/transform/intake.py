@@ -1,0 +1,43 @@
+"""What arrives, made safe: unusable samples become 0 and are counted, channels become mono."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from audioflinger_hook.transform.arrays import FloatArray, Frames
+
+MAGNITUDE_MAX = 1e3
+"""Samples above this (60 dB over full scale) are taken for damage, as NaN and Inf are."""
+
+DENORMAL_GUARD = 1e-25
+"""Added to every sample: too small for any result, large enough that no filter state, however
+long the silence, decays into denormal numbers, whose arithmetic is many times slower."""
+
+
+def replace_unusable(frames: Frames) -> tuple[Frames, int]:
+    """Return the frames with every unusable sample at 0, and how many there were.
+
+    Unusable: not finite, or above `MAGNITUDE_MAX` in magnitude. Sound without one is returned
+    as it is, not copied. Any shape. Called on the audio thread.
+    """
+    if frames.size == 0:
+        return frames, 0
+    # A NaN makes max() and min() NaN, so one comparison catches all three kinds.
+    if frames.max() <= MAGNITUDE_MAX and frames.min() >= -MAGNITUDE_MAX:
+        return frames, 0
+    usable = np.abs(frames) <= MAGNITUDE_MAX
+    return np.where(usable, frames, frames.dtype.type(0)), int(usable.size - usable.sum())
+
+
+def mono(frames: Frames) -> FloatArray:
+    """Return the mean of the channels, (frames,) float64, from (frames, channels).
+
+    Channels are added one by one: a sum whose order depended on the block's shape would make
+    the result depend on how the stream was cut.
+    """
+    total = frames[:, 0].astype(np.float64)
+    for channel in range(1, frames.shape[1]):
+        total += frames[:, channel]
+    if frames.shape[1] > 1:
+        total /= frames.shape[1]
+    return total

@@ -1,0 +1,42 @@
+"""The oscillator bank: glides of frequency and amplitude to samples at the low rate."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.partials import Glides
+
+
+class OscillatorBank:
+    """Samples of gliding partials; pure, holds only the shape of a glide.
+
+    Both glides follow half a cosine period, u = (1 - cos(pi t))/2: no kink at either end, so a
+    birth or a death leaks least. Phase is the integral of frequency and therefore continuous.
+    """
+
+    def __init__(self, steps: int, hop_s: float) -> None:
+        time = np.arange(1, steps + 1) / steps
+        self._steps = steps
+        self._glide = 0.5 - 0.5 * np.cos(np.pi * time)
+        turns = 2.0 * np.pi * hop_s
+        self._turn = turns * time
+        self._turn_glide = turns * (0.5 * time - np.sin(np.pi * time) / (2.0 * np.pi))
+
+    def render(self, glides: Glides) -> FloatArray:
+        """Return (hops, steps) of the summed partials, full scale.
+
+        Slots are added one after another, so a slot at amplitude 0 changes no byte and is left
+        out where it is silent in the whole batch.
+        """
+        rise = glides.end_amplitude - glides.start_amplitude
+        loudest = np.maximum(glides.start_amplitude, glides.end_amplitude).max(axis=0)
+        slots = loudest.nonzero()[0]
+        start_hz = glides.start_hz.T[slots, :, None]
+        phase = start_hz * self._turn
+        phase += (glides.end_hz.T[slots, :, None] - start_hz) * self._turn_glide
+        phase += (2.0 * np.pi) * glides.start_phase.T[slots, :, None]
+        partials = np.cos(phase, out=phase)
+        partials *= rise.T[slots, :, None] * self._glide + glides.start_amplitude.T[slots, :, None]
+        total: FloatArray = np.add.reduce(partials, axis=0)
+        return total

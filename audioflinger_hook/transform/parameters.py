@@ -1,0 +1,143 @@
+"""The transform's parameters: their defaults, their ranges and what follows from them.
+
+Symbols in parentheses are the paper's: T, f_m, f_h, C_th, n, F_b, B_c.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+from scipy.fft import next_fast_len
+
+from device.errors import UsageError
+
+SAMPLERATE_MIN_HZ = 1_000
+SAMPLERATE_MAX_HZ = 768_000
+CHANNELS_MAX = 64
+
+HALF_POWER_WIDTH_BINS = 1.30
+"""Half-power width of a Hamming window in units of 1/T; a steady tone's r is A times this."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The closed range that a parameter may lie in, with its unit and meaning for messages."""
+
+    low: float
+    high: float
+    unit: str
+    meaning: str
+
+    def __str__(self) -> str:
+        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+
+LIMITS: dict[str, Limits] = {
+    "window_s": Limits(0.01, 0.2, "s", "length of one unit sequence (T)"),
+    "band_low_hz": Limits(20.0, 1_000.0, "Hz", "lowest audio frequency (f_m)"),
+    "band_high_hz": Limits(200.0, 20_000.0, "Hz", "highest audio frequency (f_h)"),
+    "vibration_top_hz": Limits(60.0, 400.0, "Hz", "vibration frequency of the band's top"),
+    "threshold_hz": Limits(0.001, 1_000.0, "Hz", "amplitude x bandwidth to be principal (C_th)"),
+    "partials_max": Limits(1, 64, "", "principal frequencies kept a unit (n)"),
+}
+
+
+@dataclass(frozen=True)
+class TransformParameters:
+    """Everything that shapes the vibration; the defaults are the paper's.
+
+    window_s: seconds; band_low_hz, band_high_hz, vibration_top_hz: Hz; threshold_hz: full-scale
+    amplitude times Hz; partials_max: a count. Ranges stand in `LIMITS`.
+
+    Raises
+    ------
+    UsageError
+        Names every parameter that is out of range or contradicts another, all at once.
+    """
+
+    window_s: float = 0.04643
+    band_low_hz: float = 50.0
+    band_high_hz: float = 12_000.0
+    vibration_top_hz: float = 220.0
+    threshold_hz: float = 0.3
+    partials_max: int = 16
+
+    def __post_init__(self) -> None:
+        problems = self.problems({f.name: getattr(self, f.name) for f in fields(self)})
+        if problems:
+            raise UsageError("; ".join(problems.values()))
+
+    @classmethod
+    def problems(cls, values: dict[str, Any]) -> dict[str, str]:
+        """Return what is wrong with a set of values, by parameter; absent ones are the defaults.
+
+        Unknown names are the caller's to report. An empty dict means that the set is usable.
+        """
+        found: dict[str, str] = {}
+        complete: dict[str, float] = {}
+        for field in fields(cls):
+            limits = LIMITS[field.name]
+            value = values.get(field.name, field.default)
+            whole = field.name == "partials_max"
+            if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
+                kind = "a whole number" if whole else "a number"
+                found[field.name] = f"{field.name}={value!r} is not {kind}; allowed: {limits}"
+            elif not limits.low <= value <= limits.high:
+                found[field.name] = f"{field.name}={value:g} is out of range; allowed: {limits}"
+            else:
+                complete[field.name] = value
+        low, high = complete.get("band_low_hz"), complete.get("band_high_hz")
+        if low is not None and high is not None and high < 2 * low:
+            found["band_high_hz"] = (
+                f"band_high_hz={high:g} is under twice band_low_hz={low:g}; "
+                f"allowed: at least {2 * low:g} Hz"
+            )
+        window_s, top = complete.get("window_s"), complete.get("vibration_top_hz")
+        if window_s is not None and top is not None and top < 2 / window_s:
+            found["vibration_top_hz"] = (
+                f"vibration_top_hz={top:g} leaves no room above 1/window_s={1 / window_s:.1f} Hz; "
+                f"allowed: at least {2 / window_s:.1f} Hz at this window_s"
+            )
+        return found
+
+    @property
+    def vibration_bottom_hz(self) -> float:
+        """F_b = 1/T: the lowest vibration that has a whole cycle in one unit sequence, in Hz."""
+        return 1.0 / self.window_s
+
+    @property
+    def scale_hz(self) -> float:
+        """B_c: vibration Hz for each factor e of audio frequency, from s(f_h) = the top."""
+        span = math.log(self.band_high_hz / self.band_low_hz)
+        return (self.vibration_top_hz - self.vibration_bottom_hz) / span
+
+    def window_frames(self, samplerate: int) -> int:
+        """N = round(T fs): frames in one unit sequence."""
+        return round(self.window_s * samplerate)
+
+    def fft_length(self, samplerate: int) -> int:
+        """The zero-padded spectrum's length: the first fast one from 2 N up."""
+        return int(next_fast_len(2 * self.window_frames(samplerate), real=True))
+
+    def unit_strength_hz(self, samplerate: int) -> float:
+        """r of a steady full-scale tone, 1.30 fs/N: the divisor that brings it to full scale."""
+        return HALF_POWER_WIDTH_BINS * samplerate / self.window_frames(samplerate)
+
+
+def check_format(samplerate: int, channels: int) -> None:
+    """Raise UsageError where a stream's rate or channel count is outside what is supported."""
+    problems = []
+    if not SAMPLERATE_MIN_HZ <= samplerate <= SAMPLERATE_MAX_HZ:
+        problems.append(
+            f"samplerate={samplerate} Hz is out of range; "
+            f"allowed: {SAMPLERATE_MIN_HZ} to {SAMPLERATE_MAX_HZ} Hz; resample the sound first"
+        )
+    if not 1 <= channels <= CHANNELS_MAX:
+        problems.append(
+            f"channels={channels} is out of range; allowed: 1 to {CHANNELS_MAX}; "
+            "mix some of them down first"
+        )
+    if problems:
+        raise UsageError("; ".join(problems))

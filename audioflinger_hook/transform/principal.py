@@ -1,0 +1,178 @@
+"""Principal frequencies of amplitude spectra: candidates, half-power bandwidth, decision.
+
+Equations (2) and (3): a spectral peak is principal where r = A df > C_th, A its amplitude and df
+its half-power bandwidth. All rows of a batch are treated at once; each row's result depends on
+that row alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from audioflinger_hook.transform.arrays import FloatArray, IntArray
+from audioflinger_hook.transform.parameters import TransformParameters
+
+PEAK_EXPONENT = 0.2
+"""The power of A in which a Hamming main lobe is nearest to a parabola."""
+
+HALF_POWER = 1.0 / math.sqrt(2.0)
+
+
+@dataclass(frozen=True)
+class Principals:
+    """Principal frequencies of several spectra: parallel arrays, ascending in (row, audio_hz)."""
+
+    row: IntArray
+    audio_hz: FloatArray
+    amplitude: FloatArray
+    bandwidth_hz: FloatArray
+    r: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def take(
+        self, chosen: IntArray | slice | np.ndarray[tuple[int], np.dtype[np.bool_]]
+    ) -> Principals:
+        """Return the chosen ones, in their order."""
+        return Principals(
+            self.row[chosen],
+            self.audio_hz[chosen],
+            self.amplitude[chosen],
+            self.bandwidth_hz[chosen],
+            self.r[chosen],
+        )
+
+    def boundaries(self, rows: int) -> IntArray:
+        """Return rows + 1 indices; row i holds the entries from boundaries[i] to [i + 1]."""
+        return self.row.searchsorted(np.arange(rows + 1))
+
+
+class PrincipalFinder:
+    """Finds the principal frequencies in amplitude spectra of one resolution.
+
+    bin_hz: Hz between bins. Pure: holds no state beyond its settings.
+    """
+
+    def __init__(self, parameters: TransformParameters, bin_hz: float, bins: int) -> None:
+        self._bin_hz = bin_hz
+        self._threshold = parameters.threshold_hz
+        self._peak_span_min = parameters.threshold_hz / ((9 / 8) ** (1 / PEAK_EXPONENT) * bin_hz)
+        self._partials_max = parameters.partials_max
+        frequencies = np.arange(bins) * bin_hz
+        in_band = np.flatnonzero(
+            (frequencies >= parameters.band_low_hz) & (frequencies <= parameters.band_high_hz)
+        )
+        in_band = in_band[(in_band >= 1) & (in_band <= bins - 2)]
+        self._first = int(in_band[0]) if in_band.size else 1
+        self._last = int(in_band[-1]) if in_band.size else 0
+
+    def find(self, amplitude: FloatArray) -> Principals:
+        """Return what is principal in each row of (rows, bins), at most n a row.
+
+        Of more than n in a row the n with the largest r are kept; of equals the lower frequency.
+        Called on the audio thread.
+        """
+        return self.strongest(self.all_principal(amplitude))
+
+    def all_principal(self, amplitude: FloatArray) -> Principals:
+        """Return everything with r > C_th in each row of (rows, bins), not cut to n."""
+        valley_left, peak, valley_right = _extrema(amplitude)
+        pitch = amplitude.shape[1] + 1
+        row = peak // pitch if len(amplitude) > 1 else np.zeros(peak.size, dtype=np.intp)
+        bin_in_row = peak - row * pitch
+        peak = peak - row
+        flat = amplitude.reshape(-1)
+        # No bandwidth exceeds the span between the valleys, and interpolation raises a peak by
+        # at most 9/8 in A^0.2 (the parabola through l = 0 and m = r). So what stays under the
+        # threshold at that bound is left out before anything costly.
+        able = (flat[peak] * (valley_right - valley_left) > self._peak_span_min).nonzero()[0]
+        bin_in_row = bin_in_row[able]
+        able = able[(bin_in_row >= self._first) & (bin_in_row <= self._last)]
+        row, peak = row[able], peak[able]
+        if not row.size:
+            return Principals(row, *np.zeros((4, 0)))
+
+        offset, height = _parabola(flat[peak - 1], flat[peak], flat[peak + 1])
+        sides = _half_power_sides(
+            flat,
+            np.concatenate((peak, peak)),
+            np.concatenate((valley_left[able] - row, valley_right[able] - row)),
+            np.concatenate((height, height)) * HALF_POWER,
+        )
+        bandwidth_hz = (sides[: row.size] + sides[row.size :]) * self._bin_hz
+        r = height * bandwidth_hz
+        audio_hz = (peak - row * (pitch - 1) + offset) * self._bin_hz
+        found = Principals(row, audio_hz, height, bandwidth_hz, r)
+        principal = r > self._threshold
+        return found if principal.all() else found.take(principal)
+
+    def strongest(self, found: Principals) -> Principals:
+        """Return at most n of each row: the largest r, of equals the lower frequency."""
+        n = self._partials_max
+        # Entry i has more than n in its row exactly if the entry n places on is in that row too.
+        if len(found) <= n or not (found.row[n:] == found.row[:-n]).any():
+            return found
+        order = np.lexsort((-found.r, found.row))
+        row_sorted = found.row[order]
+        rank = np.arange(len(found)) - np.searchsorted(row_sorted, row_sorted)
+        return found.take(np.sort(order[rank < n]))
+
+
+def _extrema(amplitude: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Return each peak with the valleys to its left and right, as indices at a pitch of bins + 1.
+
+    A peak is higher than the bin to its left and not lower than that to its right; the walk
+    down from it goes on while the amplitude does not rise, and never leaves its row. Extrema
+    alternate, so each change of direction is a valley, a peak, a valley ... The one bin between
+    rows counts as a peak; its caller leaves it out, as it lies in no band.
+    """
+    rows, bins = amplitude.shape
+    rising = np.empty((rows, bins + 1), dtype=bool)
+    rising[:, 0] = False
+    rising[:, bins] = True
+    np.greater(amplitude[:, 1:], amplitude[:, :-1], out=rising[:, 1:bins])
+    direction = rising.reshape(-1)
+    changes = (direction[1:] != direction[:-1]).nonzero()[0]
+    return changes[:-1:2], changes[1::2], changes[2::2]
+
+
+def _parabola(
+    left: FloatArray, middle: FloatArray, right: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the peak's offset in bins and its height, from three bins around a maximum."""
+    left, middle, right = left**PEAK_EXPONENT, middle**PEAK_EXPONENT, right**PEAK_EXPONENT
+    curvature = left - 2.0 * middle + right
+    # Rounding in the power can flatten the three into a line: its peak is the middle bin.
+    curvature = np.where(curvature < 0.0, curvature, -np.inf)
+    offset = (left - right) / (2.0 * curvature)
+    height: FloatArray = (middle - (left - right) * offset / 4.0) ** (1.0 / PEAK_EXPONENT)
+    return offset, height
+
+
+def _half_power_sides(
+    flat: FloatArray, peak: IntArray, valley: IntArray, level: FloatArray
+) -> FloatArray:
+    """Return how far from each peak, in bins, the walk to its valley falls under its level.
+
+    Between a peak and its valley the amplitude never rises, so the crossing is found by
+    bisection, in steps that depend on the widest walk only by its logarithm. A walk that never
+    falls under its level ends at its valley.
+    """
+    inside, outside = peak, valley
+    for _ in range(int(np.abs(valley - peak).max()).bit_length()):
+        middle = (inside + outside) >> 1
+        below = flat[middle] < level
+        outside = np.where(below, middle, outside)
+        inside = np.where(below, inside, middle)
+    above, under = flat[inside], flat[outside]
+    fraction = (above - level) / np.maximum(above - under, np.finfo(np.float64).tiny)
+    # Where the valley itself stands above the level the fraction is over 1: the walk ends there.
+    # Distances, not positions: those would round by where in the batch the row stands.
+    side: FloatArray = np.abs(inside - peak) + np.clip(fraction, 0.0, 1.0) * np.abs(
+        outside - inside
+    )
+    return side
