@@ -1,0 +1,112 @@
+"""The tools all voices share: curves over time, filtered noise, ringing modes, place and room.
+
+Mono signals are float64 of shape (frames,), stereo ones (frames, 2). Nothing here keeps state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.signal import butter, fftconvolve, lfilter, sosfilt
+
+Signal = NDArray[np.float64]
+
+# Every voice keeps its character down to here: the hiss of speech starts at 5 kHz.
+MIN_SAMPLERATE = 16_000
+
+
+def time_axis(duration_s: float, samplerate: int) -> Signal:
+    """The time in seconds of each frame of `duration_s` seconds, shape (frames,)."""
+    return np.arange(round(duration_s * samplerate)) / samplerate
+
+
+def curve(time_s: Signal, points: Sequence[tuple[float, float]]) -> Signal:
+    """A smooth curve through (seconds, value) `points` at each of `time_s`; held outside of them.
+
+    Monotone between neighbours (PCHIP), so it never overshoots a value that was asked for.
+    """
+    knots_s, values = np.array(points, dtype=np.float64).T
+    inside_s = np.clip(time_s, knots_s[0], knots_s[-1])
+    return np.asarray(PchipInterpolator(knots_s, values)(inside_s), dtype=np.float64)
+
+
+def phase_of(frequency_hz: Signal, samplerate: int) -> Signal:
+    """The phase in radians of an oscillator that follows `frequency_hz` frame by frame."""
+    return np.cumsum(frequency_hz) * (2.0 * np.pi / samplerate)
+
+
+def band(
+    signal: Signal, low_hz: float | None, high_hz: float | None, samplerate: int, order: int = 2
+) -> Signal:
+    """`signal` between two corners (Butterworth, along axis 0); None leaves that side open."""
+    high_hz = None if high_hz is None or high_hz >= 0.45 * samplerate else high_hz
+    if low_hz is None and high_hz is None:
+        return signal
+    if low_hz is None:
+        sos = butter(order, high_hz, "lowpass", fs=samplerate, output="sos")
+    elif high_hz is None:
+        sos = butter(order, low_hz, "highpass", fs=samplerate, output="sos")
+    else:
+        sos = butter(order, (low_hz, high_hz), "bandpass", fs=samplerate, output="sos")
+    return np.asarray(sosfilt(sos, signal, axis=0), dtype=np.float64)
+
+
+def ring(excitation: Signal, frequency_hz: float, decay_s: float, samplerate: int) -> Signal:
+    """What a mode of `frequency_hz` sounds when struck by `excitation`; -60 dB after `decay_s`.
+
+    A two-pole resonator: an impulse of height 1 gives a decaying sine that starts at amplitude 1.
+    """
+    radius = 10.0 ** (-3.0 / (decay_s * samplerate))
+    angle = 2.0 * np.pi * frequency_hz / samplerate
+    numerator = [0.0, radius * np.sin(angle)]
+    denominator = [1.0, -2.0 * radius * np.cos(angle), radius * radius]
+    return np.asarray(lfilter(numerator, denominator, excitation), dtype=np.float64)
+
+
+def pan(mono: Signal, position: Signal | float) -> Signal:
+    """`mono` placed from -1 (left) to 1 (right) at constant power, shape (frames, 2)."""
+    angle = (np.clip(position, -1.0, 1.0) + 1.0) * (np.pi / 4.0)
+    return np.stack([mono * np.cos(angle), mono * np.sin(angle)], axis=1)
+
+
+def room(
+    dry: Signal,
+    samplerate: int,
+    rng: np.random.Generator,
+    *,
+    decay_s: float,
+    level: float,
+    high_hz: float = 5000.0,
+) -> Signal:
+    """`dry` (frames, 2) with the diffuse tail of a room added; the length stays that of `dry`.
+
+    `decay_s` is the tail's time to -60 dB, `level` its energy against the direct sound's.
+    """
+    time_s = time_axis(decay_s, samplerate)
+    tail = rng.standard_normal((time_s.size, 2)) * 10.0 ** (-3.0 * time_s / decay_s)[:, None]
+    tail = band(tail, 120.0, high_hz, samplerate, order=1)
+    # A few milliseconds of nothing first, as from walls that are not at the ear.
+    tail[: round(0.008 * samplerate)] = 0.0
+    tail *= np.sqrt(level / np.sum(tail**2, axis=0))
+    wet = fftconvolve(dry, tail, axes=0)[: dry.shape[0]]
+    return np.asarray(dry + wet, dtype=np.float64)
+
+
+def finished(
+    frames: Signal, samplerate: int, *, peak: float, fade_in_s: float, fade_out_s: float
+) -> NDArray[np.float32]:
+    """`frames` with raised-cosine ends, scaled to `peak` (full scale is 1), as float32.
+
+    The first and the last frame are exactly zero, so that a track can start and stop anywhere.
+    """
+    frames = frames.copy()
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, max(2, round(fade_in_s * samplerate))))
+    fall = 0.5 + 0.5 * np.cos(np.pi * np.linspace(0.0, 1.0, max(2, round(fade_out_s * samplerate))))
+    frames[: rise.size] *= rise[:, None]
+    frames[-fall.size :] *= fall[:, None]
+    frames[-1] = 0.0
+    frames *= peak / np.max(np.abs(frames))
+    return frames.astype(np.float32)

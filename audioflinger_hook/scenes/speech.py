@@ -1,0 +1,162 @@
+"""Somebody speaks, in no language: a voice with pitch, vowels that glide, and hissed consonants.
+
+The usual source and filter: the glottis gives harmonics of the pitch, the vocal tract's formants
+weigh them (G. Fant, "Acoustic Theory of Speech Production", 1960).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.scenes.shaping import (
+    Signal,
+    band,
+    curve,
+    finished,
+    pan,
+    phase_of,
+    room,
+    time_axis,
+)
+
+DURATION_S = 2.15
+
+# Formants F1 to F4 in Hz of a man's vowels (after Peterson and Barney, 1952)
+FORMANTS_HZ = {
+    "a": (730.0, 1090.0, 2440.0, 3400.0),
+    "e": (530.0, 1840.0, 2480.0, 3500.0),
+    "i": (270.0, 2290.0, 3010.0, 3600.0),
+    "o": (570.0, 840.0, 2410.0, 3300.0),
+    "u": (300.0, 870.0, 2240.0, 3300.0),
+}
+BANDWIDTHS_HZ = (70.0, 90.0, 130.0, 200.0)
+
+# Consonants made of noise: (low Hz, high Hz, length in s, gain)
+HISSES = {
+    "s": (5000.0, 9000.0, 0.09, 0.30),
+    "sh": (2000.0, 5500.0, 0.10, 0.34),
+    "t": (3000.0, 7000.0, 0.022, 0.45),
+    "k": (1300.0, 3200.0, 0.028, 0.45),
+}
+
+
+@dataclass(frozen=True)
+class Syllable:
+    """A consonant of `HISSES` (or none), then a vowel that turns into another at `pitch_hz`."""
+
+    start_s: float
+    length_s: float
+    consonant: str
+    vowels: tuple[str, str]
+    pitch_hz: float
+    stress: float
+
+
+SYLLABLES = (
+    Syllable(0.12, 0.20, "s", ("a", "e"), 128.0, 0.80),
+    Syllable(0.36, 0.15, "t", ("o", "o"), 140.0, 0.70),
+    Syllable(0.54, 0.26, "", ("a", "i"), 150.0, 1.00),
+    Syllable(0.90, 0.14, "k", ("e", "e"), 124.0, 0.65),
+    Syllable(1.08, 0.16, "", ("o", "u"), 118.0, 0.75),
+    Syllable(1.38, 0.17, "sh", ("i", "a"), 132.0, 0.80),
+    Syllable(1.58, 0.40, "t", ("a", "o"), 112.0, 1.00),
+)
+
+# Resonances move slowly against the sound itself, so they are worked out at this interval.
+CONTROL_INTERVAL_S = 0.004
+HIGHEST_HARMONIC_HZ = 4800.0
+
+
+def speech(samplerate: int, rng: np.random.Generator, peak: float) -> NDArray[np.float32]:
+    """Seven syllables in 2.15 s, float32 of shape (frames, 2), the largest sample at `peak`."""
+    time_s = time_axis(DURATION_S, samplerate)
+    loudness = np.zeros(time_s.size)
+    hiss = np.zeros(time_s.size)
+    for syllable in SYLLABLES:
+        stop_s = syllable.start_s + syllable.length_s
+        loudness += syllable.stress * curve(
+            time_s,
+            (
+                (syllable.start_s - 0.012, 0.0),
+                (syllable.start_s + 0.025, 1.0),
+                (syllable.start_s + 0.6 * syllable.length_s, 0.8),
+                (stop_s + 0.03, 0.0),
+            ),
+        )
+        if syllable.consonant:
+            hiss += _hiss(time_s, syllable, samplerate, rng)
+
+    voiced = _voice(time_s, samplerate, rng) * loudness
+    spoken = pan(voiced / np.max(np.abs(voiced)) + hiss, -0.12)
+    spoken = room(spoken, samplerate, rng, decay_s=0.3, level=0.03)
+    spoken = band(spoken, 70.0, None, samplerate)
+    return finished(spoken, samplerate, peak=peak, fade_in_s=0.005, fade_out_s=0.08)
+
+
+def _voice(time_s: Signal, samplerate: int, rng: np.random.Generator) -> Signal:
+    """The voiced sound without its syllables' loudness: harmonics weighed by gliding formants."""
+    pitch_points, formant_points = _articulation()
+    jitter = band(rng.standard_normal(time_s.size), None, 25.0, samplerate)
+    pitch_hz = curve(time_s, pitch_points) * (1.0 + 0.006 * jitter / np.std(jitter))
+    phasor = np.exp(1j * phase_of(pitch_hz, samplerate))
+
+    control_s = np.arange(0.0, DURATION_S + CONTROL_INTERVAL_S, CONTROL_INTERVAL_S)
+    control_pitch_hz = np.interp(control_s, time_s, pitch_hz)
+    formants_hz = [
+        curve(control_s, [(at_s, tract[index]) for at_s, tract in formant_points])
+        for index in range(len(BANDWIDTHS_HZ))
+    ]
+
+    voice = np.zeros(time_s.size)
+    power = np.ones_like(phasor)
+    for harmonic in range(1, int(HIGHEST_HARMONIC_HZ / np.min(control_pitch_hz)) + 1):
+        power *= phasor
+        frequency_hz = harmonic * control_pitch_hz
+        # Glottis and lips together fall by 6 dB an octave; the formants above F4, which are not
+        # made, would lift the top by about as much as the square root here does.
+        gain = np.full(control_s.size, harmonic**-0.5)
+        for centre_hz, bandwidth_hz in zip(formants_hz, BANDWIDTHS_HZ, strict=True):
+            ratio = frequency_hz / centre_hz
+            damping = frequency_hz * bandwidth_hz / centre_hz**2
+            gain /= np.sqrt((1.0 - ratio**2) ** 2 + damping**2)
+        gain[frequency_hz > min(HIGHEST_HARMONIC_HZ, 0.45 * samplerate)] = 0.0
+        voice += np.interp(time_s, control_s, gain) * power.imag
+    return voice
+
+
+def _articulation() -> tuple[
+    list[tuple[float, float]], list[tuple[float, tuple[float, float, float, float]]]
+]:
+    """The pitch and the formants over time, as points for `curve`."""
+    pitch: list[tuple[float, float]] = []
+    tract: list[tuple[float, tuple[float, float, float, float]]] = []
+    for syllable in SYLLABLES:
+        stop_s = syllable.start_s + syllable.length_s
+        pitch += [(syllable.start_s, syllable.pitch_hz), (stop_s, 0.9 * syllable.pitch_hz)]
+        first, last = syllable.vowels
+        tract += [
+            (syllable.start_s + 0.25 * syllable.length_s, FORMANTS_HZ[first]),
+            (syllable.start_s + 0.85 * syllable.length_s, FORMANTS_HZ[last]),
+        ]
+    return pitch, tract
+
+
+def _hiss(time_s: Signal, syllable: Syllable, samplerate: int, rng: np.random.Generator) -> Signal:
+    """The noise of the consonant that leads into `syllable`, over the whole of `time_s`."""
+    low_hz, high_hz, length_s, gain = HISSES[syllable.consonant]
+    noise = band(rng.standard_normal(time_s.size), low_hz, high_hz, samplerate)
+    stop_s = syllable.start_s + 0.01
+    start_s = stop_s - length_s
+    shape = curve(
+        time_s,
+        (
+            (start_s, 0.0),
+            (start_s + min(0.004, 0.2 * length_s), 1.0),
+            (start_s + 0.7 * length_s, 0.8),
+            (stop_s, 0.0),
+        ),
+    )
+    return gain * syllable.stress * shape * noise / (3.0 * np.std(noise))
