@@ -1,0 +1,249 @@
+"""The voice-coil actuator as a linear electro-mechanical model: volts in, motion out.
+
+Equations (8)-(10) of the paper for a force linear in the current, with the electrical side that
+follows from the same co-energy:
+
+    m x'' + c x' + k x = Bl i            v = (R + Rs) i + L di/dt + Bl x'
+
+Between samples the voltage is taken as a straight line (first-order hold), and for such a voltage
+the solution is exact. Before the first sample it was 0.
+
+How it is computed. The exact step s[n] = P s[n-1] + A v[n-1] + B v[n] (Van Loan 1978) has three
+poles, and displacement, velocity, current and acceleration share them. So the voltage passes once
+through the poles, as second-order sections, and each quantity is a sum of the last four results,
+with its own four taps. All are sums in a fixed order over one sample after the other, therefore
+the bytes do not depend on how the signal is split into blocks; and as v[n] enters s[n], the last
+sample of a block is the true state there, not a shifted one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.signal import sosfilt
+
+from device.errors import UsageError
+from device.rig import ActuatorParameters
+from device.units import FloatArray, finite_or_zero
+
+Quantity = Literal["displacement_m", "velocity_m_s", "current_a", "acceleration_m_s2"]
+QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+
+_TAPS = 4
+_ABSURD_V = 1e100
+_SILENT_V = 1e-30
+_PART_FRAMES = 32_768
+"""The signal is computed in parts that end at multiples of this, so that memory stays flat. There
+a state that has decayed is set to 0: at fixed places, so that it does not depend on the blocks.
+At audio rates denormal numbers, slow on many processors, would come far later."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion at each sample, float64 arrays of (frames,); what was not asked for has length 0.
+
+    displacement_m is positive where a positive current pushes.
+    """
+
+    displacement_m: FloatArray
+    velocity_m_s: FloatArray
+    current_a: FloatArray
+    acceleration_m_s2: FloatArray
+
+
+class LinearActuator:
+    """The actuator at one sample rate; holds its state between blocks. One thread calls `move`.
+
+    samplerate: Hz, above 0; source_impedance_ohm: Rs of the amplifier, 0 or more.
+
+    replaced_samples: volts that were not finite and were taken as 0, so far.
+
+    Raises
+    ------
+    UsageError
+        The rate or the impedance is out of range.
+    """
+
+    def __init__(
+        self,
+        parameters: ActuatorParameters,
+        samplerate: float,
+        source_impedance_ohm: float = 0.0,
+    ) -> None:
+        if not (np.isfinite(samplerate) and samplerate > 0):
+            raise UsageError(f"samplerate={samplerate!r} Hz must be above 0; choose another rate")
+        if not (np.isfinite(source_impedance_ohm) and source_impedance_ohm >= 0):
+            raise UsageError(
+                f"source_impedance_ohm={source_impedance_ohm!r} must be 0 or more; correct the rig"
+            )
+        self.parameters = parameters
+        self.samplerate = samplerate
+        self.source_impedance_ohm = source_impedance_ohm
+        self._poles, self._taps = _filters(parameters, samplerate, source_impedance_ohm)
+        self._filtered = np.empty(_TAPS + _PART_FRAMES)
+        self._product = np.empty(_PART_FRAMES)
+        self.reset()
+
+    def reset(self) -> None:
+        """Come to rest: no motion, no current, no voltage; the count is 0."""
+        self.replaced_samples = 0
+        self._sections = np.zeros((len(self._poles), 2))
+        self._last = np.zeros(_TAPS)
+        self._frames_to_check = _PART_FRAMES
+
+    @property
+    def displacement_m(self) -> float:
+        """x at the last sample, m."""
+        return self._now("displacement_m")
+
+    @property
+    def velocity_m_s(self) -> float:
+        """x' at the last sample, m/s."""
+        return self._now("velocity_m_s")
+
+    @property
+    def current_a(self) -> float:
+        """i at the last sample, A."""
+        return self._now("current_a")
+
+    def move(self, volts: FloatArray, outputs: Sequence[Quantity] = QUANTITIES) -> Motion:
+        """The motion while the next volts, (frames,), are applied: always finite.
+
+        NaN, infinity and magnitudes that no voltage has (above 1e100) count as 0. outputs: what
+        to compute; each quantity adds a fifth to the cost of the poles.
+        """
+        volts = np.ascontiguousarray(volts, dtype=np.float64)
+        motion = Motion(*[np.empty(len(volts) if name in outputs else 0) for name in QUANTITIES])
+        start = 0
+        while start < len(volts):
+            stop = min(start + self._frames_to_check, len(volts))
+            recent = self._pass_poles(volts[start:stop])
+            for name in outputs:
+                self._weigh(name, recent, getattr(motion, name)[start:stop])
+            start = stop
+        return motion
+
+    def _pass_poles(self, volts: FloatArray) -> FloatArray:
+        """(frames + 3,): three results of before, then those of at most one part's volts."""
+        drive, replaced = finite_or_zero(volts, _ABSURD_V)
+        self.replaced_samples += replaced
+        end = _TAPS + len(drive)
+        self._filtered[:_TAPS] = self._last
+        self._filtered[_TAPS:end], self._sections = sosfilt(self._poles, drive, zi=self._sections)
+        self._last[:] = self._filtered[end - _TAPS : end]
+        self._frames_to_check -= len(drive)
+        if self._frames_to_check == 0:
+            self._frames_to_check = _PART_FRAMES
+            if np.abs(self._sections).max() < _SILENT_V:
+                self._sections = np.zeros_like(self._sections)
+        return self._filtered[1:end]
+
+    def _weigh(self, quantity: Quantity, recent: FloatArray, out: FloatArray) -> None:
+        """Put a quantity into (frames,) from (frames + 3,) of the filtered drive."""
+        taps, frames = self._taps[quantity], len(out)
+        product = self._product[:frames]
+        np.multiply(recent[:frames], taps[_TAPS - 1], out=out)
+        # Not np.convolve: its order of summation may vary with the place in the array.
+        for delay in reversed(range(_TAPS - 1)):
+            start = _TAPS - 1 - delay
+            np.multiply(recent[start : start + frames], taps[delay], out=product)
+            out += product
+
+    def _now(self, quantity: Quantity) -> float:
+        value = np.empty(1)
+        self._weigh(quantity, self._last, value)
+        return float(value[0])
+
+
+def _filters(
+    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float
+) -> tuple[FloatArray, dict[Quantity, FloatArray]]:
+    """The second-order sections (2, 6) of the poles, gain 1 at 0 Hz, and the taps (4,) of each
+    quantity, the newest sample's first.
+    """
+    rate, drive, rows = _state_space(p, source_impedance_ohm)
+    step, from_last, from_new = _first_order_hold(rate, drive, 1.0 / samplerate)
+    poles = _sections_of(np.linalg.eigvals(rate), 1.0 / samplerate)
+
+    # State after each of the first samples of an impulse; the taps make the poles repeat it.
+    states = [from_new, step @ from_new + from_last]
+    while len(states) < _TAPS:
+        states.append(step @ states[-1])
+    denominator = np.convolve(poles[0, 3:], poles[1, 3:])[:_TAPS]
+    gain = poles[0, 0] * poles[1, 0]
+    taps: dict[Quantity, FloatArray] = {}
+    for name, row in rows.items():
+        impulse_response = np.array([row @ state for state in states])
+        taps[name] = np.convolve(denominator, impulse_response)[:_TAPS] / gain
+    return poles, taps
+
+
+def _state_space(
+    p: ActuatorParameters, source_impedance_ohm: float
+) -> tuple[FloatArray, FloatArray, dict[Quantity, FloatArray]]:
+    """s' = rate s + drive v, and the row that gives each quantity from s.
+
+    s = (x sqrt(k), x' sqrt(m), i sqrt(L)): half its square is the stored energy. In these
+    coordinates the exchange of energy is antisymmetric, which keeps the exponential well
+    conditioned whatever the units.
+    """
+    m, c, k = p.moving_mass_kg, p.damping_n_s_per_m, p.stiffness_n_per_m
+    bl, inductance = p.force_factor_n_per_a, p.inductance_h
+    resistance = p.resistance_ohm + source_impedance_ohm
+    w0 = p.resonance_rad_s
+    coupling = bl / np.sqrt(m * inductance)
+    rate = np.array(
+        [
+            [0.0, w0, 0.0],
+            [-w0, -c / m, coupling],
+            [0.0, -coupling, -resistance / inductance],
+        ]
+    )
+    drive = np.array([0.0, 0.0, 1.0 / np.sqrt(inductance)])
+    rows: dict[Quantity, FloatArray] = {
+        "displacement_m": np.array([1.0 / np.sqrt(k), 0.0, 0.0]),
+        "velocity_m_s": np.array([0.0, 1.0 / np.sqrt(m), 0.0]),
+        "current_a": np.array([0.0, 0.0, 1.0 / np.sqrt(inductance)]),
+        "acceleration_m_s2": rate[1] / np.sqrt(m),
+    }
+    return rate, drive, rows
+
+
+def _first_order_hold(
+    rate: FloatArray, drive: FloatArray, period_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(P, A, B) of s[n] = P s[n-1] + A v[n-1] + B v[n], exact for v linear between samples.
+
+    Van Loan, "Computing integrals involving the matrix exponential", 1978: one exponential of the
+    state, the voltage and its slope a sample holds all three.
+    """
+    n = len(rate)
+    whole = np.zeros((n + 2, n + 2))
+    whole[:n, :n] = rate * period_s
+    whole[:n, n] = drive * period_s
+    whole[n, n + 1] = 1.0
+    exponential = expm(whole)
+    level, slope = exponential[:n, n], exponential[:n, n + 1]
+    return exponential[:n, :n], level - slope, slope
+
+
+def _sections_of(rates: NDArray[Any], period_s: float) -> FloatArray:
+    """Second-order sections with the poles exp(rate T) of three rates: one real, then the pair.
+
+    A pair is complex (the resonance) or, where it is damped more than critically, the two slower
+    real ones. Two short sections stay accurate where one of third order, with all its poles close
+    to 1, would lose digits.
+    """
+    order = np.lexsort((rates.real, np.abs(rates.imag)))
+    single, *pair = np.exp(rates[order] * period_s)
+    return np.array([_section([complex(single), 0j]), _section([complex(z) for z in pair])])
+
+
+def _section(poles: list[complex]) -> list[float]:
+    """(b0, b1, b2, a0, a1, a2) with these two poles, real or conjugate, and gain 1 at 0 Hz."""
+    first, second = poles
+    gain = ((1 - first) * (1 - second)).real
+    return [gain, 0.0, 0.0, 1.0, -(first + second).real, (first * second).real]

@@ -1,0 +1,222 @@
+"""Files that appear whole under their name, or not at all.
+
+On Linux the content is written to a file without a name (O_TMPFILE), so even kill -9 leaves
+nothing behind; the name comes last. Where the filesystem cannot do that (some overlay and network
+filesystems), a hidden `.NAME.XXXX.part` stands in the same folder, and only kill -9 leaves it.
+"""
+
+import contextlib
+import errno
+import os
+import secrets
+import stat
+from pathlib import Path
+from types import TracebackType
+
+from device.errors import CushionError, UsageError, WriteError
+
+_NOT_THE_USERS_FAULT = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE}
+_REASONS = {
+    errno.ENOSPC: "the disk is full; free some space or name another folder",
+    errno.EDQUOT: "the disk quota is used up; free some space or name another folder",
+    errno.EFBIG: "the file would be larger than allowed; raise the limit (ulimit -f)",
+    errno.EROFS: "the file system is read-only; name another folder",
+    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
+}
+_FLAGS = os.O_RDWR | os.O_CLOEXEC
+_MODE = 0o666  # less what the umask takes
+
+
+class AtomicFile:
+    """A new file that stands under `path` only once `commit` has returned.
+
+    Until then, and after `abort` or kill -9, the folder is as it was and an existing file of that
+    name is untouched. As a context manager: commits, or aborts on an exception. A link is
+    followed: the file it points to is replaced. Not to be used from two threads at once.
+
+    Raises
+    ------
+    UsageError
+        The folder does not exist, is no folder or may not be written; the path is a folder or a
+        device; the file there is write-protected.
+    WriteError
+        The disk is full or failed; also from every method below, after an abort.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._file_fd = self._folder_fd = -1
+        self._part: str | None = None
+        try:
+            _refuse_unless_regular(self.path)
+            target = self.path.resolve()
+            self._name = target.name
+            self._folder_fd = _open_folder(target.parent, self.path)
+            self._open_file()
+        except (OSError, ValueError) as error:
+            self.abort()
+            raise _open_failure(self.path, error) from error
+        except CushionError:
+            self.abort()
+            raise
+
+    def write(self, content: bytes | memoryview) -> None:
+        """Append all of the content, or raise WriteError."""
+        rest = memoryview(content).cast("B")
+        try:
+            while rest:
+                rest = rest[os.write(self._file_fd, rest) :]
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def overwrite_start(self, content: bytes) -> None:
+        """Put the content over the first bytes of what was written; the end stays the end."""
+        try:
+            written = os.pwrite(self._file_fd, content, 0)
+        except OSError as error:
+            raise self._failure(error) from error
+        if written != len(content):
+            raise self._failure(OSError(errno.EIO, "short write"))
+
+    def size(self) -> int:
+        """Bytes in the file, as the filesystem counts them."""
+        return os.fstat(self._file_fd).st_size
+
+    def refuse_without_room_for(self, size: int) -> None:
+        """Raise WriteError now if `size` bytes more cannot fit on the disk."""
+        disk = os.fstatvfs(self._file_fd)
+        free = disk.f_bavail * disk.f_frsize
+        # Some network filesystems tell nothing: all zero.
+        if disk.f_blocks and size > free:
+            self.abort()
+            raise WriteError(
+                f"cannot write {self.path}: it needs {size / 1e6:.1f} MB and {free / 1e6:.1f} MB "
+                "are free; free some space or name another folder"
+            )
+
+    def commit(self) -> None:
+        """Give the file its name: content on disk first, then an exchange in one step."""
+        if self._file_fd < 0:
+            raise WriteError(f"cannot write {self.path}: it was closed before")
+        folder = self._folder_fd
+        try:
+            os.fsync(self._file_fd)
+            if self._part is None:
+                try:
+                    self._link_as(self._name)
+                except FileExistsError:
+                    # A link cannot replace: take a second name and exchange.
+                    self._part = self._part_name()
+                    self._link_as(self._part)
+            if self._part is not None:
+                os.replace(self._part, self._name, src_dir_fd=folder, dst_dir_fd=folder)
+                self._part = None
+        except OSError as error:
+            raise self._failure(error) from error
+        self.abort()  # nothing is left to discard: this closes
+
+    def abort(self) -> None:
+        """Discard everything; harmless after `commit` or a second time."""
+        if self._part is not None:
+            with contextlib.suppress(OSError):  # it may be gone with its folder
+                os.unlink(self._part, dir_fd=self._folder_fd)
+            self._part = None
+        for fd in (self._file_fd, self._folder_fd):
+            if fd >= 0:
+                os.close(fd)
+        self._file_fd = self._folder_fd = -1
+
+    def __enter__(self) -> "AtomicFile":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.commit()
+        else:
+            self.abort()
+
+    def _open_file(self) -> None:
+        nameless = getattr(os, "O_TMPFILE", 0)
+        if nameless and Path("/proc/self/fd").is_dir():
+            try:
+                self._file_fd = os.open(".", nameless | _FLAGS, _MODE, dir_fd=self._folder_fd)
+                return
+            except OSError as error:
+                # EISDIR: a kernel that does not know the flag; EINVAL, ENOENT: FUSE and others.
+                unsupported = {errno.EOPNOTSUPP, errno.EISDIR, errno.ENOSYS, errno.EINVAL}
+                if error.errno not in unsupported | {errno.ENOENT}:
+                    raise
+        part = self._part_name()
+        flags = _FLAGS | os.O_CREAT | os.O_EXCL
+        self._file_fd = os.open(part, flags, _MODE, dir_fd=self._folder_fd)
+        self._part = part
+
+    def _part_name(self) -> str:
+        # The name may use up the 255 bytes that a folder entry has.
+        start = os.fsdecode(os.fsencode(self._name)[:200])
+        return f".{start}.{secrets.token_hex(4)}.part"
+
+    def _link_as(self, name: str) -> None:
+        # Python calls linkat(2), which alone follows the link in /proc, only if given a folder.
+        source = f"/proc/self/fd/{self._file_fd}"
+        os.link(source, name, dst_dir_fd=self._folder_fd, follow_symlinks=True)
+
+    def _failure(self, error: OSError) -> WriteError:
+        self.abort()
+        return WriteError(f"cannot write {self.path}: {_reason(error)}")
+
+
+def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None:
+    """`path` holds exactly `content`, or is as it was and an error of `AtomicFile` is raised."""
+    with AtomicFile(path) as file:
+        file.write(content)
+
+
+def _refuse_unless_regular(path: Path) -> None:
+    if not path.name:
+        raise UsageError(f"cannot write {str(path)!r}: it has no file name; name a file")
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return
+    except NotADirectoryError as error:
+        raise UsageError(
+            f"cannot write {path}: {path.parent} is not a folder; name a folder"
+        ) from error
+    if stat.S_ISDIR(mode):
+        raise UsageError(f"cannot write {path}: it is a folder; name a file in it")
+    if not stat.S_ISREG(mode):
+        raise UsageError(f"cannot write {path}: it is not a regular file; name another file")
+    effective = os.access in os.supports_effective_ids
+    if not os.access(path, os.W_OK, effective_ids=effective):
+        raise UsageError(f"cannot write {path}: it is write-protected; name another file")
+
+
+def _open_folder(folder: Path, path: Path) -> int:
+    try:
+        return os.open(folder, getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC)
+    except FileNotFoundError as error:
+        raise UsageError(
+            f"cannot write {path}: folder {folder} does not exist; create it or name another"
+        ) from error
+
+
+def _open_failure(path: Path, error: OSError | ValueError) -> CushionError:
+    if not isinstance(error, OSError):  # a name with a null byte
+        return UsageError(f"cannot write {str(path)!r}: {error}; choose another name")
+    if error.errno in _NOT_THE_USERS_FAULT:
+        return WriteError(f"cannot write {path}: {_reason(error)}")
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return UsageError(
+            f"cannot write {path}: no permission to write in folder {path.parent}; name another"
+        )
+    return UsageError(f"cannot write {path}: {_reason(error)}")
+
+
+def _reason(error: OSError) -> str:
+    return _REASONS.get(error.errno or 0, f"{error.strerror or error}; name another folder")

@@ -1,0 +1,46 @@
+"""The errors that a user may see, and the exit code each one ends a command with.
+
+A message is one line: what is wrong, which value, what is allowed, what to do. Whatever is not a
+`CushionError` is a mistake of the program.
+"""
+
+
+class CushionError(Exception):
+    """The root of all errors of this project; `str()` of it is always one line.
+
+    exit_code: what the command line ends with, 2 to 5.
+    """
+
+    exit_code = 5
+
+    def __str__(self) -> str:
+        # A path or a library's message may hold line breaks.
+        return " ".join(super().__str__().split())
+
+
+class UsageError(CushionError):
+    """Wrong usage, config, rig or input: the user can put it right."""
+
+    exit_code = 2
+
+
+class NotFoundError(CushionError):
+    """No such tap or device."""
+
+    exit_code = 3
+
+
+class LostError(CushionError):
+    """The sound server or the device was lost and did not come back in the time allowed."""
+
+    exit_code = 4
+
+
+class InternalError(CushionError):
+    """The program failed; also the root of what goes wrong while it runs."""
+
+    exit_code = 5
+
+
+class WriteError(InternalError):
+    """Writing failed while running: the disk is full, a quota or a file-size limit is reached."""

@@ -1,0 +1,46 @@
+"""The one interface that vibration leaves through."""
+
+from typing import Protocol
+
+from device.units import Float32Array, FloatArray
+
+
+class VibrationOutput(Protocol):
+    """Takes the vibration block by block, then is closed (keep it) or aborted (discard it).
+
+    Files and the twin implement it; sound cards take the same place. One thread at a time calls
+    it, the one that delivers the vibration; `close` and `abort` may also come from another thread
+    once that one has ended. Both may be called again, or after one another: the first one counts.
+    """
+
+    @property
+    def samplerate(self) -> int:
+        """Rate in Hz that the vibration must have."""
+        ...
+
+    @property
+    def channels(self) -> int:
+        """Number of columns that a block must have."""
+        ...
+
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        """Take one block: (frames, channels), full scale ±1.0, any number of frames, also 0.
+
+        The array belongs to the caller again when this returns.
+
+        Raises
+        ------
+        InternalError
+            The block has another shape, or the output is closed.
+        WriteError
+            The disk is full or failed; the output has discarded everything, as by `abort`.
+        """
+        ...
+
+    def close(self) -> None:
+        """Finish: everything written is kept and, for a file, appears under its name."""
+        ...
+
+    def abort(self) -> None:
+        """Discard everything, as if the output had never been opened. Raises nothing."""
+        ...

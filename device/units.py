@@ -1,0 +1,34 @@
+"""Units and array types that every module shares. Pure functions; any thread may call them."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+
+
+def amplitude_to_db(ratio: float) -> float:
+    """Level in dB of an amplitude ratio: 20 log10 |ratio|; -inf for 0, never a warning.
+
+    ISO 80000-3: a root-power quantity has 20 dB a decade.
+    """
+    return 20.0 * math.log10(abs(ratio)) if ratio else -math.inf
+
+
+def db_to_amplitude(level_db: float) -> float:
+    """Amplitude ratio of a level in dB: 10^(level_db / 20); 0 for -inf."""
+    return math.pow(10.0, level_db / 20.0)
+
+
+def finite_or_zero(
+    samples: FloatArray, limit: float = float(np.finfo(np.float64).max)
+) -> tuple[FloatArray, int]:
+    """The samples with 0 for every NaN and every magnitude above `limit`, and how many those were.
+
+    The array given is returned as it is where there are none; it is never changed.
+    """
+    sound = np.abs(samples) <= limit  # False for NaN
+    replaced = samples.size - int(np.count_nonzero(sound))
+    return (np.where(sound, samples, 0.0), replaced) if replaced else (samples, 0)

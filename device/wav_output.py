@@ -1,0 +1,163 @@
+"""Vibration, or what the twin measured, as a float32 WAV file that appears whole or not at all.
+
+The header is written here and not by libsndfile, for three reasons: a failed write keeps its
+reason (libsndfile tells only that fewer frames went out); a recording of unknown length may pass
+4 GB; and equal vibration gives equal files (libsndfile writes the time of day into float files).
+"""
+
+import os
+import struct
+
+import numpy as np
+
+from device.atomic_file import AtomicFile
+from device.errors import InternalError, WriteError
+from device.units import Float32Array, FloatArray
+
+_SAMPLE = np.dtype("<f4")
+_IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
+_IN_DS64 = 0xFFFF_FFFF
+"""What a 32-bit size says in RF64: the true one stands in the ds64 chunk."""
+
+
+class WavOutput:
+    """A float32 WAV file behind `VibrationOutput`; RF64 once it is larger than 4 GB.
+
+    samplerate: Hz; channels: 1 to 16383; frames_expected: if known, a disk without room for them
+    is refused at once; comment: stored as the file's comment (RIFF INFO, UTF-8). Memory stays
+    flat whatever the length. Samples are stored as given, beyond ±1.0 too.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be created there, see `AtomicFile`.
+    WriteError
+        The disk is full or failed, here and in `write` and `close`; then no file is left.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        samplerate: int,
+        channels: int,
+        *,
+        frames_expected: int | None = None,
+        comment: str | None = None,
+    ) -> None:
+        self._samplerate = samplerate
+        self._channels = channels
+        self._comment = comment
+        self._frames = 0
+        # The real header takes this one's place at the end; it has the same length.
+        placeholder = wav_header(samplerate, channels, 0, comment)
+        file = AtomicFile(path)
+        if frames_expected is not None:
+            file.refuse_without_room_for(self._size(frames_expected, placeholder))
+        file.write(placeholder)
+        self._file: AtomicFile | None = file
+
+    @property
+    def samplerate(self) -> int:
+        """Rate in Hz."""
+        return self._samplerate
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return self._channels
+
+    @property
+    def frames(self) -> int:
+        """Number of frames written so far."""
+        return self._frames
+
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        """Append (frames, channels) samples, rounded to float32."""
+        if self._file is None:
+            raise InternalError("the WAV file is closed: nothing can be written to it")
+        if vibration.ndim != 2 or vibration.shape[1] != self._channels:
+            raise InternalError(
+                f"a block has shape {vibration.shape}: (frames, {self._channels}) was expected"
+            )
+        if vibration.size == 0:  # a memoryview of it could not be cast to bytes
+            return
+        samples = np.ascontiguousarray(vibration, dtype=_SAMPLE)
+        self._append(samples.data)
+        self._frames += len(vibration)
+
+    def close(self) -> None:
+        """Complete the header, check the size and give the file its name."""
+        file, self._file = self._file, None
+        if file is None:
+            return
+        header = wav_header(self._samplerate, self._channels, self._frames, self._comment)
+        file.overwrite_start(header)
+        size, expected = file.size(), self._size(self._frames, header)
+        if size != expected:
+            file.abort()
+            raise WriteError(
+                f"cannot write {file.path}: the disk holds {size} of {expected} bytes; "
+                "name another folder"
+            )
+        file.commit()
+
+    def abort(self) -> None:
+        """Discard the file."""
+        file, self._file = self._file, None
+        if file is not None:
+            file.abort()
+
+    def _append(self, samples: memoryview) -> None:
+        assert self._file is not None
+        try:
+            self._file.write(samples)
+        except WriteError:
+            self._file = None
+            raise
+
+    def _size(self, frames: int, header: bytes) -> int:
+        return len(header) + frames * self._channels * _SAMPLE.itemsize
+
+
+def wav_header(samplerate: int, channels: int, frames: int, comment: str | None = None) -> bytes:
+    """Everything before the samples of a float32 WAV file; as long for any number of frames.
+
+    Chunks: ds64 (below 4 GB the same bytes are JUNK, EBU Tech 3306), fmt, fact, LIST INFO ICMT,
+    data. A file of more than 4 GB says RF64 in place of RIFF.
+
+    Raises
+    ------
+    InternalError
+        The rate or the number of channels does not fit into a WAV header.
+    """
+    frame_bytes = channels * _SAMPLE.itemsize
+    if not (0 < samplerate * frame_bytes <= _IN_DS64 and 0 < channels <= 0x3FFF):
+        raise InternalError(
+            f"a WAV file cannot have samplerate={samplerate} Hz with channels={channels}"
+        )
+    bytes_a_second, bits = samplerate * frame_bytes, 8 * _SAMPLE.itemsize
+    fmt = struct.pack(
+        "<HHIIHHH", _IEEE_FLOAT, channels, samplerate, bytes_a_second, frame_bytes, bits, 0
+    )
+    info = b""
+    if comment is not None:
+        text = comment.encode("utf-8", "replace") + b"\0"
+        info = _chunk(b"LIST", b"INFO" + _chunk(b"ICMT", text))
+    samples_bytes = frames * frame_bytes
+    ds64_bytes, fact_bytes, data_head_bytes = 36, 12, 8
+    head_bytes = 12 + ds64_bytes + len(fmt) + 8 + fact_bytes + len(info) + data_head_bytes
+    riff_bytes = head_bytes + samples_bytes - 8
+    if riff_bytes < _IN_DS64:
+        start = struct.pack("<4sI4s", b"RIFF", riff_bytes, b"WAVE") + _chunk(b"JUNK", bytes(28))
+        fact, data_bytes = frames, samples_bytes
+    else:
+        ds64 = struct.pack("<QQQI", riff_bytes, samples_bytes, frames, 0)
+        start = struct.pack("<4sI4s", b"RF64", _IN_DS64, b"WAVE") + _chunk(b"ds64", ds64)
+        fact, data_bytes = _IN_DS64, _IN_DS64
+    header = start + _chunk(b"fmt ", fmt) + _chunk(b"fact", struct.pack("<I", fact)) + info
+    return header + struct.pack("<4sI", b"data", data_bytes)
+
+
+def _chunk(name: bytes, content: bytes) -> bytes:
+    """One RIFF chunk; its content is padded to an even length, its size says the true one."""
+    return struct.pack("<4sI", name, len(content)) + content + b"\0" * (len(content) % 2)
