@@ -1,0 +1,35 @@
+"""Feel what a computer plays: sound in, vibration of 20-220 Hz out.
+
+    taps -> chain -> effect (transform) -> device.alignment -> device outputs
+
+`render_file` does a whole file; `HapticTransform` works on arrays, block by block.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+__all__ = ["HapticTransform", "Settings", "TransformParameters", "__version__", "render_file"]
+
+if TYPE_CHECKING:
+    from audioflinger_hook.render import render_file
+    from audioflinger_hook.settings import Settings
+    from audioflinger_hook.transform import HapticTransform, TransformParameters
+
+_HOMES = {
+    "HapticTransform": "audioflinger_hook.transform",
+    "Settings": "audioflinger_hook.settings",
+    "TransformParameters": "audioflinger_hook.transform",
+    "render_file": "audioflinger_hook.render",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used: `cushion --help` needs no signal processing."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_HOMES[name]), name)

@@ -1,0 +1,179 @@
+"""`cushion demo`: the bundled scene through the whole chain, seen, heard by file, and read."""
+
+from __future__ import annotations
+
+import io
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from audioflinger_hook.chain import Chain
+from audioflinger_hook.cli.meter import Meter
+from audioflinger_hook.cli.terminal import level_text, warn
+from audioflinger_hook.effect import HapticEffect
+from audioflinger_hook.inspection import inspect_tap
+from audioflinger_hook.pace import RealTimePace
+from audioflinger_hook.render import ACCELERATION_COMMENT
+from audioflinger_hook.scenes import Scene, demo_scene
+from audioflinger_hook.settings import Settings
+from audioflinger_hook.taps import SceneTap
+from device.alignment import Aligned
+from device.atomic_file import write_bytes_atomically
+from device.errors import UsageError
+from device.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig import rig_by_name
+from device.twin import Twin
+from device.units import amplitude_to_db
+from device.wav_output import WavOutput
+
+BLOCKSIZE_FRAMES = 256
+"""What a sound server delivers at a time; costs are given for it."""
+
+FAINTEST_DB = -45.0
+"""Principal frequencies this far under full scale are drawn as the smallest dot."""
+
+
+@dataclass
+class Played:
+    """What the demo collects for its table and its picture."""
+
+    vibration: list[NDArray[np.float32]] = field(default_factory=list)
+    acceleration: list[NDArray[np.float64]] = field(default_factory=list)
+    buffer_s: list[float] = field(default_factory=list)
+
+
+def run(out: Path, *, fast: bool) -> int:
+    """Play the scene, write vibration.wav, acceleration.wav, scene.wav and report.png to `out`."""
+    _make_folder(out)
+    settings = Settings()
+    scene = demo_scene()
+    tap = SceneTap(scene, BLOCKSIZE_FRAMES)
+    effect = HapticEffect(tap.samplerate, tap.channels, settings)
+    rate, channels = tap.samplerate, effect.haptic_channels
+    sound = WavOutput(out / "scene.wav", rate, tap.channels)
+    sound.write(scene.mixdown())
+    sound.close()
+    recorder = WavOutput(out / "acceleration.wav", rate, channels, comment=ACCELERATION_COMMENT)
+    twin = Twin(rig_by_name(settings.rig), rate, channels, recorder=recorder)
+    outputs = (WavOutput(out / "vibration.wav", rate, channels), twin)
+    chain = Chain(tap, effect, [Aligned(output, effect.latency_frames) for output in outputs])
+    try:
+        played = _play(chain, scene, twin, fast=fast)
+        chain.close()
+    except BaseException:
+        chain.abort()
+        raise
+    drawn = _draw(out / "report.png", scene, played, effect, settings)
+    _print_table(out, effect, twin, played, drawn)
+    return 0
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(exist_ok=True)
+    except FileExistsError:
+        raise UsageError(f"{out} is not a folder; name another with --out") from None
+    except OSError as error:
+        raise UsageError(
+            f"the folder {out} cannot be made ({error.strerror}); name another with --out"
+        ) from None
+
+
+def _play(chain: Chain, scene: Scene, twin: Twin, *, fast: bool) -> Played:
+    """Step the chain to its end, in real time unless `fast`, showing what goes through it."""
+    played = Played()
+    pace = RealTimePace(scene.samplerate, time.monotonic())
+    frames = 0
+    with Meter(scene, Console(stderr=True)) as meter:
+        while True:
+            began = time.thread_time()
+            step = chain.step()
+            if step is None:
+                break
+            if len(step.audio):
+                played.buffer_s.append(time.thread_time() - began)
+            played.vibration.append(step.vibration)
+            played.acceleration.append(twin.acceleration_m_s2)
+            frames += len(step.audio)
+            meter.show(frames, step.audio, step.vibration, twin.acceleration_m_s2)
+            if not fast:
+                time.sleep(pace.wait_s(frames, time.monotonic()))
+    return played
+
+
+def _draw(
+    path: Path, scene: Scene, played: Played, effect: HapticEffect, settings: Settings
+) -> bool:
+    """Write the picture and return True, or say why there is none."""
+    try:
+        from audioflinger_hook.figures.report import draw_report
+    except ImportError:
+        warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
+        return False
+    frames = scene.frame_count
+    latency = effect.latency_frames
+    full_scale_r = settings.parameters.unit_strength_hz(scene.samplerate)
+    principals = []
+    for unit in inspect_tap(SceneTap(scene, frames), settings.parameters):
+        total = sum(p.r for p in unit.principal)
+        for p in unit.principal:
+            level_db = amplitude_to_db(p.r * p.r / (total * full_scale_r))
+            strength = min(1.0, max(0.0, 1.0 - level_db / FAINTEST_DB))
+            middle_s = unit.start_s + settings.parameters.window_s / 2
+            principals.append((middle_s, p.audio_hz, p.vibration_hz, strength))
+    vibration = np.concatenate(played.vibration)[latency : latency + frames]
+    acceleration = np.concatenate(played.acceleration)[:frames]
+    picture = io.BytesIO()
+    draw_report(
+        picture,
+        title="Haptic Cushion: what is played, and what is felt",
+        samplerate=scene.samplerate,
+        audio=scene.mixdown(),
+        vibration=vibration[:, 0],
+        vibration_samplerate=scene.samplerate,
+        acceleration_m_s2=acceleration[:, 0],
+        acceleration_samplerate=scene.samplerate,
+        principals=principals,
+        events=scene.events(),
+        facts=(
+            f"{settings.form} form, profile {settings.profile}",
+            f"latency {effect.latency_s * 1e3:.1f} ms, taken out here",
+            f"rig {settings.rig} (simulated)",
+        ),
+    )
+    write_bytes_atomically(path, picture.getvalue())
+    return True
+
+
+def _print_table(out: Path, effect: HapticEffect, twin: Twin, played: Played, drawn: bool) -> None:
+    peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
+    buffer_ms = np.array(played.buffer_s) * 1e3
+    buffer_length_ms = BLOCKSIZE_FRAMES / effect.samplerate * 1e3
+    median, tail, worst = np.percentile(buffer_ms, (50, 99, 100))
+    share = 100.0 * buffer_ms.sum() / (buffer_length_ms * buffer_ms.size)
+    table = Table(title="What was played and felt", show_header=False, title_justify="left")
+    table.add_row("sound", f"{len(buffer_ms)} buffers of {BLOCKSIZE_FRAMES} frames")
+    table.add_row("latency of the transform", f"{effect.latency_s * 1e3:.1f} ms")
+    table.add_row("vibration, peak", level_text(peak))
+    table.add_row("limited samples", str(effect.limited_samples))
+    table.add_row("replaced samples", str(effect.replaced_samples))
+    table.add_row("acceleration, peak", f"{twin.peak_acceleration_m_s2:.1f} m/s^2 (predicted)")
+    table.add_row("excursion, peak", f"{twin.peak_displacement_m * 1e3:.2f} mm (predicted)")
+    table.add_row("current, peak", f"{twin.peak_current_a:.2f} A (predicted)")
+    table.add_row(
+        f"time a buffer of {buffer_length_ms:.2f} ms",
+        f"median {median:.2f}, p99 {tail:.2f}, max {worst:.2f} ms ({share:.1f} % of one core)",
+    )
+    table.add_row("scene.wav", f"{out / 'scene.wav'}: what was played")
+    table.add_row("vibration.wav", f"{out / 'vibration.wav'}: what is felt, to be heard")
+    table.add_row(
+        "acceleration.wav",
+        f"{out / 'acceleration.wav'}: full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2",
+    )
+    table.add_row("report.png", f"{out / 'report.png'}" if drawn else "not drawn")
+    Console().print(table)

@@ -1,0 +1,44 @@
+"""`cushion inspect`: principal frequencies, unit by unit."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+from audioflinger_hook.inspection import Unit, inspect_file
+
+HEADER = (
+    f"{'unit':>6} {'start s':>9}   {'audio Hz':>9} {'amplitude':>9} "
+    f"{'width Hz':>8} {'r':>8}   {'vibration Hz':>12}"
+)
+
+
+def run(path: Path, *, at_s: float | None, as_json: bool) -> int:
+    """Print the units of a file, as a table or as one JSON list, as they are found."""
+    units = inspect_file(path, at_s=at_s)
+    first = next(units, None)  # errors come before anything is printed
+    print("[" if as_json else HEADER)
+    separator = ""
+    while first is not None:
+        if as_json:
+            print(separator + json.dumps(dataclasses.asdict(first)), end="")
+            separator = ",\n"
+        else:
+            print(_rows(first))
+        first = next(units, None)
+    if as_json:
+        print("\n]")
+    return 0
+
+
+def _rows(unit: Unit) -> str:
+    start = f"{unit.unit:>6} {unit.start_s:>9.3f}   "
+    if not unit.principal:
+        return f"{start}{'-':>9}"
+    rows = [
+        f"{p.audio_hz:>9.2f} {p.amplitude:>9.4f} {p.bandwidth_hz:>8.2f} {p.r:>8.3f}   "
+        f"{p.vibration_hz:>12.2f}"
+        for p in unit.principal
+    ]
+    return start + ("\n" + " " * len(start)).join(rows)

@@ -1,0 +1,123 @@
+"""The command line's grammar."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+from audioflinger_hook import __version__
+from device.errors import UsageError
+
+DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
+EXIT_CODES = (
+    "exit codes: 0 done; 2 wrong usage, config or input; 3 no such tap or device; 4 the sound "
+    "server or device was lost; 5 internal error or write failure; 130 interrupted"
+)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that reports wrong usage as every other error is reported."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise UsageError."""
+        raise UsageError(f"{message}; see `{self.prog} --help`")
+
+
+def build_parser() -> Parser:
+    """Return the parser; `run` of what it parses is the function that does the command."""
+    parser = Parser(prog="cushion", description=DESCRIPTION, epilog=EXIT_CODES)
+    parser.add_argument("--version", action="version", version=f"cushion {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+
+    demo = _add(commands, "demo", "play the bundled scene through the whole chain", _demo)
+    demo.add_argument("--out", type=Path, default=Path("out"), metavar="DIR")
+    demo.add_argument("--fast", action="store_true", help="as fast as it can, not in real time")
+
+    render = _add(commands, "render", "write the vibration of a sound file", _render)
+    render.add_argument("input", type=Path, metavar="IN", help="any sound file")
+    render.add_argument("output", type=Path, metavar="OUT", help="float32 WAV")
+    render.add_argument("--transform", dest="form", metavar="reference|live", help="default: live")
+    render.add_argument("--channels", metavar="mono|each", help="default: mono")
+    render.add_argument("--profile", metavar="NAME", help="default: paper")
+    render.add_argument("--damping", metavar="off|NAME", help="default: off")
+    render.add_argument("--acceleration", type=Path, metavar="FILE", help="what the rig would do")
+    render.add_argument("--config", type=Path, metavar="FILE", help="take the settings from it")
+    _add_json(render)
+
+    inspect = _add(commands, "inspect", "list the principal frequencies of a sound file", _inspect)
+    inspect.add_argument("input", type=Path, metavar="IN")
+    inspect.add_argument("--at", type=_seconds, metavar="SECONDS", help="only the unit there")
+    _add_json(inspect)
+
+    bench = _add(commands, "bench", "measure speed against error on this machine", _bench)
+    bench.add_argument("--quick", action="store_true", help="under a minute")
+    bench.add_argument("--plots", type=Path, metavar="DIR", help="draw the figures there")
+    bench.add_argument("--out", type=Path, metavar="FILE", help="default: docs/benchmarks.md")
+    _add_json(bench)
+
+    check = _add(commands, "check", "report every mistake of a config file", _check)
+    check.add_argument("--config", type=Path, metavar="FILE", help="default: the user's own")
+    _add_json(check)
+    return parser
+
+
+def _add(
+    commands: argparse._SubParsersAction[Parser],
+    name: str,
+    does: str,
+    run: Callable[[argparse.Namespace], int],
+) -> Parser:
+    command = commands.add_parser(name, help=does, description=does, epilog=EXIT_CODES)
+    command.add_argument("--debug", action="store_true", help="show tracebacks")
+    command.set_defaults(run=run)
+    return command
+
+
+def _add_json(command: Parser) -> None:
+    command.add_argument("--json", action="store_true", help="one JSON document on stdout")
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds from 0")
+    return value
+
+
+# Each command's module is imported when it runs: what it needs may take a second to load.
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import demo
+
+    return demo.run(options.out, fast=options.fast)
+
+
+def _render(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import render
+
+    return render.run(options)
+
+
+def _inspect(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import inspect
+
+    return inspect.run(options.input, at_s=options.at, as_json=options.json)
+
+
+def _bench(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import bench
+
+    return bench.run(options)
+
+
+def _check(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import check
+
+    return check.run(options.config, as_json=options.json)

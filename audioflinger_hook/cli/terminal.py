@@ -1,0 +1,48 @@
+"""What commands say: warnings, progress, and levels as text."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from device.units import amplitude_to_db
+
+
+def warn(message: str) -> None:
+    """Print one line of warning on stderr."""
+    print(f"cushion: warning: {message}", file=sys.stderr)
+
+
+def level_text(amplitude: float) -> str:
+    """Return an amplitude as dBFS, `-inf` for silence."""
+    level_db = amplitude_to_db(amplitude)
+    return "-inf dBFS" if level_db == -math.inf else f"{level_db:.1f} dBFS"
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Callable[[float, float | None], None]]:
+    """Yield a function that is told what is done and what there is (None: not known).
+
+    Drawn on stderr while it is a terminal, and gone afterwards.
+    """
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(compact=True),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task(label, total=None)
+
+        def advance(done: float, total: float | None) -> None:
+            bar.update(task, completed=done, total=total)
+
+        yield advance

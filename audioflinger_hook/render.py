@@ -1,0 +1,122 @@
+"""Offline: a sound file in, a vibration file out, through the same chain as everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from audioflinger_hook.chain import Chain
+from audioflinger_hook.effect import HapticEffect
+from audioflinger_hook.settings import Settings
+from audioflinger_hook.taps import FileTap
+from device.alignment import Aligned
+from device.errors import UsageError
+from device.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.output import VibrationOutput
+from device.rig import rig_by_name
+from device.twin import Twin
+from device.wav_output import WavOutput
+
+Progress = Callable[[int, int | None], None]
+"""Told, after every buffer, the frames done and the frames in all (None where not known)."""
+
+ACCELERATION_COMMENT = (
+    f"predicted acceleration, full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2"
+)
+
+
+@dataclass(frozen=True)
+class RenderReport:
+    """What a rendering did. Field names carry their units; frames and samples are counts."""
+
+    frames: int
+    samplerate: int
+    channels: int
+    transform: str
+    latency_s: float
+    peak: float
+    limited_samples: int
+    replaced_samples: int
+    peak_acceleration_m_s2: float | None = None
+    warnings: list[str] = field(default_factory=list)
+
+
+def render_file(
+    source: Path,
+    target: Path,
+    settings: Settings | None = None,
+    *,
+    acceleration: Path | None = None,
+    progress: Progress | None = None,
+) -> RenderReport:
+    """Write the vibration of a sound file as float32 WAV of the same rate and length.
+
+    The transform's latency is taken out: the vibration stands under its sound. `acceleration`
+    also runs the vibration through the simulated rig and writes what its accelerometer records,
+    full scale = 100 m/s^2. Memory does not depend on the length. Files appear whole or not at
+    all. May take long; called from any one thread.
+
+    Raises
+    ------
+    UsageError
+        The source cannot be used or a target cannot be written there.
+    WriteError
+        The disk is full or failed.
+    """
+    settings = settings or Settings()
+    _refuse_same_file(source, target, acceleration)
+    tap = FileTap(source)
+    outputs: list[VibrationOutput] = []
+    try:
+        effect = HapticEffect(tap.samplerate, tap.channels, settings)
+        channels = effect.haptic_channels
+        outputs.append(WavOutput(target, tap.samplerate, channels))
+        twin = None
+        if acceleration is not None:
+            recorder = WavOutput(
+                acceleration, tap.samplerate, channels, comment=ACCELERATION_COMMENT
+            )
+            twin = Twin(rig_by_name(settings.rig), tap.samplerate, channels, recorder=recorder)
+            outputs.append(twin)
+        chain = Chain(tap, effect, [Aligned(out, effect.latency_frames) for out in outputs])
+        frames, peak = 0, 0.0
+        while step := chain.step():
+            frames += len(step.audio)
+            peak = max(peak, float(np.abs(step.vibration).max(initial=0.0)))
+            if progress:
+                progress(frames, tap.frames_expected)
+        chain.close()
+    except BaseException:
+        for output in outputs:
+            output.abort()
+        raise
+    finally:
+        tap.close()
+    return RenderReport(
+        frames=frames,
+        samplerate=tap.samplerate,
+        channels=channels,
+        transform=settings.form,
+        latency_s=effect.latency_s,
+        peak=peak,
+        limited_samples=effect.limited_samples,
+        replaced_samples=effect.replaced_samples,
+        peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
+        warnings=tap.warnings,
+    )
+
+
+def _refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:
+    """Raise UsageError where one of the files would overwrite another."""
+    named = {"the input": source, "the vibration": target}
+    if acceleration is not None:
+        named["the acceleration"] = acceleration
+    seen: dict[Path, str] = {}
+    for role, path in named.items():
+        resolved = path.resolve()
+        if resolved in seen:
+            raise UsageError(f"{path} is named for {seen[resolved]} and for {role}; name two files")
+        seen[resolved] = role

@@ -1,0 +1,51 @@
+"""What a user may choose: profile, transform, damping, rig. Defaults are the paper's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from audioflinger_hook.transform import Form, TransformParameters
+from device.errors import UsageError
+
+Channels = Literal["mono", "each"]
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "profile": ("paper",),
+    "damping": ("off",),
+    "form": ("live", "reference"),
+    "channels": ("mono", "each"),
+    "rig": ("paper",),
+}
+"""Every choice by name, with the values that exist; the first one is the default."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """One complete set of choices.
+
+    profile: a named set of parameters; form: which form of the transform; channels: `mono`
+    mixes before the transform, `each` transforms every channel by itself; damping: how residual
+    vibration is reduced; rig: the simulated device.
+
+    Raises
+    ------
+    UsageError
+        Names every choice that does not exist, all at once.
+    """
+
+    profile: str = CHOICES["profile"][0]
+    damping: str = CHOICES["damping"][0]
+    form: Form = "live"
+    channels: Channels = "mono"
+    rig: str = CHOICES["rig"][0]
+    parameters: TransformParameters = field(default_factory=TransformParameters)
+
+    def __post_init__(self) -> None:
+        problems = [
+            f"{name} {getattr(self, name)!r} is not known; allowed: {', '.join(allowed)}"
+            for name, allowed in CHOICES.items()
+            if getattr(self, name) not in allowed
+        ]
+        if problems:
+            raise UsageError("; ".join(problems))

@@ -1,0 +1,31 @@
+"""The interface of every tap."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Tap(Protocol):
+    """A source of sound: buffers of one format, in order, until it ends."""
+
+    samplerate: int
+    channels: int
+
+    @property
+    def frames_expected(self) -> int | None:
+        """How many frames will come in all, where that is known; for progress only."""
+        ...
+
+    def read(self) -> NDArray[np.float32] | None:
+        """Return the next buffer, (frames, channels) float32, or None when the sound has ended.
+
+        Called by the thread that steps the chain.
+        """
+        ...
+
+    def close(self) -> None:
+        """Let go of the source. May be called more than once."""
+        ...
