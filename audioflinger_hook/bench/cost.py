@@ -1,0 +1,84 @@
+"""Timing: what a piece of work costs one thread, beside a unit of cost timed with it.
+
+CPU time of the calling thread (`time.thread_time`), so that what other programs do counts only
+through caches and clock frequency; against those the unit is timed right before every
+measurement, and ratios to it are taken pair by pair.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.fft import rfft
+
+from audioflinger_hook.transform.arrays import FloatArray
+
+RFFT_FRAMES = 2048
+RFFT_CALLS = 100
+"""Calls in one timing of the unit: about a millisecond, far over the clock's step."""
+
+_UNIT_INPUT = np.random.default_rng(0).standard_normal(RFFT_FRAMES).astype(np.float32)
+
+
+def rfft_unit_s() -> float:
+    """Return the unit of cost: thread CPU seconds of one scipy.fft.rfft(2048, float32)."""
+    rfft(_UNIT_INPUT)
+    start = time.thread_time()
+    for _ in range(RFFT_CALLS):
+        rfft(_UNIT_INPUT)
+    return (time.thread_time() - start) / RFFT_CALLS
+
+
+def thread_seconds(work: Callable[[], object]) -> float:
+    """Return the thread CPU seconds of one call."""
+    start = time.thread_time()
+    work()
+    return time.thread_time() - start
+
+
+@dataclass
+class Timings:
+    """Repeated timings of one piece of work: seconds, and the same in units of the rfft."""
+
+    seconds: list[float] = field(default_factory=list)
+    units: list[float] = field(default_factory=list)
+
+    @property
+    def median_s(self) -> float:
+        """The median in seconds."""
+        return float(np.median(self.seconds))
+
+    @property
+    def median_units(self) -> float:
+        """The median of the ratios to the unit timed with each."""
+        return float(np.median(self.units))
+
+
+def interleaved(works: Sequence[Callable[[], object]], repeats: int) -> list[Timings]:
+    """Return the timings of several works, in turns: each round runs every one of them once.
+
+    One round before the first warms caches and is not counted.
+    """
+    timings = [Timings() for _ in works]
+    for work in works:
+        work()
+    for _ in range(repeats):
+        for work, kept in zip(works, timings, strict=True):
+            unit_s = rfft_unit_s()
+            seconds = thread_seconds(work)
+            kept.seconds.append(seconds)
+            kept.units.append(seconds / unit_s)
+    return timings
+
+
+def call_times_s(work: Callable[[FloatArray], object], blocks: Sequence[FloatArray]) -> FloatArray:
+    """Return the thread CPU seconds of each call on a block, (blocks,)."""
+    times = np.empty(len(blocks))
+    for index, block in enumerate(blocks):
+        start = time.thread_time()
+        work(block)
+        times[index] = time.thread_time() - start
+    return times

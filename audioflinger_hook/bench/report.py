@@ -1,0 +1,262 @@
+"""The report: measured rows by section, as Markdown to read and JSON to compute with.
+
+The JSON document is the dataclasses below, field by field, in this shape (SCHEMA_VERSION 1):
+
+    {"schema": 1, "date": "...", "quick": bool, "machine": {MachineFacts},
+     "must": {"met": int, "not_met": [name, ...]},
+     "sections": [{"title", "explanation", "rows": [{Row, "met"}], "missing": [{Missing}],
+                   "series": {name: [number, ...]}}]}
+
+A number that is not finite is null. `must` in a row is {"relation", "bound"} or null; `met` is
+true, false, or null where nothing is asked.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from audioflinger_hook.bench.machine import MachineFacts
+
+SCHEMA_VERSION = 1
+
+MET, NOT_MET = "met", "**not met**"
+COMMAND = "cushion bench"
+
+
+@dataclass(frozen=True)
+class Must:
+    """A limit that a value has to keep: value <= bound, or value >= bound."""
+
+    relation: Literal["<=", ">="]
+    bound: float
+
+    def met(self, value: float) -> bool:
+        """Return whether a value keeps the limit; NaN never does."""
+        return value <= self.bound if self.relation == "<=" else value >= self.bound
+
+    def shown(self, unit: str) -> str:
+        """Return the limit as text with its unit."""
+        sign = {"<=": "≤", ">=": "≥"}[self.relation]
+        return f"{sign} {_with_unit(f'{self.bound:g}', unit)}"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured value.
+
+    name: what was measured; column: whose value it is (`live`, `reference`, ...), rows of one
+    name share a line of the table. value: in `unit`, None where there is none to give (the note
+    says why). low, high: the spread over repeats. must: the limit asked of it. note: what a
+    reader needs besides, for example where the worst case lies.
+    """
+
+    name: str
+    value: float | None
+    unit: str = ""
+    column: str = "live"
+    must: Must | None = None
+    low: float | None = None
+    high: float | None = None
+    note: str = ""
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the limit is kept; None where none is asked or nothing was measured."""
+        if self.must is None or self.value is None:
+            return None
+        return self.must.met(self.value)
+
+    def shown(self) -> str:
+        """Return the value with its spread and unit as text."""
+        if self.value is None:
+            return self.note or "-"
+        if self.low is None or self.high is None:
+            return _with_unit(number(self.value), self.unit)
+        spread = f"{number(self.low)} to {number(self.high)}"
+        return f"{_with_unit(number(self.value), self.unit)} ({spread})"
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A row that could not be measured here: its name, the reason, and the command that helps."""
+
+    name: str
+    reason: str
+    command: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.reason}; to enable it: {self.command}"
+
+
+@dataclass(frozen=True)
+class Section:
+    """One bench's rows under a title, with a sentence on what they mean to a reader.
+
+    series: the single measurements behind some rows, by name, for plots.
+    """
+
+    title: str
+    explanation: str
+    rows: tuple[Row, ...]
+    missing: tuple[Missing, ...] = ()
+    series: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class BenchReport:
+    """Everything one run measured. date: UTC, ISO 8601; duration_s: wall time of the run."""
+
+    date: str
+    quick: bool
+    duration_s: float
+    machine: MachineFacts
+    sections: tuple[Section, ...]
+
+    @property
+    def missing(self) -> tuple[Missing, ...]:
+        """Every row that could not be measured."""
+        return tuple(missing for section in self.sections for missing in section.missing)
+
+    @property
+    def not_met(self) -> tuple[Row, ...]:
+        """Every row whose limit is not kept."""
+        return tuple(row for row in self._rows() if row.met is False)
+
+    @property
+    def met_count(self) -> int:
+        """How many rows keep the limit that is asked of them."""
+        return sum(row.met is True for row in self._rows())
+
+    def section(self, title: str) -> Section:
+        """Return the section of that title; KeyError where there is none."""
+        return {section.title: section for section in self.sections}[title]
+
+    def to_json(self) -> str:
+        """Return the report as a JSON document; its shape stands at the top of this module."""
+        document = {
+            "schema": SCHEMA_VERSION,
+            "date": self.date,
+            "quick": self.quick,
+            "duration_s": self.duration_s,
+            "machine": asdict(self.machine),
+            "must": {
+                "met": self.met_count,
+                "not_met": [row.name for row in self.not_met],
+            },
+            "sections": [
+                {
+                    "title": section.title,
+                    "explanation": section.explanation,
+                    "rows": [asdict(row) | {"met": row.met} for row in section.rows],
+                    "missing": [asdict(missing) for missing in section.missing],
+                    "series": {name: list(values) for name, values in section.series.items()},
+                }
+                for section in self.sections
+            ],
+        }
+        return json.dumps(_finite(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+    def to_markdown(self) -> str:
+        """Return the report as a Markdown document."""
+        parts = [self._header(), *(_section_markdown(section) for section in self.sections)]
+        return "\n".join(parts)
+
+    def _rows(self) -> list[Row]:
+        return [row for section in self.sections for row in section.rows]
+
+    def _header(self) -> str:
+        command = f"{COMMAND} --quick" if self.quick else COMMAND
+        size = "the quick run" if self.quick else "the full run"
+        machine = self.machine
+        asked = self.met_count + len(self.not_met)
+        lines = [
+            "# Speed and error, measured",
+            "",
+            f"`{command}` wrote this file and repeats it. Every number and every verdict is "
+            "measured or computed by that command; nothing is typed by hand.",
+            "",
+            f"- **Run**: {self.date}, {size}, {self.duration_s:.0f} s.",
+            f"- **Machine**: {machine.cpu}, {machine.cores} cores, {machine.system}, "
+            f"load {machine.load_before:.1f} before the run.",
+            f"- **Software**: Python {machine.python}, NumPy {machine.numpy}, "
+            f"SciPy {machine.scipy}.",
+            "- **Cost** is CPU time of the one thread that does the work, in ms for each second "
+            "of 48 kHz stereo, median over repeats with the smallest and the largest in "
+            "brackets. *FFTs* is the same cost as a multiple of one `scipy.fft.rfft` of 2048 "
+            f"float32 samples ({machine.rfft_us:.1f} µs here), timed in turn with it: that "
+            "number travels between machines.",
+            "- **live** is the form of the transform that a cushion plays; **reference** is the "
+            "paper's, literally. *must* is the limit the project set itself.",
+            f"- **Result**: {self.met_count} of {asked} limits met."
+            + "".join(f"\n  - not met: {_of(row)}" for row in self.not_met)
+            + "".join(f"\n  - not measured: {missing}" for missing in self.missing),
+            "",
+        ]
+        return "\n".join(lines)
+
+
+def number(value: float) -> str:
+    """Return a number with three significant digits, in plain notation where that is short."""
+    if not math.isfinite(value):
+        return {math.inf: "∞", -math.inf: "-∞"}.get(value, "none")
+    if value == 0.0:
+        return "0"
+    if value.is_integer() and abs(value) < 1e7:
+        return f"{int(value):,}".replace(",", " ")
+    size = abs(value)
+    if size < 1e-4 or size >= 1e7:
+        return f"{value:.1e}"
+    if size >= 1000.0:
+        return f"{round(value):,}".replace(",", " ")
+    return f"{value:.{max(0, 2 - math.floor(math.log10(size)))}f}"
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return f"{text} {unit}" if unit else text
+
+
+def _of(row: Row) -> str:
+    limit = row.must.shown(row.unit) if row.must else ""
+    return f"{row.name}: {row.shown()}, must {limit}"
+
+
+def _section_markdown(section: Section) -> str:
+    columns = list(dict.fromkeys(row.column for row in section.rows))
+    limited = any(row.must for row in section.rows)
+    noted = any(row.note and row.value is not None for row in section.rows)
+    heading = ["", *columns, *(["must", ""] if limited else []), *(["note"] if noted else [])]
+    lines = [f"## {section.title}", "", section.explanation, ""]
+    if section.rows:
+        lines += [_line(heading), _line(["---"] * len(heading))]
+    for name in dict.fromkeys(row.name for row in section.rows):
+        mine = [row for row in section.rows if row.name == name]
+        by_column = {row.column: row for row in mine}
+        cells = [name, *(by_column[c].shown() if c in by_column else "" for c in columns)]
+        if limited:
+            asked = [row for row in mine if row.must and row.value is not None]
+            cells.append(", ".join(row.must.shown(row.unit) for row in asked if row.must))
+            cells.append(", ".join(MET if row.met else NOT_MET for row in asked))
+        if noted:
+            cells.append("; ".join(row.note for row in mine if row.note and row.value is not None))
+        lines.append(_line(cells))
+    lines += ["", *(f"Not measured: {missing}." for missing in section.missing)]
+    return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _line(cells: list[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |"
+
+
+def _finite(item: Any) -> Any:
+    """Return the document with None in place of every number that JSON does not know."""
+    if isinstance(item, float):
+        return item if math.isfinite(item) else None
+    if isinstance(item, dict):
+        return {key: _finite(entry) for key, entry in item.items()}
+    if isinstance(item, (list, tuple)):
+        return [_finite(entry) for entry in item]
+    return item

@@ -1,0 +1,163 @@
+"""What the benches listen to: signals made by formula, and real recordings where there are any.
+
+Signals are float32 or float64 with full scale +-1, (frames,) or (frames, 2); nothing is random
+from run to run.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import soundfile
+from numpy.typing import NDArray
+
+import audioflinger_hook
+from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.transform.arrays import FloatArray
+
+SAMPLERATE = 48_000
+"""Rate of every scene and every signal that does not say otherwise, in Hz."""
+
+Stereo = NDArray[np.float32]
+"""(frames, 2) at SAMPLERATE."""
+
+PROJECT_ROOT = Path(str(audioflinger_hook.__path__[0])).resolve().parent
+RECORDINGS_VARIABLE = "CUSHION_RECORDINGS"
+RECORDINGS_FOLDER = ".cache/recordings"
+RECORDINGS_COMMAND = "tools/fetch_recordings.sh"
+SHORTEST_S = 0.3
+"""Shorter recordings hold no more than a few windows and are left out."""
+
+CHORD_HZ = (110.0, 220.0, 277.2, 329.6, 440.0, 554.4, 659.3, 880.0, 1318.5, 1760.0)
+CHORD_AMPLITUDE = 0.08
+BURST_S, BURST_RISE_S = 0.25, 0.001
+DENORMAL = 1e-40
+"""A denormal number of float32, far under anything audible."""
+
+
+def tone(
+    frequency_hz: float, amplitude: float, duration_s: float, samplerate: int = SAMPLERATE
+) -> FloatArray:
+    """Return a steady sine, (frames,) float64, that starts at phase 0."""
+    time_s = np.arange(round(duration_s * samplerate)) / samplerate
+    return amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
+
+
+def burst(
+    frequency_hz: float, amplitude: float, onset_s: float, duration_s: float
+) -> FloatArray:
+    """Return silence with one tone of 0.25 s in it, 1 ms of rise and fall, (frames,) float64."""
+    since_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE - onset_s
+    rise = np.clip(since_s / BURST_RISE_S, 0.0, 1.0)
+    fall = np.clip((BURST_S - since_s) / BURST_RISE_S, 0.0, 1.0)
+    return amplitude * rise * fall * np.sin(2.0 * np.pi * frequency_hz * since_s)
+
+
+def white_noise(duration_s: float) -> Stereo:
+    """Return white noise with its peaks at 0 dBFS, the same in both channels."""
+    noise = np.random.default_rng(1).uniform(-1.0, 1.0, round(duration_s * SAMPLERATE))
+    return stereo(noise)
+
+
+def chord(duration_s: float) -> Stereo:
+    """Return ten partials, each with its own slow vibrato of level."""
+    time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
+    total = np.zeros(time_s.size)
+    for number, frequency_hz in enumerate(CHORD_HZ):
+        swell = 1.0 + 0.3 * np.sin(2.0 * np.pi * (2.0 + 0.7 * number) * time_s + number)
+        total += swell * np.sin(2.0 * np.pi * frequency_hz * time_s + number)
+    return stereo(CHORD_AMPLITUDE * total)
+
+
+def stereo(mono: FloatArray) -> Stereo:
+    """Return a mono signal on two channels, float32."""
+    return np.repeat(mono.astype(np.float32)[:, None], 2, axis=1)
+
+
+def looped(frames: Stereo, duration_s: float) -> Stereo:
+    """Return the sound repeated or cut to a duration."""
+    wanted = round(duration_s * SAMPLERATE)
+    return np.tile(frames, (-(-wanted // len(frames)), 1))[:wanted]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One real recording: its name, its folder's name, frames (frames, channels) and Hz."""
+
+    name: str
+    kind: str
+    frames: NDArray[np.float32]
+    samplerate: int
+
+    @property
+    def is_speech(self) -> bool:
+        """Whether it is one of alsa-utils' spoken names of loudspeakers, at 48 kHz."""
+        return self.kind == "alsa" and self.name != "Noise" and self.samplerate == SAMPLERATE
+
+
+def recordings_folder() -> Path | None:
+    """Return the folder with recordings, or None where there is none.
+
+    CUSHION_RECORDINGS names it, else it is .cache/recordings; below the current folder or the
+    project's.
+    """
+    name = os.environ.get(RECORDINGS_VARIABLE, RECORDINGS_FOLDER)
+    for root in (Path.cwd(), PROJECT_ROOT):
+        folder = root / name
+        if folder.is_dir() and any(folder.iterdir()):
+            return folder
+    return None
+
+
+def load_recordings() -> tuple[Recording, ...]:
+    """Return every recording of the folder longer than 0.3 s, by name; empty where there is none."""
+    folder = recordings_folder()
+    if folder is None:
+        return ()
+    found = []
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in {".wav", ".oga"}:
+            frames, samplerate = soundfile.read(path, dtype="float32", always_2d=True)
+            if len(frames) > SHORTEST_S * samplerate:
+                found.append(Recording(path.stem, path.parent.name, frames, samplerate))
+    return tuple(found)
+
+
+def speech(recordings: tuple[Recording, ...]) -> Stereo | None:
+    """Return all spoken recordings one after another, or None where there is none."""
+    spoken = [item.frames.mean(axis=1) for item in recordings if item.is_speech]
+    return stereo(np.concatenate(spoken)) if spoken else None
+
+
+@dataclass(frozen=True)
+class CostScene:
+    """A kind of sound whose cost is measured.
+
+    budgeted: whether the budget of a second is asked of it (music and recordings), or it is
+    there for what it shows. make: (seconds, recordings) to sound, None where it cannot be had.
+    """
+
+    name: str
+    budgeted: bool
+    make: Callable[[float, tuple[Recording, ...]], Stereo | None]
+
+
+def _speech_scene(duration_s: float, recordings: tuple[Recording, ...]) -> Stereo | None:
+    spoken = speech(recordings)
+    return None if spoken is None else looped(spoken, duration_s)
+
+
+COST_SCENES: tuple[CostScene, ...] = (
+    CostScene("demo scene", True, lambda s, _: looped(demo_scene().mixdown(), s)),
+    CostScene("chord, 10 modulated partials", True, lambda s, _: chord(s)),
+    CostScene("speech recordings", True, _speech_scene),
+    CostScene("white noise, 0 dBFS", False, lambda s, _: white_noise(s)),
+    CostScene("silence", False, lambda s, _: stereo(np.zeros(round(s * SAMPLERATE)))),
+    CostScene(
+        "denormal numbers", False, lambda s, _: stereo(np.full(round(s * SAMPLERATE), DENORMAL))
+    ),
+)

@@ -1,0 +1,125 @@
+"""What every bench is given: how much effort to spend, which forms to measure, and on what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from audioflinger_hook.bench.report import Missing, Section
+from audioflinger_hook.bench.signals import RECORDINGS_COMMAND, Recording
+from audioflinger_hook.transform import HapticTransform
+from audioflinger_hook.transform.arrays import FloatArray, Frames
+
+LIVE, REFERENCE = "live", "reference"
+
+
+class Stream(Protocol):
+    """One stream through anything that turns sound into vibration."""
+
+    def process(self, frames: Frames) -> FloatArray:
+        """Return (frames, channels_out) of vibration for (frames, channels) of sound."""
+        ...
+
+    def finish(self) -> FloatArray:
+        """Return the vibration still owed."""
+        ...
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Something that is measured: its name in the tables, and how a stream of it begins.
+
+    start: (samplerate in Hz, channels) to a new stream.
+    """
+
+    name: str
+    start: Callable[[int, int], Stream]
+
+    def vibration(self, sound: Frames, samplerate: int) -> FloatArray:
+        """Return the vibration of a whole sound, (frames,), late as it comes out."""
+        frames = sound if sound.ndim == 2 else sound[:, None]
+        return self.start(samplerate, frames.shape[1]).process(frames)[:, 0]
+
+
+SUBJECTS: tuple[Subject, ...] = (
+    Subject(LIVE, partial(HapticTransform, form="live")),
+    Subject(REFERENCE, partial(HapticTransform, form="reference")),
+)
+"""What is compared, side by side; the first is what the limits are asked of."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is measured: counts, and durations in seconds. More narrows the spread."""
+
+    tones: int
+    low_tones: int
+    tone_s: float
+    bursts: int
+    onsets_a_burst: int
+    split_s: float
+    cost_repeats: int
+    cost_s: float
+    growth_s: float
+    hops_timed: int
+    hops_held: int
+    render_s: tuple[float, ...]
+    rig_s: float
+
+
+QUICK = Effort(
+    tones=12,
+    low_tones=6,
+    tone_s=5.0,
+    bursts=25,
+    onsets_a_burst=4,
+    split_s=1.0,
+    cost_repeats=5,
+    cost_s=5.0,
+    growth_s=16.0,
+    hops_timed=10_000,
+    hops_held=20_000,
+    render_s=(60.0,),
+    rig_s=10.0,
+)
+FULL = Effort(
+    tones=40,
+    low_tones=16,
+    tone_s=5.0,
+    bursts=40,
+    onsets_a_burst=16,
+    split_s=4.0,
+    cost_repeats=15,
+    cost_s=10.0,
+    growth_s=64.0,
+    hops_timed=100_000,
+    hops_held=100_000,
+    render_s=(60.0, 600.0),
+    rig_s=60.0,
+)
+
+
+@dataclass(frozen=True)
+class Workbench:
+    """The effort, the subjects and the recordings of one run."""
+
+    effort: Effort
+    subjects: tuple[Subject, ...]
+    recordings: tuple[Recording, ...]
+
+    def missing_recordings(self, name: str) -> Missing:
+        """Return what to say where a row needs recordings and there are none."""
+        return Missing(name, "there are no recordings to measure it on", RECORDINGS_COMMAND)
+
+
+Bench = Callable[[Workbench], Section]
+"""One section of the report: measured when called."""
+
+
+def whole(vibration: FloatArray, owed: FloatArray) -> FloatArray:
+    """Return a stream's vibration with what was owed at its end."""
+    return np.concatenate((vibration, owed))
