@@ -1,5 +1,6 @@
 """Files appear whole under their name, or not at all."""
 
+import errno
 import os
 import signal
 import stat
@@ -150,6 +151,32 @@ def test_a_path_that_cannot_be_written_is_refused_with_the_reason(tmp_path, way,
     with pytest.raises(UsageError, match=words) as caught:
         AtomicFile(tmp_path / path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EIO])
+def test_a_failure_at_the_very_end_leaves_the_old_file_only(
+    tmp_path, way, monkeypatch, step, number
+):
+    def fail(*args, **kwargs):
+        assert (tmp_path / "out.wav").read_bytes() == b"old"
+        raise OSError(number, os.strerror(number))
+
+    (tmp_path / "out.wav").write_bytes(b"old")
+    file = AtomicFile(tmp_path / "out.wav")
+    file.write(b"new")
+    monkeypatch.setattr(os, step, fail)
+    with pytest.raises(WriteError, match=r"cannot write .*out\.wav: .*another folder"):
+        file.commit()
+    assert listing(tmp_path) == {"out.wav": b"old"}
+
+
+def test_a_write_that_the_system_takes_in_pieces_is_whole(tmp_path, monkeypatch):
+    real = os.write
+    monkeypatch.setattr(os, "write", lambda fd, content: real(fd, content[:1_000]))
+    content = bytes(range(256)) * 30
+    write_bytes_atomically(tmp_path / "a", content)
+    assert (tmp_path / "a").read_bytes() == content
 
 
 @pytest.fixture

@@ -16,8 +16,10 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.principal import Principals
 
-FIT_ROUNDS = 6
-"""Gauss-Newton converges quadratically: from half a bin it needs three rounds."""
+FIT_ROUNDS_MAX = 8
+FIT_CONVERGED_CYCLES = 1e-9
+"""Gauss-Newton converges quadratically: once a round moves the fit by less than this over its
+whole length, it has arrived."""
 
 ENVELOPE_HZ = 60.0
 SETTLED_FROM_S, SETTLED_TO_S = 0.1, 0.2
@@ -53,28 +55,35 @@ def sine_fit(vibration: FloatArray, samplerate: int) -> SineFit:
         return SineFit(float("nan"), 0.0, -float("inf"))
     left, middle, right = np.log(np.maximum(spectrum[line - 1 : line + 2], 1e-300))
     offset = 0.5 * (left - right) / (left - 2.0 * middle + right)
-    turns = (line + offset) / frames  # cycles a frame
+    turns = float(line + offset) / frames  # cycles a frame
 
     # Counted from the middle, so that frequency and phase hardly depend on each other.
     time = np.arange(frames) - (frames - 1) / 2.0
-    weights = np.zeros(2)
-    residual = vibration
-    for round_ in range(FIT_ROUNDS + 1):
-        turn = 2.0 * np.pi * turns * time
-        waves = np.stack((np.cos(turn), np.sin(turn)))
-        weights = np.linalg.solve(waves @ waves.T, waves @ vibration)
-        residual = vibration - weights @ waves
-        if round_ == FIT_ROUNDS:
+    step = 1.0
+    for _ in range(FIT_ROUNDS_MAX):
+        weights, residual, waves = _at_frequency(vibration, turns, time)
+        if abs(step) * frames < FIT_CONVERGED_CYCLES:
             break
         slope = 2.0 * np.pi * time * (weights[1] * waves[0] - weights[0] * waves[1])
         columns = np.vstack((waves, slope))
-        turns += float(np.linalg.solve(columns @ columns.T, columns @ residual)[2])
+        step = float(np.linalg.solve(columns @ columns.T, columns @ residual)[2])
+        turns += step
     amplitude = float(np.hypot(*weights))
     return SineFit(
-        turns * samplerate,
+        float(turns * samplerate),
         amplitude,
         _ratio_db(float(residual @ residual) / frames, amplitude**2 / 2.0),
     )
+
+
+def _at_frequency(
+    vibration: FloatArray, turns: float, time: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return cosine and sine weight, residual and both waves of the fit at a known frequency."""
+    turn = 2.0 * np.pi * turns * time
+    waves = np.stack((np.cos(turn), np.sin(turn)))
+    weights = np.linalg.solve(waves @ waves.T, waves @ vibration)
+    return weights, vibration - weights @ waves, waves
 
 
 def onset_lag_s(vibration: FloatArray, samplerate: int, onset_s: float) -> float:

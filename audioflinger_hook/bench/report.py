@@ -41,7 +41,8 @@ class Must:
     def shown(self, unit: str) -> str:
         """Return the limit as text with its unit."""
         sign = {"<=": "≤", ">=": "≥"}[self.relation]
-        return f"{sign} {_with_unit(f'{self.bound:g}', unit)}"
+        # "2 of 9" has a unit that only the count needs.
+        return f"{sign} {_with_unit(number(self.bound), '' if unit.startswith('of ') else unit)}"
 
 
 @dataclass(frozen=True)
@@ -205,7 +206,7 @@ def number(value: float) -> str:
         return {math.inf: "∞", -math.inf: "-∞"}.get(value, "none")
     if value == 0.0:
         return "0"
-    if value.is_integer() and abs(value) < 1e7:
+    if float(value).is_integer() and abs(value) < 1e7:
         return f"{int(value):,}".replace(",", " ")
     size = abs(value)
     if size < 1e-4 or size >= 1e7:

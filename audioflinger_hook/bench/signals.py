@@ -47,9 +47,7 @@ def tone(
     return amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
 
 
-def burst(
-    frequency_hz: float, amplitude: float, onset_s: float, duration_s: float
-) -> FloatArray:
+def burst(frequency_hz: float, amplitude: float, onset_s: float, duration_s: float) -> FloatArray:
     """Return silence with one tone of 0.25 s in it, 1 ms of rise and fall, (frames,) float64."""
     since_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE - onset_s
     rise = np.clip(since_s / BURST_RISE_S, 0.0, 1.0)
@@ -114,7 +112,7 @@ def recordings_folder() -> Path | None:
 
 
 def load_recordings() -> tuple[Recording, ...]:
-    """Return every recording of the folder longer than 0.3 s, by name; empty where there is none."""
+    """Return the folder's recordings longer than 0.3 s, by name; empty where there are none."""
     folder = recordings_folder()
     if folder is None:
         return ()

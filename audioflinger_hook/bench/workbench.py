@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
 
-import numpy as np
-
 from audioflinger_hook.bench.report import Missing, Section
-from audioflinger_hook.bench.signals import RECORDINGS_COMMAND, Recording
+from audioflinger_hook.bench.signals import RECORDINGS_COMMAND, SAMPLERATE, Recording
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 
@@ -43,6 +41,12 @@ class Subject:
         """Return the vibration of a whole sound, (frames,), late as it comes out."""
         frames = sound if sound.ndim == 2 else sound[:, None]
         return self.start(samplerate, frames.shape[1]).process(frames)[:, 0]
+
+    def run_through(self, sound: Frames, blocksize: int, samplerate: int = SAMPLERATE) -> None:
+        """Pass a sound (frames, channels) through a new stream, block by block."""
+        stream = self.start(samplerate, sound.shape[1])
+        for first in range(0, len(sound), blocksize):
+            stream.process(sound[first : first + blocksize])
 
 
 SUBJECTS: tuple[Subject, ...] = (
@@ -111,6 +115,10 @@ class Workbench:
     subjects: tuple[Subject, ...]
     recordings: tuple[Recording, ...]
 
+    def subject(self, name: str) -> Subject:
+        """Return the subject of that name."""
+        return {subject.name: subject for subject in self.subjects}[name]
+
     def missing_recordings(self, name: str) -> Missing:
         """Return what to say where a row needs recordings and there are none."""
         return Missing(name, "there are no recordings to measure it on", RECORDINGS_COMMAND)
@@ -118,8 +126,3 @@ class Workbench:
 
 Bench = Callable[[Workbench], Section]
 """One section of the report: measured when called."""
-
-
-def whole(vibration: FloatArray, owed: FloatArray) -> FloatArray:
-    """Return a stream's vibration with what was owed at its end."""
-    return np.concatenate((vibration, owed))

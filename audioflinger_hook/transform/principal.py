@@ -169,10 +169,9 @@ def _half_power_sides(
         outside = np.where(below, middle, outside)
         inside = np.where(below, inside, middle)
     above, under = flat[inside], flat[outside]
-    fraction = (above - level) / np.maximum(above - under, np.finfo(np.float64).tiny)
-    # Where the valley itself stands above the level the fraction is over 1: the walk ends there.
+    # Where the valley itself stands above the level the whole step counts: the walk ends there.
+    step = np.maximum(above - np.minimum(under, level), np.finfo(np.float64).tiny)
+    fraction = np.maximum(above - level, 0.0) / step
     # Distances, not positions: those would round by where in the batch the row stands.
-    side: FloatArray = np.abs(inside - peak) + np.clip(fraction, 0.0, 1.0) * np.abs(
-        outside - inside
-    )
+    side: FloatArray = np.abs(inside - peak) + fraction * np.abs(outside - inside)
     return side
