@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.fft import rfft
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.arrays import FloatArray, Frames
 
 RFFT_FRAMES = 2048
 RFFT_CALLS = 100
@@ -74,7 +74,7 @@ def interleaved(works: Sequence[Callable[[], object]], repeats: int) -> list[Tim
     return timings
 
 
-def call_times_s(work: Callable[[FloatArray], object], blocks: Sequence[FloatArray]) -> FloatArray:
+def call_times_s(work: Callable[[Frames], object], blocks: Sequence[Frames]) -> FloatArray:
     """Return the thread CPU seconds of each call on a block, (blocks,)."""
     times = np.empty(len(blocks))
     for index, block in enumerate(blocks):

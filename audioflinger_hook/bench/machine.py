@@ -34,7 +34,7 @@ class MachineFacts:
 def machine_facts() -> MachineFacts:
     """Return the facts of this machine, now."""
     return MachineFacts(
-        cpu=_cpu_model(),
+        cpu=cpu_model(),
         cores=len(os.sched_getaffinity(0)),
         system=f"{platform.system()} {platform.machine()}",
         load_before=os.getloadavg()[0],
@@ -45,7 +45,7 @@ def machine_facts() -> MachineFacts:
     )
 
 
-def _cpu_model() -> str:
+def cpu_model() -> str:
     """Return the processor's name as Linux gives it, else what Python knows."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()

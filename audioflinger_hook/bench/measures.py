@@ -58,7 +58,8 @@ def sine_fit(vibration: FloatArray, samplerate: int) -> SineFit:
     turns = float(line + offset) / frames  # cycles a frame
 
     # Counted from the middle, so that frequency and phase hardly depend on each other.
-    time = np.arange(frames) - (frames - 1) / 2.0
+    time = np.arange(frames, dtype=np.float64)
+    time -= (frames - 1) / 2.0
     step = 1.0
     for _ in range(FIT_ROUNDS_MAX):
         weights, residual, waves = _at_frequency(vibration, turns, time)

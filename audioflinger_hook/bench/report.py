@@ -2,7 +2,7 @@
 
 The JSON document is the dataclasses below, field by field, in this shape (SCHEMA_VERSION 1):
 
-    {"schema": 1, "date": "...", "quick": bool, "machine": {MachineFacts},
+    {"schema": 1, "date": "...", "quick": bool, "duration_s": number, "machine": {MachineFacts},
      "must": {"met": int, "not_met": [name, ...]},
      "sections": [{"title", "explanation", "rows": [{Row, "met"}], "missing": [{Missing}],
                    "series": {name: [number, ...]}}]}
@@ -13,7 +13,6 @@ true, false, or null where nothing is asked.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -41,8 +40,9 @@ class Must:
     def shown(self, unit: str) -> str:
         """Return the limit as text with its unit."""
         sign = {"<=": "≤", ">=": "≥"}[self.relation]
+        bound = number(self.bound) if float(self.bound).is_integer() else f"{self.bound:g}"
         # "2 of 9" has a unit that only the count needs.
-        return f"{sign} {_with_unit(number(self.bound), '' if unit.startswith('of ') else unit)}"
+        return f"{sign} {_with_unit(bound, '' if unit.startswith('of ') else unit)}"
 
 
 @dataclass(frozen=True)
@@ -72,13 +72,14 @@ class Row:
         return self.must.met(self.value)
 
     def shown(self) -> str:
-        """Return the value with its spread and unit as text."""
+        """Return the value with its spread and unit as text; no unit that the column names."""
         if self.value is None:
             return self.note or "-"
+        unit = "" if self.unit in self.column.split() else self.unit
+        value = _with_unit(number(self.value), unit)
         if self.low is None or self.high is None:
-            return _with_unit(number(self.value), self.unit)
-        spread = f"{number(self.low)} to {number(self.high)}"
-        return f"{_with_unit(number(self.value), self.unit)} ({spread})"
+            return value
+        return f"{value} ({number(self.low)} to {number(self.high)})"
 
 
 @dataclass(frozen=True)
@@ -123,21 +124,26 @@ class BenchReport:
         return tuple(missing for section in self.sections for missing in section.missing)
 
     @property
-    def not_met(self) -> tuple[Row, ...]:
-        """Every row whose limit is not kept."""
-        return tuple(row for row in self._rows() if row.met is False)
+    def not_met(self) -> tuple[tuple[str, Row], ...]:
+        """Every row whose limit is not kept, with its full name: section, row, column."""
+        return tuple(
+            (f"{section.title}: {row.name} ({row.column})", row)
+            for section in self.sections
+            for row in section.rows
+            if row.met is False
+        )
 
     @property
     def met_count(self) -> int:
         """How many rows keep the limit that is asked of them."""
-        return sum(row.met is True for row in self._rows())
+        return sum(row.met is True for section in self.sections for row in section.rows)
 
     def section(self, title: str) -> Section:
         """Return the section of that title; KeyError where there is none."""
         return {section.title: section for section in self.sections}[title]
 
-    def to_json(self) -> str:
-        """Return the report as a JSON document; its shape stands at the top of this module."""
+    def to_json(self) -> dict[str, Any]:
+        """Return the report as what `json` writes; its shape stands at the top of this module."""
         document = {
             "schema": SCHEMA_VERSION,
             "date": self.date,
@@ -146,7 +152,7 @@ class BenchReport:
             "machine": asdict(self.machine),
             "must": {
                 "met": self.met_count,
-                "not_met": [row.name for row in self.not_met],
+                "not_met": [name for name, _ in self.not_met],
             },
             "sections": [
                 {
@@ -159,15 +165,13 @@ class BenchReport:
                 for section in self.sections
             ],
         }
-        return json.dumps(_finite(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        finite: dict[str, Any] = _finite(document)
+        return finite
 
     def to_markdown(self) -> str:
         """Return the report as a Markdown document."""
         parts = [self._header(), *(_section_markdown(section) for section in self.sections)]
         return "\n".join(parts)
-
-    def _rows(self) -> list[Row]:
-        return [row for section in self.sections for row in section.rows]
 
     def _header(self) -> str:
         command = f"{COMMAND} --quick" if self.quick else COMMAND
@@ -193,7 +197,7 @@ class BenchReport:
             "- **live** is the form of the transform that a cushion plays; **reference** is the "
             "paper's, literally. *must* is the limit the project set itself.",
             f"- **Result**: {self.met_count} of {asked} limits met."
-            + "".join(f"\n  - not met: {_of(row)}" for row in self.not_met)
+            + "".join(f"\n  - not met: {name}, {_verdict(row)}" for name, row in self.not_met)
             + "".join(f"\n  - not measured: {missing}" for missing in self.missing),
             "",
         ]
@@ -208,21 +212,20 @@ def number(value: float) -> str:
         return "0"
     if float(value).is_integer() and abs(value) < 1e7:
         return f"{int(value):,}".replace(",", " ")
-    size = abs(value)
-    if size < 1e-4 or size >= 1e7:
+    if not 1e-4 <= abs(value) < 1e7:
         return f"{value:.1e}"
-    if size >= 1000.0:
+    if abs(value) >= 1000.0:
         return f"{round(value):,}".replace(",", " ")
-    return f"{value:.{max(0, 2 - math.floor(math.log10(size)))}f}"
+    rounded = float(f"{value:.3g}")  # 9.996 has one digit less behind the point than it seems
+    return f"{rounded:.{max(0, 2 - math.floor(math.log10(abs(rounded))))}f}"
 
 
 def _with_unit(text: str, unit: str) -> str:
     return f"{text} {unit}" if unit else text
 
 
-def _of(row: Row) -> str:
-    limit = row.must.shown(row.unit) if row.must else ""
-    return f"{row.name}: {row.shown()}, must {limit}"
+def _verdict(row: Row) -> str:
+    return f"{row.shown()}, must {row.must.shown(row.unit)}" if row.must else row.shown()
 
 
 def _section_markdown(section: Section) -> str:
@@ -238,14 +241,21 @@ def _section_markdown(section: Section) -> str:
         by_column = {row.column: row for row in mine}
         cells = [name, *(by_column[c].shown() if c in by_column else "" for c in columns)]
         if limited:
-            asked = [row for row in mine if row.must and row.value is not None]
-            cells.append(", ".join(row.must.shown(row.unit) for row in asked if row.must))
-            cells.append(", ".join(MET if row.met else NOT_MET for row in asked))
+            cells += _limits_and_verdict([row for row in mine if row.met is not None])
         if noted:
             cells.append("; ".join(row.note for row in mine if row.note and row.value is not None))
         lines.append(_line(cells))
     lines += ["", *(f"Not measured: {missing}." for missing in section.missing)]
     return "\n".join(lines).rstrip("\n") + "\n"
+
+
+def _limits_and_verdict(asked: list[Row]) -> list[str]:
+    """Return the limits of one line, each once, and whether all are met or which are not."""
+    limits = dict.fromkeys(row.must.shown(row.unit) for row in asked if row.must)
+    missed = [row.column for row in asked if not row.met]
+    if not missed:
+        return [", ".join(limits), MET if asked else ""]
+    return [", ".join(limits), NOT_MET + (f": {', '.join(missed)}" if len(asked) > 1 else "")]
 
 
 def _line(cells: list[str]) -> str:

@@ -136,7 +136,8 @@ class CostScene:
     """A kind of sound whose cost is measured.
 
     budgeted: whether the budget of a second is asked of it (music and recordings), or it is
-    there for what it shows. make: (seconds, recordings) to sound, None where it cannot be had.
+    there for what it shows. make: (seconds, recordings) to sound of about that length, None where
+    it cannot be had; the demo scene comes whole.
     """
 
     name: str
@@ -150,7 +151,7 @@ def _speech_scene(duration_s: float, recordings: tuple[Recording, ...]) -> Stere
 
 
 COST_SCENES: tuple[CostScene, ...] = (
-    CostScene("demo scene", True, lambda s, _: looped(demo_scene().mixdown(), s)),
+    CostScene("demo scene", True, lambda _s, _: demo_scene().mixdown()),
     CostScene("chord, 10 modulated partials", True, lambda s, _: chord(s)),
     CostScene("speech recordings", True, _speech_scene),
     CostScene("white noise, 0 dBFS", False, lambda s, _: white_noise(s)),

@@ -63,12 +63,15 @@ class Effort:
     tones: int
     low_tones: int
     tone_s: float
+    gain_tones: int
     bursts: int
     onsets_a_burst: int
     split_s: float
     cost_repeats: int
     cost_s: float
+    saving_repeats: int
     growth_s: float
+    channels_s: float
     hops_timed: int
     hops_held: int
     render_s: tuple[float, ...]
@@ -79,13 +82,16 @@ QUICK = Effort(
     tones=12,
     low_tones=6,
     tone_s=5.0,
+    gain_tones=12,
     bursts=25,
     onsets_a_burst=4,
-    split_s=1.0,
+    split_s=0.5,
     cost_repeats=5,
-    cost_s=5.0,
-    growth_s=16.0,
-    hops_timed=10_000,
+    cost_s=3.0,
+    saving_repeats=2,
+    growth_s=8.0,
+    channels_s=1.0,
+    hops_timed=5_000,
     hops_held=20_000,
     render_s=(60.0,),
     rig_s=10.0,
@@ -94,13 +100,16 @@ FULL = Effort(
     tones=40,
     low_tones=16,
     tone_s=5.0,
+    gain_tones=24,
     bursts=40,
     onsets_a_burst=16,
     split_s=4.0,
     cost_repeats=15,
     cost_s=10.0,
+    saving_repeats=7,
     growth_s=64.0,
-    hops_timed=100_000,
+    channels_s=4.0,
+    hops_timed=50_000,
     hops_held=100_000,
     render_s=(60.0, 600.0),
     rig_s=60.0,

@@ -76,6 +76,7 @@ class HapticTransform:
             FORMS[form](self.parameters, samplerate) for _ in range(self.channels_out)
         ]
         self.replaced_samples = 0
+        self._delivered_frames = 0
 
     @property
     def latency_frames(self) -> int:
@@ -89,8 +90,12 @@ class HapticTransform:
 
     @property
     def limited_samples(self) -> int:
-        """Samples of vibration that the limiter has changed so far."""
-        return sum(voice.limited_frames for voice in self._voices)
+        """Samples of vibration that the limiter has changed so far.
+
+        A hop is counted when it is computed, which is up to one hop before it is delivered.
+        """
+        counted = sum(voice.limited_frames for voice in self._voices)
+        return min(counted, self._delivered_frames * self.channels_out)
 
     def process(self, frames: Frames) -> FloatArray:
         """Return the vibration due, (frames, channels_out) float64, full scale +-1.
@@ -107,6 +112,7 @@ class HapticTransform:
             )
         usable, replaced = replace_unusable(frames)
         self.replaced_samples += replaced
+        self._delivered_frames += len(frames)
         if self.channels_out == 1:
             return self._voices[0].process(mono(usable))[:, None]
         return np.stack(
@@ -119,6 +125,7 @@ class HapticTransform:
 
     def finish(self) -> FloatArray:
         """Return the last `latency_frames` of vibration, (frames, channels_out), and begin anew."""
+        self._delivered_frames += self.latency_frames
         return np.stack([voice.finish() for voice in self._voices], axis=1)
 
     def reset(self) -> None:

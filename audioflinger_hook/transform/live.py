@@ -143,7 +143,8 @@ class LiveTransform:
         found = None
         if heard.size:
             whole = heard.size == hops
-            found = self._finder.find(self._amplitudes(windows if whole else windows[heard]))
+            found = self.analyse(windows if whole else windows[heard])
+            found = self._finder.strongest(self._finder.without_side_lobes(found, heard.size))
             edges = found.boundaries(heard.size)
             hz = vibration_hz(found.audio_hz, self._parameters)
             gain = self._smoother.compensation(hz)

@@ -20,6 +20,9 @@ PEAK_EXPONENT = 0.2
 
 HALF_POWER = 1.0 / math.sqrt(2.0)
 
+SIDE_LOBE = 10 ** (-40 / 20)
+"""Side lobes of a Hamming window stand 42.7 dB under their peak."""
+
 
 @dataclass(frozen=True)
 class Principals:
@@ -96,7 +99,7 @@ class PrincipalFinder:
         if not row.size:
             return Principals(row, *np.zeros((4, 0)))
 
-        offset, height = _parabola(flat[peak - 1], flat[peak], flat[peak + 1])
+        offset, height = parabola(flat[peak - 1], flat[peak], flat[peak + 1])
         sides = _half_power_sides(
             flat,
             np.concatenate((peak, peak)),
@@ -109,6 +112,19 @@ class PrincipalFinder:
         found = Principals(row, audio_hz, height, bandwidth_hz, r)
         principal = r > self._threshold
         return found if principal.all() else found.take(principal)
+
+    @staticmethod
+    def without_side_lobes(found: Principals, rows: int) -> Principals:
+        """Return those within 40 dB of their row's highest: the others may be its side lobes.
+
+        A loud tone's side lobes can pass r > C_th now and then. Their own vibration is 80 dB
+        down, but each takes its share of P_k from the tone, which then flutters by a percent.
+        Not part of the reference form.
+        """
+        highest = np.zeros(rows)
+        np.maximum.at(highest, found.row, found.amplitude)
+        within = found.amplitude > SIDE_LOBE * highest[found.row]
+        return found if within.all() else found.take(within)
 
     def strongest(self, found: Principals) -> Principals:
         """Return at most n of each row: the largest r, of equals the lower frequency."""
@@ -140,7 +156,7 @@ def _extrema(amplitude: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
     return changes[:-1:2], changes[1::2], changes[2::2]
 
 
-def _parabola(
+def parabola(
     left: FloatArray, middle: FloatArray, right: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the peak's offset in bins and its height, from three bins around a maximum."""

@@ -1,0 +1,99 @@
+"""The bench: what the transform and the simulated rig cost and how far they are off, measured here.
+
+    signals, recordings --.
+                          |-> benches (tones, fidelity, speed, growth, savings, rendering, rig)
+    subjects (live, ...) -'        measures, cost                          |
+                                                                           v
+                       soak record ------------------------------------> report -> Markdown, JSON
+                                                                           '----> drawing
+
+    report = run_bench(quick=True, progress=None)
+    print(report.to_markdown())
+
+Nothing in a report is typed in: benches return rows, and limits are compared by the report.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from audioflinger_hook.bench import fidelity, growth, rendering, rig, savings, soak, speed, tones
+from audioflinger_hook.bench.machine import machine_facts
+from audioflinger_hook.bench.report import BenchReport, Missing, Must, Row, Section
+from audioflinger_hook.bench.signals import load_recordings
+from audioflinger_hook.bench.workbench import FULL, QUICK, SUBJECTS, Bench, Effort, Workbench
+
+__all__ = [
+    "BENCHES",
+    "BenchReport",
+    "Missing",
+    "Must",
+    "Row",
+    "Section",
+    "plots",
+    "run_bench",
+]
+
+Progress = Callable[[str, float], None]
+"""Told what is measured now, and the share of the work done before it, 0 to 1."""
+
+BENCHES: tuple[tuple[str, Bench, float], ...] = (
+    ("steady tones", tones.steady_tones, 5.0),
+    ("onset lag", fidelity.onset_lag, 2.0),
+    ("energy above 250 Hz", fidelity.energy_above, 1.0),
+    ("principal frequencies", fidelity.principal_frequencies, 0.5),
+    ("gain", tones.gain_over_samplerates, 2.0),
+    ("splits", fidelity.any_split, 3.0),
+    ("cost of a second", speed.cost_of_a_second, 6.0),
+    ("worst hop", speed.worst_hop, 5.0),
+    ("growth of cost", growth.cost_growth, 4.0),
+    ("savings", savings.savings, 7.0),
+    ("rendering", rendering.render_speed, 2.0),
+    ("simulated rig", rig.linear_rung, 2.0),
+    ("memory", growth.memory_held, 4.0),
+    ("soak record", soak.soak_result, 0.1),
+)
+"""Every bench in the order of the report: its name, the bench, and about how long it takes."""
+
+
+def run_bench(
+    quick: bool,
+    progress: Progress | None = None,
+    *,
+    effort: Effort | None = None,
+) -> BenchReport:
+    """Measure everything on this machine and return the report.
+
+    quick: under a minute instead of about four. effort: other counts than those two. The
+    calling thread does the work; costs are its own CPU time.
+    """
+    start_s = time.monotonic()
+    machine = machine_facts()
+    date = soak.now()
+    bench = Workbench(effort or (QUICK if quick else FULL), SUBJECTS, load_recordings())
+    total = sum(weight for _, _, weight in BENCHES)
+    done = 0.0
+    sections = []
+    for name, measure, weight in BENCHES:
+        if progress:
+            progress(name, done / total)
+        sections.append(measure(bench))
+        done += weight
+    if progress:
+        progress("done", 1.0)
+    return BenchReport(date, quick, time.monotonic() - start_s, machine, tuple(sections))
+
+
+def plots(report: BenchReport, folder: Path) -> list[Path]:
+    """Write cost.png and lag.png of a report into a folder that exists; return their paths.
+
+    Raises
+    ------
+    UsageError
+        matplotlib is not installed, or the folder cannot be written.
+    """
+    from audioflinger_hook.bench.drawing import draw_all
+
+    return draw_all(report, folder)

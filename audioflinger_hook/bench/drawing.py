@@ -1,0 +1,185 @@
+"""Two pictures of a report: what a second of each scene costs, and how late onsets are felt.
+
+Needs matplotlib, an optional extra, and uses only its objects: no pyplot, no global setting.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from audioflinger_hook.bench.fidelity import LAG_P95
+from audioflinger_hook.bench.report import BenchReport, Row
+from audioflinger_hook.bench.speed import BLOCKSIZES, SECOND
+from audioflinger_hook.bench.workbench import LIVE, REFERENCE
+from device.atomic_file import write_bytes_atomically
+from device.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COST_TITLE, LAG_TITLE = "Cost of a second of sound", "Onset lag"
+DPI = 150
+WIDTH_IN = 10.0
+COST_HEIGHT_IN, LAG_HEIGHT_IN = 4.9, 4.4
+BAR = 0.36
+TICK_MS = 5.0
+TEXT_PT, TITLE_PT, SMALL_PT = 10.0, 14.0, 9.0
+
+
+def draw_all(report: BenchReport, folder: Path) -> list[Path]:
+    """Write every picture into the folder and return the paths; see `bench.plots`."""
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError:
+        raise UsageError(
+            "matplotlib is not installed, so no plots can be drawn; "
+            "install it: .venv/bin/python -m pip install matplotlib"
+        ) from None
+    paths = []
+    for name, figure in (("cost.png", cost_figure(report)), ("lag.png", lag_figure(report))):
+        content = io.BytesIO()
+        figure.savefig(content, format="png", dpi=DPI)
+        paths.append(folder / name)
+        write_bytes_atomically(paths[-1], content.getvalue())
+    return paths
+
+
+def cost_figure(report: BenchReport) -> Figure:
+    """The cost of each scene as bars: small blocks left, large blocks right, both forms."""
+    from matplotlib.figure import Figure
+
+    from audioflinger_hook.figures import palette
+
+    rows = [row for row in report.section(COST_TITLE).rows if row.unit == "ms"]
+    by_place = {(row.name, row.column): row for row in rows}
+    scenes = list(dict.fromkeys(row.name.rsplit(", blocks of ", 1)[0] for row in rows))
+    longest = max(row.high or row.value or 0.0 for row in rows)
+    figure = Figure(figsize=(WIDTH_IN, COST_HEIGHT_IN), facecolor=palette.WHITE)
+    _headline(
+        figure,
+        "What a second of sound costs",
+        f"CPU time of one thread for 1 s of 48 kHz stereo, in ms: median, smallest and largest. "
+        f"{report.machine.cpu}, one rfft(2048) {report.machine.rfft_us:.1f} µs",
+    )
+    axes = figure.subplots(1, len(BLOCKSIZES), sharey=True, sharex=True)
+    figure.subplots_adjust(left=0.235, right=0.975, top=0.76, bottom=0.07, wspace=0.06)
+    for axis, blocksize in zip(axes, BLOCKSIZES, strict=True):
+        _plain(axis)
+        axis.set_title(f"blocks of {blocksize} frames", fontsize=TEXT_PT, color=palette.INK)
+        axis.axvline(SECOND.bound, color=palette.INK, lw=0.9, ls=(0, (4, 3)), zorder=1)
+        for side, (column, colour) in enumerate(
+            ((LIVE, palette.FELT), (REFERENCE, palette.HEARD_LIGHT))
+        ):
+            for line, scene in enumerate(scenes):
+                row = by_place[f"{scene}, blocks of {blocksize}", column]
+                _bar(axis, line + (side - 0.5) * BAR, row, colour, longest)
+        axis.set_yticks(range(len(scenes)), scenes, fontsize=TEXT_PT, color=palette.INK)
+        axis.set_ylim(len(scenes) - 0.45, -0.75)
+        axis.set_xlim(0.0, 1.17 * max(longest, SECOND.bound))
+        axis.set_xticks(np.arange(0.0, 1.17 * max(longest, SECOND.bound), TICK_MS))
+        axis.tick_params(axis="y", length=0)
+    limit = f"must {SECOND.bound:g} ms for\nmusic and recordings"
+    axes[1].text(
+        SECOND.bound - 0.25, len(scenes) - 0.55, limit, fontsize=SMALL_PT, color=palette.INK,
+        ha="right", va="bottom", linespacing=1.3,
+    )  # fmt: skip
+    for x, colour, word in ((0.235, palette.FELT, LIVE), (0.31, palette.HEARD_LIGHT, REFERENCE)):
+        figure.text(x, 0.835, "■", color=colour, fontsize=TEXT_PT + 2, va="center")
+        figure.text(x + 0.019, 0.835, word, color=palette.INK, fontsize=TEXT_PT, va="center")
+    return figure
+
+
+def lag_figure(report: BenchReport) -> Figure:
+    """The share of bursts that are felt by a time, for both forms, with the limit."""
+    from matplotlib.figure import Figure
+
+    from audioflinger_hook.figures import palette
+
+    section = report.section(LAG_TITLE)
+    figure = Figure(figsize=(WIDTH_IN, LAG_HEIGHT_IN), facecolor=palette.WHITE)
+    count = len(next(iter(section.series.values())))
+    _headline(
+        figure,
+        "How soon a sound is felt",
+        f"Share of {count} tone bursts, 80 to 5000 Hz, whose vibration has passed half of its "
+        "level, by the time since the sound began",
+    )
+    axis = figure.subplots()
+    figure.subplots_adjust(left=0.075, right=0.975, top=0.80, bottom=0.125)
+    _plain(axis)
+    latest = 0.0
+    for (column, lags_ms), colour in zip(
+        section.series.items(), (palette.FELT, palette.HEARD), strict=False
+    ):
+        lags = np.sort(np.array(lags_ms))
+        latest = max(latest, float(lags[-1]))
+        share = 100.0 * np.arange(1, lags.size + 1) / lags.size
+        # A step for each burst, from nobody to everybody.
+        axis.step([lags[0], *lags], [0.0, *share], where="post", color=colour, lw=2.2, label=column)
+        p95 = float(np.percentile(lags, 95))
+        axis.plot([p95], [95.0], "o", ms=7, color=colour, mec=palette.WHITE, mew=1.2, zorder=5)
+        _label_curve(axis, column, lags, p95, colour)
+    axis.axvline(LAG_P95.bound, color=palette.INK, lw=0.9, ls=(0, (4, 3)), zorder=1)
+    axis.text(
+        LAG_P95.bound + 0.4, 3.0, f"must: 95 % by {LAG_P95.bound:g} ms", fontsize=SMALL_PT,
+        color=palette.INK,
+    )  # fmt: skip
+    axis.set_xlim(0.0, 5.0 * np.ceil((latest + 3.0) / 5.0))
+    axis.set_ylim(0.0, 102.0)
+    axis.set_yticks([0, 25, 50, 75, 95, 100], ["0", "25", "50", "75", "95", "100 %"])
+    axis.set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
+    axis.grid(True, axis="y", color=palette.HAIRLINE, lw=0.8)
+    return figure
+
+
+def _label_curve(axis: Axes, column: str, lags: np.ndarray, p95: float, colour: str) -> None:
+    """Write whose curve it is, with its 95th percentile, in the free space beside it."""
+    left = column == LIVE
+    share = 60.0 if left else 80.0
+    axis.annotate(
+        f"{column}\n95 % by {p95:.1f} ms",
+        (float(np.percentile(lags, share)), share),
+        xytext=(-14, 14) if left else (14, -22),
+        textcoords="offset points",
+        ha="right" if left else "left",
+        va="center",
+        fontsize=TEXT_PT,
+        linespacing=1.35,
+        color=colour,
+    )
+
+
+def _bar(axis: Axes, place: float, row: Row, colour: str, longest: float) -> None:
+    """Draw one bar with its spread and its number."""
+    from audioflinger_hook.figures import palette
+
+    value = row.value or 0.0
+    axis.barh(place, value, height=0.92 * BAR, color=colour, zorder=2)
+    low, high = row.low or value, row.high or value
+    axis.plot([low, high], [place, place], color=palette.INK, lw=1.0, zorder=3)
+    axis.text(
+        high + 0.012 * longest, place, f"{value:.1f}", fontsize=SMALL_PT - 0.5,
+        color=palette.GREY, va="center_baseline",
+    )  # fmt: skip
+
+
+def _headline(figure: Figure, title: str, explanation: str) -> None:
+    from audioflinger_hook.figures import palette
+
+    figure.text(0.02, 0.945, title, fontsize=TITLE_PT, color=palette.INK, va="center")
+    figure.text(0.02, 0.890, explanation, fontsize=SMALL_PT, color=palette.GREY, va="center")
+
+
+def _plain(axis: Axes) -> None:
+    """Leave of the frame only what carries the scale."""
+    from audioflinger_hook.figures import palette
+
+    for side in ("top", "right", "left"):
+        axis.spines[side].set_visible(False)
+    axis.spines["bottom"].set_color(palette.HAIRLINE)
+    axis.tick_params(labelsize=SMALL_PT, colors=palette.GREY, length=3, color=palette.HAIRLINE)

@@ -1,0 +1,182 @@
+"""Benches on savings: what each rule of "model only what a scene needs" saves, and what it changes.
+
+Each rule is switched off from outside, on the running transform, so that the transform itself
+carries no switches. A rule that changes more than its bound is not met.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from audioflinger_hook.bench.cost import Timings, interleaved
+from audioflinger_hook.bench.report import Missing, Must, Row, Section
+from audioflinger_hook.bench.signals import (
+    SAMPLERATE,
+    Recording,
+    chord,
+    looped,
+    speech,
+    white_noise,
+)
+from audioflinger_hook.bench.workbench import Workbench
+from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.oscillators import OscillatorBank
+from audioflinger_hook.transform.partials import Glides
+from audioflinger_hook.transform.principal import PrincipalFinder
+
+BLOCKSIZE = 256
+EVERY_SAVING = "all savings on"
+SAVED, CHANGE = "saves at most", "largest change"
+DEMO_FROM_S, DEMO_TO_S = 8.0, 12.0
+"""Of the demo scene: speech, a second of silence, an explosion, a chord."""
+INAUDIBLE = 1e-300
+"""Stands for an amplitude of 0 where a rule looks for 0; added to anything it changes nothing."""
+
+
+@dataclass(frozen=True)
+class Saving:
+    """One saving: what is done without it, how to switch it off, and the bound of its change.
+
+    bound: of full scale, 0 for the same bytes; None where the saving states none.
+    """
+
+    name: str
+    switch_off: Callable[[LiveTransform], None]
+    bound: float | None = 0.0
+
+
+def _analyse_silence(transform: LiveTransform) -> None:
+    transform._silence = -1.0
+
+
+def _never_rest(transform: LiveTransform) -> None:
+    transform._ring_hops = 10**9
+
+
+def _examine_every_peak(transform: LiveTransform) -> None:
+    transform._finder._peak_span_min = -1.0
+
+
+def _keep_every_bin(transform: LiveTransform) -> None:
+    transform._bins = transform._spectrum.bins
+    transform._finder = PrincipalFinder(
+        TransformParameters(), transform._spectrum.bin_hz, transform._bins
+    )
+
+
+def _clear_every_image(transform: LiveTransform) -> None:
+    transform._images._weakest = 0.0
+
+
+class _EverySlot(OscillatorBank):
+    """The oscillator bank with no slot left out: amplitudes of 0 become inaudible ones."""
+
+    def render(self, glides: Glides) -> FloatArray:
+        return super().render(
+            Glides(
+                glides.start_hz,
+                glides.end_hz,
+                np.where(glides.start_amplitude == 0.0, INAUDIBLE, glides.start_amplitude),
+                glides.end_amplitude,
+                glides.start_phase,
+            )
+        )
+
+
+def _sound_every_slot(transform: LiveTransform) -> None:
+    grid = transform._grid
+    transform._bank = _EverySlot(grid.steps, grid.hop_s)
+
+
+SAVINGS: tuple[Saving, ...] = (
+    Saving("saving off: quiet windows are analysed", _analyse_silence),
+    Saving("saving off: what has rung out plays on", _never_rest, 1e-12),
+    Saving("saving off: empty slots are played", _sound_every_slot),
+    Saving("saving off: small peaks are refined", _examine_every_peak),
+    Saving("saving off: bins above the band are kept", _keep_every_bin),
+    Saving("saving off: images of weak peaks are cleared", _clear_every_image, None),
+)
+
+
+def _scenes(duration_s: float, recordings: tuple[Recording, ...]) -> dict[str, FloatArray | None]:
+    """Return the scenes that savings are tried on, mono float64."""
+    cut_short = chord(duration_s)
+    cut_short[SAMPLERATE // 2 :] = 0.0
+    spoken = speech(recordings)
+    demo = demo_scene().mixdown()[round(DEMO_FROM_S * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
+    scenes = {
+        "0.5 s, then silence": cut_short,
+        "demo scene": demo,
+        "speech": None if spoken is None else looped(spoken, duration_s),
+        "white noise": white_noise(duration_s),
+    }
+    return {
+        name: None if sound is None else sound.astype(np.float64).mean(axis=1)
+        for name, sound in scenes.items()
+    }
+
+
+def savings(bench: Workbench) -> Section:
+    """Cost with and without each saving, scene by scene, and what it changes."""
+    rows: list[Row] = []
+    missing: list[Missing] = []
+    saved: dict[str, list[tuple[float, str]]] = {saving.name: [] for saving in SAVINGS}
+    change: dict[str, float] = dict.fromkeys(saved, 0.0)
+    for scene, sound in _scenes(bench.effort.cost_s, bench.recordings).items():
+        if sound is None:
+            missing.append(bench.missing_recordings(f"savings on {scene}"))
+            continue
+        outputs, timings = _with_and_without(sound, bench.effort.saving_repeats)
+        ms_a_second = 1e3 * SAMPLERATE / sound.size
+        every = timings[EVERY_SAVING]
+        for name, timing in timings.items():
+            rows.append(Row(name, ms_a_second * timing.median_s, "ms", scene))
+        for name in saved:
+            ratio = float(np.median(np.array(every.seconds) / np.array(timings[name].seconds)))
+            saved[name].append((100.0 * (1.0 - ratio), scene))
+            largest = float(np.abs(outputs[name] - outputs[EVERY_SAVING]).max())
+            change[name] = max(change[name], largest)
+    for saving in SAVINGS:
+        most, scene = max(saved[saving.name])
+        must = None if saving.bound is None else Must("<=", saving.bound)
+        rows.append(Row(saving.name, most, "%", SAVED, note=f"most on {scene}"))
+        rows.append(Row(saving.name, change[saving.name], "", CHANGE, must))
+    return Section(
+        "What each saving saves",
+        "The live form leaves out what a scene does not need. First the cost of a second with "
+        f"all of its savings, then without one at a time (one channel, blocks of {BLOCKSIZE} "
+        "frames); the most that this one saves on any scene, and the most that it changes any "
+        "sample, full scale being 1, with the bound that it states.",
+        tuple(rows),
+        tuple(missing),
+    )
+
+
+def _with_and_without(
+    sound: FloatArray, repeats: int
+) -> tuple[dict[str, FloatArray], dict[str, Timings]]:
+    """Return output and timings, by name, with every saving and without each one."""
+    outputs: dict[str, FloatArray] = {}
+
+    def play(name: str, switch_off: Callable[[LiveTransform], None]) -> None:
+        transform = LiveTransform(TransformParameters(), SAMPLERATE)
+        switch_off(transform)
+        outputs[name] = np.concatenate(
+            [
+                transform.process(sound[first : first + BLOCKSIZE])
+                for first in range(0, sound.size, BLOCKSIZE)
+            ]
+        )
+
+    ways: dict[str, Callable[[LiveTransform], None]] = {EVERY_SAVING: lambda _: None}
+    ways |= {saving.name: saving.switch_off for saving in SAVINGS}
+    works = [partial(play, name, switch_off) for name, switch_off in ways.items()]
+    timings = interleaved(works, repeats)
+    return outputs, dict(zip(ways, timings, strict=True))

@@ -1,0 +1,120 @@
+"""Benches on speed: what a second of sound costs, and how late the worst hop is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from audioflinger_hook.bench.cost import Timings, call_times_s, interleaved
+from audioflinger_hook.bench.report import Missing, Must, Row, Section
+from audioflinger_hook.bench.signals import (
+    COST_SCENES,
+    SAMPLERATE,
+    Stereo,
+    white_noise,
+)
+from audioflinger_hook.bench.workbench import LIVE, Subject, Workbench
+from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.grid import LiveGrid
+
+BLOCKSIZES = (256, 32_768)
+"""What a sound server delivers, and what a rendering takes at once."""
+SECOND = Must("<=", 15.0)
+
+HOP_PERCENTILE = 99.9
+HOP_COST = Must("<=", 5.0)
+HOPS_TO_WARM = 100
+
+
+def cost_of_a_second(bench: Workbench) -> Section:
+    """CPU time of a second of sound, scene by scene, in small and in large blocks."""
+    effort = bench.effort
+    labels: list[tuple[str, Must | None, Subject, float]] = []
+    works: list[Callable[[], object]] = []
+    missing: list[Missing] = []
+    for scene in COST_SCENES:
+        sound = scene.make(effort.cost_s, bench.recordings)
+        if sound is None:
+            missing.append(bench.missing_recordings(f"cost of a second, {scene.name}"))
+            continue
+        for blocksize in BLOCKSIZES:
+            for subject in bench.subjects:
+                must = SECOND if scene.budgeted and subject.name == LIVE else None
+                name = f"{scene.name}, blocks of {blocksize}"
+                labels.append((name, must, subject, len(sound) / SAMPLERATE))
+                works.append(partial(subject.run_through, sound, blocksize))
+    rows: list[Row] = []
+    for (name, must, subject, duration_s), timings in zip(
+        labels, interleaved(works, effort.cost_repeats), strict=True
+    ):
+        rows += _cost_rows(name, subject.name, timings, duration_s, must)
+    return Section(
+        "Cost of a second of sound",
+        "What a second of 48 kHz stereo costs: 10 ms are 1 % of one core. Blocks of "
+        f"{BLOCKSIZES[0]} frames are what a sound server delivers, {BLOCKSIZES[1]} what a "
+        f"rendering takes at once; medians of {effort.cost_repeats} repeats, all in turns. "
+        "The limit is asked of music and recordings; the rest shows the range. Denormal "
+        "numbers, on which many processors are slow, should cost what silence costs.",
+        tuple(rows),
+        tuple(missing),
+    )
+
+
+def _cost_rows(
+    name: str, column: str, timings: Timings, duration_s: float, must: Must | None
+) -> list[Row]:
+    def ms(seconds: float) -> float:
+        return 1e3 * seconds / duration_s
+
+    return [
+        Row(
+            name,
+            ms(timings.median_s),
+            "ms",
+            column,
+            must,
+            low=ms(min(timings.seconds)),
+            high=ms(max(timings.seconds)),
+        ),
+        Row(name, round(timings.median_units / duration_s), "FFTs", f"{column}, FFTs"),
+    ]
+
+
+def worst_hop(bench: Workbench) -> Section:
+    """How far single hops stand out: the time within which 99.9 % of them are done."""
+    grid = LiveGrid.at(TransformParameters(), SAMPLERATE)
+    hop_s = grid.hop_frames / SAMPLERATE
+    hops = bench.effort.hops_timed
+    rows: list[Row] = []
+    for name, sound in (("demo scene", demo_scene().mixdown()), ("white noise", white_noise(15.0))):
+        shares = 100.0 * _hop_times_s(bench.subject(LIVE), sound, grid.hop_frames, hops) / hop_s
+        rows += [
+            Row(f"{name}, median", float(np.median(shares)), "%"),
+            Row(f"{name}, p99.9", float(np.percentile(shares, HOP_PERCENTILE)), "%", must=HOP_COST),
+            Row(f"{name}, largest", float(shares.max()), "%"),
+        ]
+    return Section(
+        "Worst hop",
+        f"A hop ({grid.hop_frames} frames, {1e3 * hop_s:.1f} ms) has to be ready long before it "
+        "is due, every time: CPU time of single hops as a share of the time that they last, over "
+        f"{hops} hops of each sound.",
+        tuple(rows),
+    )
+
+
+def _hop_times_s(
+    subject: Subject, sound: Stereo, hop_frames: int, hops: int
+) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Return the thread CPU seconds of each hop of the looped sound, after some to warm up."""
+    blocks = [
+        sound[first : first + hop_frames]
+        for first in range(0, len(sound) - hop_frames + 1, hop_frames)
+    ]
+    stream = subject.start(SAMPLERATE, sound.shape[1])
+    for block in blocks[:HOPS_TO_WARM]:
+        stream.process(block)
+    loops = -(-hops // len(blocks))
+    return call_times_s(stream.process, (blocks * loops)[:hops])
