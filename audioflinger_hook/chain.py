@@ -53,9 +53,12 @@ class Chain:
         return Step(audio, vibration)
 
     def close(self) -> None:
-        """Let go of the tap and finish every output: what was sent is kept."""
+        """Let go of the tap and finish every output, the first one last: what was sent is kept.
+
+        So where one of the others cannot be finished, the first has not yet replaced anything.
+        """
         self._tap.close()
-        for output in self._outputs:
+        for output in reversed(self._outputs):
             output.close()
 
     def abort(self) -> None:

@@ -17,6 +17,7 @@ TOP_LEVEL = ("profile", "damping", "rig")
 TRANSFORM_CHOICES = ("form", "channels")
 SECTION = "transform"
 SYNTAX_ERRORS_MAX = 50
+SHOWN_MAX = 200
 
 
 @dataclass(frozen=True)
@@ -75,12 +76,9 @@ def check(path: Path) -> tuple[Settings | None, list[Problem]]:
     section = document.get(SECTION, {})
     parameters = section if isinstance(section, dict) else {}
     numbers = {name: value for name, value in parameters.items() if name in LIMITS}
-    for name, message in TransformParameters.problems(numbers).items():
-        problem, _, allowed = message.partition("; allowed: ")
-        key = f"{SECTION}.{name}"
-        problem = problem.removeprefix(f"{name}=").partition(" ")[2]
+    for name, found in TransformParameters.problems(numbers).items():
         shown = _shown(numbers[name]) if name in numbers else ""
-        problems.append(Problem(key, lines.get(key, 0), shown, problem, allowed))
+        problems.append(_problem(f"{SECTION}.{name}", lines, shown, found.wrong, found.allowed))
     if problems:
         return None, sorted(problems, key=lambda problem: problem.line)
     choices = {name: document[name] for name in TOP_LEVEL if name in document}
@@ -89,62 +87,86 @@ def check(path: Path) -> tuple[Settings | None, list[Problem]]:
 
 
 def _parse(text: str) -> tuple[dict[str, Any], list[Problem]]:
-    """Return what can be read, and the syntax errors: each line that has one is left out."""
+    """Return what can be read, and the syntax errors: each line that has one is left out.
+
+    Of a section's broken headline the name is kept where there is one, so that the keys below
+    are still taken for that section's.
+    """
     lines = text.split("\n")
     problems: list[Problem] = []
-    while len(problems) < SYNTAX_ERRORS_MAX:
+    for _ in range(SYNTAX_ERRORS_MAX):
         try:
             return tomllib.loads("\n".join(lines)), problems
-        except tomllib.TOMLDecodeError as error:
-            at = re.search(r"\(at line (\d+)", str(error))
-            # "at end of document": the last line that holds anything.
-            filled = [number for number, line in enumerate(lines, 1) if line.strip()]
-            number = int(at[1]) if at else (filled[-1] if filled else 1)
-            # The parser stands behind a line break where a line ended too early.
-            while number > 1 and not lines[number - 1].strip():
-                number -= 1
-            reason = str(error).partition(" (at")[0]
-            shown = lines[number - 1].strip()
+        except RecursionError:
+            problems.append(Problem("this file", 0, "", "is nested too deeply", "flat values"))
+            return {}, problems
+        except ValueError as error:  # TOMLDecodeError, and numbers of thousands of digits
+            number = _line_of_error(str(error), lines)
+            reason = str(error).partition(" (at")[0].partition(";")[0]
+            shown = _printable(lines[number - 1].strip())
             problems.append(
                 Problem(shown or "(empty)", number, "", f"is not TOML ({reason})", "key = value")
             )
-            lines[number - 1] = ""
+            header = re.match(r"\s*\[+\s*([\w-]+)", lines[number - 1])
+            repaired = f"[{header[1]}]" if header else ""
+            lines[number - 1] = repaired if repaired != lines[number - 1] else ""
     return {}, problems
 
 
+def _line_of_error(message: str, lines: list[str]) -> int:
+    """Return the number from 1 of the line that a message of the parser is about."""
+    filled = [number for number, line in enumerate(lines, 1) if line.strip()] or [1]
+    if at := re.search(r"\(at line (\d+)", message):
+        number = int(at[1])
+        # The parser stands behind a line break where a line ended too early.
+        while number > 1 and not lines[number - 1].strip():
+            number -= 1
+        return number
+    too_long = [number for number in filled if re.search(r"\d{4000}", lines[number - 1])]
+    return too_long[0] if too_long else filled[-1]  # "at end of document"
+
+
 def _lines_of_keys(text: str) -> dict[str, int]:
-    """Return the line of every `key` and `section.key` that stands on a line of its own."""
+    """Return the line of every `key` and `section.key`, as far as one can tell from its start."""
     lines: dict[str, int] = {}
     section = ""
     for number, line in enumerate(text.split("\n"), 1):
-        if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]+", line):
-            section = header[1].strip("\"'") + "."
+        if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]*\s*(#.*)?$", line):
+            section = _bare(header[1]) + "."
             lines.setdefault(section[:-1], number)
-        elif key := re.match(r"\s*([\w.\-\"']+)\s*=", line):
-            lines.setdefault(section + key[1].replace('"', "").replace("'", ""), number)
+        elif key := re.match(r"\s*([^=#]+?)\s*=", line):
+            name = section + _bare(key[1])
+            lines.setdefault(name, number)
+            lines.setdefault(name.partition(".")[0], number)
     return lines
+
+
+def _bare(key: str) -> str:
+    """Return a dotted key without quotes and blanks."""
+    return ".".join(part.strip().strip("\"'") for part in key.split("."))
+
+
+def _problem(key: str, lines: dict[str, int], value: str, problem: str, allowed: str) -> Problem:
+    """Return a problem with its line: that of the key, or of the section that holds it inline."""
+    line = lines.get(key) or lines.get(key.partition(".")[0], 0)
+    return Problem(_printable(key), line, value, problem, allowed)
 
 
 def _unknown_keys(document: dict[str, Any], lines: dict[str, int]) -> list[Problem]:
     problems = []
-
-    def unknown(key: str, value: Any, known: tuple[str, ...]) -> None:
-        shown = "" if isinstance(value, dict) else _shown(value)
-        allowed = ", ".join(known)
-        problems.append(Problem(key, lines.get(key, 0), shown, "is an unknown key", allowed))
-
     for name, value in document.items():
         if name == SECTION and isinstance(value, dict):
             known = (*TRANSFORM_CHOICES, *LIMITS)
-            for inner, inner_value in value.items():
-                if inner not in known:
-                    unknown(f"{SECTION}.{inner}", inner_value, known)
+            unknown = {f"{SECTION}.{key}": value[key] for key in value if key not in known}
         elif name == SECTION:
-            problems.append(
-                Problem(name, lines.get(name, 0), _shown(value), "is not a section", "[transform]")
-            )
-        elif name not in TOP_LEVEL:
-            unknown(name, value, (*TOP_LEVEL, f"[{SECTION}]"))
+            problems.append(_problem(name, lines, _shown(value), "is not a section", "[transform]"))
+            continue
+        else:
+            known = (*TOP_LEVEL, f"[{SECTION}]")
+            unknown = {} if name in TOP_LEVEL else {name: value}
+        for key, found in unknown.items():
+            shown = "" if isinstance(found, dict) else _shown(found)
+            problems.append(_problem(key, lines, shown, "is an unknown key", ", ".join(known)))
     return problems
 
 
@@ -157,14 +179,23 @@ def _wrong_choices(document: dict[str, Any], lines: dict[str, int]) -> list[Prob
     for key, value in chosen.items():
         allowed = CHOICES[key.rpartition(".")[2]]
         if value not in allowed:
-            problems.append(
-                Problem(key, lines.get(key, 0), _shown(value), "is not known", ", ".join(allowed))
-            )
+            problems.append(_problem(key, lines, _shown(value), "is not known", ", ".join(allowed)))
     return problems
 
 
 def _shown(value: Any) -> str:
-    """Return a value as one would write it in TOML, near enough for a message."""
+    """Return a value as one would write it in TOML, near enough for a message of one line."""
     if isinstance(value, bool):
         return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else str(value)
+    if isinstance(value, str):
+        return _printable(f'"{value}"')
+    try:
+        return _printable(str(value))
+    except ValueError:  # an integer of thousands of digits
+        return "a number of thousands of digits"
+
+
+def _printable(text: str) -> str:
+    """Return text that neither breaks the line nor commands the terminal, at most 200 long."""
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+    return shown if len(shown) <= SHOWN_MAX else shown[:SHOWN_MAX] + "..."

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,9 @@ from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.reference import ReferenceTransform
 from audioflinger_hook.transform.scaling import vibration_hz
 from device.errors import UsageError
+
+LONGEST_S = 1e9
+"""Thirty years: no sound is longer, and it can still be counted in frames."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +41,16 @@ class Unit:
 
 
 def inspect_file(
-    path: Path, parameters: TransformParameters | None = None, *, at_s: float | None = None
+    path: Path,
+    parameters: TransformParameters | None = None,
+    *,
+    at_s: float | None = None,
+    warn: Callable[[str], None] | None = None,
 ) -> Iterator[Unit]:
     """Yield the units of a sound file in order, or only the one that holds the time `at_s`.
 
-    The channels are mixed first. Memory does not depend on the length.
+    The channels are mixed first. Memory does not depend on the length. `warn` is told, at the
+    end, what a user should know of the file.
 
     Raises
     ------
@@ -54,6 +62,9 @@ def inspect_file(
     tap = FileTap(path)
     try:
         yield from inspect_tap(tap, parameters or TransformParameters(), at_s=at_s)
+        if warn:
+            for warning in tap.warnings:
+                warn(warning)
     finally:
         tap.close()
 
@@ -64,7 +75,9 @@ def inspect_tap(
     """Yield the units of what a tap delivers, as `inspect_file` does."""
     transform = ReferenceTransform(parameters, tap.samplerate)
     window = transform.latency_frames
-    wanted = None if at_s is None else int(at_s * tap.samplerate) // window
+    # To the nearest frame: a unit's own start, printed and read again, is still that unit's.
+    exact = None if at_s is None else min(at_s, LONGEST_S) * tap.samplerate
+    wanted = None if exact is None else round(exact) // window
     frames = 0
     done = 0
     while True:
@@ -76,7 +89,7 @@ def inspect_tap(
             units = transform.cut(mono(replace_unusable(buffer)[0]))
         if wanted is None:
             yield from _units(transform, parameters, units, done, tap.samplerate)
-        elif wanted < done + len(units) and (at_s or 0.0) * tap.samplerate < max(frames, 1):
+        elif wanted < done + len(units) and exact is not None and exact < frames:
             one = units[wanted - done : wanted - done + 1]
             yield from _units(transform, parameters, one, wanted, tap.samplerate)
             return

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import numpy as np
 
 from audioflinger_hook.chain import Chain
 from audioflinger_hook.effect import HapticEffect
@@ -81,11 +80,11 @@ def render_file(
             )
             twin = Twin(rig_by_name(settings.rig), tap.samplerate, channels, recorder=recorder)
             outputs.append(twin)
-        chain = Chain(tap, effect, [Aligned(out, effect.latency_frames) for out in outputs])
-        frames, peak = 0, 0.0
+        aligned = [Aligned(output, effect.latency_frames) for output in outputs]
+        chain = Chain(tap, effect, aligned)
+        frames = 0
         while step := chain.step():
             frames += len(step.audio)
-            peak = max(peak, float(np.abs(step.vibration).max(initial=0.0)))
             if progress:
                 progress(frames, tap.frames_expected)
         chain.close()
@@ -101,7 +100,7 @@ def render_file(
         channels=channels,
         transform=settings.form,
         latency_s=effect.latency_s,
-        peak=peak,
+        peak=aligned[0].peak,
         limited_samples=effect.limited_samples,
         replaced_samples=effect.replaced_samples,
         peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
@@ -114,9 +113,9 @@ def _refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> 
     named = {"the input": source, "the vibration": target}
     if acceleration is not None:
         named["the acceleration"] = acceleration
-    seen: dict[Path, str] = {}
+    seen: dict[str, str] = {}
     for role, path in named.items():
-        resolved = path.resolve()
+        resolved = os.path.realpath(path)
         if resolved in seen:
             raise UsageError(f"{path} is named for {seen[resolved]} and for {role}; name two files")
         seen[resolved] = role

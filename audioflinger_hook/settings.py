@@ -20,6 +20,10 @@ CHOICES: dict[str, tuple[str, ...]] = {
 """Every choice by name, with the values that exist; the first one is the default."""
 
 
+LABELS = {"form": "transform"}
+"""What a choice is called on the command line, where that differs."""
+
+
 @dataclass(frozen=True)
 class Settings:
     """One complete set of choices.
@@ -43,7 +47,8 @@ class Settings:
 
     def __post_init__(self) -> None:
         problems = [
-            f"{name} {getattr(self, name)!r} is not known; allowed: {', '.join(allowed)}"
+            f"{LABELS.get(name, name)} {getattr(self, name)!r} is not known; "
+            f"allowed: {', '.join(allowed)}"
             for name, allowed in CHOICES.items()
             if getattr(self, name) not in allowed
         ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from device.output import VibrationOutput
 from device.units import Float32Array, FloatArray
 
@@ -11,11 +13,14 @@ class Aligned:
 
     For files, which know no delay; something that plays takes the delay line instead. Passes
     everything else on to `output`. Called by the thread that delivers the vibration.
+
+    peak: largest magnitude that was passed on so far.
     """
 
     def __init__(self, output: VibrationOutput, latency_frames: int) -> None:
         self._output = output
         self._to_skip = latency_frames
+        self.peak = 0.0
 
     @property
     def samplerate(self) -> int:
@@ -32,7 +37,9 @@ class Aligned:
         skipped = min(self._to_skip, len(vibration))
         self._to_skip -= skipped
         if skipped < len(vibration):
-            self._output.write(vibration[skipped:])
+            passed = vibration[skipped:]
+            self.peak = max(self.peak, float(np.abs(passed).max()))
+            self._output.write(passed)
 
     def close(self) -> None:
         """Finish the output."""

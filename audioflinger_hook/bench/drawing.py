@@ -164,7 +164,8 @@ def _bar(axis: Axes, place: float, row: Row, colour: str, longest: float) -> Non
     axis.plot([low, high], [place, place], color=palette.INK, lw=1.0, zorder=3)
     axis.text(
         high + 0.012 * longest, place, f"{value:.1f}", fontsize=SMALL_PT - 0.5,
-        color=palette.GREY, va="center_baseline",
+        color=palette.GREY, va="center_baseline", zorder=4,
+        bbox={"facecolor": palette.WHITE, "edgecolor": "none", "pad": 0.6},
     )  # fmt: skip
 
 

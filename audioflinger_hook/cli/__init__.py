@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
 import signal
 import sys
@@ -10,9 +12,12 @@ from collections.abc import Sequence
 from types import FrameType
 
 from audioflinger_hook.cli.parser import build_parser
-from device.errors import CushionError, InternalError
+from device.errors import CushionError, InternalError, WriteError
 
 EXIT_INTERRUPTED = 130
+
+STDOUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What printing may fail with; files of ours report these errors by themselves."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -23,9 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug = "--debug" in arguments
     signal.signal(signal.SIGTERM, _interrupt)
+    _prepare_streams()
     try:
-        options = build_parser().parse_args(arguments)
-        code: int = options.run(options)
+        code = _run(arguments)
         sys.stdout.flush()
         return code
     except CushionError as error:
@@ -35,12 +40,47 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # The reader of our output has gone; nothing more can be said to it.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_stdout()
         return 0
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in STDOUT_ERRORS and not error.filename:
+            _discard_stdout()
+            full = WriteError(f"cannot write to standard output ({error.strerror})")
+            return _report(full, full.exit_code, debug)
         kind = type(error).__name__
         wrapped = InternalError(f"{kind}: {error}; this is a fault of cushion, please report it")
         return _report(wrapped, InternalError.exit_code, debug)
+
+
+def _run(arguments: Sequence[str]) -> int:
+    try:
+        options = build_parser().parse_args(arguments)
+    except SystemExit as done:  # --help and --version end the parser's way
+        return int(done.code or 0)
+    code: int = options.run(options)
+    return code
+
+
+def _prepare_streams() -> None:
+    """Let print work where the caller has closed stdout or stderr, and on any name."""
+    for descriptor in (0, 1, 2):
+        try:
+            os.fstat(descriptor)
+        except OSError:  # else the next file that is opened would take its place
+            os.open(os.devnull, os.O_RDWR)
+    if sys.stdout is None:
+        sys.stdout = io.StringIO()
+    if sys.stderr is None:
+        sys.stderr = io.StringIO()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A file's name may be bytes that are no text.
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _discard_stdout() -> None:
+    """Drop what is buffered, so that the interpreter does not try to write it when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _report(error: Exception, code: int, debug: bool) -> int:

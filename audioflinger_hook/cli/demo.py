@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from audioflinger_hook.chain import Chain
 from audioflinger_hook.cli.meter import Meter
-from audioflinger_hook.cli.terminal import level_text, warn
+from audioflinger_hook.cli.terminal import LineConsole, level_text, warn
 from audioflinger_hook.effect import HapticEffect
 from audioflinger_hook.inspection import inspect_tap
 from audioflinger_hook.pace import RealTimePace
@@ -55,20 +55,29 @@ def run(out: Path, *, fast: bool) -> int:
     tap = SceneTap(scene, BLOCKSIZE_FRAMES)
     effect = HapticEffect(tap.samplerate, tap.channels, settings)
     rate, channels = tap.samplerate, effect.haptic_channels
+    picture = out / "report.png"
+    if picture.is_dir():
+        raise UsageError(f"cannot write {picture}: it is a folder; name another with --out")
     sound = WavOutput(out / "scene.wav", rate, tap.channels)
-    sound.write(scene.mixdown())
-    sound.close()
     recorder = WavOutput(out / "acceleration.wav", rate, channels, comment=ACCELERATION_COMMENT)
     twin = Twin(rig_by_name(settings.rig), rate, channels, recorder=recorder)
     outputs = (WavOutput(out / "vibration.wav", rate, channels), twin)
     chain = Chain(tap, effect, [Aligned(output, effect.latency_frames) for output in outputs])
     try:
+        sound.write(scene.mixdown())
         played = _play(chain, scene, twin, fast=fast)
+        sound.close()
         chain.close()
     except BaseException:
+        sound.abort()
         chain.abort()
         raise
-    drawn = _draw(out / "report.png", scene, played, effect, settings)
+    drawn = True
+    try:
+        _draw(picture, scene, played, effect, settings)
+    except ImportError:
+        warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
+        drawn = False
     _print_table(out, effect, twin, played, drawn)
     return 0
 
@@ -89,7 +98,7 @@ def _play(chain: Chain, scene: Scene, twin: Twin, *, fast: bool) -> Played:
     played = Played()
     pace = RealTimePace(scene.samplerate, time.monotonic())
     frames = 0
-    with Meter(scene, Console(stderr=True)) as meter:
+    with Meter(scene, LineConsole(stderr=True)) as meter:
         while True:
             began = time.thread_time()
             step = chain.step()
@@ -108,13 +117,10 @@ def _play(chain: Chain, scene: Scene, twin: Twin, *, fast: bool) -> Played:
 
 def _draw(
     path: Path, scene: Scene, played: Played, effect: HapticEffect, settings: Settings
-) -> bool:
-    """Write the picture and return True, or say why there is none."""
-    try:
-        from audioflinger_hook.figures.report import draw_report
-    except ImportError:
-        warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
-        return False
+) -> None:
+    """Write the picture, which needs matplotlib."""
+    from audioflinger_hook.figures.report import draw_report
+
     frames = scene.frame_count
     latency = effect.latency_frames
     full_scale_r = settings.parameters.unit_strength_hz(scene.samplerate)
@@ -147,7 +153,6 @@ def _draw(
         ),
     )
     write_bytes_atomically(path, picture.getvalue())
-    return True
 
 
 def _print_table(out: Path, effect: HapticEffect, twin: Twin, played: Played, drawn: bool) -> None:
@@ -169,11 +174,14 @@ def _print_table(out: Path, effect: HapticEffect, twin: Twin, played: Played, dr
         f"time a buffer of {buffer_length_ms:.2f} ms",
         f"median {median:.2f}, p99 {tail:.2f}, max {worst:.2f} ms ({share:.1f} % of one core)",
     )
-    table.add_row("scene.wav", f"{out / 'scene.wav'}: what was played")
-    table.add_row("vibration.wav", f"{out / 'vibration.wav'}: what is felt, to be heard")
-    table.add_row(
-        "acceleration.wav",
-        f"{out / 'acceleration.wav'}: full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2",
-    )
-    table.add_row("report.png", f"{out / 'report.png'}" if drawn else "not drawn")
-    Console().print(table)
+    written = {
+        "scene.wav": "what was played",
+        "vibration.wav": "what is felt, to be heard",
+        "acceleration.wav": f"full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2",
+        "report.png": "both seen" if drawn else "not drawn",
+    }
+    for name, what in written.items():
+        table.add_row(
+            f"{name}: {what}", escape(str(out / name)) if name != "report.png" or drawn else ""
+        )
+    LineConsole().print(table)

@@ -6,17 +6,18 @@ import dataclasses
 import json
 from pathlib import Path
 
+from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.inspection import Unit, inspect_file
 
 HEADER = (
-    f"{'unit':>6} {'start s':>9}   {'audio Hz':>9} {'amplitude':>9} "
+    f"{'unit':>6} {'start s':>12}   {'audio Hz':>9} {'amplitude':>9} "
     f"{'width Hz':>8} {'r':>8}   {'vibration Hz':>12}"
 )
 
 
 def run(path: Path, *, at_s: float | None, as_json: bool) -> int:
     """Print the units of a file, as a table or as one JSON list, as they are found."""
-    units = inspect_file(path, at_s=at_s)
+    units = inspect_file(path, at_s=at_s, warn=warn)
     first = next(units, None)  # errors come before anything is printed
     print("[" if as_json else HEADER)
     separator = ""
@@ -33,7 +34,7 @@ def run(path: Path, *, at_s: float | None, as_json: bool) -> int:
 
 
 def _rows(unit: Unit) -> str:
-    start = f"{unit.unit:>6} {unit.start_s:>9.3f}   "
+    start = f"{unit.unit:>6} {unit.start_s:>12.6f}   "
     if not unit.principal:
         return f"{start}{'-':>9}"
     rows = [

@@ -34,7 +34,7 @@ class Meter:
         self._scene = scene
         self._events = scene.events()
         self._live = Live(console=console, auto_refresh=False, transient=True)
-        self._on = console.is_terminal
+        self._on = console.file.isatty()
         self._next_frame = 0
         self._peaks = np.zeros(3)
         self._recent = np.zeros(round(SPECTRUM_WINDOW_S * scene.samplerate))

@@ -29,6 +29,7 @@ class Parser(argparse.ArgumentParser):
 def build_parser() -> Parser:
     """Return the parser; `run` of what it parses is the function that does the command."""
     parser = Parser(prog="cushion", description=DESCRIPTION, epilog=EXIT_CODES)
+    _add_debug(parser)
     parser.add_argument("--version", action="version", version=f"cushion {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
@@ -71,9 +72,13 @@ def _add(
     run: Callable[[argparse.Namespace], int],
 ) -> Parser:
     command = commands.add_parser(name, help=does, description=does, epilog=EXIT_CODES)
-    command.add_argument("--debug", action="store_true", help="show tracebacks")
+    _add_debug(command)
     command.set_defaults(run=run)
     return command
+
+
+def _add_debug(parser: Parser) -> None:
+    parser.add_argument("--debug", action="store_true", help="show tracebacks")
 
 
 def _add_json(command: Parser) -> None:

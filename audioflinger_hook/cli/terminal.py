@@ -24,21 +24,29 @@ def level_text(amplitude: float) -> str:
     return "-inf dBFS" if level_db == -math.inf else f"{level_db:.1f} dBFS"
 
 
+class LineConsole(Console):
+    """A console that leaves a reader that has gone to the caller, as print does."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise BrokenPipeError."""
+        raise BrokenPipeError
+
+
 @contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[float, float | None], None]]:
     """Yield a function that is told what is done and what there is (None: not known).
 
     Drawn on stderr while it is a terminal, and gone afterwards.
     """
-    console = Console(stderr=True)
+    console = LineConsole(stderr=True)
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeRemainingColumn(compact=True),
     )
     with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
+        *columns, console=console, transient=True, disable=not sys.stderr.isatty()
     ) as bar:
         task = bar.add_task(label, total=None)
 

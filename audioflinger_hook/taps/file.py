@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import re
+import stat
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -72,20 +77,24 @@ class FileTap:
         self._file.close()
 
     def _read(self) -> NDArray[np.float32]:
+        if self.warnings:  # nothing follows a place that cannot be decoded
+            return np.zeros((0, self.channels), np.float32)
+        buffer = np.empty((self._blocksize, self.channels), np.float32)
+        before = self._file.tell()
         try:
-            return np.asarray(
-                self._file.read(self._blocksize, dtype="float32", always_2d=True), np.float32
-            )
+            with _quiet_decoder():
+                filled: NDArray[np.float32] = self._file.read(out=buffer)
+            return filled
         except (soundfile.LibsndfileError, RuntimeError) as error:
             self.warnings.append(f"{self.path} is damaged ({_reason(error)}); taken up to there")
-            return np.zeros((0, self.channels), np.float32)
+            return buffer[: max(0, self._file.tell() - before)]
 
     def _note_short_body(self) -> None:
         if self.warnings:
             return
         expected = self.frames_expected
-        promised = _promised_bytes(self._file.extra_info)
-        if promised or (expected is not None and self._delivered < expected):
+        short = _body_is_short(self._file.extra_info)
+        if short or (expected is not None and self._delivered < expected):
             self.warnings.append(
                 f"{self.path} is shorter than its header says; "
                 f"the {self._delivered} frames that are there were taken"
@@ -94,18 +103,29 @@ class FileTap:
 
 def _open(path: Path) -> soundfile.SoundFile:
     """Return the opened file, or say what is wrong with it."""
-    if not path.exists():
-        raise UsageError(f"{path} does not exist; give the path of a sound file")
-    if path.is_dir():
-        raise UsageError(f"{path} is a folder; give the path of a sound file")
-    if path.is_file() and path.stat().st_size == 0:
-        raise UsageError(f"{path} is empty (0 bytes); give the path of a sound file")
     try:
-        with path.open("rb"):
-            pass
-        return soundfile.SoundFile(path)
+        # By descriptor, not by name: libsndfile would take a name's ending for a promise and
+        # text called .vox for sound.
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    except (FileNotFoundError, NotADirectoryError):
+        raise UsageError(f"{path} does not exist; give the path of a sound file") from None
     except PermissionError:
         raise UsageError(f"{path} may not be read; check its permissions") from None
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{path} cannot be opened ({_reason(error)})") from None
+    kind = os.fstat(descriptor)
+    try:
+        if stat.S_ISDIR(kind.st_mode):
+            raise UsageError(f"{path} is a folder; give the path of a sound file")
+        if not stat.S_ISREG(kind.st_mode):
+            raise UsageError(f"{path} is not a regular file; give the path of a sound file")
+        if kind.st_size == 0:
+            raise UsageError(f"{path} is empty (0 bytes); give the path of a sound file")
+        with _quiet_decoder():
+            return soundfile.SoundFile(descriptor, closefd=True)
+    except UsageError:
+        os.close(descriptor)
+        raise
     except (soundfile.LibsndfileError, OSError, TypeError, ValueError) as error:
         raise UsageError(
             f"{path} is not a sound file that can be read ({_reason(error)}); "
@@ -114,14 +134,39 @@ def _open(path: Path) -> soundfile.SoundFile:
 
 
 def _reason(error: Exception) -> str:
-    text = getattr(error, "error_string", None) or str(error)
-    return str(text).strip().rstrip(".")
+    text = getattr(error, "error_string", None) or getattr(error, "strerror", None) or str(error)
+    return str(text).strip().rstrip(".") or type(error).__name__
 
 
-def _promised_bytes(log: str) -> bool:
-    """Return whether libsndfile's log of a RIFF file notes a data chunk longer than the file.
+@contextmanager
+def _quiet_decoder() -> Iterator[None]:
+    """Keep what decoders print on stderr from the user: its gist comes as our own error."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
-    Lengths of 4 GB are what a recorder writes when it cannot know better, and promise nothing.
-    """
-    found = re.search(r"^\s*data\s*:\s*(\d+) \(should be (\d+)\)", log, re.MULTILINE)
-    return found is not None and int(found[2]) < int(found[1]) < 0xFFFF_0000
+
+PROMISES = (
+    r"^\s*(?:data|SSND|Data Size|riff)\s*:\s*(?P<promised>\d+) \(should be (?P<there>\d+)\)",
+    r"frame count (?P<there>\d+) does not match value from 'ds64' chunk of (?P<promised>\d+)",
+)
+"""How libsndfile's log says that a WAV, AIFF, AU, W64 or RF64 body is shorter than promised."""
+
+UNKNOWN_LENGTH = 0xFFFF_0000
+"""Lengths from here to 4 GB are what a recorder writes when it cannot know better."""
+
+
+def _body_is_short(log: str) -> bool:
+    """Return whether libsndfile's log of a file notes that its body ends too early."""
+    for pattern in PROMISES:
+        if found := re.search(pattern, log, re.MULTILINE):
+            promised, there = int(found["promised"]), int(found["there"])
+            return there < promised and not UNKNOWN_LENGTH <= promised < 1 << 32
+    return re.search(r"Ogg\s*: (Last page lacks|Junk after the last page)", log) is not None

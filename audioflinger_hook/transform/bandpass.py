@@ -8,6 +8,7 @@ from scipy.signal import butter, lfilter
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.intake import DENORMAL_GUARD
 from audioflinger_hook.transform.parameters import TransformParameters
+from device.errors import UsageError
 
 NYQUIST_MARGIN = 0.49
 """A band edge from this fraction of the samplerate up cannot be filtered; the low edge alone is."""
@@ -22,6 +23,11 @@ class BandPass:
 
     def __init__(self, parameters: TransformParameters, samplerate: int) -> None:
         low, high = parameters.band_low_hz, parameters.band_high_hz
+        if low >= NYQUIST_MARGIN * samplerate:
+            raise UsageError(
+                f"band_low_hz={low:g} cannot be filtered at samplerate={samplerate} Hz; "
+                f"allowed: under {NYQUIST_MARGIN * samplerate:g} Hz"
+            )
         if high >= NYQUIST_MARGIN * samplerate:
             self._b, self._a = butter(2, low, "highpass", fs=samplerate)
         else:

@@ -44,10 +44,10 @@ FORMS: dict[Form, type[LiveTransform] | type[ReferenceTransform]] = {
 class HapticTransform:
     """Vibration for a stream of sound, block by block; pure: no clock, no I/O.
 
-    samplerate: Hz, 1 000 to 768 000; channels: 1 to 64. form: `live`, what a cushion plays, or
-    `reference`, the paper's equations literally. per_channel: each channel is transformed by
-    itself instead of their mean. Any split of the stream into blocks gives the same bytes.
-    Held by one thread at a time.
+    samplerate: Hz, 1 000 to 768 000; channels: 1 to 64. parameters: the paper's where not given.
+    form: `live`, what a cushion plays, or `reference`, the paper's equations literally.
+    per_channel: each channel is transformed by itself instead of their mean. Any split of the
+    stream into blocks gives the same bytes. Held by one thread at a time.
 
     Raises
     ------

@@ -32,19 +32,22 @@ class ImageRemoval:
     Pure: holds the window's own spectrum as a table. Not part of the reference form.
     """
 
-    def __init__(self, spectrum: Spectrum, weakest: float) -> None:
-        """weakest: amplitude under which a peak is left as it is."""
+    def __init__(self, spectrum: Spectrum, bins: int, weakest: float) -> None:
+        """bins: columns of the spectra; weakest: amplitude under which a peak is left alone."""
         self._weakest = weakest
         frames, length = spectrum.window_frames, spectrum.fft_length
-        self._low_bins = min(int(REACH_WINDOWS * length / frames), spectrum.bins // 2)
+        # An image is looked up at the sum of two frequencies, which the table must reach, and
+        # neighbours must lie within the spectra.
+        room = min(spectrum.bins // 2 - 1, bins - 1) - int(NEIGHBOURS[-1])
+        self._low_bins = max(0, min(int(REACH_WINDOWS * length / frames), room))
         # Phases counted from the window's centre make the window's spectrum real.
         turn = 2.0 * np.pi * np.arange(self._low_bins + 1 + NEIGHBOURS[-1]) * (frames / 2) / length
         self._cosine, self._sine = np.cos(turn), np.sin(turn)
         # The padded transform of the window is its spectrum on a grid as fine as wished.
         fine = rfft(hamming(frames, sym=False), TABLE_BINS_A_BIN * length)
         fine = fine[: TABLE_BINS_A_BIN * 2 * self._cosine.size + 2]
-        bins = np.arange(fine.size) / TABLE_BINS_A_BIN
-        turned = fine * np.exp(2j * np.pi * bins * (frames / 2) / length)
+        entries = np.arange(fine.size) / TABLE_BINS_A_BIN
+        turned = fine * np.exp(2j * np.pi * entries * (frames / 2) / length)
         self._table: FloatArray = turned.real / turned[0].real
 
     def clear(self, spectra: ComplexArray, amplitude: FloatArray) -> None:

@@ -24,7 +24,7 @@ HOPS_AT_ONCE = 32
 BAND_MARGIN_HZ = 1_000.0
 """Bins this far over the band's top are kept for the half-power walk of its last peaks."""
 
-RING_OUT_S = 0.4
+RING_OUT_S = 0.42
 """After the last partial the low-pass rings; by now it is under 1e-12 and is cut off."""
 
 LATENCY_AT_HZ = 60.0
@@ -49,8 +49,9 @@ class LiveTransform:
         )
         self._finder = PrincipalFinder(parameters, bin_hz, self._bins)
         self._full_scale_r = parameters.unit_strength_hz(samplerate)
-        # A steady tone is principal from here up; an image of anything weaker hardly counts.
-        self._images = ImageRemoval(self._spectrum, parameters.threshold_hz / self._full_scale_r)
+        # A steady tone is principal from here up; what is weaker is no tone that could wobble.
+        weakest = parameters.threshold_hz / self._full_scale_r
+        self._images = ImageRemoval(self._spectrum, self._bins, weakest)
         # A <= 2 max|x| and df <= fs/2, so under this level r > C_th cannot be.
         self._silence = parameters.threshold_hz / samplerate
         self._bandpass = BandPass(parameters, samplerate)
@@ -60,10 +61,10 @@ class LiveTransform:
         self._bank = OscillatorBank(self._grid.steps, self._grid.hop_s)
         self._smoother = Smoother(self._grid, parameters.vibration_top_hz)
         self._ring_hops = int(np.ceil(RING_OUT_S / self._grid.hop_s))
-        # An amplitude measured around a window's centre is reached at the end of the next hop.
+        # An amplitude measured is that of the window's centre.
         self.latency_frames = round(
             self._grid.window_frames / 2
-            + self._grid.hop_frames
+            + self._bank.delay_hops * self._grid.hop_frames
             + self._smoother.delay_s(LATENCY_AT_HZ) * samplerate
         )
         self.limited_frames = 0

@@ -7,18 +7,27 @@ import numpy as np
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.partials import Glides
 
+ATTACK_HOPS = 0.35
+"""Share of a hop in which amplitudes glide where their sum rises: an onset is felt 5 ms earlier
+than with a whole one, and the low-pass still keeps what leaks above 250 Hz under -58 dB. Where
+the sum falls they take the whole hop."""
+
 
 class OscillatorBank:
     """Samples of gliding partials; pure, holds only the shape of a glide.
 
-    Both glides follow half a cosine period, u = (1 - cos(pi t))/2: no kink at either end, so a
-    birth or a death leaks least. Phase is the integral of frequency and therefore continuous.
+    Glides follow half a cosine period, u = (1 - cos(pi t))/2: no kink at either end, so a birth
+    or a death leaks least. Phase is the integral of frequency and therefore continuous.
     """
+
+    delay_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
+    """How late an amplitude follows its analysis: half a hop held, and half a glide on average."""
 
     def __init__(self, steps: int, hop_s: float) -> None:
         time = np.arange(1, steps + 1) / steps
         self._steps = steps
         self._glide = 0.5 - 0.5 * np.cos(np.pi * time)
+        self._attack = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, time / ATTACK_HOPS))
         turns = 2.0 * np.pi * hop_s
         self._turn = turns * time
         self._turn_glide = turns * (0.5 * time - np.sin(np.pi * time) / (2.0 * np.pi))
@@ -37,6 +46,10 @@ class OscillatorBank:
         phase += (glides.end_hz.T[slots, :, None] - start_hz) * self._turn_glide
         phase += (2.0 * np.pi) * glides.start_phase.T[slots, :, None]
         partials = np.cos(phase, out=phase)
-        partials *= rise.T[slots, :, None] * self._glide + glides.start_amplitude.T[slots, :, None]
+        # One shape for all slots of a hop: then their sum never exceeds both its ends, which is
+        # what keeps the wave under full scale.
+        rising = np.add.reduce(rise, axis=1) > 0.0
+        shape = np.where(rising[:, None], self._attack, self._glide)
+        partials *= glides.start_amplitude.T[slots, :, None] + rise.T[slots, :, None] * shape
         total: FloatArray = np.add.reduce(partials, axis=0)
         return total

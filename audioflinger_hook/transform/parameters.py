@@ -34,6 +34,14 @@ class Limits:
         return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
 
+@dataclass(frozen=True)
+class Problem:
+    """What is wrong with one parameter, and what is allowed instead."""
+
+    wrong: str
+    allowed: str
+
+
 LIMITS: dict[str, Limits] = {
     "window_s": Limits(0.01, 0.2, "s", "length of one unit sequence (T)"),
     "band_low_hz": Limits(20.0, 1_000.0, "Hz", "lowest audio frequency (f_m)"),
@@ -65,17 +73,21 @@ class TransformParameters:
     partials_max: int = 16
 
     def __post_init__(self) -> None:
-        problems = self.problems({f.name: getattr(self, f.name) for f in fields(self)})
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        problems = [
+            f"{name}={_text(values[name])} {problem.wrong}; allowed: {problem.allowed}"
+            for name, problem in self.problems(values).items()
+        ]
         if problems:
-            raise UsageError("; ".join(problems.values()))
+            raise UsageError("; ".join(problems))
 
     @classmethod
-    def problems(cls, values: dict[str, Any]) -> dict[str, str]:
+    def problems(cls, values: dict[str, Any]) -> dict[str, Problem]:
         """Return what is wrong with a set of values, by parameter; absent ones are the defaults.
 
         Unknown names are the caller's to report. An empty dict means that the set is usable.
         """
-        found: dict[str, str] = {}
+        found: dict[str, Problem] = {}
         complete: dict[str, float] = {}
         for field in fields(cls):
             limits = LIMITS[field.name]
@@ -83,22 +95,21 @@ class TransformParameters:
             whole = field.name == "partials_max"
             if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
                 kind = "a whole number" if whole else "a number"
-                found[field.name] = f"{field.name}={value!r} is not {kind}; allowed: {limits}"
+                found[field.name] = Problem(f"is not {kind}", str(limits))
             elif not limits.low <= value <= limits.high:
-                found[field.name] = f"{field.name}={value:g} is out of range; allowed: {limits}"
+                found[field.name] = Problem("is out of range", str(limits))
             else:
                 complete[field.name] = value
         low, high = complete.get("band_low_hz"), complete.get("band_high_hz")
         if low is not None and high is not None and high < 2 * low:
-            found["band_high_hz"] = (
-                f"band_high_hz={high:g} is under twice band_low_hz={low:g}; "
-                f"allowed: at least {2 * low:g} Hz"
+            found["band_high_hz"] = Problem(
+                f"is under twice band_low_hz={low:g}", f"at least {2 * low:g} Hz"
             )
         window_s, top = complete.get("window_s"), complete.get("vibration_top_hz")
         if window_s is not None and top is not None and top < 2 / window_s:
-            found["vibration_top_hz"] = (
-                f"vibration_top_hz={top:g} leaves no room above 1/window_s={1 / window_s:.1f} Hz; "
-                f"allowed: at least {2 / window_s:.1f} Hz at this window_s"
+            found["vibration_top_hz"] = Problem(
+                f"leaves no room above 1/window_s={1 / window_s:.1f} Hz",
+                f"at least {2 / window_s:.1f} Hz at this window_s",
             )
         return found
 
@@ -124,6 +135,10 @@ class TransformParameters:
     def unit_strength_hz(self, samplerate: int) -> float:
         """r of a steady full-scale tone, 1.30 fs/N: the divisor that brings it to full scale."""
         return HALF_POWER_WIDTH_BINS * samplerate / self.window_frames(samplerate)
+
+
+def _text(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else repr(value)
 
 
 def check_format(samplerate: int, channels: int) -> None:

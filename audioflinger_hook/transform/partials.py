@@ -11,8 +11,11 @@ from audioflinger_hook.transform.arrays import FloatArray
 MATCH_HZ_A_WINDOW = 2.0
 """A partial may move by the window's main lobe's half-width, 2/T in audio Hz, in one hop ..."""
 
-MATCH_RATIO = 0.06
-"""... or by a semitone, whichever is more."""
+MATCH_RATIO = 0.12
+"""... or by two semitones, whichever is more: a chirp of eight octaves a second is followed."""
+
+SPLIT_HZ = 2.0
+"""A partial born this near to another, in Hz of vibration, is one that has split in two."""
 
 STEADY_HZ = 0.05
 """Changes of vibration frequency well under this are averaged, well over it followed at once."""
@@ -92,8 +95,8 @@ class PartialTracker:
         if new.any():
             free = (~self._alive).nonzero()[0][: np.count_nonzero(new)]
             slot[new] = free
+            self._phase[free] = self._phase_at_birth(hz[new])
             self._hz[free] = hz[new]
-            self._phase[free] = 0.0
         glides.start_hz[hop] = self._hz
         glides.start_amplitude[hop] = self._amplitude
         glides.start_phase[hop] = self._phase
@@ -125,6 +128,20 @@ class PartialTracker:
         # The mean frequency of a symmetric glide is that of its ends.
         self._phase += (0.5 * self._hop_s) * (glides.start_hz[hop] + self._hz)
         self._phase -= np.floor(self._phase)
+
+    def _phase_at_birth(self, hz: FloatArray) -> FloatArray:
+        """Return the phases that new partials start with: 0, or that of a partial which split.
+
+        One peak that wavers between one and two, as a fast chirp's does, would otherwise be in
+        and out of step with itself.
+        """
+        alive = self._alive.nonzero()[0]
+        if not alive.size:
+            return np.zeros(hz.size)
+        distance = np.abs(hz[:, None] - self._hz[alive])
+        nearest = distance.argmin(axis=1)
+        split = distance[np.arange(hz.size), nearest] < SPLIT_HZ
+        return np.where(split, self._phase[alive[nearest]], 0.0)
 
     def _match(
         self, audio_hz: FloatArray, hz: FloatArray

@@ -1,0 +1,405 @@
+"""The bench: its measures find what was put in, its rows are complete, and nothing is hidden."""
+
+import json
+import math
+import os
+import re
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scipy.fft import rfft
+
+from audioflinger_hook import bench
+from audioflinger_hook.bench import measures, rendering, rig, savings, soak
+from audioflinger_hook.bench.cost import interleaved, rfft_unit_s
+from audioflinger_hook.bench.machine import MachineFacts
+from audioflinger_hook.bench.report import BenchReport, Missing, Must, Row, Section, number
+from audioflinger_hook.bench.signals import (
+    RECORDINGS_COMMAND,
+    RECORDINGS_VARIABLE,
+    load_recordings,
+    tone,
+)
+from audioflinger_hook.bench.workbench import SUBJECTS, Effort, Workbench
+from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.principal import Principals
+from device.errors import UsageError
+
+RATE = 48_000
+
+# Every bench with as little as it can do: what it measures is not the point here.
+LEAST = Effort(
+    tones=2,
+    low_tones=2,
+    tone_s=1.0,
+    gain_tones=1,
+    bursts=3,
+    onsets_a_burst=2,
+    split_s=0.05,
+    cost_repeats=1,
+    cost_s=0.2,
+    saving_repeats=1,
+    growth_s=1.6,
+    channels_s=0.2,
+    hops_timed=200,
+    hops_held=200,
+    render_s=(1.0,),
+    rig_s=0.5,
+)
+
+
+@pytest.fixture(scope="module")
+def told():
+    """What the progress callback was told, filled by `report`."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def report(told):
+    return bench.run_bench(True, lambda label, share: told.append((label, share)), effort=LEAST)
+
+
+def a_report(*rows, missing=(), series=None):
+    machine = MachineFacts("a processor", 2, "Linux", 0.5, "3.11", "2.0", "1.13", 7.5)
+    section = Section("A section", "What it means.", rows, missing, series or {})
+    return BenchReport("2026-01-01T00:00:00Z", True, 1.0, machine, (section,))
+
+
+# ------------------------------------------------------------------------------------- measures
+
+
+@pytest.mark.parametrize("frequency_hz", [21.5, 46.6, 103.737, 219.9])
+def test_a_sine_is_found_with_its_frequency_amplitude_and_residual(frequency_hz):
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(2 * RATE)
+    fit = measures.sine_fit(tone(frequency_hz, 0.3, 2.0) + noise, RATE)
+    assert fit.frequency_hz == pytest.approx(frequency_hz, abs=1e-4)
+    assert fit.amplitude == pytest.approx(0.3, rel=1e-4)
+    # noise of 1e-4 r.m.s. under a sine of 0.3 peak
+    assert fit.residual_db == pytest.approx(20 * math.log10(1e-4 * math.sqrt(2) / 0.3), abs=0.1)
+
+
+def test_distortion_counts_as_residual():
+    distorted = tone(100.0, 0.5, 2.0) + tone(200.0, 0.005, 2.0)
+    assert measures.sine_fit(distorted, RATE).residual_db == pytest.approx(-40.0, abs=0.01)
+
+
+def test_the_fit_of_silence_is_nothing():
+    assert measures.sine_fit(np.zeros(RATE), RATE).amplitude == 0.0
+
+
+def test_a_later_onset_is_measured_as_later_by_as_much():
+    lags_s = []
+    for delay_s in (0.0, 0.0371):
+        start = round((0.3 + delay_s) * RATE)
+        vibration = np.zeros(RATE)
+        vibration[start : start + RATE // 4] = tone(100.0, 0.3, 0.25)
+        lags_s.append(measures.onset_lag_s(vibration, RATE, 0.3))
+    # the envelope's own rise takes a few milliseconds either way
+    assert abs(lags_s[0]) < 0.005
+    assert lags_s[1] - lags_s[0] == pytest.approx(0.0371, abs=0.001)
+
+
+def test_the_lag_of_silence_is_not_a_number():
+    assert math.isnan(measures.onset_lag_s(np.zeros(RATE), RATE, 0.3))
+
+
+def test_energy_above_a_corner_is_a_share_of_all_energy():
+    vibration = tone(100.0, 1.0, 1.0) + tone(400.0, 0.01, 1.0)
+    assert measures.energy_above_db(vibration, RATE) == pytest.approx(-40.0, abs=0.01)
+    assert measures.energy_above_db(tone(100.0, 1.0, 1.0), RATE) < -200.0
+    assert measures.energy_above_db(np.zeros(100), RATE) == -math.inf
+
+
+def principals(*row_hz):
+    row, hz = np.array(row_hz, dtype=float).reshape(-1, 2).T
+    return Principals(row.astype(np.intp), hz, hz, hz, hz)
+
+
+def test_agreement_counts_hits_within_reach_in_the_same_unit_only():
+    found = principals((0, 100.0), (0, 500.0), (1, 300.0))
+    wanted = principals((0, 103.0), (1, 500.0), (1, 306.0), (2, 100.0))
+    agreed = measures.agreement(found, wanted, 5.0)
+    assert (agreed.found_hits, agreed.found) == (1, 3)
+    assert (agreed.wanted_hits, agreed.wanted) == (1, 4)
+    assert (agreed + agreed).precision == pytest.approx(1 / 3)
+    assert agreed.recall == pytest.approx(1 / 4)
+
+
+def test_nothing_found_gives_no_precision():
+    nothing = measures.agreement(principals(), principals((0, 100.0)), 5.0)
+    assert math.isnan(nothing.precision)
+    assert nothing.recall == 0.0
+
+
+def test_growth_is_one_for_linear_and_two_for_quadratic_cost():
+    sizes = [1.0, 2.0, 4.0, 8.0]
+    assert measures.growth_exponent(sizes, [3 * n for n in sizes]) == pytest.approx(1.0)
+    assert measures.growth_exponent(sizes, [3 * n * n for n in sizes]) == pytest.approx(2.0)
+
+
+def test_outputs_differ_by_a_single_bit_or_a_missing_frame():
+    one = np.linspace(0.0, 1.0, 10)
+    assert not measures.differing_blocks(one, one.copy())
+    assert measures.differing_blocks(one, np.nextafter(one, 2.0))
+    assert measures.differing_blocks(one, one[:-1])
+
+
+def test_the_exact_motion_is_what_a_finer_and_finer_simulation_tends_to():
+    # lsim with straight lines between samples errs by (w/fs)^2/12: 7e-5 of a 220 Hz sinusoid.
+    exact = rig.exact_motion(4_800)
+    held = rig._lsim_motion(rig.drive(0.1))
+    for quantity, motion in exact.items():
+        assert np.abs(held[quantity] - motion).max() <= 1e-4 * np.abs(motion).max()
+
+
+# ----------------------------------------------------------------------------------------- cost
+
+
+def test_work_is_repeated_in_turns_and_one_round_is_not_counted():
+    order: list[str] = []
+    timings = interleaved([lambda: order.append("a"), lambda: order.append("b")], 3)
+    assert order == ["a", "b"] * 4
+    assert [len(timing.seconds) for timing in timings] == [3, 3]
+
+
+def test_costs_are_given_in_units_of_the_fft_timed_with_them():
+    frames = np.zeros(2048, np.float32)
+    (timing,) = interleaved([lambda: [rfft(frames) for _ in range(1_000)]], 5)
+    # a thousand of them, a little more for the loop; the machine may be busy
+    assert 400 < timing.median_units < 2_500
+    assert rfft_unit_s() > 0.0
+
+
+# --------------------------------------------------------------------------------------- report
+
+
+def test_met_is_computed_and_not_a_number_is_never_met():
+    assert Row("a", 1.0, must=Must("<=", 1.0)).met is True
+    assert Row("a", 1.1, must=Must("<=", 1.0)).met is False
+    assert Row("a", 1.1, must=Must(">=", 1.0)).met is True
+    assert Row("a", math.nan, must=Must("<=", 1.0)).met is False
+    assert Row("a", 1.0).met is None
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (12.0, "12"),
+        (1_000_208.0, "1 000 208"),
+        (0.000937, "0.000937"),
+        (2.5e-13, "2.5e-13"),
+        (-56.086, "-56.1"),
+        (9.996, "10.0"),
+        (1234.6, "1 235"),
+        (-math.inf, "-∞"),
+    ],
+)
+def test_numbers_have_three_digits_that_mean_something(value, text):
+    assert number(value) == text
+
+
+def test_the_page_puts_columns_side_by_side_with_limit_and_verdict():
+    page = a_report(
+        Row("lag", 40.0, "ms", "live", Must("<=", 45.0), note="the worst"),
+        Row("lag", 56.0, "ms", "reference"),
+        Row("cost", 16.0, "ms", "live", Must("<=", 15.0), low=15.5, high=17.0),
+    ).to_markdown()
+    assert "| lag | 40 ms | 56 ms | ≤ 45 ms | met | the worst |" in page
+    assert "| cost | 16 ms (15.5 to 17) |  | ≤ 15 ms | **not met** |  |" in page
+    assert "1 of 2 limits met" in page
+    assert "not met: A section: cost (live), 16 ms (15.5 to 17), must ≤ 15 ms" in page
+
+
+def test_the_page_names_what_is_missing_with_reason_and_command():
+    gone = Missing("precision", "there are no recordings", "fetch them")
+    report = a_report(missing=(gone,))
+    assert report.missing == (gone,)
+    assert "Not measured: precision: there are no recordings" in report.to_markdown()
+    assert "fetch them" in report.to_markdown()
+
+
+def test_the_json_document_has_exactly_the_fields_of_the_dataclasses():
+    gone = Missing("a", "b", "c")
+    row = Row("leak", -math.inf, "dB", must=Must("<=", -50.0))
+    document = a_report(row, missing=(gone,), series={"live": (1.0, math.nan)}).to_json()
+    text = json.dumps(document, allow_nan=False)
+    assert json.loads(text) == document
+    head = {"schema", "date", "quick", "duration_s", "machine", "must", "sections"}
+    assert set(document) == head
+    assert set(document["machine"]) == {field.name for field in fields(MachineFacts)}
+    (section,) = document["sections"]
+    assert set(section) == {field.name for field in fields(Section)}
+    (written,) = section["rows"]
+    assert set(written) == {field.name for field in fields(Row)} | {"met"}
+    assert written["value"] is None
+    assert written["met"] is True
+    assert written["must"] == {"relation": "<=", "bound": -50.0}
+    assert section["missing"] == [{"name": "a", "reason": "b", "command": "c"}]
+    assert section["series"] == {"live": [1.0, None]}
+
+
+# ------------------------------------------------------------------------------------- the run
+
+
+def test_every_bench_gives_rows_and_says_what_they_mean(report):
+    assert len(report.sections) == len(bench.BENCHES)
+    for section in report.sections:
+        assert section.rows or section.missing, section.title
+        assert section.explanation.endswith(".")
+
+
+def test_progress_rises_from_nothing_to_everything(report, told):
+    shares = [share for _, share in told]
+    assert shares[0] == 0.0
+    assert shares == sorted(shares)
+    assert told[-1] == ("done", 1.0)
+
+
+def test_every_row_stands_on_the_page_once(report):
+    page = report.to_markdown()
+    for section in report.sections:
+        assert page.count(f"## {section.title}\n") == 1
+        for name in {row.name for row in section.rows}:
+            assert page.count(f"\n| {name} |") >= 1, name
+    assert "nothing is typed by hand" in page
+    json.dumps(report.to_json(), allow_nan=False)
+
+
+def test_every_line_of_a_table_has_as_many_cells_as_its_heading(report):
+    widths = [
+        {line.count("|") for line in table.splitlines()}
+        for table in re.findall(r"(?:^\|.*\n)+", report.to_markdown(), re.MULTILINE)
+    ]
+    assert widths
+    assert all(len(width) == 1 for width in widths)
+
+
+def test_savings_that_state_no_change_change_nothing(report):
+    # The transform may be at fault, never the bench: it must say so.
+    section = report.section("What each saving saves")
+    changes = {row.name: row for row in section.rows if row.column == savings.CHANGE}
+    assert set(changes) == {saving.name for saving in savings.SAVINGS}
+    for saving in savings.SAVINGS:
+        if saving.bound == 0.0:
+            assert changes[saving.name].value == 0.0, saving.name
+
+
+@pytest.mark.parametrize("saving", savings.SAVINGS, ids=lambda saving: saving.name)
+def test_a_saving_is_switched_off_by_what_the_transform_really_has(saving):
+    plain, switched = (LiveTransform(TransformParameters(), RATE) for _ in range(2))
+    saving.switch_off(switched)
+    assert switches(switched).keys() == switches(plain).keys()
+    assert any(switches(switched)[name] != switches(plain)[name] for name in switches(plain))
+
+
+def switches(transform):
+    """Every plain number and every part's class of a transform, two levels deep, by name."""
+    found = {}
+    for name, part in vars(transform).items():
+        found[name] = part if isinstance(part, (int, float)) else type(part).__name__
+        for inner, entry in getattr(part, "__dict__", {}).items():
+            if isinstance(entry, (int, float)):
+                found[f"{name}.{inner}"] = entry
+    return found
+
+
+# ------------------------------------------------------------------------- what cannot be measured
+
+
+def test_without_recordings_their_rows_are_named_with_the_command_that_fetches_them(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setenv(RECORDINGS_VARIABLE, str(tmp_path))
+    assert load_recordings() == ()
+    empty = Workbench(LEAST, SUBJECTS, ())
+    missing = [
+        gone
+        for measure in (
+            bench.fidelity.energy_above,
+            bench.fidelity.principal_frequencies,
+            bench.speed.cost_of_a_second,
+            bench.savings.savings,
+        )
+        for gone in measure(empty).missing
+    ]
+    assert len(missing) == 4
+    assert {gone.command for gone in missing} == {RECORDINGS_COMMAND}
+    assert "cost of a second, speech recordings" in {gone.name for gone in missing}
+
+
+def test_without_a_command_line_rendering_is_missing(monkeypatch):
+    monkeypatch.setattr(rendering, "PACKAGE", "audioflinger_hook.bench")
+    section = rendering.render_speed(Workbench(LEAST, SUBJECTS, ()))
+    assert section.rows == ()
+    assert [gone.name for gone in section.missing] == ["rendering"]
+
+
+def test_a_rendering_that_fails_is_missing_with_what_it_said(monkeypatch):
+    def fails(*_):
+        raise RuntimeError("`render` ended with exit code 5:\nthe disk is full")
+
+    monkeypatch.setattr(rendering, "_render", fails)
+    section = rendering.render_speed(Workbench(LEAST, SUBJECTS, ()))
+    (gone,) = section.missing
+    assert gone.reason == "`render` ended with exit code 5: the disk is full"
+
+
+# ----------------------------------------------------------------------------------------- soak
+
+
+@pytest.fixture
+def record():
+    return soak.soak_tone(hops=900)
+
+
+def test_a_tone_is_the_same_at_the_end_of_a_short_soak(record):
+    assert record.passed
+    assert record.hops >= 900
+    assert record.thdn_end_db <= -60.0
+
+
+def test_a_short_soak_of_the_scene_counts_hops_and_memory():
+    record = soak.soak_scene(hops=500)
+    assert record.hops >= 500
+    assert record.memory_growth_kb is not None
+
+
+def test_the_record_keeps_the_latest_of_each_run(record, tmp_path):
+    path = tmp_path / "docs" / "soak.json"
+    assert soak.read_records(path) == ()
+    other = soak.SoakRecord("another", "2026-01-01", "cpu", 1, 1.0, 1.0, False)
+    for kept in (other, record, record):
+        soak.keep_record(kept, path)
+    assert set(soak.read_records(path)) == {other, record}
+    assert [entry.name for entry in path.parent.iterdir()] == ["soak.json"]
+
+
+def test_a_broken_record_is_an_error_to_read_and_replaced_when_written(record, tmp_path):
+    path = tmp_path / "soak.json"
+    path.write_text("{")
+    with pytest.raises(UsageError, match="no soak record"):
+        soak.read_records(path)
+    soak.keep_record(record, path)
+    assert soak.read_records(path) == (record,)
+
+
+def test_a_soak_that_never_ran_says_so(monkeypatch, tmp_path):
+    monkeypatch.setattr(soak, "record_path", lambda: tmp_path / "none.json")
+    section = soak.soak_result(Workbench(LEAST, SUBJECTS, ()))
+    assert section.missing == ()
+    assert "never run" in section.rows[0].shown()
+
+
+# ---------------------------------------------------------------------------------------- plots
+
+
+def test_the_plots_are_two_pictures(report, tmp_path):
+    if os.environ.get("CI") != "true":
+        pytest.importorskip("matplotlib")
+    paths = bench.plots(report, tmp_path)
+    assert [path.name for path in paths] == ["cost.png", "lag.png"]
+    for path in paths:
+        assert path.read_bytes().startswith(b"\x89PNG")
