@@ -17,6 +17,7 @@ TOP_LEVEL = ("profile", "damping", "rig")
 TRANSFORM_CHOICES = ("form", "channels")
 SECTION = "transform"
 SYNTAX_ERRORS_MAX = 50
+CONFIG_BYTES_MAX = 1 << 20
 SHOWN_MAX = 200
 
 
@@ -60,7 +61,13 @@ def load(path: Path) -> Settings:
 def check(path: Path) -> tuple[Settings | None, list[Problem]]:
     """Return the settings and an empty list, or None and every mistake in order of lines."""
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise UsageError(f"{path} is not a regular file; give the path of a config file")
+        with path.open("rb") as file:
+            content = file.read(CONFIG_BYTES_MAX + 1)
+        if len(content) > CONFIG_BYTES_MAX:
+            raise UsageError(f"{path} is over {CONFIG_BYTES_MAX} bytes; a config file is smaller")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise UsageError(
             f"{path} is not UTF-8 text (byte {error.start}); save it as UTF-8"
@@ -110,6 +117,9 @@ def _parse(text: str) -> tuple[dict[str, Any], list[Problem]]:
             header = re.match(r"\s*\[+\s*([\w-]+)", lines[number - 1])
             repaired = f"[{header[1]}]" if header else ""
             lines[number - 1] = repaired if repaired != lines[number - 1] else ""
+    problems.append(
+        Problem("the rest", len(lines), "", "was not read, so broken is this file", "TOML")
+    )
     return {}, problems
 
 

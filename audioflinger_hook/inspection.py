@@ -20,6 +20,10 @@ LONGEST_S = 1e9
 """Thirty years: no sound is longer, and it can still be counted in frames."""
 
 
+PRINTED_S = 0.6e-6
+"""What a time printed with six places may be short of the one that was meant."""
+
+
 @dataclass(frozen=True)
 class PrincipalFrequency:
     """One principal frequency: audio and vibration in Hz, amplitude in full scale, r in Hz."""
@@ -75,9 +79,9 @@ def inspect_tap(
     """Yield the units of what a tap delivers, as `inspect_file` does."""
     transform = ReferenceTransform(parameters, tap.samplerate)
     window = transform.latency_frames
-    # To the nearest frame: a unit's own start, printed and read again, is still that unit's.
     exact = None if at_s is None else min(at_s, LONGEST_S) * tap.samplerate
-    wanted = None if exact is None else round(exact) // window
+    # A unit's own start, printed with six places and read again, is still that unit's.
+    wanted = None if exact is None else int(exact + PRINTED_S * tap.samplerate) // window
     frames = 0
     done = 0
     while True:
@@ -99,7 +103,7 @@ def inspect_tap(
     if wanted is not None:
         raise UsageError(
             f"time {at_s:g} s is after the end of the sound; "
-            f"allowed: 0 to {frames / tap.samplerate:.3f} s"
+            f"allowed: 0 to {frames / tap.samplerate:.3f} s, the end itself excluded"
         )
 
 

@@ -181,9 +181,12 @@ def test_empty_blocks_change_nothing(form):
 def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
     samplerate = 44_100
     nap = silence(1.3, samplerate)
+    # High and with soft ends: the band-pass rings on so little that the last windows are heard
+    # only for what hops before them held.
+    chirrup = tone(5_000, 0.1, samplerate, 0.5) * np.hanning(round(0.1 * samplerate))
     sound = joined(
-        nap, tone(200, 0.2, samplerate), nap, white_noise(0.01, samplerate), nap,
-        low_noise(0.2, samplerate, 0.03), nap,
+        nap, tone(200, 0.2, samplerate), nap, white_noise(0.01, samplerate), nap, chirrup,
+        nap, low_noise(0.2, samplerate, 0.03), nap,
     )  # fmt: skip
     whole = played(sound, samplerate, form=form)
     for frames in (97, 689, 690, 691, 20_000):

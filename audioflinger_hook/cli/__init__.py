@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import os
@@ -86,7 +87,8 @@ def _discard_stdout() -> None:
 def _report(error: Exception, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    print(f"cushion: error: {error}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # nobody may be left to read it
+        print(f"cushion: error: {error}", file=sys.stderr, flush=True)
     return code
 
 

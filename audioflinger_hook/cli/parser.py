@@ -6,7 +6,7 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from audioflinger_hook import __version__
 from device.errors import UsageError
@@ -19,7 +19,10 @@ EXIT_CODES = (
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that reports wrong usage as every other error is reported."""
+    """A parser that reports wrong usage as every other error is reported, and guesses nothing."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{**options, "allow_abbrev": False})
 
     def error(self, message: str) -> NoReturn:
         """Raise UsageError."""

@@ -82,8 +82,7 @@ class FileTap:
         buffer = np.empty((self._blocksize, self.channels), np.float32)
         before = self._file.tell()
         try:
-            with _quiet_decoder():
-                filled: NDArray[np.float32] = self._file.read(out=buffer)
+            filled: NDArray[np.float32] = self._file.read(out=buffer)
             return filled
         except (soundfile.LibsndfileError, RuntimeError) as error:
             self.warnings.append(f"{self.path} is damaged ({_reason(error)}); taken up to there")
