@@ -138,7 +138,7 @@ def test_cutting_the_ringing_off_changes_less_than_1e_8(monkeypatch):
     # The low-pass rings longest at its edge, to which the top of the band is mapped.
     sound = joined(tone(11_900, 0.3, 48_000), silence(1.5, 48_000), tone(60, 0.2, 48_000))
     cut = with_silence_skip(sound, 48_000)
-    monkeypatch.setattr(live, "RING_OUT_S", 2.0)
+    monkeypatch.setattr(live, "RING_OUT_CYCLES", 440.0)
     uncut = with_silence_skip(sound, 48_000)
     # -160 dB; the last step of 24-bit sound is at -138 dB.
     assert np.abs(cut - uncut).max() < 1e-8

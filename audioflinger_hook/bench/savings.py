@@ -97,7 +97,7 @@ def _sound_every_slot(transform: LiveTransform) -> None:
 
 SAVINGS: tuple[Saving, ...] = (
     Saving("saving off: quiet windows are analysed", _analyse_silence),
-    Saving("saving off: what has rung out plays on", _never_rest, 1e-12),
+    Saving("saving off: what has rung out plays on", _never_rest, 1e-8),
     Saving("saving off: empty slots are played", _sound_every_slot),
     Saving("saving off: small peaks are refined", _examine_every_peak),
     Saving("saving off: bins above the band are kept", _keep_every_bin),

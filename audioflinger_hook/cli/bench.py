@@ -13,15 +13,20 @@ from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 
 REPORT = Path("docs/benchmarks.md")
+HOME = Path("audioflinger_hook/bench")
+"""Only in the project's own folder is there a report to replace without being asked."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Measure, print, and write docs/benchmarks.md where there is a docs folder."""
-    target = options.out or (REPORT if REPORT.parent.is_dir() else None)
+    """Measure, print, and write docs/benchmarks.md if this is the project's own folder."""
+    target = options.out or (REPORT if HOME.is_dir() and REPORT.parent.is_dir() else None)
+    if target and not target.parent.is_dir():
+        raise UsageError(f"the folder {target.parent} does not exist; name another with --out")
+    if options.plots:
+        _make_folder(options.plots)
     with progress_bar("bench") as advance:
         report = run_bench(options.quick, lambda _label, share: advance(share, 1.0))
     if options.plots:
-        options.plots.mkdir(exist_ok=True)
         plots(report, options.plots)
     print(json.dumps(report.to_json(), indent=2) if options.json else report.to_markdown())
     if report.missing:
@@ -31,3 +36,12 @@ def run(options: argparse.Namespace) -> int:
         write_bytes_atomically(target, report.to_markdown().encode())
         print(f"written to {target}", file=sys.stderr)
     return 0
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UsageError(
+            f"the folder {folder} cannot be made ({error.strerror}); name another with --plots"
+        ) from None

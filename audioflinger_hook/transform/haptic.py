@@ -103,6 +103,11 @@ class HapticTransform:
         frames: (frames, channels), or (frames,) for one channel; float32 or float64, 0 frames
         upwards. Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
         """
+        if frames.dtype.kind != "f":
+            raise UsageError(
+                f"a block of {frames.dtype} is not sound in full scale; allowed: float32, float64; "
+                "divide integers by their own full scale first"
+            )
         if frames.ndim == 1:
             frames = frames[:, None]
         if frames.ndim != 2 or frames.shape[1] != self.channels:

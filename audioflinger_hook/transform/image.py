@@ -17,7 +17,7 @@ from audioflinger_hook.transform.principal import parabola
 from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum
 
 REACH_WINDOWS = 75.0
-"""Peaks below this many times 1/T (1.6 kHz) are cleared; from there the image is under -70 dB."""
+"""Peaks below this many times 1/T (1.6 kHz) are cleared; from there the image is about -70 dB."""
 
 NEIGHBOURS = np.arange(-7, 8)
 """Bins around a peak that are cleared: its main lobe and the half-power walk on it."""

@@ -24,8 +24,9 @@ HOPS_AT_ONCE = 32
 BAND_MARGIN_HZ = 1_000.0
 """Bins this far over the band's top are kept for the half-power walk of its last peaks."""
 
-RING_OUT_S = 0.42
-"""After the last partial the low-pass rings; by now it is under 1e-12 and is cut off."""
+RING_OUT_CYCLES = 92.0
+"""After the last partial the low-pass rings. After so many cycles of the top vibration frequency
+(0.42 s at 220 Hz) it is under 1e-8 and is cut off."""
 
 LATENCY_AT_HZ = 60.0
 """Vibration frequency whose delay is declared: 78 to 95 % of the energy lies at 20 to 80 Hz."""
@@ -52,7 +53,7 @@ class LiveTransform:
         # A steady tone is principal from here up; what is weaker is no tone that could wobble.
         weakest = parameters.threshold_hz / self._full_scale_r
         self._images = ImageRemoval(self._spectrum, self._bins, weakest)
-        # A <= 2 max|x| and df <= fs/2, so under this level r > C_th cannot be.
+        # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         self._silence = parameters.threshold_hz / samplerate
         self._bandpass = BandPass(parameters, samplerate)
         self._tracker = PartialTracker(
@@ -60,7 +61,9 @@ class LiveTransform:
         )
         self._bank = OscillatorBank(self._grid.steps, self._grid.hop_s)
         self._smoother = Smoother(self._grid, parameters.vibration_top_hz)
-        self._ring_hops = int(np.ceil(RING_OUT_S / self._grid.hop_s))
+        self._ring_hops = int(
+            np.ceil(RING_OUT_CYCLES / parameters.vibration_top_hz / self._grid.hop_s)
+        )
         # An amplitude measured is that of the window's centre.
         self.latency_frames = round(
             self._grid.window_frames / 2

@@ -12,7 +12,7 @@ MATCH_HZ_A_WINDOW = 2.0
 """A partial may move by the window's main lobe's half-width, 2/T in audio Hz, in one hop ..."""
 
 MATCH_RATIO = 0.12
-"""... or by two semitones, whichever is more: a chirp of eight octaves a second is followed."""
+"""... or by two semitones, whichever is more: a chirp of three octaves a second is followed."""
 
 SPLIT_HZ = 2.0
 """A partial born this near to another, in Hz of vibration, is one that has split in two."""
