@@ -39,5 +39,6 @@ bench:
 	.venv/bin/cushion bench
 
 clean:
+	rm -f audioflinger_hook/transform/*.so
 	rm -rf .venv .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis build dist *.egg-info
 	find audioflinger_hook device tests tools -type d -name __pycache__ -exec rm -rf {} +

@@ -6,6 +6,8 @@ import re
 import shutil
 import subprocess
 import sys
+import sysconfig
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -29,23 +31,39 @@ PROGRAMS += ["mktemp", "readlink", "rm", "sed", "sh", "sort", "tail", "tr"]
 
 
 @pytest.fixture(scope="module")
-def wheel_names(tmp_path_factory):
-    """Names of the files in a wheel built from a copy of the project."""
+def project_copy(tmp_path_factory):
+    """A copy of the project's sources, nothing compiled in it."""
     copy = tmp_path_factory.mktemp("wheel")
     for name in ["pyproject.toml", "README.md", "LICENSE"]:
         if (ROOT / name).exists():
             shutil.copy(ROOT / name, copy)
     for name in [*PACKAGES, "tests", "tools"]:
-        ignored = shutil.ignore_patterns("__pycache__")
+        ignored = shutil.ignore_patterns("__pycache__", "*.so")
         shutil.copytree(ROOT / name, copy / name, ignore=ignored)
     (copy / "device/probe").mkdir()
     (copy / "device/probe/probe.toml").write_text("")
     (copy / "device/probe/probe.xml").write_text("")
-    build = "from setuptools import build_meta; print(build_meta.build_wheel('.'))"
+    return copy
+
+
+def built(copy, what):
+    """Return the path of what setuptools builds from a copy, and what was said meanwhile."""
+    build = f"from setuptools import build_meta; print(build_meta.build_{what}('.'))"
     done = subprocess.run([sys.executable, "-c", build], cwd=copy, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    with zipfile.ZipFile(copy / done.stdout.splitlines()[-1]) as wheel:
-        return wheel.namelist()
+    return copy / done.stdout.splitlines()[-1], done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def wheel(project_copy):
+    return built(project_copy, "wheel")
+
+
+@pytest.fixture(scope="module")
+def wheel_names(wheel):
+    """Names of the files in a wheel built from a copy of the project."""
+    with zipfile.ZipFile(wheel[0]) as archive:
+        return archive.namelist()
 
 
 def test_the_wheel_holds_the_two_packages_and_nothing_else(wheel_names):
@@ -61,6 +79,24 @@ def test_the_wheel_holds_every_module_of_the_packages(wheel_names):
 def test_the_wheel_holds_the_packages_type_markers_and_data(wheel_names):
     markers = {f"{package}/py.typed" for package in PACKAGES}
     assert markers | {"device/probe/probe.toml", "device/probe/probe.xml"} <= set(wheel_names)
+
+
+def test_the_wheel_holds_the_compiled_analysis_and_no_source_of_it(wheel_names):
+    name = f"audioflinger_hook/transform/_analysis{sysconfig.get_config_var('EXT_SUFFIX')}"
+    assert {name, "audioflinger_hook/transform/_analysis.pyi"} <= set(wheel_names)
+    suffixes = {Path(name).suffix for name in wheel_names if ".dist-info/" not in name}
+    assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml"}
+
+
+def test_the_analysis_compiles_without_a_warning(wheel):
+    assert not [line for line in wheel[1].splitlines() if "_analysis.c:" in line]
+
+
+def test_the_sdist_holds_the_source_of_the_analysis(project_copy):
+    with tarfile.open(built(project_copy, "sdist")[0]) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    assert "audioflinger_hook/transform/_analysis.c" in names
+    assert not [name for name in names if name.endswith((".so", ".o"))]
 
 
 def test_the_wheel_holds_the_licence(wheel_names):

@@ -209,13 +209,10 @@ def gains_db(samplerate, tones_hz):
     return np.array(gains)
 
 
-def test_gain_is_the_same_at_all_samplerates():
-    tones_hz = np.geomspace(150, 3_000, 12)
+def test_every_tone_is_felt_equally_strong_at_all_samplerates():
+    tones_hz = np.geomspace(150, 3_000, 40)
     gains = np.array([gains_db(samplerate, tones_hz) for samplerate in SAMPLERATES])
-    assert np.ptp(gains.mean(axis=1)) <= 0.1
-    # A single tone's half-power bandwidth is read from straight lines between bins, so it depends
-    # by up to 0.18 dB on where the tone falls between them, which differs from rate to rate.
-    assert np.ptp(gains, axis=0).max() <= 0.2
+    assert np.ptp(gains, axis=0).max() <= 0.1
 
 
 @pytest.mark.parametrize("form", ["live", "reference"])

@@ -18,6 +18,7 @@ from audioflinger_hook.transform import (
     partials,
     reference,
 )
+from audioflinger_hook.transform.analysis import LiveAnalysis
 from audioflinger_hook.transform.bandpass import BandPass
 from audioflinger_hook.transform.grid import LiveGrid
 from audioflinger_hook.transform.intake import mono, replace_unusable
@@ -53,9 +54,14 @@ from tests.signals import (
 PARAMETERS = TransformParameters()
 
 
-def switched_off(part, method):
-    """Make a method of one object hand on its first argument and do nothing else."""
-    setattr(part, method, lambda first, *others: first)
+def clear_no_image(form):
+    """Let every peak of a live form keep its image: none is above this amplitude."""
+    form._analysis._weakest_image = np.inf
+
+
+def leave_out_no_side_lobe(form):
+    """Let a live form keep peaks however far they are under the highest."""
+    form._analysis._side_lobe = 0.0
 
 
 def without_silence_skip(sound, samplerate):
@@ -129,7 +135,7 @@ def test_silence_is_not_analysed_at_all(monkeypatch):
     form.process(tone(300, 0.5, 48_000))
     # A window, and 0.4 s of ringing.
     form.process(silence(0.6, 48_000))
-    monkeypatch.setattr(form, "_amplitudes", None)
+    monkeypatch.setattr(form, "_analysis", None)
     monkeypatch.setattr(form, "_play", None)
     assert not form.process(silence(1.0, 48_000)).any()
 
@@ -318,40 +324,42 @@ def test_the_bound_from_valley_to_valley_leaves_out_nothing_that_is_principal(
     samplerate, threshold_hz
 ):
     parameters = TransformParameters(threshold_hz=threshold_hz)
-    spectra = amplitude_spectra(samplerate)
-    bounded = PrincipalFinder(
-        parameters, samplerate / parameters.fft_length(samplerate), spectra.shape[1]
-    )
-    unbounded = PrincipalFinder(
-        parameters, samplerate / parameters.fft_length(samplerate), spectra.shape[1]
-    )
-    unbounded._peak_span_min = -1.0
-    found = bounded.all_principal(spectra)
-    assert len(found) > 10
-    for ours, theirs in zip(
-        all_fields(found), all_fields(unbounded.all_principal(spectra)), strict=True
+    spectrum = Spectrum(parameters, samplerate)
+    amplitude = amplitude_spectra(samplerate)
+    for bounded, unbounded in with_and_without_the_bound(
+        parameters, spectrum, spectrum.bins, amplitude
     ):
-        assert identical(ours, theirs)
+        assert len(bounded) > 10
+        for ours, theirs in zip(all_fields(bounded), all_fields(unbounded), strict=True):
+            assert identical(ours, theirs)
+
+
+def with_and_without_the_bound(parameters, spectrum, bins, amplitude):
+    """Return, of each form, what it finds in amplitudes with the bound and without it."""
+    reference = [PrincipalFinder(parameters, spectrum.bin_hz, bins) for _ in range(2)]
+    live = [LiveAnalysis(parameters, spectrum, bins) for _ in range(2)]
+    reference[1]._peak_span_min = live[1]._peak_span_min = -1.0
+    return (
+        [finder.all_principal(amplitude) for finder in reference],
+        [analysis.all_principal(amplitude + 0j) for analysis in live],
+    )
 
 
 @given(
-    spectrum=st.lists(st.floats(1e-12, 10.0), min_size=3, max_size=60),
+    amplitudes=st.lists(st.floats(1e-12, 10.0), min_size=3, max_size=60),
     threshold_hz=st.floats(0.001, 100.0),
 )
 @settings(max_examples=300)
-def test_the_bound_leaves_out_nothing_principal_in_any_spectrum(spectrum, threshold_hz):
-    parameters = TransformParameters(threshold_hz=threshold_hz)
+def test_the_bound_leaves_out_nothing_principal_in_any_spectrum(amplitudes, threshold_hz):
     # Bins of 20 Hz put a spectrum as short as this into the band.
-    amplitude = np.array([spectrum])
-    bounded = PrincipalFinder(parameters, 20.0, len(spectrum))
-    unbounded = PrincipalFinder(parameters, 20.0, len(spectrum))
-    unbounded._peak_span_min = -1.0
-    for ours, theirs in zip(
-        all_fields(bounded.all_principal(amplitude)),
-        all_fields(unbounded.all_principal(amplitude)),
-        strict=True,
+    parameters = TransformParameters(threshold_hz=threshold_hz, window_s=0.025)
+    spectrum = Spectrum(parameters, 2_400)
+    assert spectrum.bin_hz == 20.0
+    for bounded, unbounded in with_and_without_the_bound(
+        parameters, spectrum, len(amplitudes), np.array([amplitudes])
     ):
-        assert identical(ours, theirs)
+        for ours, theirs in zip(all_fields(bounded), all_fields(unbounded), strict=True):
+            assert identical(ours, theirs)
 
 
 @given(left=st.floats(0, 1 - 1e-6), right=st.floats(0, 1), scale=st.floats(1e-9, 1e3))
@@ -391,11 +399,11 @@ def wobble_hz(hz, samplerate, corrected):
     """Return the largest error of the strongest vibration frequency over many windows."""
     form = LiveTransform(PARAMETERS, samplerate)
     if not corrected:
-        switched_off(form._images, "clear")
+        clear_no_image(form)
     filtered = BandPass(PARAMETERS, samplerate).process(tone(hz, 1.5, samplerate, 0.5))
     filtered = filtered[samplerate // 4 :]
     windows = strided_windows(filtered, PARAMETERS.window_frames(samplerate), 301)
-    found = form._finder.strongest(form.analyse(windows))
+    found = form._analysis.strongest(form._spectrum.transform(windows))
     loudest = np.zeros(len(windows))
     np.maximum.at(loudest, found.row, found.r)
     strongest = found.audio_hz[found.r == loudest[found.row]]
@@ -422,7 +430,7 @@ def test_clearing_images_leaves_high_tones_as_they_are(samplerate):
     sound = tone(5_000, 0.5, samplerate) + tone(9_000, 0.5, samplerate)
     windows = strided_windows(sound, PARAMETERS.window_frames(samplerate), 500)
     cleared = form.analyse(windows)
-    switched_off(form._images, "clear")
+    clear_no_image(form)
     untouched = form.analyse(windows)
     high = [found.take(found.audio_hz > 4_000) for found in (cleared, untouched)]
     for ours, theirs in zip(all_fields(high[0]), all_fields(high[1]), strict=True):
@@ -435,7 +443,7 @@ def test_leaving_out_side_lobes_makes_a_loud_tone_pure(hz, samplerate):
     for kept in (True, False):
         form = LiveTransform(PARAMETERS, samplerate)
         if kept:
-            switched_off(form._finder, "without_side_lobes")
+            leave_out_no_side_lobe(form)
         vibration = form.process(tone(hz, 3.0, samplerate, 1.0))[samplerate:]
         felt_hz = float(vibration_hz(np.array([hz]), PARAMETERS)[0])
         residuals.append(best_sinusoid(*thinned(vibration, samplerate), felt_hz)[2])
@@ -450,7 +458,8 @@ def test_what_the_side_lobe_rule_leaves_out_of_recordings_carries_under_a_hundre
         frames = PARAMETERS.window_frames(samplerate)
         windows = strided_windows(filtered, frames, frames)
         found = form.analyse(windows)
-        kept = form._finder.without_side_lobes(found, len(windows))
+        form._analysis._partials_max = form._analysis._bins
+        kept = form._analysis.strongest(form._spectrum.transform(windows))
         # r^2 is what a partial's vibration goes by.
         assert (kept.r**2).sum() >= 0.99 * (found.r**2).sum(), path.name
 

@@ -4,9 +4,10 @@
 #   run    a .venv with the program and the extra `figures`
 #   test   the extra `dev` as well
 #
-# PyAudio is compiled during the installation. Where the compiler or a header for that is missing, the
-# system's package manager installs it (Debian, Ubuntu; as root or where sudo asks for no password), else
-# the command to run is printed. Sound servers are left alone: nothing is ever removed or reconfigured.
+# PyAudio and a part of the program (audioflinger_hook/transform/_analysis.c) are compiled during the
+# installation. Where the compiler or a header for that is missing, the system's package manager installs
+# it (Debian, Ubuntu; as root or where sudo asks for no password), else the command to run is printed.
+# Sound servers are left alone: nothing is ever removed or reconfigured.
 #
 # Environment: PYTHON (which Python to use), CC, CPPFLAGS, CFLAGS (as for every build), and pip's own.
 # A second run finds .venv/setup-stamp and is done in a moment.
@@ -26,6 +27,7 @@ unset CDPATH PYTHONPATH PYTHONHOME
 cd "$(dirname "$0")/.."
 root=$(pwd -P)
 venv_python=.venv/bin/python
+extension_folder=audioflinger_hook/transform
 stamp=.venv/setup-stamp
 unfinished=.venv/setup-unfinished # there while .venv is being changed: it survives a kill
 
@@ -229,7 +231,7 @@ require_system() {
         fi
     done
     [ -n "$manager" ] ||
-        die "missing for the build of PyAudio:$missing; install a C compiler and the headers of Python and PortAudio"
+        die "missing for the build:$missing; install a C compiler and the headers of Python and PortAudio"
 
     elevate=
     sudo=
@@ -255,10 +257,10 @@ require_system() {
         look_for_what_is_missing
         [ -n "$missing" ] || return 0
         tail -n 20 "$log" >&2
-        die "still missing for the build of PyAudio:$missing"
+        die "still missing for the build:$missing"
     fi
 
-    say "missing for the build of PyAudio:$missing"
+    say "missing for the build:$missing"
     if [ "$(id -u)" -eq 0 ] || [ -n "$sudo" ]; then
         say "run this, then make $goal again:"
     else
@@ -273,7 +275,7 @@ require_system() {
 # What the stamp says of a finished set-up; the extras follow on a line of their own.
 stamp_head() {
     echo "$root"
-    cksum pyproject.toml tools/setup.sh
+    cksum pyproject.toml tools/setup.sh "$extension_folder/_analysis.c"
 }
 
 # Whether PYTHON, where it is given, is the Python that .venv was made from.
@@ -289,7 +291,15 @@ up_to_date() {
         "$wanted" | "$wanted",*) ;;
         *) return 1 ;;
     esac
-    right_python && "$venv_python" -c 'import pyaudio' 2>/dev/null
+    right_python && compiled_modules_load
+}
+
+# Whether what was compiled is there and loads; the extension by itself, without the package around it.
+compiled_modules_load() {
+    "$venv_python" -c "
+import sys
+sys.path.append('$extension_folder')
+import _analysis, pyaudio" 2>"$scratch/load-errors"
 }
 
 # Prints why .venv cannot be kept; nothing where it can.
@@ -360,9 +370,9 @@ else
     make_venv
 fi
 install_project
-"$venv_python" -c 'import pyaudio' 2>"$log" || {
-    tail -n 3 "$log" >&2
-    die "PyAudio was installed but does not load; remove .venv and run make $goal again"
+compiled_modules_load || {
+    tail -n 3 "$scratch/load-errors" >&2
+    die "what was compiled does not load; remove .venv and run make $goal again"
 }
 {
     stamp_head

@@ -25,11 +25,11 @@ from audioflinger_hook.bench.signals import (
 from audioflinger_hook.bench.workbench import Workbench
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.analysis import LiveAnalysis
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.live import LiveTransform
 from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.partials import Glides
-from audioflinger_hook.transform.principal import PrincipalFinder
 
 BLOCKSIZE = 256
 EVERY_SAVING = "all savings on"
@@ -61,18 +61,16 @@ def _never_rest(transform: LiveTransform) -> None:
 
 
 def _examine_every_peak(transform: LiveTransform) -> None:
-    transform._finder._peak_span_min = -1.0
+    transform._analysis._peak_span_min = -1.0
 
 
 def _keep_every_bin(transform: LiveTransform) -> None:
-    transform._bins = transform._spectrum.bins
-    transform._finder = PrincipalFinder(
-        TransformParameters(), transform._spectrum.bin_hz, transform._bins
-    )
+    spectrum = transform._spectrum
+    transform._analysis = LiveAnalysis(TransformParameters(), spectrum, spectrum.bins)
 
 
 def _clear_every_image(transform: LiveTransform) -> None:
-    transform._images._weakest = 0.0
+    transform._analysis._weakest_image = 0.0
 
 
 class _EverySlot(OscillatorBank):

@@ -1,9 +1,11 @@
 """The transform: principal frequencies of sound, mapped to 20-220 Hz of vibration.
 
-    intake -> bandpass -> spectrum -> principal -> scaling --.
-                                                             |-> reference (unit by unit)
-    image --------------'   partials -> oscillators ---------|
-                            limiter    smoothing             '-> live (overlapped, early)
+    intake -> bandpass -> spectrum -> principal, scaling --------> reference (unit by unit)
+                              |
+                              '---> analysis, scaling -> partials -> oscillators -> smoothing
+                                                         limiter  '-> live (overlapped, early)
+
+`analysis` is compiled, as `_analysis`.
 
 Pure: samples in, samples out; no clock, no I/O, no mixer.
 """

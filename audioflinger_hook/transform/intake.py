@@ -40,8 +40,9 @@ def mono(frames: Frames) -> FloatArray:
     channels = frames.shape[1]
     if channels == 1:
         return frames[:, 0].astype(np.float64)
-    total: FloatArray = np.add(frames[:, 0], frames[:, 1], dtype=np.float64)
+    exact = np.asarray(frames, dtype=np.float64)
+    total: FloatArray = exact[:, 0] + exact[:, 1]
     for channel in range(2, channels):
-        total += frames[:, channel]
+        total += exact[:, channel]
     total /= channels
     return total

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from audioflinger_hook.transform.analysis import LiveAnalysis
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.bandpass import BandPass
 from audioflinger_hook.transform.grid import LiveGrid
-from audioflinger_hook.transform.image import ImageRemoval
 from audioflinger_hook.transform.limiter import below_full_scale, limited_amplitudes
 from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.partials import Glides, PartialTracker
-from audioflinger_hook.transform.principal import PrincipalFinder, Principals
+from audioflinger_hook.transform.principal import Principals
 from audioflinger_hook.transform.scaling import vibration_hz
 from audioflinger_hook.transform.smoothing import Smoother
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.spectrum import Spectrum
 from audioflinger_hook.transform.windows import strided_windows
 
 HOPS_AT_ONCE = 32
@@ -44,15 +44,9 @@ class LiveTransform:
         self._parameters = parameters
         self._grid = LiveGrid.at(parameters, samplerate)
         self._spectrum = Spectrum(parameters, samplerate)
-        bin_hz = self._spectrum.bin_hz
-        self._bins = min(
-            self._spectrum.bins, int((parameters.band_high_hz + BAND_MARGIN_HZ) / bin_hz)
-        )
-        self._finder = PrincipalFinder(parameters, bin_hz, self._bins)
+        bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / self._spectrum.bin_hz)
+        self._analysis = LiveAnalysis(parameters, self._spectrum, min(self._spectrum.bins, bins))
         self._full_scale_r = parameters.unit_strength_hz(samplerate)
-        # A steady tone is principal from here up; what is weaker is no tone that could wobble.
-        weakest = parameters.threshold_hz / self._full_scale_r
-        self._images = ImageRemoval(self._spectrum, self._bins, weakest)
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         self._silence = parameters.threshold_hz / samplerate
         self._bandpass = BandPass(parameters, samplerate)
@@ -76,7 +70,8 @@ class LiveTransform:
     def reset(self) -> None:
         """Return to the state of a new stream."""
         grid = self._grid
-        self._pending = np.zeros(0)
+        self._pending = np.zeros(grid.hop_frames)
+        self._pending_frames = 0
         self._ready = np.zeros(grid.hop_frames)
         self._past = np.zeros(grid.window_frames - 1)
         self._past_peaks = np.zeros(grid.hops_in_window - 1)
@@ -87,17 +82,28 @@ class LiveTransform:
 
     def process(self, mono: FloatArray) -> FloatArray:
         """Return the next (frames,) of vibration, `latency_frames` behind the sound."""
-        hop = self._grid.hop_frames
-        pending = np.concatenate((self._pending, mono))
-        due = pending.size // hop
-        parts = [self._ready]
-        for first in range(0, due, HOPS_AT_ONCE):
-            last = min(due, first + HOPS_AT_ONCE)
-            parts.append(self._advance(pending[first * hop : last * hop]))
-        self._pending = pending[due * hop :]
-        ready = np.concatenate(parts) if due else self._ready
+        filled = self._pending_frames + mono.size
+        if filled < self._grid.hop_frames:
+            self._pending[self._pending_frames : filled] = mono
+            self._pending_frames = filled
+        else:
+            self._ready = np.concatenate((self._ready, *self._hops_due(mono)))
+        ready = self._ready
         self._ready = ready[mono.size :]
         return ready[: mono.size]
+
+    def _hops_due(self, mono: FloatArray) -> list[FloatArray]:
+        """Return the vibration of the hops that these frames complete, and keep what is over."""
+        hop = self._grid.hop_frames
+        pending = np.concatenate((self._pending[: self._pending_frames], mono))
+        whole = pending.size - pending.size % hop
+        self._pending_frames = pending.size - whole
+        self._pending[: self._pending_frames] = pending[whole:]
+        most = HOPS_AT_ONCE * hop
+        return [
+            self._advance(pending[first : min(whole, first + most)])
+            for first in range(0, whole, most)
+        ]
 
     def finish(self) -> FloatArray:
         """Return the `latency_frames` still owed, as if silence followed."""
@@ -107,13 +113,7 @@ class LiveTransform:
 
     def analyse(self, windows: FloatArray) -> Principals:
         """Return everything principal in band-passed windows (rows, N), not cut to n."""
-        return self._finder.all_principal(self._amplitudes(windows))
-
-    def _amplitudes(self, windows: FloatArray) -> FloatArray:
-        spectra = self._spectrum.transform(windows)[:, : self._bins]
-        amplitude = magnitude(spectra)
-        self._images.clear(spectra, amplitude)
-        return amplitude
+        return self._analysis.all_principal(self._spectrum.transform(windows))
 
     def _advance(self, sound: FloatArray) -> FloatArray:
         """Return the vibration of whole hops: (hops x hop_frames,) in and out."""
@@ -147,9 +147,9 @@ class LiveTransform:
         found = None
         if heard.size:
             whole = heard.size == hops
-            found = self.analyse(windows if whole else windows[heard])
-            found = self._finder.strongest(self._finder.without_side_lobes(found, heard.size))
-            edges = found.boundaries(heard.size)
+            spectra = self._spectrum.transform(windows if whole else windows[heard])
+            found = self._analysis.strongest(spectra)
+            edges = found.boundaries(heard.size).tolist()
             hz = vibration_hz(found.audio_hz, self._parameters)
             gain = self._smoother.compensation(hz)
         awake = []

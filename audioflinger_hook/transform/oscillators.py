@@ -41,15 +41,22 @@ class OscillatorBank:
         rise = glides.end_amplitude - glides.start_amplitude
         loudest = np.maximum(glides.start_amplitude, glides.end_amplitude).max(axis=0)
         slots = loudest.nonzero()[0]
-        start_hz = glides.start_hz.T[slots, :, None]
+
+        def of_slots(values: FloatArray) -> FloatArray:
+            chosen: FloatArray = values.take(slots, axis=1).T[:, :, None]
+            return chosen
+
+        start_hz = of_slots(glides.start_hz)
         phase = start_hz * self._turn
-        phase += (glides.end_hz.T[slots, :, None] - start_hz) * self._turn_glide
-        phase += (2.0 * np.pi) * glides.start_phase.T[slots, :, None]
+        phase += (of_slots(glides.end_hz) - start_hz) * self._turn_glide
+        phase += (2.0 * np.pi) * of_slots(glides.start_phase)
         partials = np.cos(phase, out=phase)
         # One shape for all slots of a hop: then their sum never exceeds both its ends, which is
         # what keeps the wave under full scale.
         rising = np.add.reduce(rise, axis=1) > 0.0
         shape = np.where(rising[:, None], self._attack, self._glide)
-        partials *= glides.start_amplitude.T[slots, :, None] + rise.T[slots, :, None] * shape
+        level = of_slots(rise) * shape
+        level += of_slots(glides.start_amplitude)
+        partials *= level
         total: FloatArray = np.add.reduce(partials, axis=0)
         return total

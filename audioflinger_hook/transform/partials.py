@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.arrays import FloatArray, IntArray
 
 MATCH_HZ_A_WINDOW = 2.0
 """A partial may move by the window's main lobe's half-width, 2/T in audio Hz, in one hop ..."""
@@ -90,21 +90,24 @@ class PartialTracker:
 
         audio_hz, hz (of vibration), amplitude: (partials,), at least one, ascending in frequency.
         """
-        slot = self._match(audio_hz, hz)
-        new = slot < 0
-        if new.any():
-            free = (~self._alive).nonzero()[0][: np.count_nonzero(new)]
+        slot, beside, gap_hz = self._match(audio_hz, hz)
+        new = (slot < 0).nonzero()[0]
+        if new.size:
+            free = (~self._alive).nonzero()[0][: new.size]
             slot[new] = free
-            self._phase[free] = self._phase_at_birth(hz[new])
-            self._hz[free] = hz[new]
+            # One peak that wavers between one and two, as a fast chirp's does, would otherwise be
+            # in and out of step with itself.
+            split = gap_hz.take(new) < SPLIT_HZ
+            self._phase[free] = np.where(split, self._phase.take(beside.take(new)), 0.0)
+            self._hz[free] = hz.take(new)
         glides.start_hz[hop] = self._hz
         glides.start_amplitude[hop] = self._amplitude
         glides.start_phase[hop] = self._phase
 
-        before = self._hz[slot]
+        before = self._hz.take(slot)
         change = hz - before
         after = before + change * _followed(change / STEADY_HZ)
-        level = self._amplitude[slot]
+        level = self._amplitude.take(slot)
         change = amplitude - level
         self._hz[slot] = after
         self._amplitude[:] = 0.0
@@ -129,40 +132,25 @@ class PartialTracker:
         self._phase += (0.5 * self._hop_s) * (glides.start_hz[hop] + self._hz)
         self._phase -= np.floor(self._phase)
 
-    def _phase_at_birth(self, hz: FloatArray) -> FloatArray:
-        """Return the phases that new partials start with: 0, or that of a partial which split.
+    def _match(self, audio_hz: FloatArray, hz: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+        """Return each partial's slot, -1 where it is new; the slot nearest to it, and how near.
 
-        One peak that wavers between one and two, as a fast chirp's does, would otherwise be in
-        and out of step with itself.
+        A slot is a partial's own where they are nearest to one another and within reach. The
+        distance is in Hz of vibration; where no slot sounds it is infinite.
         """
         alive = self._alive.nonzero()[0]
         if not alive.size:
-            return np.zeros(hz.size)
-        distance = np.abs(hz[:, None] - self._hz[alive])
+            return np.full(hz.size, -1), np.zeros(hz.size, dtype=np.intp), np.full(hz.size, np.inf)
+        distance = np.abs(hz[:, None] - self._hz.take(alive))
         nearest = distance.argmin(axis=1)
-        split = distance[np.arange(hz.size), nearest] < SPLIT_HZ
-        return np.where(split, self._phase[alive[nearest]], 0.0)
-
-    def _match(
-        self, audio_hz: FloatArray, hz: FloatArray
-    ) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-        """Return each partial's slot, -1 where it is new: mutual nearest neighbours in reach."""
-        slot = np.full(len(hz), -1, dtype=np.intp)
-        alive = self._alive.nonzero()[0]
-        if not alive.size:
-            return slot
-        distance = np.abs(hz[:, None] - self._hz[alive])
-        reach = self._scale_hz * np.maximum(MATCH_RATIO, self._match_audio_hz / audio_hz)
-        nearest_slot = distance.argmin(axis=1)
-        nearest_partial = distance.argmin(axis=0)
-        partial = np.arange(len(hz))
-        mutual = (nearest_partial[nearest_slot] == partial) & (
-            distance[partial, nearest_slot] <= reach
-        )
-        slot[mutual] = alive[nearest_slot[mutual]]
-        return slot
+        gap_hz = distance.min(axis=1)
+        reach_hz = self._scale_hz * np.maximum(MATCH_RATIO, self._match_audio_hz / audio_hz)
+        mutual = distance.argmin(axis=0).take(nearest) == np.arange(hz.size)
+        mutual &= gap_hz <= reach_hz
+        beside = alive.take(nearest)
+        return np.where(mutual, beside, -1), beside, gap_hz
 
 
 def _followed(relative_change: FloatArray) -> FloatArray:
     """Return the share of a change that is followed: all of a clear one, little of a jitter."""
-    return np.minimum(1.0, STEADY_GAIN + relative_change**2)
+    return np.minimum(1.0, STEADY_GAIN + relative_change * relative_change)

@@ -20,9 +20,6 @@ PEAK_EXPONENT = 0.2
 
 HALF_POWER = 1.0 / math.sqrt(2.0)
 
-SIDE_LOBE = 10 ** (-40 / 20)
-"""Side lobes of a Hamming window stand 42.7 dB under their peak."""
-
 
 @dataclass(frozen=True)
 class Principals:
@@ -51,6 +48,8 @@ class Principals:
 
     def boundaries(self, rows: int) -> IntArray:
         """Return rows + 1 indices; row i holds the entries from boundaries[i] to [i + 1]."""
+        if rows == 1:
+            return np.array((0, self.row.size))
         return self.row.searchsorted(np.arange(rows + 1))
 
 
@@ -63,15 +62,9 @@ class PrincipalFinder:
     def __init__(self, parameters: TransformParameters, bin_hz: float, bins: int) -> None:
         self._bin_hz = bin_hz
         self._threshold = parameters.threshold_hz
-        self._peak_span_min = parameters.threshold_hz / ((9 / 8) ** (1 / PEAK_EXPONENT) * bin_hz)
+        self._peak_span_min = peak_span_min(parameters, bin_hz)
         self._partials_max = parameters.partials_max
-        frequencies = np.arange(bins) * bin_hz
-        in_band = np.flatnonzero(
-            (frequencies >= parameters.band_low_hz) & (frequencies <= parameters.band_high_hz)
-        )
-        in_band = in_band[(in_band >= 1) & (in_band <= bins - 2)]
-        self._first = int(in_band[0]) if in_band.size else 1
-        self._last = int(in_band[-1]) if in_band.size else 0
+        self._first, self._last = bins_in_band(parameters, bin_hz, bins)
 
     def find(self, amplitude: FloatArray) -> Principals:
         """Return what is principal in each row of (rows, bins), at most n a row.
@@ -89,21 +82,19 @@ class PrincipalFinder:
         bin_in_row = peak - row * pitch
         peak = peak - row
         flat = amplitude.reshape(-1)
-        # No bandwidth exceeds the span between the valleys, and interpolation raises a peak by
-        # at most 9/8 in A^0.2 (the parabola through l = 0 and m = r). So what stays under the
-        # threshold at that bound is left out before anything costly.
-        able = (flat[peak] * (valley_right - valley_left) > self._peak_span_min).nonzero()[0]
-        bin_in_row = bin_in_row[able]
+        # What cannot pass the threshold is left out before anything costly.
+        able = (flat.take(peak) * (valley_right - valley_left) > self._peak_span_min).nonzero()[0]
+        bin_in_row = bin_in_row.take(able)
         able = able[(bin_in_row >= self._first) & (bin_in_row <= self._last)]
-        row, peak = row[able], peak[able]
+        row, peak = row.take(able), peak.take(able)
         if not row.size:
             return Principals(row, *np.zeros((4, 0)))
 
-        offset, height = parabola(flat[peak - 1], flat[peak], flat[peak + 1])
+        offset, height = parabola(flat.take(peak - 1), flat.take(peak), flat.take(peak + 1))
         sides = _half_power_sides(
             flat,
             np.concatenate((peak, peak)),
-            np.concatenate((valley_left[able] - row, valley_right[able] - row)),
+            np.concatenate((valley_left.take(able) - row, valley_right.take(able) - row)),
             np.concatenate((height, height)) * HALF_POWER,
         )
         bandwidth_hz = (sides[: row.size] + sides[row.size :]) * self._bin_hz
@@ -113,29 +104,38 @@ class PrincipalFinder:
         principal = r > self._threshold
         return found if principal.all() else found.take(principal)
 
-    @staticmethod
-    def without_side_lobes(found: Principals, rows: int) -> Principals:
-        """Return those within 40 dB of their row's highest: the others may be its side lobes.
-
-        A loud tone's side lobes can pass r > C_th now and then. Their own vibration is 80 dB
-        down, but each takes its share of P_k from the tone, which then flutters by a percent.
-        Not part of the reference form.
-        """
-        highest = np.zeros(rows)
-        np.maximum.at(highest, found.row, found.amplitude)
-        within = found.amplitude > SIDE_LOBE * highest[found.row]
-        return found if within.all() else found.take(within)
-
     def strongest(self, found: Principals) -> Principals:
         """Return at most n of each row: the largest r, of equals the lower frequency."""
         n = self._partials_max
         # Entry i has more than n in its row exactly if the entry n places on is in that row too.
         if len(found) <= n or not (found.row[n:] == found.row[:-n]).any():
             return found
+        if found.row[0] == found.row[-1]:
+            return found.take(np.sort((-found.r).argsort(kind="stable")[:n]))
         order = np.lexsort((-found.r, found.row))
         row_sorted = found.row[order]
         rank = np.arange(len(found)) - np.searchsorted(row_sorted, row_sorted)
         return found.take(np.sort(order[rank < n]))
+
+
+def bins_in_band(parameters: TransformParameters, bin_hz: float, bins: int) -> tuple[int, int]:
+    """Return the first and the last of so many bins on which a peak counts; 1 and 0 for none."""
+    frequencies = np.arange(bins) * bin_hz
+    in_band = np.flatnonzero(
+        (frequencies >= parameters.band_low_hz) & (frequencies <= parameters.band_high_hz)
+    )
+    in_band = in_band[(in_band >= 1) & (in_band <= bins - 2)]
+    return (int(in_band[0]), int(in_band[-1])) if in_band.size else (1, 0)
+
+
+def peak_span_min(parameters: TransformParameters, bin_hz: float) -> float:
+    """Return the amplitude times bins between valleys under which no peak has r > C_th.
+
+    No bandwidth exceeds the span between the valleys, and interpolation raises a peak by at most
+    9/8 in A^0.2 (the parabola through l = 0 and m = r).
+    """
+    raised_at_most: float = (9 / 8) ** (1 / PEAK_EXPONENT)
+    return parameters.threshold_hz / (raised_at_most * bin_hz)
 
 
 def _extrema(amplitude: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -181,10 +181,10 @@ def _half_power_sides(
     inside, outside = peak, valley
     for _ in range(int(np.abs(valley - peak).max()).bit_length()):
         middle = (inside + outside) >> 1
-        below = flat[middle] < level
+        below = flat.take(middle) < level
         outside = np.where(below, middle, outside)
         inside = np.where(below, inside, middle)
-    above, under = flat[inside], flat[outside]
+    above, under = flat.take(inside), flat.take(outside)
     # Where the valley itself stands above the level the whole step counts: the walk ends there.
     step = np.maximum(above - np.minimum(under, level), np.finfo(np.float64).tiny)
     fraction = np.maximum(above - level, 0.0) / step

@@ -15,10 +15,12 @@ ComplexArray = NDArray[np.complex128]
 class Spectrum:
     """Spectra at one samplerate; pure, holds only its window.
 
-    window_frames (N), fft_length (NFFT), bins (NFFT/2 + 1) and bin_hz describe its grid.
+    samplerate (Hz), window_frames (N), fft_length (NFFT), bins (NFFT/2 + 1) and bin_hz describe
+    its grid.
     """
 
     def __init__(self, parameters: TransformParameters, samplerate: int) -> None:
+        self.samplerate = samplerate
         self.window_frames = parameters.window_frames(samplerate)
         self.fft_length = parameters.fft_length(samplerate)
         self.bins = self.fft_length // 2 + 1
