@@ -1,4 +1,4 @@
-"""The chain: tap -> effect -> outputs, one buffer a step, whatever paces it."""
+"""The chain: client -> mixer -> effect -> outputs, one cycle a step, whatever paces it."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.effect import HapticEffect
-from audioflinger_hook.taps import Tap
+from audioflinger_hook.clients import Client
+from audioflinger_hook.framework import Framework
+from audioflinger_hook.mixer import HapticSink
 from device.output import VibrationOutput
 
 
 @dataclass(frozen=True)
 class Step:
-    """What one step moved: the sound as tapped and the vibration as sent, float32.
+    """What one step moved: the sound as mixed and the vibration as sent, float32.
 
     At the end of the sound comes one step of no sound, with the vibration still owed.
     """
@@ -25,44 +26,50 @@ class Step:
 
 
 class Chain:
-    """Moves sound from a tap through the effect to every output.
+    """Moves sound from a client through mixer and effect to every output.
 
     A live tap, a replay and a rendering differ only in who calls `step` and when. All calls come
     from one thread.
     """
 
-    def __init__(self, tap: Tap, effect: HapticEffect, outputs: Sequence[VibrationOutput]) -> None:
-        self._tap = tap
-        self._effect = effect
+    def __init__(
+        self, client: Client, framework: Framework, outputs: Sequence[VibrationOutput]
+    ) -> None:
+        self._client = client
+        self._framework = framework
         self._outputs = tuple(outputs)
+        self._sink = HapticSink(*outputs, clip=framework.settings.form != "reference")
         self._ended = False
+        framework.send_to(self._sink)
+        client.connect(framework.mixer)
 
-    def step(self) -> Step | None:
-        """Move one buffer and return it, or None once everything has been sent."""
+    def step(self, now_s: float = 0.0) -> Step | None:
+        """Do one cycle and return what it moved, or None once everything has been sent.
+
+        now_s: seconds of any clock that does not run backwards.
+        """
         if self._ended:
             return None
-        audio = self._tap.read()
-        if audio is None:
+        frames = self._client.play()
+        if frames is None:
             self._ended = True
-            audio = np.zeros((0, self._tap.channels), np.float32)
-            vibration = self._effect.finish()
+            self._sink.send(self._framework.drain())
+            audio = np.zeros((0, self._framework.mixer.channels), np.float32)
         else:
-            vibration = self._effect.process(audio)
-        for output in self._outputs:
-            output.write(vibration)
-        return Step(audio, vibration)
+            audio = self._framework.cycle(now_s, frames).buffer.audio.copy()
+        return Step(audio, self._sink.sent.copy())
 
     def close(self) -> None:
-        """Let go of the tap and finish every output, the first one last: what was sent is kept.
+        """Let go of the client and finish every output, the first one last: what was sent is kept.
 
         So where one of the others cannot be finished, the first has not yet replaced anything.
         """
-        self._tap.close()
+        self._client.close()
         for output in reversed(self._outputs):
             output.close()
 
     def abort(self) -> None:
-        """Let go of the tap and discard what the outputs took."""
-        self._tap.close()
+        """Let go of the client and discard what the outputs took."""
+        self._client.close()
         for output in self._outputs:
             output.abort()

@@ -14,6 +14,7 @@ from audioflinger_hook.transform import LIMITS, TransformParameters
 from device.errors import UsageError
 
 TOP_LEVEL = ("profile", "damping", "rig")
+EFFECTS_FILE = "effects_file"
 TRANSFORM_CHOICES = ("form", "channels")
 SECTION = "transform"
 SYNTAX_ERRORS_MAX = 50
@@ -80,6 +81,7 @@ def check(path: Path) -> tuple[Settings | None, list[Problem]]:
     lines = _lines_of_keys(text)
     problems += _unknown_keys(document, lines)
     problems += _wrong_choices(document, lines)
+    problems += _wrong_effects_file(document, lines, path.parent)
     section = document.get(SECTION, {})
     parameters = section if isinstance(section, dict) else {}
     numbers = {name: value for name, value in parameters.items() if name in LIMITS}
@@ -90,7 +92,9 @@ def check(path: Path) -> tuple[Settings | None, list[Problem]]:
         return None, sorted(problems, key=lambda problem: problem.line)
     choices = {name: document[name] for name in TOP_LEVEL if name in document}
     choices |= {name: parameters[name] for name in TRANSFORM_CHOICES if name in parameters}
-    return Settings(**choices, parameters=TransformParameters(**numbers)), []
+    effects_file = path.parent / document[EFFECTS_FILE] if EFFECTS_FILE in document else None
+    transform = TransformParameters(**numbers)
+    return Settings(**choices, effects_file=effects_file, parameters=transform), []
 
 
 def _parse(text: str) -> tuple[dict[str, Any], list[Problem]]:
@@ -172,8 +176,8 @@ def _unknown_keys(document: dict[str, Any], lines: dict[str, int]) -> list[Probl
             problems.append(_problem(name, lines, _shown(value), "is not a section", "[transform]"))
             continue
         else:
-            known = (*TOP_LEVEL, f"[{SECTION}]")
-            unknown = {} if name in TOP_LEVEL else {name: value}
+            known = (*TOP_LEVEL, EFFECTS_FILE, f"[{SECTION}]")
+            unknown = {} if name in known else {name: value}
         for key, found in unknown.items():
             shown = "" if isinstance(found, dict) else _shown(found)
             problems.append(_problem(key, lines, shown, "is an unknown key", ", ".join(known)))
@@ -191,6 +195,23 @@ def _wrong_choices(document: dict[str, Any], lines: dict[str, int]) -> list[Prob
         if value not in allowed:
             problems.append(_problem(key, lines, _shown(value), "is not known", ", ".join(allowed)))
     return problems
+
+
+def _wrong_effects_file(
+    document: dict[str, Any], lines: dict[str, int], folder: Path
+) -> list[Problem]:
+    """Return what is wrong with the effects file's name; what is in it is told when it is used."""
+    if EFFECTS_FILE not in document:
+        return []
+    value = document[EFFECTS_FILE]
+    allowed = "the path of an audio_effects.xml, from this file's folder on"
+    if not isinstance(value, str) or not value:
+        wrong = "is not a path"
+    elif "\0" in value or not (folder / value).is_file():
+        wrong = "is not a file"
+    else:
+        return []
+    return [_problem(EFFECTS_FILE, lines, _shown(value), wrong, allowed)]
 
 
 def _shown(value: Any) -> str:

@@ -1,14 +1,15 @@
-"""Offline: a sound file in, a vibration file out, through the same chain as everything else."""
+"""Offline: sound in, a vibration file out, through the same chain as everything else."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from audioflinger_hook.chain import Chain
-from audioflinger_hook.effect import HapticEffect
+from audioflinger_hook.clients import Client, TapClient
+from audioflinger_hook.framework import OFFLINE_HAL_FRAMES, Framework
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import FileTap
 from device.alignment import Aligned
@@ -21,6 +22,9 @@ from device.wav_output import WavOutput
 
 Progress = Callable[[int, int | None], None]
 """Told, after every buffer, the frames done and the frames in all (None where not known)."""
+
+Wait = Callable[[int], None]
+"""Told the frames done, it returns when the next are due."""
 
 ACCELERATION_COMMENT = (
     f"predicted acceleration, full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2"
@@ -53,10 +57,38 @@ def render_file(
 ) -> RenderReport:
     """Write the vibration of a sound file as float32 WAV of the same rate and length.
 
+    For the parameters and what is raised see `render`. May take long; called from any one thread.
+    """
+    refuse_same_file(source, target, acceleration)
+    tap = FileTap(source)
+    return render(
+        TapClient(tap),
+        target,
+        settings,
+        acceleration=acceleration,
+        progress=progress,
+        warnings=tap.warnings,
+    )
+
+
+def render(
+    client: Client,
+    target: Path,
+    settings: Settings | None = None,
+    *,
+    acceleration: Path | None = None,
+    progress: Progress | None = None,
+    wait: Wait | None = None,
+    warnings: Sequence[str] = (),
+) -> RenderReport:
+    """Write the vibration of what a client plays as float32 WAV of the mix's rate and length.
+
     The transform's latency is taken out: the vibration stands under its sound. `acceleration`
     also runs the vibration through the simulated rig and writes what its accelerometer records,
-    full scale = 100 m/s^2. Memory does not depend on the length. Files appear whole or not at
-    all. May take long; called from any one thread.
+    full scale = 100 m/s^2. wait: called before every buffer, where the pace is to be kept;
+    warnings: what the source has found wrong by the end. Memory does not depend on the length.
+    Files appear whole or not at all, and the client is closed. May take long; called from any one
+    thread.
 
     Raises
     ------
@@ -64,51 +96,54 @@ def render_file(
         The source cannot be used or a target cannot be written there.
     WriteError
         The disk is full or failed.
+    InternalError
+        The haptic effect gave up.
     """
     settings = settings or Settings()
-    _refuse_same_file(source, target, acceleration)
-    tap = FileTap(source)
     outputs: list[VibrationOutput] = []
     try:
-        effect = HapticEffect(tap.samplerate, tap.channels, settings)
-        channels = effect.haptic_channels
-        outputs.append(WavOutput(target, tap.samplerate, channels))
+        framework = Framework(
+            client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
+        )
+        rate, channels = framework.samplerate, framework.haptic_channels
+        outputs.append(WavOutput(target, rate, channels))
         twin = None
         if acceleration is not None:
-            recorder = WavOutput(
-                acceleration, tap.samplerate, channels, comment=ACCELERATION_COMMENT
-            )
-            twin = Twin(rig_by_name(settings.rig), tap.samplerate, channels, recorder=recorder)
+            recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
+            twin = Twin(rig_by_name(settings.rig), rate, channels, recorder=recorder)
             outputs.append(twin)
-        aligned = [Aligned(output, effect.latency_frames) for output in outputs]
-        chain = Chain(tap, effect, aligned)
+        aligned = [Aligned(output, framework.latency_frames) for output in outputs]
+        chain = Chain(client, framework, aligned)
         frames = 0
         while step := chain.step():
+            framework.refuse_without_haptics()
             frames += len(step.audio)
             if progress:
-                progress(frames, tap.frames_expected)
+                progress(frames, client.frames_expected)
+            if wait:
+                wait(frames)
         chain.close()
     except BaseException:
         for output in outputs:
             output.abort()
         raise
     finally:
-        tap.close()
+        client.close()
     return RenderReport(
         frames=frames,
-        samplerate=tap.samplerate,
+        samplerate=rate,
         channels=channels,
         transform=settings.form,
-        latency_s=effect.latency_s,
+        latency_s=framework.latency_s,
         peak=aligned[0].peak,
-        limited_samples=effect.limited_samples,
-        replaced_samples=effect.replaced_samples,
+        limited_samples=framework.limited_samples,
+        replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
-        warnings=tap.warnings,
+        warnings=[*framework.warnings, *framework.bypassed(), *warnings],
     )
 
 
-def _refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:
+def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:
     """Raise UsageError where one of the files would overwrite another."""
     named = {"the input": source, "the vibration": target}
     if acceleration is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 from audioflinger_hook.transform import Form, TransformParameters
@@ -30,7 +31,8 @@ class Settings:
 
     profile: a named set of parameters; form: which form of the transform; channels: `mono`
     mixes before the transform, `each` transforms every channel by itself; damping: how residual
-    vibration is reduced; rig: the simulated device.
+    vibration is reduced; rig: the simulated device; effects_file: an audio_effects.xml that says
+    which effects run, None for the bundled one.
 
     Raises
     ------
@@ -43,6 +45,7 @@ class Settings:
     form: Form = "live"
     channels: Channels = "mono"
     rig: str = CHOICES["rig"][0]
+    effects_file: Path | None = None
     parameters: TransformParameters = field(default_factory=TransformParameters)
 
     def __post_init__(self) -> None:

@@ -1,10 +1,39 @@
-"""Settings that all tests share."""
+"""Settings and fixtures that tests share."""
 
+import importlib
 import os
+import sys
+import textwrap
 
+import pytest
 from hypothesis import settings
 
 # No deadline: a shared machine pauses any example now and then.
 settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") == "true" else "here")
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    """A folder on the path; calling it installs a package there as pip would leave it."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    before = set(sys.modules)
+
+    def install(name, source, entry_points, metadata=None):
+        (tmp_path / f"{name}.py").write_text(textwrap.dedent(source))
+        info = tmp_path / f"{name}-1.0.dist-info"
+        info.mkdir()
+        info.joinpath("METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n" if metadata is None else metadata
+        )
+        if isinstance(entry_points, bytes):
+            info.joinpath("entry_points.txt").write_bytes(entry_points)
+        else:
+            info.joinpath("entry_points.txt").write_text(textwrap.dedent(entry_points))
+        importlib.invalidate_caches()
+
+    yield install
+    for name in set(sys.modules) - before:
+        del sys.modules[name]

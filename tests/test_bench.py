@@ -11,7 +11,7 @@ import pytest
 from scipy.fft import rfft
 
 from audioflinger_hook import bench
-from audioflinger_hook.bench import measures, rendering, rig, savings, soak
+from audioflinger_hook.bench import measures, mixing, rendering, rig, savings, soak
 from audioflinger_hook.bench.cost import interleaved, rfft_unit_s
 from audioflinger_hook.bench.machine import MachineFacts
 from audioflinger_hook.bench.report import BenchReport, Missing, Must, Row, Section, number
@@ -41,6 +41,8 @@ LEAST = Effort(
     cost_repeats=1,
     cost_s=0.2,
     saving_repeats=1,
+    mix_rounds=2,
+    mix_repeats=1,
     growth_s=1.6,
     channels_s=0.2,
     hops_timed=200,
@@ -162,6 +164,18 @@ def test_work_is_repeated_in_turns_and_one_round_is_not_counted():
     timings = interleaved([lambda: order.append("a"), lambda: order.append("b")], 3)
     assert order == ["a", "b"] * 4
     assert [len(timing.seconds) for timing in timings] == [3, 3]
+
+
+def test_what_has_to_be_done_before_a_work_is_done_before_each_run_of_it_and_not_timed():
+    order: list[str] = []
+
+    def slow() -> None:
+        order.append("fill")
+        rfft(np.zeros(1 << 18))
+
+    (timing,) = interleaved([lambda: order.append("run")], 2, before=[slow])
+    assert order == ["fill", "run"] * 3
+    assert max(timing.seconds) < 1e-3
 
 
 def test_costs_are_given_in_units_of_the_fft_timed_with_them():
@@ -304,6 +318,33 @@ def switches(transform):
             if isinstance(entry, (int, float)):
                 found[f"{name}.{inner}"] = entry
     return found
+
+
+@pytest.mark.parametrize(("tracks", "samplerate"), [(1, RATE), (8, RATE), (3, 44_100)])
+def test_every_timed_cycle_mixes_every_track(tracks, samplerate):
+    bank = mixing.TrackBank(tracks, samplerate)
+    assert bank.frames == 960
+    for _ in range(4):
+        bank.fill()
+        assert bank.run() == tracks * mixing.CYCLES_AT_ONCE
+
+
+def test_the_mixer_s_rows_agree_with_one_another(report):
+    section = report.section("The mixer")
+    by_name = {(row.name, row.column): row.value for row in section.rows}
+    us = [by_name[f"{tracks} of 48 kHz", mixing.TIME] for tracks in ("1 track", "8 tracks")]
+    us.append(by_name["32 tracks of 48 kHz", mixing.TIME])
+    assert us == sorted(us)
+    # 20 000 us of sound a cycle
+    assert by_name["8 tracks of 48 kHz", mixing.SHARE] == pytest.approx(us[1] / 200.0)
+    (growth,) = (row for row in section.rows if row.must)
+    assert growth.value == pytest.approx((us[2] - us[1]) / 24 / ((us[1] - us[0]) / 7))
+    line = [by_name[f"straight line: {part}", mixing.TIME] for part in ("each track", "fixed part")]
+    assert line[0] * 32 + line[1] == pytest.approx(us[2], rel=0.2)
+    alone = by_name["demo scene, transform alone", mixing.SHARE]
+    mixed = by_name["demo scene, five tracks mixed", mixing.SHARE]
+    # one repeat here: the difference of medians is the median of differences
+    assert by_name["added by it: five tracks mixed", mixing.SHARE] == pytest.approx(mixed - alone)
 
 
 # ------------------------------------------------------------------------- what cannot be measured

@@ -1,4 +1,4 @@
-"""The chain as one step function: any tap, any blocksize, the same bytes on every output."""
+"""The chain as one step function: any client, any blocksize, the same bytes on every output."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.chain import Chain
-from audioflinger_hook.effect import HapticEffect
+from audioflinger_hook.clients import SceneClient, TapClient, mixdown
+from audioflinger_hook.framework import Framework
 from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
 from audioflinger_hook.settings import Settings
-from audioflinger_hook.taps import FileTap, SceneTap
+from audioflinger_hook.taps import FileTap, FramesTap
+from audioflinger_hook.transform import HapticTransform
 from device.alignment import Aligned
 from device.errors import WriteError
 from device.rig import PAPER
@@ -56,34 +58,46 @@ class Clogged(Collector):
 @pytest.fixture(scope="module")
 def scene():
     """Half a second of the demo: silence, then the engine, which has peaks of every strength."""
-    frames = demo_scene().mixdown()[12_000:36_000]
+    frames = mixdown(demo_scene())[12_000:36_000]
     return Scene("test", RATE, (SceneTrack("all", RATE, frames, 0.0),), 0.5)
 
 
 @pytest.fixture(scope="module")
-def scene_file(scene, tmp_path_factory):
-    """The scene's mixdown as a sound file, exact."""
-    return sound(tmp_path_factory.mktemp("scene") / "scene.wav", scene.mixdown())
+def mix(scene):
+    """What is heard of the scene."""
+    return mixdown(scene)
 
 
 @pytest.fixture(scope="module")
-def expected(scene):
+def scene_file(mix, tmp_path_factory):
+    """The scene's mixdown as a sound file, exact."""
+    return sound(tmp_path_factory.mktemp("scene") / "scene.wav", mix)
+
+
+@pytest.fixture(scope="module")
+def expected(mix):
     """By form, the whole vibration of the scene in one block, its latency taken out."""
 
     def whole(form):
-        effect = HapticEffect(RATE, 2, Settings(form=form))
-        blocks = [effect.process(scene.mixdown()), effect.finish()]
-        return np.concatenate(blocks)[effect.latency_frames :]
+        transform = HapticTransform(RATE, 2, form=form)
+        blocks = [transform.process(mix), transform.finish()]
+        return np.concatenate(blocks)[transform.latency_frames :].astype(np.float32)
 
     return {form: whole(form) for form in FORMS}
 
 
-def run(tap, settings, outputs=None):
+def played(frames, blocksize):
+    """A client that plays frames in buffers of one size."""
+    return TapClient(FramesTap(frames, RATE, blocksize))
+
+
+def run(client, settings, outputs=None):
     """Step a chain to its end and return its steps and its outputs, two if none are given."""
-    effect = HapticEffect(tap.samplerate, tap.channels, settings)
+    framework = Framework(client.samplerate, client.channels, settings)
     if outputs is None:
-        outputs = [Collector(tap.samplerate, effect.haptic_channels) for _ in range(2)]
-    chain = Chain(tap, effect, [Aligned(output, effect.latency_frames) for output in outputs])
+        outputs = [Collector(client.samplerate, framework.haptic_channels) for _ in range(2)]
+    latency = framework.latency_frames
+    chain = Chain(client, framework, [Aligned(output, latency) for output in outputs])
     steps = []
     while step := chain.step():
         steps.append(step)
@@ -99,17 +113,21 @@ def test_a_file_in_any_blocksize_gives_the_same_bytes(
     scene_file, expected, tmp_path, form, blocksize
 ):
     path = tmp_path / "out.wav"
-    steps, _ = run(FileTap(scene_file, blocksize), Settings(form=form), [WavOutput(path, RATE, 1)])
+    client = TapClient(FileTap(scene_file, blocksize))
+    steps, _ = run(client, Settings(form=form), [WavOutput(path, RATE, 1)])
     assert sum(len(step.audio) for step in steps) == len(expected[form])
     assert np.array_equal(vibration(path), expected[form])
 
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("blocksize", BLOCKSIZES)
-def test_a_scene_in_any_blocksize_gives_the_same_bytes(scene, expected, tmp_path, form, blocksize):
+def test_a_scene_in_any_blocksize_gives_the_same_bytes(
+    scene, mix, expected, tmp_path, form, blocksize
+):
     path = tmp_path / "out.wav"
-    steps, _ = run(SceneTap(scene, blocksize), Settings(form=form), [WavOutput(path, RATE, 1)])
-    assert np.array_equal(np.concatenate([step.audio for step in steps]), scene.mixdown())
+    client = SceneClient(scene, blocksize)
+    steps, _ = run(client, Settings(form=form), [WavOutput(path, RATE, 1)])
+    assert np.array_equal(np.concatenate([step.audio for step in steps]), mix)
     assert np.array_equal(vibration(path), expected[form])
 
 
@@ -122,6 +140,8 @@ class UnevenTap:
         self.samplerate = RATE
         self.channels = frames.shape[1]
         self.frames_expected = None
+        self.format_changed = False
+        self.discontinuity = False
         self.closed = 0
 
     def read(self):
@@ -133,68 +153,65 @@ class UnevenTap:
 
 @settings(max_examples=30)
 @given(st.lists(st.integers(0, 3_000), max_size=20), st.sampled_from(FORMS))
-def test_buffers_of_changing_lengths_and_of_none_give_the_same_bytes(
-    scene, expected, lengths, form
-):
-    _, outputs = run(UnevenTap(scene.mixdown(), lengths), Settings(form=form))
+def test_buffers_of_changing_lengths_and_of_none_give_the_same_bytes(mix, expected, lengths, form):
+    _, outputs = run(TapClient(UnevenTap(mix, lengths)), Settings(form=form))
     assert np.array_equal(outputs[0].frames, expected[form])
 
 
-def test_the_twin_moves_alike_whatever_the_blocksize(scene, tmp_path):
+def test_the_twin_moves_alike_whatever_the_blocksize(mix, tmp_path):
     felt = []
     for blocksize in (7, 256, 10**6):
         path = tmp_path / "felt.wav"
         twin = Twin(PAPER, RATE, 1, recorder=WavOutput(path, RATE, 1))
-        run(SceneTap(scene, blocksize), Settings(form="reference"), [twin])
+        run(played(mix, blocksize), Settings(form="reference"), [twin])
         felt.append(path.read_bytes())
     assert felt[0] == felt[1] == felt[2]
 
 
-def test_every_output_gets_the_same_and_nothing_twice(scene, expected):
-    steps, outputs = run(SceneTap(scene, 256), Settings())
+def test_every_output_gets_the_same_and_nothing_twice(mix, expected):
+    steps, outputs = run(played(mix, 256), Settings())
     for output in outputs:
         assert output.ended == ["close"]
         assert np.array_equal(output.frames, expected["live"])
     sent = np.concatenate([step.vibration for step in steps])
-    latency = HapticEffect(RATE, 2, Settings()).latency_frames
+    latency = HapticTransform(RATE, 2).latency_frames
     assert np.array_equal(sent[latency:], expected["live"])
     assert sent.dtype == np.float32
 
 
-def test_each_channel_has_its_own_column(scene):
-    _, outputs = run(SceneTap(scene, 256), Settings(channels="each"))
+def test_each_channel_has_its_own_column(mix):
+    _, outputs = run(played(mix, 256), Settings(channels="each"))
     assert outputs[0].frames.shape == (RATE // 2, 2)
     assert not np.array_equal(outputs[0].frames[:, 0], outputs[0].frames[:, 1])
 
 
-def test_a_step_moves_one_buffer_and_the_last_step_only_what_is_owed(scene):
-    tap = SceneTap(scene, 1_000)
-    effect = HapticEffect(RATE, 2, Settings())
+def test_a_step_moves_one_buffer_and_the_last_step_only_what_is_owed(mix):
+    framework = Framework(RATE, 2)
     output = Collector()
-    chain = Chain(tap, effect, [output])
-    for _ in range(24):
+    chain = Chain(played(mix, 800), framework, [output])
+    for _ in range(30):
         step = chain.step()
         assert step
-        assert step.audio.shape == (1_000, 2)
-        assert step.vibration.shape == (1_000, 1)
+        assert step.audio.shape == (800, 2)
+        assert step.vibration.shape == (800, 1)
     last = chain.step()
     assert last
     assert last.audio.shape == (0, 2)
-    assert last.vibration.shape == (effect.latency_frames, 1)
+    assert last.vibration.shape == (framework.latency_frames, 1)
     assert [chain.step() for _ in range(3)] == [None] * 3
-    assert len(output.frames) == 24_000 + effect.latency_frames
+    assert len(output.frames) == 24_000 + framework.latency_frames
 
 
 def test_a_sound_of_a_single_frame_goes_through(tmp_path):
-    tap = FileTap(sound(tmp_path / "one.wav", noise(1)))
-    steps, outputs = run(tap, Settings())
+    client = TapClient(FileTap(sound(tmp_path / "one.wav", noise(1))))
+    steps, outputs = run(client, Settings())
     assert [len(step.audio) for step in steps] == [1, 0]
     assert len(outputs[0].frames) == 1
 
 
-def test_the_effect_leaves_the_sound_as_it_is(scene):
-    steps, _ = run(SceneTap(scene, 256), Settings())
-    assert np.array_equal(np.concatenate([step.audio for step in steps]), scene.mixdown())
+def test_the_effect_leaves_the_sound_as_it_is(mix):
+    steps, _ = run(played(mix, 256), Settings())
+    assert np.array_equal(np.concatenate([step.audio for step in steps]), mix)
 
 
 # --- the end
@@ -202,13 +219,13 @@ def test_the_effect_leaves_the_sound_as_it_is(scene):
 
 @pytest.mark.parametrize("before", [{}, {"out.wav": b"old", "felt.wav": b"older"}])
 @pytest.mark.parametrize("steps", [0, 1, 20, 1_000])
-def test_abort_leaves_nothing_and_harms_nothing(scene, tmp_path, before, steps):
+def test_abort_leaves_nothing_and_harms_nothing(mix, tmp_path, before, steps):
     for name, content in before.items():
         (tmp_path / name).write_bytes(content)
     recorder = WavOutput(tmp_path / "felt.wav", RATE, 1)
     felt = Aligned(Twin(PAPER, RATE, 1, recorder=recorder), 10)
     outputs = [Aligned(WavOutput(tmp_path / "out.wav", RATE, 1), 10), felt]
-    chain = Chain(SceneTap(scene, 256), HapticEffect(RATE, 2, Settings()), outputs)
+    chain = Chain(played(mix, 256), Framework(RATE, 2), outputs)
     for _ in range(steps):
         chain.step()
     chain.abort()
@@ -218,8 +235,9 @@ def test_abort_leaves_nothing_and_harms_nothing(scene, tmp_path, before, steps):
 
 
 def test_close_keeps_what_was_sent_and_lets_go_of_the_tap(tmp_path):
-    tap = UnevenTap(noise(5_000, 2).astype(np.float32), [1_000])
-    chain = Chain(tap, HapticEffect(RATE, 2, Settings()), [WavOutput(tmp_path / "a", RATE, 1)])
+    tap = UnevenTap(noise(5_000, 2).astype(np.float32), [600, 400])
+    chain = Chain(TapClient(tap), Framework(RATE, 2), [WavOutput(tmp_path / "a", RATE, 1)])
+    chain.step()
     chain.step()
     chain.close()
     chain.close()
@@ -228,9 +246,9 @@ def test_close_keeps_what_was_sent_and_lets_go_of_the_tap(tmp_path):
     assert len(vibration(tmp_path / "a")) == 1_000
 
 
-def test_an_output_that_fails_stops_the_chain_and_abort_discards_the_others(scene, tmp_path):
+def test_an_output_that_fails_stops_the_chain_and_abort_discards_the_others(mix, tmp_path):
     whole = WavOutput(tmp_path / "out.wav", RATE, 1)
-    chain = Chain(SceneTap(scene, 256), HapticEffect(RATE, 2, Settings()), [whole, Clogged()])
+    chain = Chain(played(mix, 256), Framework(RATE, 2), [whole, Clogged()])
     chain.step()
     with pytest.raises(WriteError, match="disk is full"):
         chain.step()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import soundfile
 
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import Scene, demo_scene
 from tests.commands import (
     RATE,
@@ -28,6 +29,7 @@ sys.modules["matplotlib"] = None  # importing it fails, as where it is not insta
 
 ONE_SECOND = """
 from audioflinger_hook.cli import demo
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import Scene, demo_scene
 engine = demo_scene().tracks[0]
 engine = type(engine)("engine", 48_000, engine.frames[:43_200], 0.1)
@@ -66,7 +68,7 @@ def test_the_demo_draws_a_report(demo):
 
 def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
     _, out = demo
-    assert np.array_equal(vibration(out / "scene.wav"), demo_scene().mixdown())
+    assert np.array_equal(vibration(out / "scene.wav"), mixdown(demo_scene()))
     felt = tmp_path / "acceleration.wav"
     done = call("render", out / "scene.wav", tmp_path / "vibration.wav", "--acceleration", felt)
     assert done.code == 0

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import soundfile
 
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.inspection import inspect_file, inspect_tap
 from audioflinger_hook.scenes import Scene, SceneTrack
-from audioflinger_hook.taps import FileTap, SceneTap
+from audioflinger_hook.taps import FileTap, FramesTap
 from audioflinger_hook.transform import TransformParameters
 from device.errors import UsageError
 from tests.commands import RATE, noise, open_files, sound
@@ -87,7 +88,8 @@ def test_the_blocksize_changes_nothing(source, blocksize):
 def test_a_scene_is_inspected_as_the_file_of_its_mixdown_is(source):
     samples, _ = soundfile.read(source, dtype="float32")
     scene = Scene("test", RATE, (SceneTrack("all", RATE, samples, 0.0),), 0.5)
-    found = list(inspect_tap(SceneTap(scene, 256), TransformParameters()))
+    tap = FramesTap(mixdown(scene), RATE, 256)
+    found = list(inspect_tap(tap, TransformParameters()))
     assert found == list(inspect_file(source))
 
 

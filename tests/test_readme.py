@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+import soundfile
 
 from audioflinger_hook import config
 from audioflinger_hook.cli.parser import build_parser
@@ -16,10 +20,13 @@ from audioflinger_hook.transform import LIMITS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
+OWN_EFFECT = "An effect of your own"
 
 
-def block(language: str) -> str:
-    found = re.search(rf"```{language}\n(.*?)```", README, re.DOTALL)
+def block(language: str, section: str = "") -> str:
+    """Return the first block of a language, after the heading of a section if one is named."""
+    after = README[README.index(f"\n## {section}") :]
+    found = re.search(rf"```{language}\n(.*?)```", after, re.DOTALL)
     assert found, f"README.md has no {language} block"
     return found[1]
 
@@ -32,7 +39,7 @@ def test_the_library_example_runs_and_says_what_it_should() -> None:
         check=True,
         cwd=ROOT,
     )
-    assert ran.stdout == "41.2 ms late, peak 0.40\n"
+    assert ran.stdout == "41.2 ms late, peak 0.41\n"
 
 
 def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) -> None:
@@ -50,6 +57,56 @@ def test_every_limit_in_the_config_example_is_the_real_one() -> None:
         assert f"{limits.low:g} to {limits.high:g}" in next(
             line for line in block("toml").splitlines() if line.startswith(key)
         )
+
+
+def installed(folder: Path) -> Path:
+    """Put the README's own effect where an installer would, and return that folder."""
+    project = tomllib.loads(block("toml", OWN_EFFECT))["project"]
+    (folder / "gentle.py").write_text(block("python", OWN_EFFECT))
+    facts = folder / f"{project['name']}-{project['version']}.dist-info"
+    facts.mkdir()
+    (facts / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    )
+    lines = []
+    for group, entries in project["entry-points"].items():
+        lines += [f"[{group}]", *(f"{name} = {value}" for name, value in entries.items())]
+    (facts / "entry_points.txt").write_text("\n".join(lines))
+    return folder
+
+
+def test_the_effect_of_one_s_own_runs_before_the_haptic_effect_and_halves_it(
+    tmp_path: Path,
+) -> None:
+    site = tmp_path / "site"
+    site.mkdir()
+    path = os.pathsep.join((str(installed(site)), str(ROOT)))
+    (tmp_path / "audio_effects.xml").write_text(block("xml", OWN_EFFECT))
+    chosen = re.findall(r"```toml\n(effects_file.*?)```", README, re.DOTALL)
+    (tmp_path / "config.toml").write_text("".join(chosen))
+    time_s = np.arange(48_000) / 48_000
+    soundfile.write(tmp_path / "sound.wav", 0.4 * np.sin(2 * np.pi * 440 * time_s), 48_000)
+
+    def cushion(*arguments: str) -> str:
+        ran = subprocess.run(
+            [sys.executable, "-m", "audioflinger_hook", *arguments],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=tmp_path,
+            env=os.environ | {"PYTHONPATH": path},
+        )
+        assert ran.stderr == ""
+        return ran.stdout
+
+    dump = cushion("dump", "--tap", "scene:demo", "--config", "config.toml")
+    assert re.findall(r"Effect \d: (.*)", dump) == ["Gentle", "Haptic Cushion"]
+    cushion("render", "sound.wav", "plain.wav")
+    cushion("render", "sound.wav", "halved.wav", "--config", "config.toml")
+    plain, halved = (
+        np.abs(soundfile.read(tmp_path / name)[0]).max() for name in ("plain.wav", "halved.wav")
+    )
+    assert halved == pytest.approx(plain / 2, rel=0.02)
 
 
 def test_the_command_table_names_exactly_the_commands_that_exist() -> None:

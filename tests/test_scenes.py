@@ -3,6 +3,7 @@ import time
 import numpy as np
 import pytest
 
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
 from device.errors import UsageError
 
@@ -17,15 +18,15 @@ def scene():
 
 @pytest.fixture(scope="module")
 def mix(scene):
-    return scene.mixdown()
+    return mixdown(scene)
 
 
 def track_named(scene, name):
     return next(track for track in scene.tracks if track.name == name)
 
 
-def rms_between(frames, start_s, end_s):
-    part = frames[round(start_s * SAMPLERATE) : round(end_s * SAMPLERATE)]
+def rms_between(frames, start_s, end_s, samplerate=SAMPLERATE):
+    part = frames[round(start_s * samplerate) : round(end_s * samplerate)]
     return np.sqrt(np.mean(part.astype(np.float64) ** 2, axis=0))
 
 
@@ -36,7 +37,7 @@ def longest_silence_s(frames):
 
 
 def test_the_demo_scene_is_the_same_bytes_twice(mix):
-    assert demo_scene(SAMPLERATE).mixdown().tobytes() == mix.tobytes()
+    assert mixdown(demo_scene(SAMPLERATE)).tobytes() == mix.tobytes()
 
 
 def test_the_demo_scene_is_15_seconds_of_stereo_float32_at_48_khz(scene, mix):
@@ -57,13 +58,9 @@ def test_about_a_second_of_the_demo_scene_is_exact_silence(mix):
 @pytest.mark.parametrize("name", NAMES)
 def test_each_voice_can_be_heard_over_all_others_in_a_second_of_its_own(scene, name):
     own = track_named(scene, name)
-    others = Scene(
-        "others",
-        SAMPLERATE,
-        tuple(track for track in scene.tracks if track is not own),
-        scene.duration_s,
-    ).mixdown()
-    alone = Scene("alone", SAMPLERATE, (own,), scene.duration_s).mixdown()
+    rest = tuple(track for track in scene.tracks if track is not own)
+    others = mixdown(Scene("others", SAMPLERATE, rest, scene.duration_s))
+    alone = mixdown(Scene("alone", SAMPLERATE, (own,), scene.duration_s))
     starts_s = np.arange(own.start_s, own.end_s - 1.0, 0.1)
     margins_db = [
         20.0
@@ -88,18 +85,18 @@ def test_each_track_starts_and_ends_at_exactly_zero_and_keeps_no_offset(scene, n
 
 
 def test_the_engine_moves_from_the_left_to_the_right(scene):
-    engine = track_named(scene, "engine").frames
-    left, right = rms_between(engine, 1.0, 2.0)
+    engine = track_named(scene, "engine")
+    left, right = rms_between(engine.frames, 1.0, 2.0, engine.samplerate)
     assert left > 2.0 * right
-    left, right = rms_between(engine, 3.8, 4.3)
+    left, right = rms_between(engine.frames, 3.8, 4.3, engine.samplerate)
     assert right > 2.0 * left
 
 
 def test_the_footsteps_fall_left_and_right_in_turn(scene):
-    steps = track_named(scene, "footsteps").frames
+    steps = track_named(scene, "footsteps")
     balance = []
     for step in range(6):
-        left, right = rms_between(steps, 0.42 * step, 0.42 * step + 0.2)
+        left, right = rms_between(steps.frames, 0.42 * step, 0.42 * step + 0.2, steps.samplerate)
         balance.append(left > right)
     assert balance == [True, False] * 3
 
@@ -112,9 +109,16 @@ def test_the_explosion_is_the_loudest_second_of_the_scene(scene, mix):
     )
 
 
-def test_the_events_are_the_tracks_in_order_of_time(scene):
+def test_the_events_are_the_sounding_stretches_of_all_tracks_in_order_of_time(scene):
     events = scene.events()
-    assert [label for _, _, label in events] == NAMES
+    assert [label for _, _, label in events] == ["engine", *NAMES]
+    first, second, *others = events
+    assert (first[1], second[0]) == track_named(scene, "engine").pause_s
+    for start_s, end_s, name in others:
+        assert (start_s, end_s) == (
+            track_named(scene, name).start_s,
+            track_named(scene, name).end_s,
+        )
     assert all(0.0 <= start_s < end_s <= scene.duration_s for start_s, end_s, _ in events)
     assert events == sorted(events)
 
@@ -128,7 +132,7 @@ def test_making_the_demo_scene_takes_less_than_a_second_and_a_half_of_work():
 @pytest.mark.parametrize("samplerate", [16_000, 22_050, 44_100, 96_000])
 def test_the_demo_scene_keeps_its_shape_at_other_rates(samplerate):
     scene = demo_scene(samplerate)
-    mix = scene.mixdown()
+    mix = mixdown(scene)
     assert mix.shape == (15 * samplerate, 2)
     assert np.all(np.isfinite(mix))
     assert np.max(np.abs(mix)) <= 1.0
@@ -150,19 +154,27 @@ def ones(frames, channels=2, samplerate=1000, start_s=0.0):
 
 
 def test_a_mixdown_adds_tracks_at_their_starts_and_is_zero_elsewhere():
-    mix = Scene("sum", 1000, (ones(4), ones(3, start_s=0.002)), 0.008).mixdown()
+    mix = mixdown(Scene("sum", 1000, (ones(4), ones(3, start_s=0.002)), 0.008))
     assert mix[:, 0].tolist() == [1, 1, 2, 2, 1, 0, 0, 0]
     assert np.array_equal(mix[:, 0], mix[:, 1])
 
 
 def test_a_mixdown_does_not_limit_what_exceeds_full_scale():
-    assert np.all(Scene("loud", 1000, (ones(4), ones(4), ones(4)), 0.004).mixdown() == 3.0)
+    assert np.all(mixdown(Scene("loud", 1000, (ones(4), ones(4), ones(4)), 0.004)) == 3.0)
 
 
-@pytest.mark.parametrize("track", [ones(4, channels=1), ones(4, samplerate=500)])
-def test_a_mixdown_of_a_track_in_another_format_is_refused(track):
-    with pytest.raises(ValueError, match="use a mixer"):
-        Scene("mixed", 1000, (track,), 0.02).mixdown()
+def test_a_mixdown_spreads_a_mono_track_over_all_channels():
+    mix = mixdown(Scene("mono", 1000, (ones(4, channels=1), ones(2)), 0.005))
+    assert mix.tolist() == [[2, 2], [2, 2], [1, 1], [1, 1], [0, 0]]
+
+
+def test_a_mixdown_brings_a_track_of_another_rate_to_its_own():
+    # Half a second at half the rate is half a second; the edges ring for 64 frames of the track.
+    mix = mixdown(Scene("mixed", 2000, (ones(500, samplerate=1000),), 1.0))
+    assert len(mix) == 2000
+    assert np.allclose(mix[300:900], 1.0, atol=1e-3)
+    assert np.allclose(mix[1300:], 0.0, atol=1e-6)
+    assert mix[:, 0].sum() == pytest.approx(1000, rel=1e-3)
 
 
 def test_a_track_that_outlasts_its_scene_is_refused():

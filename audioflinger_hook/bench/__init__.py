@@ -1,8 +1,8 @@
 """The bench: what the transform and the simulated rig cost and how far they are off, measured here.
 
     signals, recordings --.
-                          |-> benches (tones, fidelity, speed, growth, savings, rendering, rig)
-    subjects (live, ...) -'        measures, cost                          |
+                          |-> benches (tones, fidelity, speed, growth, savings, mixing, rendering,
+    subjects (live, ...) -'        measures, cost        rig)              |
                                                                            v
                        soak record ------------------------------------> report -> Markdown, JSON
                                                                            '----> drawing
@@ -19,7 +19,17 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from audioflinger_hook.bench import fidelity, growth, rendering, rig, savings, soak, speed, tones
+from audioflinger_hook.bench import (
+    fidelity,
+    growth,
+    mixing,
+    rendering,
+    rig,
+    savings,
+    soak,
+    speed,
+    tones,
+)
 from audioflinger_hook.bench.machine import machine_facts
 from audioflinger_hook.bench.report import BenchReport, Missing, Must, Row, Section
 from audioflinger_hook.bench.signals import load_recordings
@@ -50,6 +60,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("worst hop", speed.worst_hop, 5.0),
     ("growth of cost", growth.cost_growth, 4.0),
     ("savings", savings.savings, 7.0),
+    ("the mixer", mixing.mixing, 6.0),
     ("rendering", rendering.render_speed, 2.0),
     ("simulated rig", rig.linear_rung, 2.0),
     ("memory", growth.memory_held, 4.0),

@@ -57,16 +57,24 @@ class Timings:
         return float(np.median(self.units))
 
 
-def interleaved(works: Sequence[Callable[[], object]], repeats: int) -> list[Timings]:
+def interleaved(
+    works: Sequence[Callable[[], object]],
+    repeats: int,
+    before: Sequence[Callable[[], object]] | None = None,
+) -> list[Timings]:
     """Return the timings of several works, in turns: each round runs every one of them once.
 
-    One round before the first warms caches and is not counted.
+    One round before the first warms caches and is not counted. before: for each work, what has
+    to be done before every run of it and is not timed.
     """
     timings = [Timings() for _ in works]
-    for work in works:
+    firsts = before or [_nothing] * len(works)
+    for first, work in zip(firsts, works, strict=True):
+        first()
         work()
     for _ in range(repeats):
-        for work, kept in zip(works, timings, strict=True):
+        for first, work, kept in zip(firsts, works, timings, strict=True):
+            first()
             unit_s = rfft_unit_s()
             seconds = thread_seconds(work)
             kept.seconds.append(seconds)
@@ -82,3 +90,7 @@ def call_times_s(work: Callable[[Frames], object], blocks: Sequence[Frames]) -> 
         work(block)
         times[index] = time.thread_time() - start
     return times
+
+
+def _nothing() -> None:
+    """Prepare nothing."""

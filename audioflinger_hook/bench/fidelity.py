@@ -22,6 +22,7 @@ from audioflinger_hook.bench.signals import (
     white_noise,
 )
 from audioflinger_hook.bench.workbench import LIVE, Subject, Workbench
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import FloatArray, Frames
@@ -188,7 +189,7 @@ def _unit_batches(recording: Recording) -> Iterator[FloatArray]:
 def any_split(bench: Workbench) -> Section:
     """Whether the bytes depend on how the sound arrives."""
     first = round(SPLIT_FROM_S * SAMPLERATE)
-    sound = demo_scene().mixdown()[first : first + round(bench.effort.split_s * SAMPLERATE)]
+    sound = mixdown(demo_scene())[first : first + round(bench.effort.split_s * SAMPLERATE)]
     rng = np.random.default_rng(2)
     rows = []
     for subject in bench.subjects:

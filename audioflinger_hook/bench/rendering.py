@@ -16,6 +16,7 @@ import soundfile
 from audioflinger_hook.bench.report import Missing, Must, Row, Section
 from audioflinger_hook.bench.signals import PROJECT_ROOT, SAMPLERATE
 from audioflinger_hook.bench.workbench import Workbench
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import demo_scene
 
 PACKAGE = "audioflinger_hook"
@@ -89,7 +90,7 @@ def _render(folder: Path, duration_s: float) -> tuple[float, float]:
 
 def _write_sound(path: Path, duration_s: float) -> None:
     """Write the demo scene in a loop, 16 bit, without holding all of it."""
-    demo = demo_scene().mixdown()
+    demo = mixdown(demo_scene())
     demo = np.clip(demo, -1.0, 1.0)
     left = round(duration_s * SAMPLERATE)
     with soundfile.SoundFile(path, "w", SAMPLERATE, demo.shape[1], "PCM_16") as file:

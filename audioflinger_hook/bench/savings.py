@@ -23,6 +23,7 @@ from audioflinger_hook.bench.signals import (
     white_noise,
 )
 from audioflinger_hook.bench.workbench import Workbench
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.analysis import LiveAnalysis
@@ -108,7 +109,7 @@ def _scenes(duration_s: float, recordings: tuple[Recording, ...]) -> dict[str, F
     cut_short = chord(duration_s)
     cut_short[SAMPLERATE // 2 :] = 0.0
     spoken = speech(recordings)
-    demo = demo_scene().mixdown()[round(DEMO_FROM_S * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
+    demo = mixdown(demo_scene())[round(DEMO_FROM_S * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
     scenes = {
         "0.5 s, then silence": cut_short,
         "demo scene": demo,

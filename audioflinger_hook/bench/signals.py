@@ -16,6 +16,7 @@ import soundfile
 from numpy.typing import NDArray
 
 import audioflinger_hook
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform.arrays import FloatArray
 
@@ -151,7 +152,7 @@ def _speech_scene(duration_s: float, recordings: tuple[Recording, ...]) -> Stere
 
 
 COST_SCENES: tuple[CostScene, ...] = (
-    CostScene("demo scene", True, lambda _s, _: demo_scene().mixdown()),
+    CostScene("demo scene", True, lambda _s, _: mixdown(demo_scene())),
     CostScene("chord, 10 modulated partials", True, lambda s, _: chord(s)),
     CostScene("speech recordings", True, _speech_scene),
     CostScene("white noise, 0 dBFS", False, lambda s, _: white_noise(s)),

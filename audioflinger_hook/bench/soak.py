@@ -20,6 +20,7 @@ from audioflinger_hook.bench.measures import SineFit, sine_fit
 from audioflinger_hook.bench.report import Missing, Must, Row, Section, number
 from audioflinger_hook.bench.signals import PROJECT_ROOT, SAMPLERATE, tone
 from audioflinger_hook.bench.workbench import Workbench
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.arrays import FloatArray
@@ -71,7 +72,7 @@ def soak_scene(hops: int = HOPS) -> SoakRecord:
     hop_frames = LiveGrid.at(TransformParameters(), SAMPLERATE).hop_frames
     start_s = time.process_time()
     held = memory_growth(
-        HapticTransform(SAMPLERATE, 2), demo_scene().mixdown(), BLOCKSIZE, hops * hop_frames
+        HapticTransform(SAMPLERATE, 2), mixdown(demo_scene()), BLOCKSIZE, hops * hop_frames
     )
     return SoakRecord(
         what="demo scene in a loop",

@@ -16,6 +16,7 @@ from audioflinger_hook.bench.signals import (
     white_noise,
 )
 from audioflinger_hook.bench.workbench import LIVE, Subject, Workbench
+from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.grid import LiveGrid
@@ -89,7 +90,7 @@ def worst_hop(bench: Workbench) -> Section:
     hop_s = grid.hop_frames / SAMPLERATE
     hops = bench.effort.hops_timed
     rows: list[Row] = []
-    for name, sound in (("demo scene", demo_scene().mixdown()), ("white noise", white_noise(15.0))):
+    for name, sound in (("demo scene", mixdown(demo_scene())), ("white noise", white_noise(15.0))):
         shares = 100.0 * _hop_times_s(bench.subject(LIVE), sound, grid.hop_frames, hops) / hop_s
         rows += [
             Row(f"{name}, median", float(np.median(shares)), "%"),

@@ -70,6 +70,8 @@ class Effort:
     cost_repeats: int
     cost_s: float
     saving_repeats: int
+    mix_rounds: int
+    mix_repeats: int
     growth_s: float
     channels_s: float
     hops_timed: int
@@ -89,6 +91,8 @@ QUICK = Effort(
     cost_repeats=5,
     cost_s=3.0,
     saving_repeats=2,
+    mix_rounds=60,
+    mix_repeats=3,
     growth_s=8.0,
     channels_s=1.0,
     hops_timed=5_000,
@@ -107,6 +111,8 @@ FULL = Effort(
     cost_repeats=15,
     cost_s=10.0,
     saving_repeats=7,
+    mix_rounds=400,
+    mix_repeats=9,
     growth_s=64.0,
     channels_s=4.0,
     hops_timed=50_000,

@@ -15,13 +15,14 @@ from rich.table import Table
 from audioflinger_hook.chain import Chain
 from audioflinger_hook.cli.meter import Meter
 from audioflinger_hook.cli.terminal import LineConsole, level_text, warn
-from audioflinger_hook.effect import HapticEffect
+from audioflinger_hook.clients import SceneClient, mixdown
+from audioflinger_hook.framework import Framework
 from audioflinger_hook.inspection import inspect_tap
 from audioflinger_hook.pace import RealTimePace
 from audioflinger_hook.render import ACCELERATION_COMMENT
 from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.settings import Settings
-from audioflinger_hook.taps import SceneTap
+from audioflinger_hook.taps import FramesTap
 from device.alignment import Aligned
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
@@ -52,33 +53,35 @@ def run(out: Path, *, fast: bool) -> int:
     _make_folder(out)
     settings = Settings()
     scene = demo_scene()
-    tap = SceneTap(scene, BLOCKSIZE_FRAMES)
-    effect = HapticEffect(tap.samplerate, tap.channels, settings)
-    rate, channels = tap.samplerate, effect.haptic_channels
+    sound = mixdown(scene)
+    framework = Framework(scene.samplerate, scene.channels, settings)
+    rate, channels = framework.samplerate, framework.haptic_channels
     picture = out / "report.png"
     if picture.is_dir():
         raise UsageError(f"cannot write {picture}: it is a folder; name another with --out")
-    sound = WavOutput(out / "scene.wav", rate, tap.channels)
+    heard = WavOutput(out / "scene.wav", rate, scene.channels)
     recorder = WavOutput(out / "acceleration.wav", rate, channels, comment=ACCELERATION_COMMENT)
     twin = Twin(rig_by_name(settings.rig), rate, channels, recorder=recorder)
     outputs = (WavOutput(out / "vibration.wav", rate, channels), twin)
-    chain = Chain(tap, effect, [Aligned(output, effect.latency_frames) for output in outputs])
+    latency = framework.latency_frames
+    aligned = [Aligned(output, latency) for output in outputs]
+    chain = Chain(SceneClient(scene, BLOCKSIZE_FRAMES), framework, aligned)
     try:
-        sound.write(scene.mixdown())
+        heard.write(sound)
         played = _play(chain, scene, twin, fast=fast)
-        sound.close()
+        heard.close()
         chain.close()
     except BaseException:
-        sound.abort()
+        heard.abort()
         chain.abort()
         raise
     drawn = True
     try:
-        _draw(picture, scene, played, effect, settings)
+        _draw(picture, scene, sound, played, framework)
     except ImportError:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
-    _print_table(out, effect, twin, played, drawn)
+    _print_table(out, framework, twin, played, drawn)
     return 0
 
 
@@ -101,7 +104,7 @@ def _play(chain: Chain, scene: Scene, twin: Twin, *, fast: bool) -> Played:
     with Meter(scene, LineConsole(stderr=True)) as meter:
         while True:
             began = time.thread_time()
-            step = chain.step()
+            step = chain.step(time.monotonic())
             if step is None:
                 break
             if len(step.audio):
@@ -116,16 +119,21 @@ def _play(chain: Chain, scene: Scene, twin: Twin, *, fast: bool) -> Played:
 
 
 def _draw(
-    path: Path, scene: Scene, played: Played, effect: HapticEffect, settings: Settings
+    path: Path,
+    scene: Scene,
+    sound: NDArray[np.float32],
+    played: Played,
+    framework: Framework,
 ) -> None:
     """Write the picture, which needs matplotlib."""
     from audioflinger_hook.figures.report import draw_report
 
+    settings = framework.settings
     frames = scene.frame_count
-    latency = effect.latency_frames
+    latency = framework.latency_frames
     full_scale_r = settings.parameters.unit_strength_hz(scene.samplerate)
     principals = []
-    for unit in inspect_tap(SceneTap(scene, frames), settings.parameters):
+    for unit in inspect_tap(FramesTap(sound, scene.samplerate, frames), settings.parameters):
         total = sum(p.r for p in unit.principal)
         for p in unit.principal:
             level_db = amplitude_to_db(p.r * p.r / (total * full_scale_r))
@@ -139,7 +147,7 @@ def _draw(
         picture,
         title="Haptic Cushion: what is played, and what is felt",
         samplerate=scene.samplerate,
-        audio=scene.mixdown(),
+        audio=sound,
         vibration=vibration[:, 0],
         vibration_samplerate=scene.samplerate,
         acceleration_m_s2=acceleration[:, 0],
@@ -148,25 +156,28 @@ def _draw(
         events=scene.events(),
         facts=(
             f"{settings.form} form, profile {settings.profile}",
-            f"latency {effect.latency_s * 1e3:.1f} ms, taken out here",
+            f"latency {framework.latency_s * 1e3:.1f} ms, taken out here",
             f"rig {settings.rig} (simulated)",
         ),
     )
     write_bytes_atomically(path, picture.getvalue())
 
 
-def _print_table(out: Path, effect: HapticEffect, twin: Twin, played: Played, drawn: bool) -> None:
+def _print_table(out: Path, framework: Framework, twin: Twin, played: Played, drawn: bool) -> None:
     peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
     buffer_ms = np.array(played.buffer_s) * 1e3
-    buffer_length_ms = BLOCKSIZE_FRAMES / effect.samplerate * 1e3
+    buffer_length_ms = BLOCKSIZE_FRAMES / framework.samplerate * 1e3
     median, tail, worst = np.percentile(buffer_ms, (50, 99, 100))
     share = 100.0 * buffer_ms.sum() / (buffer_length_ms * buffer_ms.size)
     table = Table(title="What was played and felt", show_header=False, title_justify="left")
+    tracks = framework.mixer.tracks
+    formats = ", ".join(f"{t.name} {t.format.value} {t.samplerate / 1e3:g} kHz" for t in tracks)
+    table.add_row(f"{len(tracks)} tracks mixed", formats)
     table.add_row("sound", f"{len(buffer_ms)} buffers of {BLOCKSIZE_FRAMES} frames")
-    table.add_row("latency of the transform", f"{effect.latency_s * 1e3:.1f} ms")
+    table.add_row("latency of the transform", f"{framework.latency_s * 1e3:.1f} ms")
     table.add_row("vibration, peak", level_text(peak))
-    table.add_row("limited samples", str(effect.limited_samples))
-    table.add_row("replaced samples", str(effect.replaced_samples))
+    table.add_row("limited samples", str(framework.limited_samples))
+    table.add_row("replaced samples", str(framework.replaced_samples))
     table.add_row("acceleration, peak", f"{twin.peak_acceleration_m_s2:.1f} m/s^2 (predicted)")
     table.add_row("excursion, peak", f"{twin.peak_displacement_m * 1e3:.2f} mm (predicted)")
     table.add_row("current, peak", f"{twin.peak_current_a:.2f} A (predicted)")

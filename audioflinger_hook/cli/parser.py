@@ -43,18 +43,32 @@ def build_parser() -> Parser:
     render = _add(commands, "render", "write the vibration of a sound file", _render)
     render.add_argument("input", type=Path, metavar="IN", help="any sound file")
     render.add_argument("output", type=Path, metavar="OUT", help="float32 WAV")
-    render.add_argument("--transform", dest="form", metavar="reference|live", help="default: live")
-    render.add_argument("--channels", metavar="mono|each", help="default: mono")
-    render.add_argument("--profile", metavar="NAME", help="default: paper")
-    render.add_argument("--damping", metavar="off|NAME", help="default: off")
-    render.add_argument("--acceleration", type=Path, metavar="FILE", help="what the rig would do")
-    render.add_argument("--config", type=Path, metavar="FILE", help="take the settings from it")
-    _add_json(render)
+    _add_rendering(render)
 
     inspect = _add(commands, "inspect", "list the principal frequencies of a sound file", _inspect)
     inspect.add_argument("input", type=Path, metavar="IN")
     inspect.add_argument("--at", type=_seconds, metavar="SECONDS", help="only the unit there")
     _add_json(inspect)
+
+    capture = _add(commands, "capture", "record buffers of sound as they are delivered", _capture)
+    capture.add_argument("folder", type=Path, metavar="OUTDIR", help="a new or empty folder")
+    _add_tap(capture)
+    capture.add_argument(
+        "--seconds", type=_duration, default=math.inf, metavar="S", help="default: to its end"
+    )
+
+    replay = _add(commands, "replay", "write the vibration of a capture", _replay)
+    replay.add_argument("folder", type=Path, metavar="DIR", help="a capture")
+    replay.add_argument("output", type=Path, metavar="OUT", help="float32 WAV")
+    replay.add_argument("--speed", default="max", metavar="1|max", help="default: max")
+    _add_rendering(replay)
+
+    dump = _add(commands, "dump", "show threads, tracks, effects and counters", _dump)
+    _add_tap(dump)
+    dump.add_argument(
+        "--at", type=_seconds, default=1.0, metavar="SECONDS", help="of sound; default: 1"
+    )
+    dump.add_argument("--config", type=Path, metavar="FILE", help="take the settings from it")
 
     bench = _add(commands, "bench", "measure speed against error on this machine", _bench)
     bench.add_argument("--quick", action="store_true", help="under a minute")
@@ -80,6 +94,26 @@ def _add(
     return command
 
 
+def _add_rendering(command: Parser) -> None:
+    """Add what `render` and `replay` share."""
+    command.add_argument("--transform", dest="form", metavar="reference|live", help="default: live")
+    command.add_argument("--channels", metavar="mono|each", help="default: mono")
+    command.add_argument("--profile", metavar="NAME", help="default: paper")
+    command.add_argument("--damping", metavar="off|NAME", help="default: off")
+    command.add_argument("--acceleration", type=Path, metavar="FILE", help="what the rig would do")
+    command.add_argument("--config", type=Path, metavar="FILE", help="take the settings from it")
+    _add_json(command)
+
+
+def _add_tap(command: Parser) -> None:
+    command.add_argument(
+        "--tap",
+        default="default",
+        metavar="TAP",
+        help="default, sink:NAME, app:NAME, file:PATH, capture:DIR or scene:demo",
+    )
+
+
 def _add_debug(parser: Parser) -> None:
     parser.add_argument("--debug", action="store_true", help="show tracebacks")
 
@@ -95,6 +129,13 @@ def _seconds(text: str) -> float:
         value = math.nan
     if not 0.0 <= value < math.inf:
         raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds from 0")
+    return value
+
+
+def _duration(text: str) -> float:
+    value = _seconds(text)
+    if not value:
+        raise argparse.ArgumentTypeError(f"{text!r} is no time to listen; allowed: above 0 seconds")
     return value
 
 
@@ -117,6 +158,24 @@ def _inspect(options: argparse.Namespace) -> int:
     from audioflinger_hook.cli import inspect
 
     return inspect.run(options.input, at_s=options.at, as_json=options.json)
+
+
+def _capture(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import capture
+
+    return capture.run(options)
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import replay
+
+    return replay.run(options)
+
+
+def _dump(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import dump
+
+    return dump.run(options)
 
 
 def _bench(options: argparse.Namespace) -> int:

@@ -5,23 +5,21 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from audioflinger_hook import config
 from audioflinger_hook.cli.terminal import level_text, progress_bar, warn
 from audioflinger_hook.render import RenderReport, render_file
 from audioflinger_hook.settings import Settings
 
+EMPTY: Mapping[str, int] = MappingProxyType({})
+
 
 def run(options: argparse.Namespace) -> int:
     """Render a file and say what came of it."""
-    settings = config.load(options.config) if options.config else Settings()
-    given = {
-        name: getattr(options, name)
-        for name in ("form", "channels", "profile", "damping")
-        if getattr(options, name) is not None
-    }
-    settings = dataclasses.replace(settings, **given)
+    settings = chosen_settings(options)
     with progress_bar(options.input.name) as progress:
         report = render_file(
             options.input,
@@ -30,15 +28,34 @@ def run(options: argparse.Namespace) -> int:
             acceleration=options.acceleration,
             progress=progress,
         )
+    show_report(report, options)
+    return 0
+
+
+def chosen_settings(options: argparse.Namespace) -> Settings:
+    """Return what a config file says, if one is named, and over it what the options say."""
+    settings = config.load(options.config) if options.config else Settings()
+    given = {
+        name: getattr(options, name)
+        for name in ("form", "channels", "profile", "damping")
+        if getattr(options, name) is not None
+    }
+    return dataclasses.replace(settings, **given)
+
+
+def show_report(
+    report: RenderReport, options: argparse.Namespace, more: Mapping[str, int] = EMPTY
+) -> None:
+    """Print what came of it, as JSON where asked, with warnings on stderr; more: other counts."""
     for warning in report.warnings:
         warn(warning)
     if options.output.suffix.lower() not in (".wav", ".wave", ".rf64", ""):
         warn(f"{options.output} is a WAV file, whatever its name says")
     if options.json:
-        print(json.dumps(dataclasses.asdict(report), indent=2))
+        print(json.dumps({**dataclasses.asdict(report), **more}, indent=2))
     else:
-        print(_summary(report, options.output))
-    return 0
+        counts = [f"{count} {name.replace('_', ' ')}" for name, count in more.items() if count]
+        print(", ".join([_summary(report, options.output), *counts]))
 
 
 def _summary(report: RenderReport, output: Path) -> str:

@@ -1,5 +1,7 @@
-"""The effect: what the mixer's output passes through, leaving vibration beside it."""
+"""Effects as on Android: what the mixer's output passes through, leaving vibration beside it.
 
-from audioflinger_hook.effect.haptic import HapticEffect
-
-__all__ = ["HapticEffect"]
+audio_effects.xml -> xml --.
+entry points -> library ---+-> chain (one a session) -> module (lifecycle)
+                                   commands (checks) <--'   '--> guard -> an engine
+parameters, interface: what an engine is                          haptic: ours -> vibration
+"""

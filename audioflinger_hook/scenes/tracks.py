@@ -1,4 +1,4 @@
-"""What a scene is: named tracks, each with its own start, and their plain sum."""
+"""What a scene is: named tracks, each with its own format, start and pause."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-MIXDOWN_CHANNELS = 2
+from audioflinger_hook.mixer import PcmFormat
 
 
 # eq=False: comparing arrays with == gives arrays, so a generated __eq__ could only fail.
@@ -15,14 +15,16 @@ MIXDOWN_CHANNELS = 2
 class SceneTrack:
     """One sound of a scene and the moment it starts.
 
-    `frames` has the shape (frames, channels), full scale is 1; `start_s` counts from the start of
-    the scene.
+    `frames` has the shape (frames, channels), full scale is 1; `start_s` and `pause_s`, from when
+    to when it pauses, count from the start of the scene; pcm_format: how its samples are stored.
     """
 
     name: str
     samplerate: int
     frames: NDArray[np.float32]
     start_s: float
+    pcm_format: PcmFormat = PcmFormat.FLOAT
+    pause_s: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.samplerate <= 0:
@@ -34,6 +36,12 @@ class SceneTrack:
             )
         if not self.start_s >= 0.0:
             raise ValueError(f"track {self.name!r}: start_s={self.start_s} lies before the scene")
+        own_end_s = self.start_s + self.duration_s
+        if self.pause_s and not self.start_s < self.pause_s[0] < min(self.pause_s[1], own_end_s):
+            raise ValueError(
+                f"track {self.name!r}: pause_s={self.pause_s} is no time while it plays, "
+                "from when to when"
+            )
 
     @property
     def duration_s(self) -> float:
@@ -43,17 +51,22 @@ class SceneTrack:
     @property
     def end_s(self) -> float:
         """The moment in the scene, in seconds, at which the track is over."""
-        return self.start_s + self.duration_s
+        paused_s = self.pause_s[1] - self.pause_s[0] if self.pause_s else 0.0
+        return self.start_s + self.duration_s + paused_s
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Tracks on a common time axis of `duration_s` seconds; `samplerate` is that of the mixdown."""
+    """Tracks on a common time axis of `duration_s` seconds.
+
+    `samplerate` (Hz) and `channels` are those of the mix.
+    """
 
     name: str
     samplerate: int
     tracks: tuple[SceneTrack, ...]
     duration_s: float
+    channels: int = 2
 
     def __post_init__(self) -> None:
         for track in self.tracks:
@@ -66,29 +79,15 @@ class Scene:
 
     @property
     def frame_count(self) -> int:
-        """The number of frames of the mixdown."""
+        """The number of frames of the mix."""
         return round(self.duration_s * self.samplerate)
 
-    def mixdown(self) -> NDArray[np.float32]:
-        """The plain sum of all tracks, float32 of shape (frames, 2): no gain, no limiter.
-
-        Raises ValueError for a track that is not stereo at the scene's samplerate: to convert is
-        the work of a mixer.
-        """
-        mix = np.zeros((self.frame_count, MIXDOWN_CHANNELS), dtype=np.float32)
-        for track in self.tracks:
-            channels = track.frames.shape[1]
-            if track.samplerate != self.samplerate or channels != MIXDOWN_CHANNELS:
-                raise ValueError(
-                    f"track {track.name!r} has {channels} channel(s) at {track.samplerate} Hz; "
-                    f"mixdown() sums only {MIXDOWN_CHANNELS} channels at {self.samplerate} Hz, "
-                    "use a mixer for anything else"
-                )
-            start = round(track.start_s * self.samplerate)
-            stop = min(start + track.frames.shape[0], mix.shape[0])
-            mix[start:stop] += track.frames[: stop - start]
-        return mix
-
     def events(self) -> list[tuple[float, float, str]]:
-        """(start_s, end_s, name) of every track, in order of start: what to write above a plot."""
-        return sorted((track.start_s, track.end_s, track.name) for track in self.tracks)
+        """(start_s, end_s, name) of every stretch that sounds, in order: to write above a plot."""
+        stretches = []
+        for track in self.tracks:
+            pause_s, resume_s = track.pause_s or (track.end_s, track.end_s)
+            stretches.append((track.start_s, pause_s, track.name))
+            if resume_s < track.end_s:
+                stretches.append((resume_s, track.end_s, track.name))
+        return sorted(stretches)

@@ -27,7 +27,8 @@ FRAMES_UNKNOWN = 1 << 40
 class FileTap:
     """The frames of any file that libsndfile reads, as float32, in buffers of `blocksize`.
 
-    `warnings` holds, once the end is reached, what a user should know: one line each.
+    format_changed and discontinuity are never true of a file. `warnings` holds, once the end is
+    reached, what a user should know: one line each.
 
     Raises
     ------
@@ -35,6 +36,9 @@ class FileTap:
         The file is missing, unreadable, not sound, holds no frame, or has a rate or a channel
         count that the transform does not take.
     """
+
+    format_changed = False
+    discontinuity = False
 
     def __init__(self, path: Path, blocksize: int = BLOCKSIZE_FRAMES) -> None:
         self.path = path

@@ -9,10 +9,17 @@ from numpy.typing import NDArray
 
 
 class Tap(Protocol):
-    """A source of sound: buffers of one format, in order, until it ends."""
+    """A source of sound: buffers in order, until it ends."""
 
     samplerate: int
     channels: int
+    """Those of the buffer read last; before the first, those that it will have."""
+
+    format_changed: bool
+    """Whether the buffer read last has another format than the one before it."""
+
+    discontinuity: bool
+    """Whether frames are missing before the buffer read last."""
 
     @property
     def frames_expected(self) -> int | None:

@@ -1,26 +1,30 @@
-"""A tap on a scene made by code."""
+"""A tap on a sound made by code."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.scenes import Scene
 
+class FramesTap:
+    """Frames from memory, (frames, channels), in buffers of `blocksize` (the last may be shorter).
 
-class SceneTap:
-    """The scene's mixdown in buffers of `blocksize` frames (the last may be shorter)."""
+    format_changed and discontinuity are never true.
+    """
 
-    def __init__(self, scene: Scene, blocksize: int) -> None:
-        self._frames = scene.mixdown()
+    format_changed = False
+    discontinuity = False
+
+    def __init__(self, frames: NDArray[np.float32], samplerate: int, blocksize: int) -> None:
+        self._frames = frames
         self._blocksize = blocksize
         self._position = 0
-        self.samplerate = scene.samplerate
-        self.channels = self._frames.shape[1]
+        self.samplerate = samplerate
+        self.channels = int(frames.shape[1])
 
     @property
     def frames_expected(self) -> int | None:
-        """The scene's length in frames."""
+        """How many frames there are."""
         return len(self._frames)
 
     def read(self) -> NDArray[np.float32] | None:

@@ -1,0 +1,267 @@
+"""Reading a capture: its buffers as they were delivered, up to the last whole one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.capture.buffer import CaptureBuffer
+from audioflinger_hook.capture.format import (
+    FORMAT,
+    INDEX_NAME,
+    STREAMS,
+    VERSION,
+    BufferRecord,
+    DroppedRecord,
+    EndRecord,
+    Facts,
+    Header,
+    segment_name,
+    segment_paths,
+)
+from audioflinger_hook.capture.index import begins_like_an_index, first_record, records
+from audioflinger_hook.capture.rebuild import REBUILT_FRAMES, ordered_segments, rebuilt_buffers
+from audioflinger_hook.capture.segment import SegmentReader, segment_format
+from device.errors import UsageError
+
+Buffers = Generator[CaptureBuffer, None, None]
+"""Buffers one after another; `close()` lets go of the files before the end."""
+
+
+class Capture:
+    """A capture to read from, finished, cut off, damaged, or still growing.
+
+    streams: those that it holds; facts: what its maker said about it; warnings: one line each
+    about what is lost or had to be assumed, complete for a stream once `buffers` has come to its
+    end. Nothing in the folder is changed. Calls come from one thread, not the audio thread.
+
+    - Cut off (kill -9, disk full): everything up to the last whole buffer, and a warning.
+    - Damaged lines in the index, samples that are missing or were changed: the buffers concerned
+      are left out, the next one is a discontinuity, and a warning says how many.
+    - Index missing: the segments in order, as buffers of 1024 frames; see rebuild.py.
+
+    Raises
+    ------
+    UsageError
+        The folder is missing, may not be read, is no capture, or of an unknown version.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self.folder = Path(folder)
+        self.warnings: list[str] = []
+        self.facts: Facts = {}
+        self._index = self.folder / INDEX_NAME
+        self._rebuilt = False
+        found = _streams_there(self.folder)
+        first = first_record(self._index) if self._index.is_file() else None
+        if isinstance(first, Header):
+            _refuse_unless_known(self.folder, first)
+            self.streams, self.facts = first.streams, first.facts
+        elif first is not None:
+            self.streams = found
+            self._warn(f"{self._index}: the first line is damaged; version {VERSION} is assumed")
+        elif found:
+            self._rebuilt = True
+            self.streams = found
+        elif self._index.is_file() and begins_like_an_index(self._index):
+            self.streams = ()
+            self._warn(f"{self.folder} was cut off before the first buffer")
+        else:
+            raise UsageError(
+                f"{self.folder} is not a capture; a folder with {INDEX_NAME} and "
+                f"{segment_name('tap', 1)}, as `cushion capture` makes it, was expected"
+            )
+
+    def buffers(self, stream: str = "tap") -> Buffers:
+        """The stream's buffers in order. Several iterations at a time do not disturb one another.
+
+        Raises
+        ------
+        UsageError
+            There is no such stream, a file may not be read, or the index is missing and the order
+            of the segments is ambiguous.
+        """
+        if stream not in self.streams:
+            if not self.streams:
+                return _none()
+            raise UsageError(
+                f"{self.folder} holds no stream {stream!r}, only {', '.join(self.streams)}"
+            )
+        return self._rebuild(stream) if self._rebuilt else self._read(stream)
+
+    def frames_expected(self, stream: str = "tap") -> int:
+        """Frames of the stream by the lengths of its segments: quick, and for progress only."""
+        found = map(segment_format, segment_paths(self.folder, stream).values())
+        return sum(segment.frames_there for segment in found if segment is not None)
+
+    def _read(self, stream: str) -> Buffers:
+        tally = _Tally()
+        samples_of = _Samples(self.folder)
+        try:
+            for record in records(self._index):
+                if record is None:
+                    tally.unread_lines += 1
+                    continue
+                tally.damaged_lines += tally.unread_lines
+                tally.unread_lines = 0
+                if isinstance(record, EndRecord):
+                    tally.promised = record.buffers.get(stream, 0)
+                elif isinstance(record, DroppedRecord) and record.stream == stream:
+                    tally.drop(record)
+                elif isinstance(record, BufferRecord) and record.stream == stream:
+                    samples = samples_of.read(record)
+                    if samples is None or record.buffer < tally.next_buffer:
+                        continue
+                    discontinuity = tally.take(record) or record.discontinuity
+                    yield CaptureBuffer(samples, record.samplerate, record.time_s, discontinuity)
+        finally:
+            samples_of.close()
+        for text in tally.warnings(stream):
+            self._warn(f"{self.folder}: {text}")
+
+    def _rebuild(self, stream: str) -> Buffers:
+        ordered_segments(self.folder, stream)  # refuses before the first buffer, not after it
+        self._warn(
+            f"{self.folder}: {INDEX_NAME} is missing or unreadable; stream {stream} is given in "
+            f"buffers of {REBUILT_FRAMES} frames from time 0 on: sizes, times and discontinuities "
+            "are not those recorded"
+        )
+        yield from rebuilt_buffers(self.folder, stream)
+
+    def _warn(self, text: str) -> None:
+        if text not in self.warnings:
+            self.warnings.append(text)
+
+
+@dataclass
+class _Tally:
+    """What one pass over a stream has seen, for its warnings."""
+
+    next_buffer: int = 0
+    taken_buffers: int = 0
+    taken_frames: int = 0
+    lost_buffers: int = 0
+    gaps: int = 0
+    first_gap: int = 0
+    dropped_buffers: int = 0
+    dropped_frames: int = 0
+    damaged_lines: int = 0
+    unread_lines: int = 0
+    promised: int | None = None
+    after_drop: bool = False
+
+    def take(self, record: BufferRecord) -> bool:
+        """Count a whole buffer, and return whether something is missing before it."""
+        lost = record.buffer - self.next_buffer
+        if lost:
+            self.first_gap = record.buffer if not self.gaps else self.first_gap
+            self.gaps += 1
+            self.lost_buffers += lost
+        missing = lost > 0 or self.after_drop
+        self.after_drop = False
+        self.next_buffer = record.buffer + 1
+        self.taken_buffers += 1
+        self.taken_frames += record.frames
+        return missing
+
+    def drop(self, record: DroppedRecord) -> None:
+        """Count what the recorder could not keep."""
+        self.dropped_buffers += record.buffers
+        self.dropped_frames += record.frames
+        self.after_drop = True
+
+    def warnings(self, stream: str) -> Iterator[str]:
+        """What a user should know, a line each."""
+        if self.dropped_buffers:
+            yield (
+                f"{self.dropped_buffers} buffers ({self.dropped_frames} frames) of stream {stream} "
+                "were dropped while recording; a discontinuity marks each place"
+            )
+        if self.gaps:
+            yield (
+                f"{self.lost_buffers} buffers of stream {stream} are damaged and left out, the "
+                f"first before buffer {self.first_gap}; a discontinuity marks each place"
+            )
+        elif self.damaged_lines:
+            yield (
+                f"{self.damaged_lines} lines of {INDEX_NAME} are damaged; no buffer of stream "
+                f"{stream} is missing between others"
+            )
+        if self.promised is None:
+            yield (
+                "it was cut off (killed, disk full, or still being written); "
+                f"{self._recovered(stream)}"
+            )
+        elif self.promised > self.next_buffer:
+            lost = self.promised - self.next_buffer
+            yield f"the last {lost} buffers are damaged; {self._recovered(stream)}"
+
+    def _recovered(self, stream: str) -> str:
+        return (
+            f"{self.taken_buffers} whole buffers ({self.taken_frames} frames) of stream {stream} "
+            "were recovered"
+        )
+
+
+class _Samples:
+    """Samples of one buffer after another; holds the segment that is being read open."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._path: Path | None = None
+        self._segment: SegmentReader | None = None
+
+    def read(self, record: BufferRecord) -> NDArray[np.float32] | None:
+        """The buffer's samples, or None where they are not whole."""
+        path = self._folder / segment_name(record.stream, record.segment)
+        if path != self._path:
+            self.close()
+            self._path = path
+            try:
+                self._segment = SegmentReader(path)
+            except FileNotFoundError:
+                self._segment = None
+        if self._segment is None:
+            return None
+        return self._segment.read(record.first, record.frames, record.channels, record.samples_crc)
+
+    def close(self) -> None:
+        """Let go of the segment."""
+        if self._segment is not None:
+            self._segment.close()
+        self._segment = self._path = None
+
+
+def _none() -> Buffers:
+    yield from ()
+
+
+def _streams_there(folder: Path) -> tuple[str, ...]:
+    """The streams of which the folder holds a segment; UsageError where it cannot be looked at."""
+    try:
+        if not folder.exists():
+            raise UsageError(f"{folder} does not exist; give the folder of a capture")
+        if not folder.is_dir():
+            raise UsageError(f"{folder} is not a folder; give the folder of a capture")
+        return tuple(stream for stream in STREAMS if segment_paths(folder, stream))
+    except OSError as error:
+        raise UsageError(
+            f"{folder} may not be read ({error.strerror}); check its permissions"
+        ) from None
+
+
+def _refuse_unless_known(folder: Path, header: Header) -> None:
+    if header.format != FORMAT:
+        raise UsageError(
+            f"{folder} holds a {header.format!r}; a folder with a {FORMAT!r} was expected"
+        )
+    if header.version != VERSION:
+        raise UsageError(
+            f"{folder} is a capture of version {header.version}; this program reads version "
+            f"{VERSION}: use a newer one"
+        )

@@ -1,0 +1,241 @@
+"""Capturing from the audio thread: buffers are handed over without waiting, written elsewhere.
+
+Each stream has a ring of samples, allocated and touched at the start. `offer` copies a buffer into
+it; a thread of the recorder's own takes it out and writes it. Each position is moved by one side
+only, so neither waits for the other. What finds no room is dropped, counted, and leaves a
+discontinuity in the capture.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from queue import SimpleQueue
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.capture.writer import CaptureWriter
+from device.errors import CushionError, InternalError
+
+CAPACITY_SAMPLES = 1 << 22
+"""Of each stream: 16 MB, or 43 s of 48 kHz stereo, for a disk that takes a pause."""
+
+CAPACITY_BUFFERS = 1 << 14
+
+
+@dataclass(frozen=True, slots=True)
+class _Handed:
+    """A buffer on its way: where in the ring it lies and how it was delivered."""
+
+    start: int
+    end: int
+    shape: tuple[int, int]
+    samplerate: int
+    time_s: float
+    discontinuity: bool
+    dropped_before: tuple[int, int]
+
+
+class CaptureRecorder:
+    """A capture that the audio thread can feed; `writer` is its own from now on.
+
+    capacity_samples, capacity_buffers: what each stream may have waiting. A buffer is never longer
+    than `capacity_samples`. Each stream may be fed by a thread of its own, but by one only.
+
+    `error` is what made writing end (WriteError: the disk is full), or None; from then on every
+    buffer is dropped. `close` raises it.
+    """
+
+    def __init__(
+        self,
+        writer: CaptureWriter,
+        *,
+        capacity_samples: int = CAPACITY_SAMPLES,
+        capacity_buffers: int = CAPACITY_BUFFERS,
+    ) -> None:
+        self.error: CushionError | None = None
+        self._writer = writer
+        self._lanes = {
+            stream: _Lane(capacity_samples, capacity_buffers) for stream in writer.streams
+        }
+        # Its put never waits, and wakes the thread.
+        self._queue: SimpleQueue[tuple[str, _Handed] | None] = SimpleQueue()
+        self._closed = False
+        # A daemon: a program that fails before `close` must be able to end.
+        self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
+        self._thread.start()
+
+    def offer(
+        self,
+        stream: str,
+        frames: NDArray[np.float32],
+        samplerate: int,
+        time_s: float,
+        *,
+        discontinuity: bool = False,
+    ) -> bool:
+        """Hand over one buffer, see `CaptureWriter.write_buffer`; False where it was dropped.
+
+        The samples are copied: the caller may use its array again. Called by the audio thread;
+        never waits, never raises for a stream of the capture.
+        """
+        lane = self._lanes[stream]
+        if frames.ndim != 2 or frames.dtype != np.float32:
+            self.error = self.error or InternalError(
+                f"a buffer of {frames.dtype} has shape {frames.shape}: "
+                "(frames, channels) of float32 was expected"
+            )
+        if self._closed or self.error is not None:
+            lane.drop(frames.shape[0] if frames.ndim else 0)
+            return False
+        handed = lane.put(frames, samplerate, time_s, discontinuity)
+        if handed is None:
+            return False
+        self._queue.put((stream, handed))
+        return True
+
+    def dropped(self, stream: str) -> tuple[int, int]:
+        """Buffers and frames of the stream that could not be kept so far. Any thread."""
+        return self._lanes[stream].dropped()
+
+    def close(self) -> None:
+        """Write what is waiting, complete the capture, and raise what made writing end, if so.
+
+        Waits for the disk; harmless a second time. Called when the feeding threads have stopped;
+        what they offer later is dropped.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self._queue.put(None)
+        self._thread.join()
+        try:
+            for stream, lane in self._lanes.items():
+                lane.drop_unwritten()
+                self._note(stream, lane.take_dropped())
+            self._writer.close()
+        except CushionError as error:
+            self.error = self.error or error
+        if self.error is not None:
+            raise self.error
+
+    def __enter__(self) -> CaptureRecorder:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        """Write buffers until `close`; after an error, count them."""
+        failed = False
+        while (item := self._queue.get()) is not None:
+            stream, handed = item
+            lane = self._lanes[stream]
+            if not failed:
+                try:
+                    self._write(stream, lane, handed)
+                except CushionError as error:
+                    self.error, failed = error, True
+                except Exception as error:
+                    self.error = InternalError(
+                        f"the capture ended: {type(error).__name__}: {error}"
+                    )
+                    failed = True
+            if failed:
+                lane.unwritten_buffers += 1
+                lane.unwritten_frames += handed.shape[0]
+            lane.release(handed)
+
+    def _write(self, stream: str, lane: _Lane, handed: _Handed) -> None:
+        self._note(stream, handed.dropped_before)
+        self._writer.write_buffer(
+            stream,
+            lane.samples_of(handed),
+            handed.samplerate,
+            handed.time_s,
+            discontinuity=handed.discontinuity or handed.dropped_before[0] > 0,
+        )
+
+    def _note(self, stream: str, dropped: tuple[int, int]) -> None:
+        if dropped[0]:
+            self._writer.note_dropped(stream, *dropped)
+
+
+class _Lane:
+    """The ring of one stream. `put` and `drop` by the feeding thread, the rest by the writing one.
+
+    Positions count samples from the start and never wrap; a buffer lies in one piece, so the end
+    of the ring is skipped where it does not fit.
+    """
+
+    def __init__(self, capacity_samples: int, capacity_buffers: int) -> None:
+        self._ring = np.empty(capacity_samples, np.float32)
+        self._ring.fill(0.0)  # touched now, so that no page is missing later
+        self._capacity_buffers = capacity_buffers
+        self._head = self._put = 0  # moved by the feeding thread
+        self._tail = self._released = 0  # moved by the writing thread, while something is waiting
+        self.dropped_buffers = self.dropped_frames = 0
+        self._told = (0, 0)
+        self.unwritten_buffers = self.unwritten_frames = 0
+
+    def put(
+        self, frames: NDArray[np.float32], samplerate: int, time_s: float, discontinuity: bool
+    ) -> _Handed | None:
+        """Copy a buffer into the ring, or count it as dropped and return None."""
+        capacity = len(self._ring)
+        if self._put == self._released:
+            # Nothing is waiting, so the writing thread moves nothing: start at the beginning.
+            self._head = self._tail = 0
+        start = self._head
+        if start % capacity + frames.size > capacity:
+            start += capacity - start % capacity
+        end = start + frames.size
+        if end - self._tail > capacity or self._put - self._released >= self._capacity_buffers:
+            self.drop(len(frames))
+            return None
+        shape = (frames.shape[0], frames.shape[1])
+        handed = _Handed(start, end, shape, samplerate, time_s, discontinuity, self.take_dropped())
+        self.samples_of(handed)[...] = frames
+        self._head = end
+        self._put += 1
+        return handed
+
+    def drop(self, frames: int) -> None:
+        """Count a buffer that is not kept."""
+        self.dropped_buffers += 1
+        self.dropped_frames += frames
+
+    def dropped(self) -> tuple[int, int]:
+        """Buffers and frames not kept so far, before the ring or behind it."""
+        return (
+            self.dropped_buffers + self.unwritten_buffers,
+            self.dropped_frames + self.unwritten_frames,
+        )
+
+    def drop_unwritten(self) -> None:
+        """Call dropped what was not written; both threads have come to rest."""
+        self.dropped_buffers, self.dropped_frames = self.dropped()
+        self.unwritten_buffers = self.unwritten_frames = 0
+
+    def take_dropped(self) -> tuple[int, int]:
+        """Buffers and frames dropped since the last call."""
+        buffers, frames = self._told
+        self._told = (self.dropped_buffers, self.dropped_frames)
+        return self.dropped_buffers - buffers, self.dropped_frames - frames
+
+    def samples_of(self, handed: _Handed) -> NDArray[np.float32]:
+        """The buffer, in the ring."""
+        start = handed.start % len(self._ring)
+        return self._ring[start : start + handed.end - handed.start].reshape(handed.shape)
+
+    def release(self, handed: _Handed) -> None:
+        """Give the buffer's place free."""
+        self._tail = handed.end
+        self._released += 1

@@ -1,0 +1,332 @@
+"""Writing a capture: every buffer is safe from a kill as soon as its call has returned."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook import __version__
+from audioflinger_hook.capture.format import (
+    INDEX_NAME,
+    STREAMS,
+    BufferRecord,
+    DroppedRecord,
+    EndRecord,
+    Facts,
+    Header,
+    segment_name,
+    segment_paths,
+)
+from audioflinger_hook.capture.segment import SegmentWriter, write_at
+from device.errors import CushionError, InternalError, UsageError, WriteError
+
+_NOT_THE_USERS_FAULT = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE}
+_REASONS = {
+    errno.ENOSPC: "the disk is full; free some space or name another folder",
+    errno.EDQUOT: "the disk quota is used up; free some space or name another folder",
+    errno.EFBIG: "a file would be larger than allowed; raise the limit (ulimit -f)",
+    errno.EROFS: "the file system is read-only; name another folder",
+    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
+}
+
+
+@dataclass
+class _Stream:
+    """How far a stream has come."""
+
+    buffers: int = 0
+    frames: int = 0
+    segments: int = 0
+    segment: SegmentWriter | None = None
+    segment_frames: int = 0
+
+
+class CaptureWriter:
+    """A new capture in `folder`, which is made, or is there and empty.
+
+    Buffers are written as they come: samples first, then their line in the index, both handed to
+    the operating system before `write_buffer` returns, and brought to the disk (fsync) by `close`.
+    Killed at any moment, the capture holds every buffer whose call had returned. When writing
+    fails, what was written until then stays readable, and the writer is done.
+
+    streams: which of `STREAMS` will be written; facts: what the first line shall say about the
+    capture, by name. Memory stays flat. Calls come from one thread, not the audio thread (see
+    `CaptureRecorder`): each waits for the operating system.
+
+    Raises
+    ------
+    UsageError
+        The folder is not empty, is no folder, cannot be made or may not be written.
+    WriteError
+        The disk is full or failed, here and in every method.
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        streams: Sequence[str] = ("tap",),
+        facts: Facts | None = None,
+    ) -> None:
+        if not streams or len(set(streams)) != len(streams) or not set(streams) <= set(STREAMS):
+            raise InternalError(f"a capture cannot have streams={streams}; allowed: {STREAMS}")
+        self.folder = Path(folder)
+        self._streams = {stream: _Stream() for stream in streams}
+        self._failure: WriteError | None = None
+        header = Header(
+            tuple(streams), {"program": f"haptic-cushion {__version__}", **(facts or {})}
+        ).line()
+        self._index_fd = _new_index(self.folder, header)
+        self._index_bytes = len(header)
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """The streams that can be written."""
+        return tuple(self._streams)
+
+    def buffers(self, stream: str) -> int:
+        """How many buffers of the stream were written."""
+        return self._streams[stream].buffers
+
+    def frames(self, stream: str) -> int:
+        """How many frames of the stream were written."""
+        return self._streams[stream].frames
+
+    def write_buffer(
+        self,
+        stream: str,
+        frames: NDArray[np.float32],
+        samplerate: int,
+        time_s: float,
+        *,
+        discontinuity: bool = False,
+    ) -> None:
+        """Keep one buffer, (frames, channels) float32, exactly as it is.
+
+        samplerate: Hz; time_s: when it was delivered, in seconds of a monotonic clock;
+        discontinuity: frames are missing before it. A buffer may be empty. Another rate or number
+        of channels than the last buffer's starts a new segment.
+        """
+        _check_buffer(frames, time_s)
+        before, index_bytes = self._state_of(stream), self._index_bytes
+        here = self._streams[stream]
+        try:
+            segment = self._segment_for(stream, samplerate, frames.shape[1])
+            samples_crc = segment.append(frames)
+            record = BufferRecord(
+                stream=stream,
+                buffer=here.buffers,
+                segment=here.segments,
+                first=here.segment_frames,
+                frames=len(frames),
+                samplerate=int(samplerate),
+                channels=frames.shape[1],
+                time_s=float(time_s),
+                discontinuity=bool(discontinuity),
+                samples_crc=samples_crc,
+            )
+            self._append_line(record.line())
+            segment.keep(len(frames))
+            here.buffers += 1
+            here.frames += len(frames)
+            here.segment_frames += len(frames)
+        except BaseException as error:  # an interruption too must not leave half a buffer
+            self._go_back(stream, before, index_bytes)
+            if isinstance(error, OSError):
+                raise self._fail(error) from error
+            raise
+        if before.segment is not None and before.segment is not segment:
+            before.segment.close()
+
+    def note_dropped(self, stream: str, buffers: int, frames: int) -> None:
+        """Record that buffers of the stream, `frames` long in all, could not be kept.
+
+        They lie between the last buffer written and the next, which a reader will call a
+        discontinuity.
+        """
+        self._state_of(stream)
+        index_bytes = self._index_bytes
+        try:
+            self._append_line(DroppedRecord(stream, buffers, frames).line())
+        except BaseException as error:
+            self._cut_index(index_bytes)
+            if isinstance(error, OSError):
+                raise self._fail(error) from error
+            raise
+
+    def close(self) -> None:
+        """Bring everything to the disk and mark the capture as complete.
+
+        Harmless a second time and after a failure.
+        """
+        if self._index_fd < 0:
+            return
+        index_bytes = self._index_bytes
+        try:
+            for stream in self._streams:
+                for path in segment_paths(self.folder, stream).values():
+                    _fsync(path)
+            counts = {stream: state.buffers for stream, state in self._streams.items()}
+            self._append_line(EndRecord(counts).line())
+            os.fsync(self._index_fd)
+            with contextlib.suppress(OSError):  # not every file system can do it for folders
+                _fsync(self.folder)
+        except BaseException as error:
+            self._cut_index(index_bytes)
+            if isinstance(error, OSError):
+                raise self._fail(error) from error
+            raise
+        finally:
+            self._release()
+
+    def __enter__(self) -> CaptureWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _state_of(self, stream: str) -> _Stream:
+        """A copy of the stream's state; refuses what cannot be written now."""
+        if self._failure is not None:
+            raise WriteError(str(self._failure))
+        if self._index_fd < 0:
+            raise InternalError(f"the capture {self.folder} is closed: nothing can be written")
+        if stream not in self._streams:
+            raise InternalError(f"the capture has no stream {stream!r}, only {self.streams}")
+        return replace(self._streams[stream])
+
+    def _segment_for(self, stream: str, samplerate: int, channels: int) -> SegmentWriter:
+        here = self._streams[stream]
+        now = here.segment
+        if now is None or (now.samplerate, now.channels) != (samplerate, channels):
+            here.segments += 1
+            path = self.folder / segment_name(stream, here.segments)
+            here.segment = now = SegmentWriter(path, samplerate, channels)
+            here.segment_frames = 0
+        return now
+
+    def _append_line(self, line: bytes) -> None:
+        write_at(self._index_fd, line, self._index_bytes)
+        self._index_bytes += len(line)
+
+    def _go_back(self, stream: str, before: _Stream, index_bytes: int) -> None:
+        """Undo a buffer that was not written whole."""
+        self._cut_index(index_bytes)
+        started = self._streams[stream].segment
+        if started is not None and started is not before.segment:
+            started.discard()
+        if before.segment is not None:
+            before.segment.cut(before.segment_frames)
+        self._streams[stream] = before
+
+    def _cut_index(self, index_bytes: int) -> None:
+        self._index_bytes = index_bytes
+        with contextlib.suppress(OSError):  # a reader finds half a line by its CRC
+            os.ftruncate(self._index_fd, index_bytes)
+
+    def _fail(self, error: OSError) -> WriteError:
+        self._failure = WriteError(
+            f"cannot write to the capture {self.folder}: {_reason(error)}; "
+            "it can be replayed up to there"
+        )
+        self._release()
+        return self._failure
+
+    def _release(self) -> None:
+        for state in self._streams.values():
+            if state.segment is not None:
+                state.segment.close()
+        if self._index_fd >= 0:
+            os.close(self._index_fd)
+            self._index_fd = -1
+
+
+def _check_buffer(frames: NDArray[np.float32], time_s: float) -> None:
+    if frames.ndim != 2 or frames.dtype != np.float32:
+        raise InternalError(
+            f"a buffer of {frames.dtype} has shape {frames.shape}: "
+            "(frames, channels) of float32 was expected"
+        )
+    if not math.isfinite(time_s):
+        raise InternalError(f"a buffer came at time_s={time_s}: a number of seconds was expected")
+
+
+def _new_index(folder: Path, header: bytes) -> int:
+    """Make the folder and the index in it, and return the index, open."""
+    made = False
+    try:
+        made = _make_folder(folder)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        fd = os.open(folder / INDEX_NAME, flags, 0o666)
+        try:
+            write_at(fd, header, 0)
+        except BaseException:
+            os.close(fd)
+            (folder / INDEX_NAME).unlink()
+            raise
+        return fd
+    except (OSError, ValueError) as error:
+        if made:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        raise _folder_failure(folder, error) from error
+
+
+def _make_folder(folder: Path) -> bool:
+    """Whether the folder had to be made; raises where it is in use or cannot be one."""
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        if not folder.is_dir():
+            raise UsageError(
+                f"cannot capture to {folder}: it is not a folder; name another"
+            ) from None
+        if any(folder.iterdir()):
+            raise UsageError(
+                f"cannot capture to {folder}: the folder is not empty; name a new one"
+            ) from None
+        return False
+    return True
+
+
+def _folder_failure(folder: Path, error: OSError | ValueError) -> CushionError:
+    if not isinstance(error, OSError):  # a name with a null byte
+        return UsageError(f"cannot capture to {str(folder)!r}: {error}; choose another name")
+    if error.errno in _NOT_THE_USERS_FAULT | {errno.EFBIG}:
+        return WriteError(f"cannot capture to {folder}: {_reason(error)}")
+    if isinstance(error, FileNotFoundError):
+        return UsageError(
+            f"cannot capture to {folder}: folder {folder.parent} does not exist; "
+            "create it or name another"
+        )
+    if isinstance(error, PermissionError):
+        return UsageError(f"cannot capture to {folder}: no permission to write there; name another")
+    if isinstance(error, FileExistsError):
+        return UsageError(f"cannot capture to {folder}: another capture began there; name another")
+    return UsageError(f"cannot capture to {folder}: {_reason(error)}")
+
+
+def _reason(error: OSError) -> str:
+    return _REASONS.get(error.errno or 0, f"{error.strerror or error}; name another folder")
+
+
+def _fsync(path: Path) -> None:
+    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(fd)
+    finally:
+        os.close(fd)

@@ -1,0 +1,37 @@
+"""`cushion dump`: threads, tracks, chains, effects, as `dumpsys media.audio_flinger` shows them."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from audioflinger_hook import config
+from audioflinger_hook.chain import Chain
+from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.clients import open_client, parse_tap
+from audioflinger_hook.framework import Framework
+from audioflinger_hook.settings import Settings
+
+
+def run(options: argparse.Namespace) -> int:
+    """Play a tap up to a moment, as fast as it goes, and print the framework as it then is."""
+    settings = config.load(options.config) if options.config else Settings()
+    client = open_client(parse_tap(options.tap))
+    try:
+        framework = Framework(client.samplerate, client.channels, settings, clock=time.thread_time)
+        chain = Chain(client, framework, ())
+        cycle_times_s = []
+        frames = 0
+        while frames < options.at * framework.samplerate:
+            began_s = time.thread_time()
+            step = chain.step(frames / framework.samplerate)
+            if step is None:
+                break
+            cycle_times_s.append(time.thread_time() - began_s)
+            frames += len(step.audio)
+    finally:
+        client.close()
+    for warning in framework.warnings:
+        warn(warning)
+    print(framework.dump(cycle_times_s), end="")
+    return 0

@@ -1,0 +1,58 @@
+"""`cushion replay`: a capture fed through mixer and effect, buffer by buffer."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from audioflinger_hook.capture.format import INDEX_NAME, STREAMS
+from audioflinger_hook.cli.render import chosen_settings, show_report
+from audioflinger_hook.cli.terminal import progress_bar
+from audioflinger_hook.clients import TapClient
+from audioflinger_hook.pace import RealTimePace
+from audioflinger_hook.render import Wait, refuse_same_file, render
+from audioflinger_hook.taps import CaptureTap
+from device.errors import UsageError
+
+SPEEDS = ("max", "1")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Replay a capture and say what came of it."""
+    if options.speed not in SPEEDS:
+        raise UsageError(f"speed {options.speed!r} is not known; allowed: {', '.join(SPEEDS)}")
+    settings = chosen_settings(options)
+    for source in (options.folder, *_files(options.folder)):
+        refuse_same_file(source, options.output, options.acceleration)
+    tap = CaptureTap(options.folder)
+    client = TapClient(tap)
+    with progress_bar(options.folder.name) as progress:
+        report = render(
+            client,
+            options.output,
+            settings,
+            acceleration=options.acceleration,
+            progress=progress,
+            wait=_in_real_time(client.samplerate) if options.speed == "1" else None,
+            warnings=tap.warnings,
+        )
+    replayed = {
+        "buffers": client.buffers,
+        "format_changes": client.format_changes,
+        "discontinuities": client.discontinuities,
+    }
+    show_report(report, options, replayed)
+    return 0
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the files that a capture in that folder would be made of."""
+    segments = [path for stream in STREAMS for path in folder.glob(f"{stream}-*.wav")]
+    return [folder / INDEX_NAME, *segments]
+
+
+def _in_real_time(samplerate: int) -> Wait:
+    """Return what waits until frames have been played for as long as they sound."""
+    pace = RealTimePace(samplerate, time.monotonic())
+    return lambda frames: time.sleep(pace.wait_s(frames, time.monotonic()))

@@ -1,0 +1,129 @@
+"""A scene as a client: one track a sound, each started, paused and resumed at its time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.mixer import Mixer, Track
+from audioflinger_hook.mixer.pcm import encode
+from audioflinger_hook.mixer.track import period_frames
+from audioflinger_hook.scenes import Scene, SceneTrack
+
+CYCLE_FRAMES = 256
+"""What a sound server delivers at a time."""
+
+
+class SceneClient:
+    """Plays a scene: its tracks go into the mix as they would come from so many applications.
+
+    Tracks start on their frame; a pause begins with the cycle that it falls into and ramps over
+    that cycle. cycle_frames: of one cycle; the mixer's if that is less.
+    """
+
+    def __init__(self, scene: Scene, cycle_frames: int = CYCLE_FRAMES) -> None:
+        self.samplerate = scene.samplerate
+        self.channels = scene.channels
+        self._scene = scene
+        self._cycle_frames = cycle_frames
+        self._position = 0
+
+    @property
+    def frames_expected(self) -> int | None:
+        """The scene's length in frames."""
+        return self._scene.frame_count
+
+    def connect(self, mixer: Mixer) -> None:
+        """Make a track for every sound."""
+        self._cycle_frames = min(self._cycle_frames, mixer.frames)
+        self._voices = [_Voice.on(mixer, track) for track in self._scene.tracks]
+
+    def play(self) -> int | None:
+        """Write what the next cycle needs of every sound and return the cycle's frames."""
+        first = self._position
+        frames = min(self._cycle_frames, self._scene.frame_count - first)
+        if frames <= 0:
+            return None
+        self._position = first + frames
+        for voice in self._voices:
+            voice.play(first, self._position)
+        return frames
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+@dataclass
+class _Voice:
+    """One sound on its way into its track."""
+
+    track: Track
+    stored: bytes
+    frame_bytes: int
+    start: int
+    pause: int
+    resume: int
+
+    @classmethod
+    def on(cls, mixer: Mixer, sound: SceneTrack) -> _Voice:
+        """Make the track; times become frames of the mix."""
+        rate, channels = sound.samplerate, sound.frames.shape[1]
+        period = period_frames(rate, mixer.samplerate, mixer.frames)
+        start = round(sound.start_s * mixer.samplerate)
+        # silence up to the sound's own frame in the cycle it starts in comes from the client
+        pause_s, resume_s = sound.pause_s or (np.inf, np.inf)
+        track = mixer.create_track(
+            sound.name, sound.pcm_format, rate, channels, ring_frames=4 * period, start_threshold=1
+        )
+        return cls(
+            track,
+            encode(sound.frames, sound.pcm_format),
+            channels * sound.pcm_format.bytes_per_sample,
+            start,
+            _frame(pause_s, mixer.samplerate),
+            _frame(resume_s, mixer.samplerate),
+        )
+
+    def play(self, first: int, last: int) -> None:
+        """Do what is due in the mix's frames from first up to last."""
+        if first <= self.start < last:
+            self._start(self.start - first)
+        if first <= self.pause < last:
+            self.track.pause()
+        if first <= self.resume < last:
+            self.track.start()
+        if self.start < last:
+            self._fill()
+            # a track that is told to stop cannot be paused any more
+            if not self.stored and self.resume < last:
+                self.track.stop()
+
+    def _start(self, lead_frames: int) -> None:
+        lead = round(lead_frames * self.track.samplerate / self.track.mix_samplerate)
+        silence = encode(np.zeros((lead, self.track.channels), np.float32), self.track.format)
+        self.stored = silence + self.stored
+        self.track.start()
+
+    def _fill(self) -> None:
+        """Keep the ring full."""
+        most = self.track.room * self.frame_bytes
+        taken = self.track.write(self.stored[:most]) * self.frame_bytes
+        self.stored = self.stored[taken:]
+
+
+def _frame(time_s: float, samplerate: int) -> int:
+    return -1 if np.isinf(time_s) else round(time_s * samplerate)
+
+
+def mixdown(scene: Scene) -> NDArray[np.float32]:
+    """Return what the mixer makes of a scene, (frames, channels) float32: the sound alone."""
+    mixer = Mixer(scene.samplerate, scene.channels, standby_delay_s=math.inf)
+    client = SceneClient(scene)
+    client.connect(mixer)
+    parts = [np.zeros((0, scene.channels), np.float32)]
+    while frames := client.play():
+        parts.append(mixer.cycle(0.0, frames).buffer.audio.copy())
+    return np.concatenate(parts)

@@ -1,0 +1,218 @@
+"""Effect chains: one a session, in the order in which AudioFlinger runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from audioflinger_hook.buffers import MixBuffer
+from audioflinger_hook.effect.dump import asked_lines, chain_lines
+from audioflinger_hook.effect.guard import said, same_layout
+from audioflinger_hook.effect.interface import (
+    EffectConfig,
+    EffectDescriptor,
+    EffectEngine,
+    EffectFlag,
+)
+from audioflinger_hook.effect.library import descriptor_problem
+from audioflinger_hook.effect.module import EffectModule
+from audioflinger_hook.sessions import DEVICE, OUTPUT_STAGE
+from device.errors import UsageError
+
+BUDGET_SHARE = 0.5
+"""Share of a buffer's length that one effect may take."""
+
+READINGS_EVERY_S = 1.0
+"""So often every effect is asked what it has to say; a dump shows the last answer."""
+
+
+class EffectChains:
+    """All effects of one mixer, by session.
+
+    clock: seconds, read before and after each effect; budget_share: what one effect may take of
+    a buffer's length before it counts as an overrun (inf for sound that is not played as it is
+    made: then time bypasses nothing, and the same input gives the same bytes).
+
+    Effects are added with the stream known or not: `reconfigure` tells it to all, and later ones
+    get the last one told. The caller clears the haptic channels before every mix. All calls come
+    from the thread that steps the mixer, but `sessions`, `modules`, `bypassed` and `dump`, which
+    only read; `process` and `end_of_cycle` neither raise, block nor log.
+    """
+
+    def __init__(self, clock: Callable[[], float], *, budget_share: float = BUDGET_SHARE) -> None:
+        self._clock = clock
+        self._budget_share = budget_share
+        self._chains: dict[int, list[EffectModule]] = {}
+        self._sessions: tuple[int, ...] = ()
+        self._config: EffectConfig | None = None
+        self._cycles = 0
+        self._now_s = 0.0
+        self._read_s = float("-inf")
+
+    def add(self, engine: EffectEngine, session: int) -> EffectModule:
+        """Return the module of an effect, put where its flags ask for; it is not enabled yet.
+
+        session: a player's from 1 up, `OUTPUT_MIX`, `OUTPUT_STAGE` or `DEVICE`.
+
+        Raises
+        ------
+        UsageError
+            There is no such session, or the effect cannot stand there.
+        """
+        try:
+            descriptor: object = engine.descriptor
+        except Exception as error:
+            raise UsageError(f"an effect has no descriptor: {said(error)}") from error
+        problem = descriptor_problem(descriptor)
+        if problem or not isinstance(descriptor, EffectDescriptor):
+            raise UsageError(problem)
+        if problem := misplaced(descriptor.flags, session):
+            raise UsageError(f"effect {descriptor.name!r} cannot be added: {problem}")
+        chain = self._chains.get(session, [])
+        index = insert_index(descriptor, [module.descriptor for module in chain])
+        module = EffectModule(engine, session=session, clock=self._clock, budget_s=self._budget_s())
+        if self._config is not None:
+            module.set_config(self._config)
+        self._chains[session] = [*chain[:index], module, *chain[index:]]
+        self._order()
+        return module
+
+    def remove(self, module: EffectModule) -> None:
+        """Release an effect and take it out of its chain; one that is not there is left alone."""
+        chain = self._chains.get(module.session, [])
+        if module not in chain:
+            return
+        module.release()
+        rest = [other for other in chain if other is not module]
+        if rest:
+            self._chains[module.session] = rest
+        else:
+            del self._chains[module.session]
+        self._order()
+
+    def sessions(self) -> tuple[int, ...]:
+        """Return the sessions that have effects, in running order: players falling, 0, -1, -2."""
+        return self._sessions
+
+    def modules(self, session: int) -> tuple[EffectModule, ...]:
+        """Return a session's effects in running order."""
+        return tuple(self._chains.get(session, ()))
+
+    def bypassed(self) -> list[str]:
+        """Return `session, effect: reason` of every effect that is passed by."""
+        return [
+            f"session {session}, {module.descriptor.name}: {module.bypassed}"
+            for session in self._sessions
+            for module in self.modules(session)
+            if module.bypassed
+        ]
+
+    def process(
+        self, session: int, buffer: MixBuffer, now_s: float, target: MixBuffer | None = None
+    ) -> None:
+        """Run a session's chain over a buffer, in place, or add what it makes to `target`.
+
+        With a `target` of its own the chain's last effect is configured to ACCUMULATE; where
+        there is none, or it does not run, the buffer itself is added. Call it for every session
+        of `sessions()`, once a cycle.
+        """
+        self._now_s = now_s
+        output = buffer if target is None else target
+        chain = self._chains.get(session)
+        if chain:
+            for module in chain[:-1]:
+                module.process(buffer, buffer)
+            chain[-1].process(buffer, output)
+        elif output is not buffer and same_layout(buffer, output):
+            np.add(output.samples, buffer.samples, out=output.samples)
+
+    def end_of_cycle(self, now_s: float) -> None:
+        """Tell every effect what was asked of it since the last cycle."""
+        self._now_s = now_s
+        self._cycles += 1
+        for session in self._sessions:
+            for module in self._chains[session]:
+                module.update_state()
+        if not 0.0 <= now_s - self._read_s < READINGS_EVERY_S:
+            self.take_readings(now_s)
+
+    def take_readings(self, now_s: float) -> None:
+        """Ask every effect for its parameters and its own dump, for `dump` to show."""
+        self._read_s = now_s
+        for session in self._sessions:
+            for module in self._chains[session]:
+                if not module.guard.fault:
+                    module.readings = asked_lines(module)
+
+    def reconfigure(
+        self, samplerate: int, channels: int, haptic_channels: int, frames: int
+    ) -> None:
+        """Tell every effect the stream: Hz, channels of sound and vibration, frames a buffer."""
+        self._config = EffectConfig(samplerate, channels, haptic_channels, frames)
+        budget_s = self._budget_s()
+        for session in self._sessions:
+            for module in self._chains[session]:
+                module.guard.budget_s = budget_s
+                module.set_config(self._config)
+
+    def dump(self) -> list[str]:
+        """Return the lines that `dumpsys media.audio_flinger` would give on effects."""
+        sessions = self._sessions
+        lines = [f"{len(sessions)} Effect Chains"]
+        lines.append(f"  cycles: {self._cycles}, last at {self._now_s:.3f} s")
+        for session in sessions:
+            lines += [f"  {line}" for line in chain_lines(session, self.modules(session))]
+        return lines
+
+    def _budget_s(self) -> float:
+        if self._config is None:
+            return float("inf")
+        return self._budget_share * self._config.frames / self._config.samplerate
+
+    def _order(self) -> None:
+        self._sessions = tuple(sorted(self._chains, reverse=True))
+
+
+def misplaced(flags: EffectFlag, session: object) -> str:
+    """Return why an effect of these flags cannot stand in a session, or "" where it can."""
+    if type(session) is not int or session < DEVICE:
+        return f"session {session!r} does not exist; allowed: {DEVICE} to 0, or a player's"
+    kind = flags & EffectFlag.TYPE_MASK
+    if kind not in (EffectFlag.INSERT, EffectFlag.POST_PROC):
+        return "only inserts and post-processing run here; auxiliary and others do not"
+    if session in (OUTPUT_STAGE, DEVICE) and kind != EffectFlag.POST_PROC:
+        return f"session {session} takes only post-processing; add it to the output mix, 0"
+    return ""
+
+
+def insert_index(new: EffectDescriptor, chain: Sequence[EffectDescriptor]) -> int:
+    """Return where in a chain a new effect goes, by its flags and theirs.
+
+    EXCLUSIVE stands alone; LAST before the first LAST, else at the end; FIRST and ANY after the
+    last FIRST, else before the first insert. (AudioFlinger, EffectChain::getInsertIndex.)
+
+    Raises
+    ------
+    UsageError
+        An EXCLUSIVE effect is or would be beside another.
+    """
+    places = [
+        (index, other.flags & EffectFlag.INSERT_MASK)
+        for index, other in enumerate(chain)
+        if other.flags & EffectFlag.TYPE_MASK == EffectFlag.INSERT
+    ]
+    wanted = new.flags & EffectFlag.INSERT_MASK
+    for index, place in places:
+        if EffectFlag.INSERT_EXCLUSIVE in (wanted, place):
+            raise UsageError(
+                f"effect {new.name!r} cannot stand beside {chain[index].name!r}: "
+                "one of them is exclusive; remove the other first"
+            )
+    if wanted == EffectFlag.INSERT_LAST:
+        lasts = [index for index, place in places if place == EffectFlag.INSERT_LAST]
+        return lasts[0] if lasts else len(chain)
+    firsts = [index for index, place in places if place == EffectFlag.INSERT_FIRST]
+    if firsts:
+        return firsts[-1] + 1
+    return places[0][0] if places else len(chain)

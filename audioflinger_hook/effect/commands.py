@@ -1,0 +1,125 @@
+"""Commands checked before an engine sees them: code, type, size, name and range."""
+
+from __future__ import annotations
+
+from audioflinger_hook.effect.interface import (
+    EINVAL,
+    ENOSYS,
+    OK,
+    Access,
+    Command,
+    EffectConfig,
+    EffectDescriptor,
+    EffectFlag,
+)
+from audioflinger_hook.effect.parameters import Parameter
+
+KNOWN = frozenset(int(code) for code in Command) - {int(Command.FIRST_PROPRIETARY)}
+
+WITHOUT_DATA = frozenset(
+    {
+        Command.INIT,
+        Command.RESET,
+        Command.ENABLE,
+        Command.DISABLE,
+        Command.SET_PARAM_COMMIT,
+        Command.GET_CONFIG,
+        Command.GET_CONFIG_REVERSE,
+        Command.DUMP,
+    }
+)
+
+WITH_A_WORD = frozenset(
+    {
+        Command.SET_DEVICE,
+        Command.SET_AUDIO_MODE,
+        Command.SET_INPUT_DEVICE,
+        Command.SET_AUDIO_SOURCE,
+        Command.GET_FEATURE_CONFIG,
+    }
+)
+"""Commands that carry one unsigned number of 32 bits."""
+
+WORD_MAX = 2**32 - 1
+CHANNELS_MAX = 64
+FRAMES_MAX = 2**20
+"""Of one buffer: 22 s at 48 kHz. What is larger is a mistake, and would take all memory."""
+
+
+class CommandCheck:
+    """Tells whether a command fits the effect that a descriptor describes. Holds no state."""
+
+    def __init__(self, descriptor: EffectDescriptor) -> None:
+        self._flags = descriptor.flags
+        self._parameters = {parameter.name: parameter for parameter in descriptor.parameters}
+        self._takes = {vendor.code: vendor.takes for vendor in descriptor.vendor_commands}
+
+    def status(self, code: object, data: object) -> int:
+        """Return OK where the engine may see it, else EINVAL or ENOSYS (it asked for none such).
+
+        Never raises, whatever is given: only exact types are looked into.
+        """
+        if type(code) is not int and type(code) is not Command:
+            return EINVAL
+        if code in self._takes:
+            return OK if type(data) is self._takes[code] else EINVAL
+        if code not in KNOWN or not self._fits(Command(code), data):
+            return EINVAL
+        if code == Command.SET_VOLUME and not self._flags & EffectFlag.VOLUME_MASK:
+            return ENOSYS
+        if code == Command.SET_DEVICE and not self._flags & EffectFlag.DEVICE_MASK:
+            return ENOSYS
+        return OK
+
+    def parameter(self, name: object) -> Parameter | None:
+        """Return the parameter of a name, or None."""
+        return self._parameters.get(name) if type(name) is str else None
+
+    def _fits(self, code: Command, data: object) -> bool:
+        if code in WITHOUT_DATA:
+            return data is None
+        if code in WITH_A_WORD:
+            return is_word(data)
+        if code in (Command.SET_CONFIG, Command.SET_CONFIG_REVERSE):
+            return is_config(data)
+        if code == Command.GET_PARAM:
+            return self.parameter(data) is not None
+        # What is left carries a tuple.
+        if type(data) is not tuple:
+            return False
+        if code == Command.SET_VOLUME:
+            return 1 <= len(data) <= CHANNELS_MAX and all(
+                type(gain) in (float, int) and 0 <= gain <= 1 for gain in data
+            )
+        if len(data) != 2:
+            return False
+        first, second = data
+        if code == Command.OFFLOAD:
+            return type(first) is bool and is_word(second)
+        if code == Command.GET_FEATURE_SUPPORTED_CONFIGS:
+            return is_word(first) and is_word(second)
+        if code == Command.SET_FEATURE_CONFIG:
+            return is_word(first)
+        parameter = self.parameter(first)
+        return parameter is not None and not parameter.read_only and parameter.accepts(second)
+
+
+def is_word(number: object) -> bool:
+    """Return whether something is an unsigned number of 32 bits."""
+    return type(number) is int and 0 <= number <= WORD_MAX
+
+
+def is_config(config: object) -> bool:
+    """Return whether something is a configuration that can exist: whole numbers in range."""
+    return (
+        type(config) is EffectConfig
+        and is_word(config.samplerate)
+        and is_word(config.channels)
+        and is_word(config.haptic_channels)
+        and is_word(config.frames)
+        and config.samplerate >= 1
+        and 1 <= config.channels <= CHANNELS_MAX
+        and config.haptic_channels <= CHANNELS_MAX
+        and 1 <= config.frames <= FRAMES_MAX
+        and type(config.access) is Access
+    )

@@ -1,0 +1,208 @@
+"""One engine, called so that nothing it does can harm the sound or the thread that mixes.
+
+An engine never touches the mixer's buffers: it works on copies, and what it made is taken only
+if it is sound. Whatever it did, the sound before it is still there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.buffers import MixBuffer
+from audioflinger_hook.effect.interface import (
+    EINVAL,
+    ENODATA,
+    ENOSYS,
+    OK,
+    Command,
+    EffectConfig,
+    EffectEngine,
+)
+
+LATE_IN_A_ROW = 3
+"""Buffers over the time allowed, one after another, that make an engine too slow."""
+
+READING = frozenset({Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP})
+"""Commands whose failure is counted and named but bypasses nothing: asking changes no sound."""
+
+STATUSES = frozenset({OK, EINVAL, ENODATA, ENOSYS})
+REASON_MAX = 200
+"""Characters kept of what an engine says."""
+
+
+class GuardedEngine:
+    """An engine that may raise, answer nonsense, spoil arrays or take too long.
+
+    fault: why it is bypassed, "" while it is not; complaint: the last thing that went wrong,
+    faults: how often anything did; budget_s: what a whole buffer may take, in seconds of `clock`,
+    and a shorter one its part of it; overruns: buffers that took more; worst_s: the longest. All
+    calls come from the thread that steps the mixer, and none raises (KeyboardInterrupt is the
+    user's, and passes).
+    """
+
+    def __init__(self, engine: EffectEngine, clock: Callable[[], float], budget_s: float) -> None:
+        self._engine = engine
+        self._clock = clock
+        self.budget_s = budget_s
+        self.fault = ""
+        self.complaint = ""
+        self.faults = 0
+        self.overruns = 0
+        self.buffers = 0
+        self.worst_s = 0.0
+        self._late = 0
+        self._frames = 1
+        self._lent = self._mixed = np.zeros(0, np.float32)
+        self._finite = np.zeros(0, np.bool_)
+
+    def prepare(self, config: EffectConfig) -> None:
+        """Make room for buffers of a configuration."""
+        self._frames = config.frames
+        size = config.frames * (config.channels + config.haptic_channels)
+        self._lent = np.zeros(size, np.float32)
+        self._mixed = np.zeros(size, np.float32)
+        self._finite = np.zeros(size, np.bool_)
+
+    def forgive(self) -> None:
+        """Lift the bypass; the counters go on."""
+        self.fault = ""
+        self._late = 0
+
+    def blame(self, reason: str, *, bypass: bool = True) -> None:
+        """Count something that went wrong, keep its name and, where asked, bypass the engine."""
+        self.faults += 1
+        self.complaint = reason
+        if bypass and not self.fault:
+            self.fault = reason
+
+    def command(self, code: int, data: object = None) -> tuple[int, object]:
+        """Return the engine's status and reply; EINVAL and None where it failed to give any."""
+        bypass = code not in READING
+        name = Command(code).name if code < Command.FIRST_PROPRIETARY else f"command {code:#x}"
+        try:
+            with np.errstate(all="ignore"):
+                answer: object = self._engine.command(code, data)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            self.blame(f"raised {said(error)} in {name}", bypass=bypass)
+            return EINVAL, None
+        if type(answer) is not tuple or len(answer) != 2 or not is_status(answer[0]):
+            self.blame(f"answered {name} with nonsense", bypass=bypass)
+            return EINVAL, None
+        return answer
+
+    def process(self, source: MixBuffer, target: MixBuffer) -> int | None:
+        """Treat one buffer and return OK or ENODATA, or None where `target` is as it was before.
+
+        Both may be the same object, and have the sizes of the configuration at most.
+        """
+        lent = lend(source, self._lent)
+        mixed = lent if source is target else lend(target, self._mixed)
+        before = (lent.samples, lent.audio, lent.haptic)
+        mixed_before = (mixed.samples, mixed.audio, mixed.haptic)
+        began = self._clock()
+        try:
+            with np.errstate(all="ignore"):
+                status: object = self._engine.process(lent, mixed)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            self.blame(f"raised {said(error)} in process")
+            return None
+        self._count_time(self._clock() - began, source.frames)
+        if not is_status(status) or status not in (OK, ENODATA):
+            self.blame("answered process with nonsense")
+            return None
+        if not still_lent(lent, before, source) or not (
+            mixed is lent or still_lent(mixed, mixed_before, target)
+        ):
+            self.blame("exchanged or reshaped the arrays that it was lent")
+            return None
+        if self._spoiled(mixed, source, target):
+            self.blame("made samples that are not finite")
+            return None
+        np.copyto(target.samples, mixed.samples)
+        return OK if status == OK else ENODATA
+
+    def _count_time(self, spent_s: float, frames: int) -> None:
+        self.buffers += 1
+        self.worst_s = max(self.worst_s, spent_s)
+        if spent_s <= self.budget_s * frames / self._frames:
+            self._late = 0
+            return
+        self.overruns += 1
+        self._late += 1
+        if self._late == LATE_IN_A_ROW:
+            self.blame(
+                f"took more than the {self.budget_s * 1e3:g} ms allowed for {self._frames} frames, "
+                f"{LATE_IN_A_ROW} buffers in a row"
+            )
+
+    def _spoiled(self, made: MixBuffer, source: MixBuffer, target: MixBuffer) -> bool:
+        """Return whether sound or vibration is no longer finite that was so before."""
+        if self._all_finite(made.samples):
+            return False
+        for after, first, second in (
+            (made.audio, source.audio, target.audio),
+            (made.haptic, source.haptic, target.haptic),
+        ):
+            if not self._all_finite(after) and self._all_finite(first) and self._all_finite(second):
+                return True
+        return False
+
+    def _all_finite(self, samples: NDArray[np.float32]) -> bool:
+        mask = self._finite[: samples.size].reshape(samples.shape)
+        return bool(np.isfinite(samples, out=mask).all())
+
+
+def lend(buffer: MixBuffer, storage: NDArray[np.float32]) -> MixBuffer:
+    """Return a copy of a buffer that lives in `storage`."""
+    copy = MixBuffer(0, 0)
+    copy.samples = storage[: buffer.samples.size]
+    boundary = buffer.audio.size
+    copy.audio = copy.samples[:boundary].reshape(buffer.audio.shape)
+    copy.haptic = copy.samples[boundary:].reshape(buffer.haptic.shape)
+    np.copyto(copy.samples, buffer.samples)
+    return copy
+
+
+def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
+    """Return whether two buffers hold as many frames of as many channels, in the same type."""
+    return (
+        one.samples.shape == other.samples.shape
+        and one.samples.dtype == other.samples.dtype
+        and one.audio.shape == other.audio.shape
+        and one.audio.dtype == other.audio.dtype
+        and one.haptic.shape == other.haptic.shape
+        and one.haptic.dtype == other.haptic.dtype
+    )
+
+
+def still_lent(
+    lent: MixBuffer, arrays: tuple[NDArray[np.float32], ...], original: MixBuffer
+) -> bool:
+    """Return whether a buffer still has the arrays that it was lent with, in the same layout."""
+    try:
+        now = (lent.samples, lent.audio, lent.haptic)
+    except AttributeError:
+        return False
+    same = all(array is before for array, before in zip(now, arrays, strict=True))
+    return same and same_layout(lent, original)
+
+
+def is_status(answer: object) -> bool:
+    """Return whether an engine's answer is one of the statuses that there are."""
+    return type(answer) is int and answer in STATUSES
+
+
+def said(error: BaseException) -> str:
+    """Return an exception's type and words on one line; never raises."""
+    try:
+        words = " ".join(str(error).split())[:REASON_MAX]
+    except BaseException:
+        words = ""
+    return f"{type(error).__name__}: {words}".removesuffix(": ")

@@ -1,0 +1,92 @@
+"""What one can choose of the haptic effect, and what it tells."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+from typing import Any
+
+from audioflinger_hook.effect.parameters import Parameter, Value, Values
+from audioflinger_hook.settings import CHOICES, Settings
+from audioflinger_hook.transform import LIMITS, TransformParameters
+from device.units import db_to_amplitude
+
+GAIN_MIN_DB = -60.0
+GAIN_MAX_DB = 0.0
+
+TRANSFORM_FIELDS = tuple(field.name for field in fields(TransformParameters))
+
+RESTARTING = frozenset({*TRANSFORM_FIELDS, "form", "per_channel"})
+"""Parameters whose change takes another transform."""
+
+HAPTIC_PARAMETERS = (
+    *(
+        Parameter(
+            name,
+            type(default),
+            default,
+            LIMITS[name].low,
+            LIMITS[name].high,
+            unit=LIMITS[name].unit,
+            meaning=LIMITS[name].meaning,
+        )
+        for name, default in asdict(TransformParameters()).items()
+    ),
+    Parameter(
+        "form", str, CHOICES["form"][0], choices=CHOICES["form"], meaning="form of the transform"
+    ),
+    Parameter(
+        "per_channel",
+        bool,
+        False,
+        meaning="every channel by itself instead of the mean of all",
+    ),
+    Parameter(
+        "gain_db",
+        float,
+        GAIN_MAX_DB,
+        GAIN_MIN_DB,
+        GAIN_MAX_DB,
+        unit="dB",
+        meaning="level of the vibration; reached over one buffer",
+    ),
+    Parameter(
+        "mute", bool, False, meaning="down to silence over one buffer, and back in the same way"
+    ),
+    Parameter(
+        "clip",
+        bool,
+        True,
+        meaning="cut what is beyond full scale; without it the reference form may exceed it",
+    ),
+    Parameter("latency_frames", int, unit="frames", meaning="by which vibration follows its sound"),
+    Parameter("limited_samples", int, meaning="of vibration, changed by limiter or full scale"),
+    Parameter("replaced_samples", int, meaning="of sound, unusable and taken for 0"),
+)
+"""All of them; the last three can only be read, and only while there is a stream (ENODATA)."""
+
+
+def transform_parameters(values: Values) -> TransformParameters:
+    """Return the transform's share of the effect's parameters."""
+    chosen: dict[str, Any] = {name: values[name] for name in TRANSFORM_FIELDS}
+    return TransformParameters(**chosen)
+
+
+def is_possible(values: Values) -> bool:
+    """Return whether the values go together."""
+    return not TransformParameters.problems({name: values[name] for name in TRANSFORM_FIELDS})
+
+
+def amplitude(values: Values) -> float:
+    """Return the factor that gain and mute make, 0 to 1."""
+    gain_db = values["gain_db"]
+    assert isinstance(gain_db, (int, float))
+    return 0.0 if values["mute"] else db_to_amplitude(gain_db)
+
+
+def from_settings(settings: Settings) -> dict[str, Value]:
+    """Return the parameters that a user's settings mean."""
+    return {
+        **asdict(settings.parameters),
+        "form": settings.form,
+        "per_channel": settings.channels == "each",
+    }

@@ -1,0 +1,207 @@
+"""Libraries of effects: the bundled one, and those that other packages bring."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib.metadata import Distribution, EntryPoint, distributions
+from uuid import UUID
+
+from audioflinger_hook.effect.guard import said
+from audioflinger_hook.effect.interface import (
+    Command,
+    EffectDescriptor,
+    EffectEngine,
+    EffectFlag,
+    VendorCommand,
+)
+from audioflinger_hook.effect.parameters import KINDS, Parameter
+from device.errors import InternalError, NotFoundError, UsageError
+
+ENTRY_POINTS = "audioflinger_hook.effects"
+"""The entry-point group; each entry names an `EffectLibrary`."""
+
+
+@dataclass(frozen=True)
+class EffectLibrary:
+    """Effects that come together: each one's descriptor, and what makes an instance of it.
+
+    name: what `path` in audio_effects.xml calls it.
+    """
+
+    name: str
+    effects: tuple[tuple[EffectDescriptor, Callable[[], EffectEngine]], ...]
+
+
+class EffectRegistry:
+    """Every effect that there is, by UUID.
+
+    `problems` names each library that was left out and why; its length is the count. Used by
+    whoever sets the chains up, never by the thread that steps the mixer.
+    """
+
+    def __init__(self, libraries: Iterable[EffectLibrary] = ()) -> None:
+        self.problems: list[str] = []
+        self._libraries: dict[str, EffectLibrary] = {}
+        self._effects: dict[UUID, tuple[EffectDescriptor, Callable[[], EffectEngine]]] = {}
+        for library in libraries:
+            self.add(library)
+
+    @classmethod
+    def installed(cls) -> EffectRegistry:
+        """Return a registry of the bundled library and of all that installed packages bring.
+
+        A package that cannot be loaded is left out and named in `problems`.
+        """
+        from audioflinger_hook.effect.haptic import CUSHION
+
+        registry = cls([CUSHION])
+        for owner, entry in entry_points(registry.problems):
+            try:
+                library: object = entry.load()
+                if not isinstance(library, EffectLibrary):
+                    raise UsageError(
+                        f"{entry.value} is of type {type(library).__name__}; "
+                        "an EffectLibrary is needed"
+                    )
+                registry.add(library)
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:
+                registry.problems.append(
+                    f"effect library {entry.name!r} of package {owner!r} is left out: {said(error)}"
+                )
+        return registry
+
+    @property
+    def libraries(self) -> tuple[str, ...]:
+        """Names of the libraries."""
+        return tuple(self._libraries)
+
+    @property
+    def descriptors(self) -> tuple[EffectDescriptor, ...]:
+        """Descriptors of all effects."""
+        return tuple(descriptor for descriptor, _ in self._effects.values())
+
+    def add(self, library: EffectLibrary) -> None:
+        """Add all effects of a library, or none.
+
+        Raises
+        ------
+        UsageError
+            A name or UUID is taken, or a descriptor is wrong.
+        """
+        if type(library.name) is not str or not library.name:
+            raise UsageError(f"effect library name {library.name!r} is not a name")
+        if library.name in self._libraries:
+            raise UsageError(
+                f"effect library {library.name!r} exists already; give it another name"
+            )
+        found: dict[UUID, tuple[EffectDescriptor, Callable[[], EffectEngine]]] = {}
+        for descriptor, factory in library.effects:
+            problem = descriptor_problem(descriptor)
+            if not callable(factory):
+                problem = problem or f"{factory!r} does not make an engine"
+            if problem:
+                raise UsageError(f"effect library {library.name!r}: {problem}")
+            taken = found.get(descriptor.uuid) or self._effects.get(descriptor.uuid)
+            if taken:
+                raise UsageError(
+                    f"effect library {library.name!r}: UUID {descriptor.uuid} of effect "
+                    f"{descriptor.name!r} is that of effect {taken[0].name!r}; make a new one"
+                )
+            found[descriptor.uuid] = (descriptor, factory)
+        self._libraries[library.name] = library
+        self._effects |= found
+
+    def uuids(self, library: str) -> frozenset[UUID]:
+        """Return the UUIDs of a library's effects; none where it is not there."""
+        if library not in self._libraries:
+            return frozenset()
+        return frozenset(descriptor.uuid for descriptor, _ in self._libraries[library].effects)
+
+    def create(self, uuid: UUID) -> EffectEngine:
+        """Return a new engine of the effect with this implementation UUID.
+
+        Raises
+        ------
+        NotFoundError
+            There is none.
+        InternalError
+            Its library fails to make one, or makes another.
+        """
+        if uuid not in self._effects:
+            known = ", ".join(f"{d.uuid} ({d.name})" for d in self.descriptors)
+            raise NotFoundError(f"no effect has UUID {uuid}; there are: {known}")
+        descriptor, factory = self._effects[uuid]
+        try:
+            engine = factory()
+            made = engine.descriptor
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            raise InternalError(
+                f"effect {descriptor.name!r} cannot be made: {said(error)}; "
+                "remove the package that brings it"
+            ) from error
+        if made is not descriptor and made != descriptor:
+            raise InternalError(f"effect {descriptor.name!r}: its library made another effect")
+        return engine
+
+
+def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
+    """Return (package, entry point) of every effect library that installed packages name.
+
+    A package whose metadata cannot be read is left out and named in `problems`; of packages of
+    the same name only the first on the path counts, as for imports.
+    """
+    found: list[tuple[str, EntryPoint]] = []
+    seen: set[str] = set()
+    for distribution in distributions():
+        try:
+            entries = [e for e in distribution.entry_points if e.group == ENTRY_POINTS]
+            if not entries:
+                continue
+            owner = distribution.name
+        except Exception as error:
+            problems.append(
+                f"package at {place(distribution)} is not looked into for effects: {said(error)}"
+            )
+            continue
+        if owner not in seen:
+            seen.add(owner)
+            found += [(owner, entry) for entry in entries]
+    return found
+
+
+def place(distribution: Distribution) -> str:
+    """Return where a package's metadata is, as far as it says."""
+    return str(getattr(distribution, "_path", "an unknown place"))
+
+
+def descriptor_problem(descriptor: object) -> str:
+    """Return what is wrong with a descriptor, or "" where nothing is; never raises."""
+    if type(descriptor) is not EffectDescriptor:
+        return f"{type(descriptor).__name__} is not an EffectDescriptor"
+    if type(descriptor.uuid) is not UUID or type(descriptor.type_uuid) is not UUID:
+        return f"effect {descriptor.name!r} has a UUID that is none"
+    if type(descriptor.name) is not str or not descriptor.name:
+        return f"effect {descriptor.uuid} has no name"
+    if not isinstance(descriptor.flags, EffectFlag):
+        return f"effect {descriptor.name!r} has flags that are none"
+    names = []
+    for parameter in descriptor.parameters:
+        if type(parameter) is not Parameter or parameter.kind not in KINDS:
+            return f"effect {descriptor.name!r} has a parameter that is none"
+        if parameter.default is not None and not parameter.accepts(parameter.default):
+            return f"effect {descriptor.name!r}: default of {parameter} is out of its range"
+        names.append(parameter.name)
+    if len(set(names)) != len(names):
+        return f"effect {descriptor.name!r} has two parameters of the same name"
+    for vendor in descriptor.vendor_commands:
+        if type(vendor) is not VendorCommand or vendor.code <= Command.FIRST_PROPRIETARY - 1:
+            return (
+                f"effect {descriptor.name!r} has a command of its own "
+                f"below {int(Command.FIRST_PROPRIETARY):#x}"
+            )
+    return ""

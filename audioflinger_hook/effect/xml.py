@@ -1,0 +1,262 @@
+"""audio_effects.xml, version 2.0: which effects there are, and where they run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from uuid import UUID
+from xml.parsers import expat
+
+from audioflinger_hook.effect.library import EffectRegistry
+from device.errors import UsageError
+
+SIZE_MAX = 2**20
+"""Bytes of a file; Android's own have about 10 KB."""
+
+VERSION = "2.0"
+
+OUTPUT_MIX_STREAM = "output_mix"
+"""Our own name, beside Android's kinds of players, for what all players make together."""
+
+STREAMS = frozenset(
+    {
+        OUTPUT_MIX_STREAM,
+        *("alarm", "assistant", "bluetooth_sco", "dtmf", "enforced_audible", "music"),
+        *("notification", "ring", "system", "tts", "voice_call"),
+    }
+)
+
+ROOT = "audio_effects_conf"
+CHILDREN: dict[str, tuple[str, ...]] = {
+    "": (ROOT,),
+    ROOT: ("libraries", "effects", "postprocess", "preprocess", "deviceEffects"),
+    "libraries": ("library",),
+    "effects": ("effect", "effectProxy"),
+    "postprocess": ("stream",),
+    "stream": ("apply",),
+}
+NOT_EMULATED = {
+    "preprocess": "effects on recordings",
+    "deviceEffects": "effects on devices",
+    "effectProxy": "an effect with a second form in hardware",
+}
+"""Elements of Android's that are passed over, with all that is in them."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something about a file: its line, from 1, and what is there."""
+
+    line: int
+    text: str
+
+    def __str__(self) -> str:
+        return f"line {self.line}: {self.text}"
+
+
+@dataclass
+class DeclaredEffects:
+    """What a file declares and can be had.
+
+    effects: UUID by name; postprocess: UUIDs by stream, in order. problems: what was left out
+    and why; its length is the count. notes: what is right on Android but not emulated.
+    """
+
+    effects: dict[str, UUID] = field(default_factory=dict)
+    postprocess: dict[str, list[UUID]] = field(default_factory=dict)
+    problems: list[Finding] = field(default_factory=list)
+    notes: list[Finding] = field(default_factory=list)
+
+
+def bundled_effects(registry: EffectRegistry) -> DeclaredEffects:
+    """Return what the bundled file declares: the haptic effect on the output mix."""
+    bundled = files("audioflinger_hook.effect").joinpath("audio_effects.xml")
+    return parse_effects(bundled.read_bytes(), registry)
+
+
+def read_effects(path: Path, registry: EffectRegistry) -> DeclaredEffects:
+    """Return what a file declares and the registry has.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read or is far too large. What is wrong inside is no error: see
+        `problems`.
+    """
+    try:
+        with path.open("rb") as stream:
+            xml = stream.read(SIZE_MAX + 1)
+    except OSError as error:
+        raise UsageError(
+            f"{path} cannot be read ({error.strerror}); give the path of an audio_effects.xml"
+        ) from None
+    if len(xml) > SIZE_MAX:
+        raise UsageError(f"{path} is too large for an audio_effects.xml; allowed: {SIZE_MAX} bytes")
+    return parse_effects(xml, registry)
+
+
+def parse_effects(xml: bytes, registry: EffectRegistry) -> DeclaredEffects:
+    """Return what XML declares and the registry has; never raises, whatever the bytes are.
+
+    Elements are taken one by one: a wrong one is left out and named, the others count. After a
+    syntax error nothing more is read.
+    """
+    declared = DeclaredEffects()
+    elements = _Elements(declared)
+    elements.read(xml)
+    _Resolver(registry, declared).resolve(elements.found)
+    declared.problems.sort(key=lambda finding: finding.line)
+    return declared
+
+
+@dataclass(frozen=True)
+class _Element:
+    line: int
+    name: str
+    attributes: dict[str, str]
+
+
+class _Refused(Exception):
+    """The document holds what no such file needs."""
+
+
+class _Elements:
+    """The elements of a document that stand where they belong, with their lines."""
+
+    def __init__(self, declared: DeclaredEffects) -> None:
+        self.found: list[_Element] = []
+        self._declared = declared
+        self._open: list[str] = [""]
+        self._passed_over = 0
+        self._parser = expat.ParserCreate()
+        self._parser.StartElementHandler = self._start
+        self._parser.EndElementHandler = self._end
+        # No entities: a few lines of them can stand for gigabytes.
+        self._parser.StartDoctypeDeclHandler = self._doctype
+
+    def read(self, xml: bytes) -> None:
+        """Collect a document's elements, up to its first syntax error."""
+        try:
+            self._parser.Parse(xml, True)
+        except expat.ExpatError as error:
+            reason = f"is not XML ({expat.ErrorString(error.code)}); nothing after it is read"
+            self._problem(error.lineno, reason)
+        except (_Refused, ValueError, LookupError) as error:
+            self._problem(self._parser.CurrentLineNumber, f"{error}; nothing after it is read")
+
+    def _problem(self, line: int, text: str) -> None:
+        self._declared.problems.append(Finding(line, text))
+
+    def _doctype(self, *_: object) -> None:
+        raise _Refused("a document type, with its entities, is not allowed")
+
+    def _start(self, name: str, attributes: dict[str, str]) -> None:
+        if self._passed_over:
+            self._passed_over += 1
+            return
+        line, parent = self._parser.CurrentLineNumber, self._open[-1]
+        if name not in CHILDREN.get(parent, ()):
+            place = f"in <{parent}>" if parent else "at the top"
+            self._problem(line, f"<{name}> does not belong {place}; left out")
+            self._passed_over = 1
+        elif name in NOT_EMULATED:
+            self._declared.notes.append(
+                Finding(line, f"<{name}>, {NOT_EMULATED[name]}, is not emulated; passed over")
+            )
+            self._passed_over = 1
+        else:
+            self._open.append(name)
+            self.found.append(_Element(line, name, attributes))
+
+    def _end(self, _: str) -> None:
+        if self._passed_over:
+            self._passed_over -= 1
+        else:
+            self._open.pop()
+
+
+class _Resolver:
+    """Fills in what elements declare, against what the registry has."""
+
+    def __init__(self, registry: EffectRegistry, declared: DeclaredEffects) -> None:
+        self._registry = registry
+        self._declared = declared
+        self._libraries: dict[str, str] = {}
+        self._applied: list[UUID] | None = None
+
+    def resolve(self, elements: list[_Element]) -> None:
+        """Take all elements. What refers to another may stand before it."""
+        self._each(elements, {ROOT: self._root})
+        self._each(elements, {"library": self._library})
+        self._each(elements, {"effect": self._effect})
+        self._each(elements, {"stream": self._stream, "apply": self._apply})
+
+    def _each(
+        self, elements: list[_Element], take: dict[str, Callable[[dict[str, str]], None]]
+    ) -> None:
+        for element in elements:
+            if element.name in take:
+                try:
+                    take[element.name](element.attributes)
+                except _Refused as refused:
+                    self._declared.problems.append(
+                        Finding(element.line, f"<{element.name}> {refused}")
+                    )
+
+    def _root(self, attributes: dict[str, str]) -> None:
+        if attributes.get("version") != VERSION:
+            version = attributes.get("version")
+            raise _Refused(f"version={version!r} is not {VERSION}; read as if it were")
+
+    def _library(self, attributes: dict[str, str]) -> None:
+        name, path = _needed(attributes, "name", "path")
+        if name in self._libraries:
+            raise _Refused(f"name={name!r} is declared twice; the second is left out")
+        if path not in self._registry.libraries:
+            there = ", ".join(self._registry.libraries)
+            raise _Refused(f"path={path!r} is an unknown library; left out; there are: {there}")
+        self._libraries[name] = path
+
+    def _effect(self, attributes: dict[str, str]) -> None:
+        effects = self._declared.effects
+        name, library, text = _needed(attributes, "name", "library", "uuid")
+        if name in effects:
+            raise _Refused(f"name={name!r} is declared twice; the second is left out")
+        if library not in self._libraries:
+            raise _Refused(f"library={library!r} is an unknown library; {name!r} is left out")
+        if not re.fullmatch(r"[0-9a-fA-F]{8}(-[0-9a-fA-F]{4}){3}-[0-9a-fA-F]{12}", text):
+            raise _Refused(f"uuid={text!r} is not a UUID; {name!r} is left out")
+        uuid = UUID(text)
+        if uuid in effects.values():
+            raise _Refused(f"uuid={text!r} is a duplicate UUID; {name!r} is left out")
+        if uuid not in self._registry.uuids(self._libraries[library]):
+            raise _Refused(f"uuid={text!r} is not in library {library!r}; {name!r} is left out")
+        effects[name] = uuid
+
+    def _stream(self, attributes: dict[str, str]) -> None:
+        self._applied = None
+        (kind,) = _needed(attributes, "type")
+        if kind not in STREAMS:
+            raise _Refused(f"type={kind!r} is an unknown stream; left out with all it applies")
+        self._applied = self._declared.postprocess.setdefault(kind, [])
+
+    def _apply(self, attributes: dict[str, str]) -> None:
+        (name,) = _needed(attributes, "effect")
+        if name not in self._declared.effects:
+            raise _Refused(f"effect={name!r} is an unknown effect; left out")
+        if self._applied is None:
+            return  # its stream has been named already
+        uuid = self._declared.effects[name]
+        if uuid in self._applied:
+            raise _Refused(f"effect={name!r} is applied twice; the second is left out")
+        self._applied.append(uuid)
+
+
+def _needed(attributes: dict[str, str], *names: str) -> list[str]:
+    missing = [name for name in names if not attributes.get(name)]
+    if missing:
+        raise _Refused(f"has no {' and no '.join(missing)}; left out")
+    return [attributes[name] for name in names]

@@ -1,0 +1,110 @@
+"""The mixer as text, in the manner of `dumpsys media.audio_flinger`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from audioflinger_hook.mixer.mixer import Mixer, MixerState
+from audioflinger_hook.mixer.track import Track
+from audioflinger_hook.mixer.volume import gain_db, gains_of
+
+_COLUMNS = (
+    "Id", "Active", "Name", "Session", "S", "Format", "Chn", "SRate", "L dB", "R dB", "FrmCnt",
+    "FrmRdy", "StartThr", "Undr", "UndrFrm", "Disabled",
+)  # fmt: skip
+
+
+def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
+    """The thread, its tracks and effect chains, as lines of text.
+
+    cycle_times_s: how long the last cycles took, if somebody has measured them. Any thread may
+    call it; what it shows may then be of two neighbouring cycles.
+    """
+    lines = [*_thread(mixer), *_cycle_times(mixer, cycle_times_s), *_tracks(mixer)]
+    lines += [f"  {line}" for line in mixer.effects.dump()]
+    return "\n".join(lines) + "\n"
+
+
+def _thread(mixer: Mixer) -> list[str]:
+    """Describe what AudioFlinger calls the output thread."""
+    lines = [
+        "Output thread (MIXER):",
+        f"  Standby: {_yes_no(mixer.state is MixerState.STANDBY)}",
+        f"  State: {mixer.state.value}",
+        f"  Sample rate: {mixer.samplerate} Hz",
+        f"  Normal frame count: {mixer.frames} ({mixer.frames / mixer.samplerate * 1e3:.2f} ms)",
+        f"  HAL frame count: {mixer.hal_frames}",
+        f"  Channel count: {mixer.channels}",
+        f"  Haptic channel count: {mixer.haptic_channels}",
+        "  Processing format: float",
+        f"  Sinks: {len(mixer.sinks)}",
+        f"  Total cycles: {mixer.cycles}",
+        f"  Total writes: {mixer.cycles_written}",
+        f"  Frames written: {mixer.frames_written}",
+        f"  Failed config events: {mixer.failed_events}",
+    ]
+    if mixer.last_failure:
+        lines.append(f"  Last failed config event: {mixer.last_failure}")
+    return lines
+
+
+def _cycle_times(mixer: Mixer, times_s: Sequence[float]) -> list[str]:
+    if not len(times_s):
+        return []
+    # as long as they were on average: a tap's buffers may be shorter than the normal one
+    written = mixer.cycles_written
+    frames = mixer.frames_written / written if written else mixer.frames
+    buffer_s = frames / mixer.samplerate
+    ordered = sorted(times_s)
+    shown = {
+        "mean": sum(ordered) / len(ordered),
+        "median": ordered[len(ordered) // 2],
+        "max": ordered[-1],
+    }
+    words = ", ".join(
+        f"{name} {time_s * 1e6:.0f} us ({100.0 * time_s / buffer_s:.2f} %)"
+        for name, time_s in shown.items()
+    )
+    return [f"  Cycle time of {len(ordered)} cycles, part of their length: {words}"]
+
+
+def _tracks(mixer: Mixer) -> list[str]:
+    tracks = mixer.tracks
+    rows = [_row(track, mixer.channels) for track in tracks]
+    active = sum(row[1] == "yes" for row in rows)
+    lines = [f"  {len(tracks)} Tracks of which {active} are active"]
+    if tracks:
+        table = [_COLUMNS, *rows]
+        widths = [max(len(row[column]) for row in table) for column in range(len(_COLUMNS))]
+        lines += [
+            "    " + "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+            for row in table
+        ]
+    return lines
+
+
+def _row(track: Track, mix_channels: int) -> tuple[str, ...]:
+    gains = gains_of(track.volume, mix_channels)
+    right = gains[1] if mix_channels > 1 else gains[0]
+    return (
+        str(track.id),
+        _yes_no(track.is_active),
+        track.name,
+        str(track.session),
+        track.state.value,
+        track.format.value,
+        str(track.channels),
+        str(track.samplerate),
+        f"{gain_db(gains[0]):.1f}",
+        f"{gain_db(right):.1f}",
+        str(track.ring.capacity_frames),
+        str(track.frames_ready),
+        str(track.start_threshold),
+        str(track.underruns),
+        str(track.underrun_frames),
+        _yes_no(track.disabled),
+    )
+
+
+def _yes_no(truth: bool) -> str:
+    return "yes" if truth else "no"

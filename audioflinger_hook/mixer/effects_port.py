@@ -1,0 +1,60 @@
+"""What the mixer asks of the effects: the one face of all their chains."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Protocol
+
+from audioflinger_hook.buffers import MixBuffer
+
+
+class EffectsPort(Protocol):
+    """The effect chains by session, as the mixer sees them. All calls come from its thread."""
+
+    def sessions(self) -> Collection[int]:
+        """The sessions that have a chain now."""
+        ...
+
+    def process(self, session: int, buffer: MixBuffer, now_s: float) -> None:
+        """Run the session's chain over the buffer, in place.
+
+        `buffer.audio` holds the sound, `buffer.haptic` zeros or what chains before have written.
+        """
+        ...
+
+    def end_of_cycle(self, now_s: float) -> None:
+        """Do what waits for the end of a cycle that wrote: ENABLE, the end of a tail."""
+        ...
+
+    def reconfigure(
+        self, samplerate: int, channels: int, haptic_channels: int, frames: int
+    ) -> None:
+        """Take the format of all buffers from now on: before the first, and at every change."""
+        ...
+
+    def dump(self) -> list[str]:
+        """How many chains there are, as a heading, then each with its effects. From any thread."""
+        ...
+
+
+class NoEffects:
+    """No chain for any session: the mix goes to the sinks as it is."""
+
+    def sessions(self) -> Collection[int]:
+        """None."""
+        return ()
+
+    def process(self, session: int, buffer: MixBuffer, now_s: float) -> None:
+        """Leave the buffer as it is."""
+
+    def end_of_cycle(self, now_s: float) -> None:
+        """Do nothing."""
+
+    def reconfigure(
+        self, samplerate: int, channels: int, haptic_channels: int, frames: int
+    ) -> None:
+        """Do nothing: no effect needs to know."""
+
+    def dump(self) -> list[str]:
+        """The heading alone."""
+        return ["0 Effect Chains"]

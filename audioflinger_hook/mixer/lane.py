@@ -1,0 +1,236 @@
+"""A track as the mixer's thread sees it: requests carried out, frames taken, one period mixed."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.mixer.channels import ChannelMap
+from audioflinger_hook.mixer.resampler import Resampler
+from audioflinger_hook.mixer.states import PLAYING, Request, TrackState, after
+from audioflinger_hook.mixer.track import Track, period_frames
+from audioflinger_hook.mixer.volume import Gains, VolumeRamp, gains_of
+
+RETRIES = 50
+"""Whole cycles in a row that an active track may miss before it is disabled: about 1 s."""
+
+
+class Readiness(Enum):
+    """What a track can give in a cycle."""
+
+    READY = "ready"
+    WAITING = "waiting"
+    """Nothing, and nothing is missing: it is filling up or has just become silent."""
+    UNDERRUN = "underrun"
+    """Less than a whole period: the cycle goes on without it."""
+
+
+class Lane:
+    """One track's way into the mix: requests -> frames -> channels -> rate -> ramped volume.
+
+    samplerate, channels: of the mix; frames: of its longest cycle. Made on any thread, then held
+    by the mixer's.
+    """
+
+    def __init__(self, track: Track, samplerate: int, channels: int, frames: int) -> None:
+        self.track = track
+        self.gone = False
+        self._state = track.mixed_state
+        self._filling = True
+        self._missed_frames = 0
+        self._written_when_disabled = 0
+        self._stop_at = 0
+        self._tail_frames = 0
+        self._leaving = False
+        self.configure(samplerate, channels, frames)
+
+    def configure(self, samplerate: int, channels: int, frames: int) -> None:
+        """Take the format of the mix, at first and after a change; only a resume ramps then."""
+        track = self.track
+        self._channels = channels
+        self._frames = frames
+        self._map = ChannelMap(track.channels, channels)
+        self._resampler: Resampler | None = None
+        if track.samplerate != samplerate:
+            resampled = min(track.channels, channels)
+            self._resampler = Resampler(track.samplerate, samplerate, resampled, frames)
+            self._at_rate = np.zeros((frames, resampled), np.float32)
+        most = period_frames(track.samplerate, samplerate, frames)
+        self._joined = np.zeros((most, track.channels), np.float32)
+        mapped_frames = most if self._map.folds else frames
+        self._mapped = np.zeros((mapped_frames, channels), np.float32)
+        self._spare = np.zeros(mapped_frames, np.float32)
+        self._ramp = VolumeRamp(channels, frames)
+        if self._state in (TrackState.PAUSED, TrackState.RESUMING) and not self._filling:
+            self._ramp.mute()
+        self._gains: Gains = ()
+        self._volume: tuple[float, ...] | None = None
+        self._take = 0
+        self._needed = 0
+        self._cycle_frames = 0
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the track takes part in this cycle, with sound or without."""
+        return self._state in PLAYING and not self.track.disabled
+
+    def fits(self, samplerate: int, frames: int) -> bool:
+        """Whether the track's ring can hold a whole period of that mix."""
+        most = period_frames(self.track.samplerate, samplerate, frames)
+        return most <= self.track.ring.capacity_frames
+
+    def update(self) -> None:
+        """Carry out what the client has asked for since the last cycle."""
+        requests = self.track.requests
+        self._settle()
+        while requests:
+            request, written = requests[0]
+            if self._state is TrackState.PAUSING and request is not Request.START:
+                break  # the ramp comes first
+            if request is Request.FLUSH and self._state is TrackState.STOPPING:
+                self._move_to(TrackState.PAUSING)
+                break  # it still sounds: the same ramp, then the flush
+            requests.popleft()
+            self._carry_out(request, written)
+            self._settle()
+
+    def prepare(self, frames: int) -> Readiness:
+        """Decide whether this cycle, of so many frames, mixes the track. While active, once."""
+        resampler = self._resampler
+        self._cycle_frames = frames
+        self._needed = resampler.frames_needed(frames) if resampler else frames
+        self._take = min(self._ready(), self._needed)
+        if self._state is TrackState.STOPPING:
+            return Readiness.READY
+        if self._filling and self._ready() >= self.track.start_threshold:
+            self._filling = False
+        if not self._filling and self._take == self._needed:
+            self._missed_frames = 0
+            return Readiness.READY
+        return self._miss()
+
+    def mix(
+        self, target: NDArray[np.float32], scratch: NDArray[np.float32], *, first: bool
+    ) -> None:
+        """Mix one cycle into the target, (frames, channels), after `prepare` said READY.
+
+        first: write over the target. scratch: as large, to be overwritten.
+        """
+        sound = self._taken()
+        if self._map.folds:
+            taken = len(sound)
+            sound = self._map.apply(sound, self._mapped[:taken], self._spare[:taken])
+        if self._resampler is not None:
+            self._resampler.feed(sound)
+            at_rate = self._at_rate[: self._cycle_frames]
+            self._resampler.produce(at_rate)
+            sound = at_rate
+        if self._map.spreads:
+            frames = len(sound)
+            sound = self._map.apply(sound, self._mapped[:frames], self._spare[:frames])
+        goal = None if self._state is TrackState.PAUSING else self._goal()
+        self._ramp.mix(sound, target, goal, scratch, first=first)
+        # only now may the client write over what was used where it stood
+        self.track.ring.consume(self._take)
+        if self._state is TrackState.PAUSING:
+            self._move_to(TrackState.PAUSED)
+        elif self._state is TrackState.RESUMING:
+            self._move_to(TrackState.ACTIVE)
+        elif self._state is TrackState.STOPPING:
+            self._tail_frames -= self._needed - self._take
+            self._settle()
+
+    def _taken(self) -> NDArray[np.float32]:
+        """Return this period's frames, (needed, channels); after a stop zeros follow the last."""
+        first, second = self.track.ring.spans_to_read(self._take)
+        if len(first) == self._needed:
+            return first
+        joined = self._joined[: self._needed]
+        joined[: len(first)] = first
+        joined[len(first) : self._take] = second
+        joined[self._take :] = 0.0
+        return joined
+
+    def _miss(self) -> Readiness:
+        """Count a cycle without the track, and disable it when there were too many in a row."""
+        track = self.track
+        if self._state is TrackState.PAUSING:
+            self._ramp.mute()
+            self._move_to(TrackState.PAUSED)
+            return Readiness.WAITING
+        self._missed_frames += self._cycle_frames
+        if self._missed_frames >= RETRIES * self._frames:
+            self._written_when_disabled = track.ring.written
+            track.disabled = True
+        if self._filling:
+            return Readiness.WAITING
+        # all of them: AudioFlinger, too, counts the period that was not heard
+        track.underruns += 1
+        track.underrun_frames += self._needed
+        return Readiness.UNDERRUN
+
+    def _goal(self) -> Gains:
+        """Return the gains that the client wants, worked out anew only when they change."""
+        volume = self.track.volume
+        if volume is not self._volume:
+            self._volume = volume
+            self._gains = gains_of(volume, self._channels)
+        return self._gains
+
+    def _ready(self) -> int:
+        """Return the frames that may be played: all, or those written before a stop."""
+        ring = self.track.ring
+        if self._state is TrackState.STOPPING:
+            return max(0, self._stop_at - ring.read)
+        return ring.written - ring.read
+
+    def _carry_out(self, request: Request, written: int) -> None:
+        track, before = self.track, self._state
+        state = after(before, request)
+        self._move_to(state)
+        if request is Request.REMOVE:
+            self._leaving = True
+        if before is state:
+            return
+        if request is Request.START:
+            self._missed_frames = 0
+            track.disabled = False
+        elif state is TrackState.STOPPING:
+            self._stop_at = written
+            self._filling = False
+            track.disabled = False
+            self._tail_frames = self._resampler.tail_frames if self._resampler else 0
+        elif state in (TrackState.FLUSHED, TrackState.STOPPED):
+            track.ring.skip_to(written)
+            self._rewind()
+
+    def _settle(self) -> None:
+        """Leave what needs no cycle: nothing to ramp, nothing left to drain."""
+        track = self.track
+        if track.disabled and track.ring.written != self._written_when_disabled:
+            track.disabled = False
+            self._missed_frames = 0
+            self._filling = True
+        heard = self._ramp.gains is not None
+        if self._state is TrackState.PAUSING and (track.disabled or not heard):
+            if heard:
+                self._ramp.mute()
+            self._move_to(TrackState.PAUSED)
+        drained = self._ready() == 0 and (self._tail_frames <= 0 or not heard)
+        if self._state is TrackState.STOPPING and drained:
+            self._move_to(TrackState.STOPPED)
+            self._rewind()
+        self.gone = self._leaving and not self.is_active
+
+    def _rewind(self) -> None:
+        """Make ready for another first buffer."""
+        self._filling = True
+        self._missed_frames = 0
+        self._ramp.restart()
+        if self._resampler is not None:
+            self._resampler.reset()
+
+    def _move_to(self, state: TrackState) -> None:
+        self._state = self.track.mixed_state = state

@@ -1,0 +1,328 @@
+"""The mixer: tracks, one mix, effect chains and sinks; one step function, one cycle a call."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from audioflinger_hook.buffers import MixBuffer
+from audioflinger_hook.mixer.buffer_size import normal_buffer_frames
+from audioflinger_hook.mixer.channels import CHANNELS_MAX
+from audioflinger_hook.mixer.effects_port import EffectsPort, NoEffects
+from audioflinger_hook.mixer.lane import Lane, Readiness
+from audioflinger_hook.mixer.pcm import PcmFormat
+from audioflinger_hook.mixer.session import SessionMix
+from audioflinger_hook.mixer.sinks import Sink
+from audioflinger_hook.mixer.states import Request
+from audioflinger_hook.mixer.track import SAMPLERATE_MAX, SAMPLERATE_MIN, Track, out_of_range
+from audioflinger_hook.sessions import DEVICE, OUTPUT_MIX, OUTPUT_STAGE
+from device.errors import UsageError
+
+STANDBY_DELAY_S = 3.0
+"""From the last mix with a track in it to standby, if no track is active."""
+
+HAL_FRAMES_MAX = 1 << 16
+
+
+class MixerState(Enum):
+    """What a cycle found."""
+
+    STANDBY = "standby"
+    """Nothing was written."""
+    IDLE = "idle"
+    """No active track; silence was written."""
+    ENABLED = "enabled"
+    """Active tracks, none of them with a whole period; silence was written."""
+    READY = "ready"
+    """At least one track was mixed."""
+
+
+@dataclass(frozen=True)
+class CycleReport:
+    """What one cycle did.
+
+    underruns: tracks that could not deliver. buffer: what the sinks got, silence in standby; it
+    is the mixer's own and changes with the next cycle.
+    """
+
+    state: MixerState
+    frames_written: int
+    tracks_mixed: int
+    underruns: int
+    buffer: MixBuffer
+
+
+class Mixer:
+    """Mixes tracks to one stream, through effects, into sinks.
+
+    samplerate: Hz; channels, haptic_channels: of the mix; hal_frames: what the output takes at
+    once, from which `frames`, those of a whole cycle, follow; standby_delay_s: how long without an
+    active track until nothing is written any more (inf: silence is written for ever, also before
+    the first track). Whoever calls `cycle` sets the pace.
+
+    Threads: one thread calls `cycle`. Tracks are made and used by their clients' threads, one
+    each; `post` and everything that only reads may be called from anywhere. Nothing waits.
+
+    Raises
+    ------
+    UsageError
+        A number is out of its range; the message names all that are.
+    """
+
+    def __init__(
+        self,
+        samplerate: int,
+        channels: int,
+        *,
+        hal_frames: int = 240,
+        haptic_channels: int = 0,
+        sinks: Sequence[Sink] = (),
+        effects: EffectsPort | None = None,
+        standby_delay_s: float = STANDBY_DELAY_S,
+    ) -> None:
+        self.hal_frames = hal_frames
+        self.sinks = tuple(sinks)
+        self.effects: EffectsPort = NoEffects() if effects is None else effects
+        self._events: deque[Callable[[], None]] = deque()
+        self._lanes: tuple[Lane, ...] = ()
+        self._sessions: dict[int, SessionMix] = {}
+        self._chains: frozenset[int] = frozenset()
+        self._empty = True
+        self._track_ids = itertools.count(1)
+        self._last_ready_s = 0.0
+        self._standby_delay_s = standby_delay_s
+        self.state = MixerState.STANDBY if standby_delay_s < math.inf else MixerState.IDLE
+        self.cycles = 0
+        self.cycles_written = 0
+        self.frames_written = 0
+        self.failed_events = 0
+        self.last_failure = ""
+        self._configure(samplerate, channels, haptic_channels)
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """The tracks that the mixer holds, in the order of their making."""
+        return tuple(lane.track for lane in self._lanes)
+
+    def create_track(
+        self,
+        name: str,
+        pcm_format: PcmFormat,
+        samplerate: int,
+        channels: int,
+        *,
+        session: int = 0,
+        ring_frames: int | None = None,
+        start_threshold: int | None = None,
+    ) -> Track:
+        """Make a track; it is part of the mix from the next cycle on. From any client's thread.
+
+        For the parameters see `Track`. Raises UsageError naming all that is wrong.
+        """
+        track = Track(
+            next(self._track_ids),
+            name,
+            session,
+            pcm_format,
+            samplerate,
+            channels,
+            mix_samplerate=self.samplerate,
+            mix_frames=self.frames,
+            ring_frames=ring_frames,
+            start_threshold=start_threshold,
+        )
+        # made here, so that the audio thread does not have to design a filter
+        made_for = (self.samplerate, self.channels, self.frames)
+        lane = Lane(track, *made_for)
+
+        def add() -> None:
+            now = (self.samplerate, self.channels, self.frames)
+            if now != made_for:
+                self._refuse_small_rings([lane], now[0], now[2])
+                lane.configure(*now)
+            self._lanes = (*self._lanes, lane)
+
+        self.post(add)
+        return track
+
+    def remove_track(self, track: Track) -> None:
+        """Take a track out of the mix: it ramps down first, or drains if it was told to stop.
+
+        Called by the track's client, which uses it no more. A second call means nothing.
+        """
+        track.requests.append((Request.REMOVE, track.ring.written))
+
+    def post(self, event: Callable[[], None]) -> None:
+        """Have `event` called by the mixer's thread at the start of the next cycle.
+
+        If it raises, that is counted and shown in the dump, and the sound goes on.
+        """
+        self._events.append(event)
+
+    def reconfigure(
+        self, samplerate: int, channels: int, haptic_channels: int | None = None
+    ) -> None:
+        """Change the format of the mix. For the mixer's thread: call it from a posted event.
+
+        Tracks keep their rings and go on; the effects are told. The sinks have to be fit for it.
+        Raises UsageError, and changes nothing, if the format is wrong or a ring too small.
+        """
+        haptic = self.haptic_channels if haptic_channels is None else haptic_channels
+        self._check(samplerate, channels, haptic)
+        frames = normal_buffer_frames(samplerate, self.hal_frames)
+        self._refuse_small_rings(self._lanes, samplerate, frames)
+        self._configure(samplerate, channels, haptic)
+        for lane in self._lanes:
+            lane.configure(samplerate, channels, self.frames)
+
+    def cycle(self, now_s: float, frames: int | None = None) -> CycleReport:
+        """Do one cycle and report it.
+
+        config events -> standby or wait -> prepare tracks -> mix -> effect chains -> convert ->
+        write to the sinks. now_s: seconds of any clock that does not run backwards. frames: how
+        long the cycle is, 1 to `self.frames`, which it is if nothing is said: a tap that hands
+        over buffers of its own sizes sets the pace by them, and the mixer adds no delay.
+        """
+        self.cycles += 1
+        self._take_events()
+        active = self._active_lanes()
+        if self._stands_by(bool(active), now_s):
+            return CycleReport(MixerState.STANDBY, 0, 0, 0, self.buffer)
+        frames = self.frames if frames is None else max(1, min(frames, self.frames))
+        mixed, underruns = self._mix(active, frames)
+        if mixed:
+            self.state, self._last_ready_s = MixerState.READY, now_s
+        else:
+            self.state = MixerState.ENABLED if active else MixerState.IDLE
+        self._process(now_s)
+        for sink in self.sinks:
+            sink.write(self.buffer)
+        self.effects.end_of_cycle(now_s)
+        self.cycles_written += 1
+        self.frames_written += frames
+        return CycleReport(self.state, frames, mixed, underruns, self.buffer)
+
+    def _take_events(self) -> None:
+        # only those that are there now: an event may post another one
+        for _ in range(len(self._events)):
+            event = self._events.popleft()
+            try:
+                event()
+            except Exception as failure:  # whatever it is, the sound goes on
+                self.failed_events += 1
+                self.last_failure = f"{type(failure).__name__}: {failure}"
+
+    def _active_lanes(self) -> list[Lane]:
+        """Carry out the clients' requests and return the tracks that take part."""
+        for lane in self._lanes:
+            lane.update()
+        if any(lane.gone for lane in self._lanes):
+            self._lanes = tuple(lane for lane in self._lanes if not lane.gone)
+        return [lane for lane in self._lanes if lane.is_active]
+
+    def _stands_by(self, any_active: bool, now_s: float) -> bool:
+        """Enter or leave standby and return whether the mixer is in it."""
+        asleep = self.state is MixerState.STANDBY
+        if any_active:
+            if asleep:
+                self._last_ready_s = now_s
+            return False
+        if not asleep and now_s - self._last_ready_s >= self._standby_delay_s:
+            self.state = MixerState.STANDBY
+            self.buffer.clear()
+            for session_mix in self._sessions.values():
+                session_mix.clear()
+            for sink in self.sinks:
+                sink.standby()
+        return self.state is MixerState.STANDBY
+
+    def _mix(self, active: list[Lane], frames: int) -> tuple[int, int]:
+        """Mix the tracks, each into the mix or its session's; return those mixed and missed."""
+        self._follow_sessions()
+        if self.buffer.frames != frames:
+            self.buffer.hold(frames)
+        scratch = self._scratch[:frames]
+        for of_player in self._sessions.values():
+            of_player.hold(frames)
+        self.buffer.haptic[...] = 0.0
+        self._empty = True
+        mixed = underruns = 0
+        for lane in active:
+            readiness = lane.prepare(frames)
+            if readiness is not Readiness.READY:
+                underruns += readiness is Readiness.UNDERRUN
+                continue
+            mixed += 1
+            session_mix = self._sessions.get(lane.track.session)
+            if session_mix is not None:
+                session_mix.add(lane, scratch)
+            else:
+                lane.mix(self.buffer.audio, scratch, first=self._empty)
+                self._empty = False
+        return mixed, underruns
+
+    def _follow_sessions(self) -> None:
+        """Keep one mix for each player session that has a chain now."""
+        self._chains = frozenset(self.effects.sessions())
+        players = {session for session in self._chains if session > OUTPUT_MIX}
+        if players != self._sessions.keys():
+            self._sessions = {
+                session: self._sessions.get(session)
+                or SessionMix(self.samplerate, self.frames, self.channels, self.haptic_channels)
+                for session in sorted(players, reverse=True)
+            }
+
+    def _process(self, now_s: float) -> None:
+        """Run the chains: players by falling ids, each then joins the mix, and the mix's own."""
+        buffer = self.buffer
+        for session, session_mix in self._sessions.items():
+            if not session_mix.begin():
+                continue
+            self.effects.process(session, session_mix.buffer, now_s)
+            if self._empty:
+                buffer.samples[...] = session_mix.buffer.samples
+                self._empty = False
+            else:
+                buffer.samples += session_mix.buffer.samples
+        if self._empty:
+            buffer.audio[...] = 0.0
+        for session in (OUTPUT_MIX, OUTPUT_STAGE, DEVICE):
+            if session in self._chains:
+                self.effects.process(session, buffer, now_s)
+
+    def _configure(self, samplerate: int, channels: int, haptic_channels: int) -> None:
+        self._check(samplerate, channels, haptic_channels)
+        frames = normal_buffer_frames(samplerate, self.hal_frames)
+        self.effects.reconfigure(samplerate, channels, haptic_channels, frames)
+        self.samplerate = samplerate
+        self.channels = channels
+        self.haptic_channels = haptic_channels
+        self.frames = frames
+        self.buffer = MixBuffer(self.frames, channels, haptic_channels)
+        self._scratch = np.zeros((self.frames, channels), np.float32)
+        self._sessions = {}
+
+    def _check(self, samplerate: int, channels: int, haptic_channels: int) -> None:
+        wrong = [
+            *out_of_range("hal_frames", self.hal_frames, 1, HAL_FRAMES_MAX, ""),
+            *out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz"),
+            *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
+            *out_of_range("haptic_channels", haptic_channels, 0, CHANNELS_MAX, ""),
+        ]
+        if wrong:
+            raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
+
+    @staticmethod
+    def _refuse_small_rings(lanes: Sequence[Lane], samplerate: int, frames: int) -> None:
+        names = [lane.track.name for lane in lanes if not lane.fits(samplerate, frames)]
+        if names:
+            raise UsageError(
+                f"a period of {frames} frames at {samplerate} Hz does not fit into the ring of "
+                f"{', '.join(map(repr, names))}; make these tracks with a larger ring_frames"
+            )

@@ -1,0 +1,161 @@
+"""Sample formats of tracks and sinks: bytes to float frames, and back with one rounding rule."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.errors import UsageError
+
+FLOAT_LIMIT = 2.0
+"""Float sinks take up to this, 6 dB over full scale, as AudioFlinger's do."""
+
+
+class PcmFormat(Enum):
+    """How one sample is stored, little endian; the value is its name in a dump."""
+
+    U8 = "u8"
+    I16 = "i16"
+    I24 = "i24"
+    I32 = "i32"
+    FLOAT = "float"
+
+    @property
+    def bytes_per_sample(self) -> int:
+        """Bytes of one sample: 1, 2, 3 (packed), 4, 4."""
+        return _BYTES[self]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """What an array of such samples is made of; for I24 its bytes."""
+        return _DTYPES[self]
+
+    @property
+    def full_scale(self) -> float:
+        """The stored step count of 1.0: 2^7, 2^15, 2^23, 2^31; 1 for float."""
+        return _FULL_SCALE[self]
+
+
+_BYTES = {
+    PcmFormat.U8: 1,
+    PcmFormat.I16: 2,
+    PcmFormat.I24: 3,
+    PcmFormat.I32: 4,
+    PcmFormat.FLOAT: 4,
+}
+_DTYPES: dict[PcmFormat, np.dtype[Any]] = {
+    PcmFormat.U8: np.dtype(np.uint8),
+    PcmFormat.I16: np.dtype("<i2"),
+    PcmFormat.I24: np.dtype(np.uint8),
+    PcmFormat.I32: np.dtype("<i4"),
+    PcmFormat.FLOAT: np.dtype("<f4"),
+}
+_FULL_SCALE = {
+    PcmFormat.U8: 2.0**7,
+    PcmFormat.I16: 2.0**15,
+    PcmFormat.I24: 2.0**23,
+    PcmFormat.I32: 2.0**31,
+    PcmFormat.FLOAT: 1.0,
+}
+
+PcmData = bytes | bytearray | memoryview | NDArray[Any]
+
+
+def stored_frames(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDArray[Any]:
+    """The stored samples, one row a frame: (frames, channels), for I24 (frames, channels x 3).
+
+    A view of `stored` wherever its memory allows.
+
+    stored: bytes, or an array of the format's `dtype`, flat or in rows.
+
+    Raises
+    ------
+    UsageError
+        The array is of another type or shape, or the bytes are no whole number of frames.
+    """
+    bytes_per_frame = channels * pcm_format.bytes_per_sample
+    items = bytes_per_frame // pcm_format.dtype.itemsize
+    if isinstance(stored, np.ndarray):
+        if stored.dtype != pcm_format.dtype:
+            raise UsageError(
+                f"samples of type {stored.dtype} given for a track of format {pcm_format.value}; "
+                f"convert them to {pcm_format.dtype}"
+            )
+        whole = stored.ndim == 1 and stored.size % items == 0
+        if not whole and not (stored.ndim == 2 and stored.shape[1] == items):
+            raise UsageError(
+                f"samples of shape {stored.shape} given for {channels} channels of format "
+                f"{pcm_format.value}; want (frames, {items}), or flat with a multiple of {items}"
+            )
+        return stored.reshape(-1, items)
+    try:
+        view = memoryview(stored)
+    except TypeError:
+        raise UsageError(
+            f"samples of type {type(stored).__name__} given; want bytes or a NumPy array"
+        ) from None
+    if view.nbytes % bytes_per_frame:
+        raise UsageError(
+            f"{view.nbytes} bytes given for {channels} channels of format {pcm_format.value}; "
+            f"want a multiple of {bytes_per_frame}"
+        )
+    whole_bytes = view.cast("B") if view.c_contiguous else view.tobytes()
+    return np.frombuffer(whole_bytes, pcm_format.dtype).reshape(-1, items)
+
+
+def decode_rows(rows: NDArray[Any], pcm_format: PcmFormat, frames: NDArray[np.float32]) -> None:
+    """Fill `frames`, (frames, channels) float32, from as many rows of `stored_frames`.
+
+    Exact up to 24 bits; i32 is rounded to the nearest float32. Float frames keep every bit.
+    """
+    if pcm_format is PcmFormat.FLOAT:
+        frames[...] = rows
+    elif pcm_format is PcmFormat.U8:
+        np.subtract(rows, np.float32(128.0), out=frames)
+        frames *= np.float32(1.0 / pcm_format.full_scale)
+    elif pcm_format is PcmFormat.I24:
+        triples = rows.reshape(len(rows), frames.shape[1], 3)
+        words = np.zeros((*frames.shape, 4), np.uint8)
+        # into the upper bytes, so that the sign stands where int32 has it
+        words[..., 1:] = triples
+        np.multiply(words.view("<i4")[..., 0], np.float32(2.0**-31), out=frames, casting="unsafe")
+    else:
+        # a power of two: in float64 exact, so that only the store rounds
+        np.multiply(rows, 1.0 / pcm_format.full_scale, out=frames, casting="unsafe")
+
+
+def decode(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDArray[np.float32]:
+    """The frames stored, (frames, channels) float32, full scale ±1; a copy.
+
+    Raises UsageError as `stored_frames` does.
+    """
+    rows = stored_frames(stored, pcm_format, channels)
+    frames = np.empty((len(rows), channels), np.float32)
+    decode_rows(rows, pcm_format, frames)
+    return frames
+
+
+def encode(frames: NDArray[np.floating[Any]], pcm_format: PcmFormat) -> bytes:
+    """The frames as a sink of that format stores them: clamped, rounded, never dithered.
+
+    Integers: round(clip(x 2^n, -2^n, 2^n - 1)) with n = 7, 15, 23, 31, half away from zero; u8
+    lies around 128. Float: clamped at ±2.0. What is not a number is stored as 0.
+    """
+    if pcm_format is PcmFormat.FLOAT:
+        clamped = np.clip(frames, -FLOAT_LIMIT, FLOAT_LIMIT).astype("<f4")
+        return np.where(np.isnan(clamped), np.float32(0.0), clamped).tobytes()
+    scale = pcm_format.full_scale
+    steps = np.clip(frames.astype(np.float64) * scale, -scale, scale - 1.0)
+    steps[np.isnan(steps)] = 0.0
+    whole = np.trunc(steps)
+    # not trunc(x + 0.5): that sum rounds 0.5 - 2^-54 up to 1
+    whole += np.copysign(np.abs(steps - whole) >= 0.5, steps)
+    if pcm_format is PcmFormat.U8:
+        return (whole + 128.0).astype(np.uint8).tobytes()
+    if pcm_format is PcmFormat.I24:
+        words = whole.astype("<i4").reshape(-1, 1).view(np.uint8)
+        return words[:, :3].tobytes()
+    return whole.astype(pcm_format.dtype).tobytes()

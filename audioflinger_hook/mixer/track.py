@@ -1,0 +1,191 @@
+"""A track as its client holds it: a ring to write into and requests to the mixer."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+from audioflinger_hook.mixer.channels import CHANNELS_MAX
+from audioflinger_hook.mixer.pcm import PcmData, PcmFormat, decode_rows, stored_frames
+from audioflinger_hook.mixer.ring import FrameRing
+from audioflinger_hook.mixer.states import PLAYING, Request, TrackState, after
+from device.errors import UsageError
+
+SAMPLERATE_MIN = 1_000
+SAMPLERATE_MAX = 768_000
+
+PERIODS_IN_RING = 2
+"""Mix periods that a ring holds if nothing is said."""
+
+__all__ = ["Track", "TrackState"]
+
+
+class Track:
+    """One client's stream into the mix; `Mixer.create_track` makes it.
+
+    Threads: one client thread calls `write`, `start`, `pause`, `stop`, `flush`, `set_volume`,
+    none of which waits; the mixer takes the frames and carries the requests out, in order, at the
+    start of its next cycle. Anyone may read the properties.
+
+    id: unique in its mixer; session: whose effect chain it passes, 0 for none; samplerate: Hz;
+    mix_samplerate (Hz), mix_frames: what the mixer makes in one cycle; ring_frames: how many frames
+    fit in the ring, at least one of these periods, by default two; start_threshold: frames that
+    have to be there before it is first heard, `ring_frames` if None.
+
+    Raises
+    ------
+    UsageError
+        Anything of that is out of its range; the message names all that is.
+    """
+
+    def __init__(
+        self,
+        track_id: int,
+        name: str,
+        session: int,
+        pcm_format: PcmFormat,
+        samplerate: int,
+        channels: int,
+        *,
+        mix_samplerate: int,
+        mix_frames: int,
+        ring_frames: int | None = None,
+        start_threshold: int | None = None,
+    ) -> None:
+        rate_wrong = out_of_range("samplerate", samplerate, SAMPLERATE_MIN, SAMPLERATE_MAX, " Hz")
+        period = 1 if rate_wrong else period_frames(samplerate, mix_samplerate, mix_frames)
+        ring_frames = PERIODS_IN_RING * period if ring_frames is None else ring_frames
+        start_threshold = ring_frames if start_threshold is None else start_threshold
+        ring_wrong = out_of_range("ring_frames", ring_frames, period, None, "")
+        threshold_most = None if ring_wrong else ring_frames
+        wrong = [
+            *out_of_range("session", session, 0, None, ""),
+            *rate_wrong,
+            *out_of_range("channels", channels, 1, CHANNELS_MAX, ""),
+            *ring_wrong,
+            *out_of_range("start_threshold", start_threshold, 1, threshold_most, ""),
+        ]
+        if not isinstance(pcm_format, PcmFormat):
+            known = ", ".join(known.value for known in PcmFormat)
+            wrong.insert(0, f"format={pcm_format!r} is none of PcmFormat: {known}")
+        if wrong:
+            raise UsageError(f"track {name!r} cannot be made: {'; '.join(wrong)}")
+        self.id = track_id
+        self.name = name
+        self.session = session
+        self.format = pcm_format
+        self.samplerate = samplerate
+        self.channels = channels
+        self.mix_samplerate = mix_samplerate
+        self.start_threshold = start_threshold
+        self.ring = FrameRing(ring_frames, channels)
+        self.volume: tuple[float, ...] = (1.0,)
+        # each request with the count of frames written before it
+        self.requests: deque[tuple[Request, int]] = deque()
+        # the mixer's thread alone sets these
+        self.mixed_state = TrackState.IDLE
+        self.disabled = False
+        self.underrun_frames = 0
+        self.underruns = 0
+
+    @property
+    def state(self) -> TrackState:
+        """Where the track stands, or will once the mixer has carried out what was asked."""
+        state = self.mixed_state
+        for request, _ in tuple(self.requests):
+            state = after(state, request)
+        return state
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the track takes part in the mixer's next cycle."""
+        return self.state in PLAYING and not self.disabled
+
+    @property
+    def frames_ready(self) -> int:
+        """Frames in the ring that the mixer has not taken yet."""
+        return self.ring.written - self.ring.read
+
+    @property
+    def room(self) -> int:
+        """Frames that `write` would take now."""
+        return self.ring.room
+
+    def write(self, samples: PcmData) -> int:
+        """Store as many frames as there is room for and return how many; never waits.
+
+        samples: whole frames of the track's format, as bytes or as an array of that type, flat
+        or (frames, channels). Offer the rest again after a cycle. The memory is the caller's
+        again at once.
+
+        Raises
+        ------
+        UsageError
+            They are of another type or shape; nothing is stored then.
+        """
+        rows = stored_frames(samples, self.format, self.channels)
+        taken = min(len(rows), self.ring.room)
+        first, second = self.ring.spans_to_write(taken)
+        decode_rows(rows[: len(first)], self.format, first)
+        if len(second):
+            decode_rows(rows[len(first) : taken], self.format, second)
+        self.ring.commit(taken)
+        return taken
+
+    def start(self) -> None:
+        """Play: from the start threshold on, or at once with a ramp after a pause."""
+        self._ask(Request.START)
+
+    def pause(self) -> None:
+        """Ramp down over one buffer, then keep still; what is in the ring stays."""
+        self._ask(Request.PAUSE)
+
+    def stop(self) -> None:
+        """Play to the last frame written so far, then stop. From a pause: drop what is left."""
+        self._ask(Request.STOP)
+
+    def flush(self) -> None:
+        """Drop what was written so far; a playing track ignores it, as on Android.
+
+        What still sounds ramps down first. The room is free after that.
+        """
+        self._ask(Request.FLUSH)
+
+    def set_volume(self, volume: float | Sequence[float]) -> None:
+        """Set the gain, 0 to 1, reached over the next buffer.
+
+        volume: one gain for all channels; or (left, right); or one for each channel of the mix.
+        NaN, negative and subnormal gains are 0, gains above 1 are 1.
+
+        Raises
+        ------
+        UsageError
+            No gain at all, or more than 64.
+        """
+        gains = (float(volume),) if isinstance(volume, int | float) else tuple(map(float, volume))
+        if not 1 <= len(gains) <= CHANNELS_MAX:
+            raise UsageError(
+                f"{len(gains)} gains given for track {self.name!r}; want one, a left and a right "
+                f"one, or one for each channel of the mix, up to {CHANNELS_MAX}"
+            )
+        self.volume = gains
+
+    def _ask(self, request: Request) -> None:
+        self.requests.append((request, self.ring.written))
+
+
+def period_frames(samplerate: int, mix_samplerate: int, mix_frames: int) -> int:
+    """The most frames of a track that one mix period of `mix_frames` takes."""
+    if samplerate == mix_samplerate:
+        return mix_frames
+    return -(-mix_frames * samplerate // mix_samplerate) + 1
+
+
+def out_of_range(name: str, value: int, low: int, high: int | None, unit: str) -> list[str]:
+    """What is wrong with a number, as no or one line: no int, or out of its range."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        return [f"{name}={value!r} is no whole number"]
+    if value < low or (high is not None and value > high):
+        allowed = f"at least {low}" if high is None else f"{low} to {high}"
+        return [f"{name}={value}{unit}: want {allowed}{unit}"]
+    return []

@@ -1,0 +1,199 @@
+"""Recording from the audio thread: nothing waits, and nothing is lost in silence."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.capture import Capture, CaptureRecorder, CaptureWriter
+from device.errors import InternalError, WriteError
+
+
+class HeldWriter(CaptureWriter):
+    """A writer on a disk that takes a pause until `go` is set; `begun` when it has begun to."""
+
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
+        self.go = threading.Event()
+        self.begun = threading.Event()
+
+    def write_buffer(self, *args, **options):
+        self.begun.set()
+        assert self.go.wait(20)
+        super().write_buffer(*args, **options)
+
+
+def frames_of(number, frames=4, channels=2):
+    return np.full((frames, channels), number, np.float32)
+
+
+def read(folder, stream="tap"):
+    capture = Capture(folder)
+    buffers = list(capture.buffers(stream))
+    return [(buffer.time_s, buffer.discontinuity) for buffer in buffers], capture.warnings
+
+
+def test_what_is_handed_over_arrives_bit_for_bit_through_many_turns_of_the_ring(tmp_path):
+    random = np.random.default_rng(5)
+    recorder = CaptureRecorder(CaptureWriter(tmp_path), capacity_samples=4_096)
+    handed = []
+    scratch = np.empty((512, 4), np.float32)
+    for number in range(1_000):
+        shape = int(random.integers(0, 300)), 1 + number // 100 % 4
+        frames = scratch[: shape[0], : shape[1]]  # the caller uses its memory again
+        bits = random.integers(0, 2**32, shape, dtype=np.uint32)
+        frames[...] = bits.view(np.float32)
+        discontinuity = number % 11 == 0
+        content = frames.tobytes()
+        while not recorder.offer("tap", frames, 48_000, float(number), discontinuity=discontinuity):
+            threading.Event().wait(0.001)  # a full ring: not so patient on an audio thread
+        handed.append((content, shape, float(number)))
+    recorder.close()
+    assert recorder.error is None
+    buffers = list(Capture(tmp_path).buffers())
+    got = [(buffer.frames.tobytes(), buffer.frames.shape, buffer.time_s) for buffer in buffers]
+    assert got == handed
+
+
+def test_what_finds_no_room_is_dropped_counted_and_marked(tmp_path):
+    writer = HeldWriter(tmp_path)
+    recorder = CaptureRecorder(writer, capacity_samples=5 * 8)
+    taken = [recorder.offer("tap", frames_of(number), 48_000, float(number)) for number in range(9)]
+    assert taken == [True] * 5 + [False] * 4
+    assert recorder.dropped("tap") == (4, 16)
+    writer.go.set()
+    number = 9
+    while not recorder.offer("tap", frames_of(number), 48_000, float(number)):
+        number += 1
+    recorder.close()
+    buffers, warnings = read(tmp_path)
+    assert buffers == [(float(n), False) for n in range(5)] + [(float(number), True)]
+    (warning,) = warnings
+    buffers_dropped, frames_dropped = recorder.dropped("tap")
+    assert (buffers_dropped, frames_dropped) == (number - 5, 4 * (number - 5))
+    assert f"{buffers_dropped} buffers ({frames_dropped} frames) of stream tap" in warning
+
+
+def test_drops_at_the_very_end_are_in_the_capture_too(tmp_path):
+    writer = HeldWriter(tmp_path)
+    recorder = CaptureRecorder(writer, capacity_samples=8)
+    assert recorder.offer("tap", frames_of(0), 48_000, 0.0)
+    assert not recorder.offer("tap", frames_of(1), 48_000, 1.0)
+    writer.go.set()
+    recorder.close()
+    buffers, warnings = read(tmp_path)
+    assert buffers == [(0.0, False)]
+    assert "1 buffers (4 frames) of stream tap were dropped while recording" in warnings[0]
+    assert not recorder.offer("tap", frames_of(2), 48_000, 2.0)  # too late
+    assert recorder.dropped("tap") == (2, 8)
+    recorder.close()
+
+
+def test_empty_buffers_are_bounded_too(tmp_path):
+    writer = HeldWriter(tmp_path)
+    recorder = CaptureRecorder(writer, capacity_buffers=3)
+    taken = [recorder.offer("tap", frames_of(0, 0), 48_000, 0.0) for _ in range(5)]
+    assert taken == [True, True, True, False, False]
+    writer.go.set()
+    recorder.close()
+
+
+def test_a_buffer_as_long_as_the_ring_finds_room_and_a_longer_one_never(tmp_path):
+    recorder = CaptureRecorder(CaptureWriter(tmp_path), capacity_samples=80)
+    for number in range(50):
+        while not recorder.offer("tap", frames_of(number, 30 + number % 11), 48_000, float(number)):
+            threading.Event().wait(0.001)
+    assert not recorder.offer("tap", frames_of(0, 41), 48_000, 0.0)
+    recorder.close()
+    assert len(read(tmp_path)[0]) == 50
+
+
+def test_each_stream_may_have_a_thread_of_its_own(tmp_path):
+    streams = ("tap", "effect", "device")
+    recorder = CaptureRecorder(CaptureWriter(tmp_path, streams=streams))
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+
+    def feed(stream):
+        for number in range(1_000):
+            assert recorder.offer(stream, frames_of(number, 7), 48_000, float(number))
+
+    threads = [threading.Thread(target=feed, args=(stream,)) for stream in streams]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    sys.setswitchinterval(interval)
+    recorder.close()
+    for stream in streams:
+        buffers = list(Capture(tmp_path).buffers(stream))
+        assert [buffer.time_s for buffer in buffers] == list(range(1_000))
+        assert all(np.all(buffer.frames == buffer.time_s) for buffer in buffers)
+
+
+def test_a_full_disk_ends_the_capture_and_is_raised_at_the_end_not_on_the_audio_thread(
+    tmp_path, monkeypatch
+):
+    writer = HeldWriter(tmp_path)
+    recorder = CaptureRecorder(writer)
+    assert recorder.offer("tap", frames_of(0), 48_000, 0.0)
+    writer.go.set()
+    while not writer.buffers("tap"):
+        threading.Event().wait(0.001)
+
+    def fail(*_args):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "pwrite", fail)
+    assert recorder.offer("tap", frames_of(1), 48_000, 1.0)
+    while recorder.error is None:
+        threading.Event().wait(0.001)
+    assert not recorder.offer("tap", frames_of(2), 48_000, 2.0)
+    with pytest.raises(WriteError, match="the disk is full"):
+        recorder.close()
+    recorder.close()
+    assert recorder.dropped("tap") == (2, 8)
+    monkeypatch.undo()
+    buffers, warnings = read(tmp_path)
+    assert buffers == [(0.0, False)]
+    assert "1 whole buffers" in warnings[0]
+
+
+def test_a_buffer_of_another_type_ends_the_capture_without_raising_at_once(tmp_path):
+    recorder = CaptureRecorder(CaptureWriter(tmp_path))
+    assert recorder.offer("tap", frames_of(0), 48_000, 0.0)
+    assert not recorder.offer("tap", frames_of(1).astype(np.float64), 48_000, 1.0)
+    with pytest.raises(InternalError, match="float64"):
+        recorder.close()
+    buffers, warnings = read(tmp_path)
+    assert buffers == [(0.0, False)]
+    assert "1 buffers (4 frames) of stream tap were dropped" in warnings[0]
+
+
+def test_whatever_fails_in_the_thread_is_raised_by_close(tmp_path):
+    class Broken(CaptureWriter):
+        def write_buffer(self, *args, **options):
+            raise MemoryError("none left")
+
+    recorder = CaptureRecorder(Broken(tmp_path))
+    recorder.offer("tap", frames_of(0), 48_000, 0.0)
+    with pytest.raises(InternalError, match="MemoryError: none left"):
+        recorder.close()
+    assert recorder.dropped("tap") == (1, 4)
+    assert "1 buffers (4 frames) of stream tap were dropped" in read(tmp_path)[1][0]
+
+
+def test_the_audio_thread_does_not_wait_for_a_disk_that_hangs(tmp_path):
+    writer = HeldWriter(tmp_path)
+    with CaptureRecorder(writer) as recorder:
+        recorder.offer("tap", frames_of(0), 48_000, 0.0)
+        assert writer.begun.wait(20)  # the disk hangs in the first buffer
+        for number in range(1, 500):  # would never return if it waited
+            assert recorder.offer("tap", frames_of(number), 48_000, float(number))
+        writer.go.set()
+    assert read(tmp_path) == ([(float(number), False) for number in range(500)], [])

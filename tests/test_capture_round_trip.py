@@ -1,0 +1,437 @@
+"""A capture gives back what was delivered: every bit, buffer, time and discontinuity."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import tracemalloc
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from audioflinger_hook.capture import STREAMS, Capture, CaptureWriter
+from audioflinger_hook.capture.format import INDEX_NAME, LINE_BYTES_MAX, SAMPLES_OFFSET
+from audioflinger_hook.capture.segment import SegmentReader, SegmentWriter
+from device.errors import InternalError, UsageError, WriteError
+from device.wav_output import wav_header
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A buffer as the test hands it over; any bits may be samples."""
+
+    stream: str = "tap"
+    frames: int = 3
+    samplerate: int = 48_000
+    channels: int = 2
+    time_s: float = 1.0
+    discontinuity: bool = False
+    seed: int = 0
+
+    @property
+    def samples(self):
+        random = np.random.default_rng(self.seed)
+        bits = random.integers(0, 2**32, (self.frames, self.channels), dtype=np.uint32)
+        bits.reshape(-1)[::7] |= 0x7F80_0000  # every seventh is NaN with a payload, or infinite
+        return bits.view(np.float32)
+
+    @property
+    def key(self):
+        facts = (self.samplerate, self.channels, self.time_s, self.discontinuity)
+        return (self.samples.tobytes(), self.samples.shape, *facts)
+
+
+def deliver(writer, delivery):
+    writer.write_buffer(
+        delivery.stream,
+        delivery.samples,
+        delivery.samplerate,
+        delivery.time_s,
+        discontinuity=delivery.discontinuity,
+    )
+
+
+def key(buffer):
+    facts = (buffer.samplerate, buffer.channels, buffer.time_s, buffer.discontinuity)
+    return (buffer.frames.tobytes(), buffer.frames.shape, *facts)
+
+
+def contents(folder, stream="tap"):
+    capture = Capture(folder)
+    return [key(buffer) for buffer in capture.buffers(stream)], capture.warnings
+
+
+sizes = st.one_of(st.sampled_from([0, 1, 255, 256, 257, 20_000]), st.integers(0, 300))
+deliveries = st.builds(
+    Delivery,
+    stream=st.sampled_from(STREAMS),
+    frames=sizes,
+    samplerate=st.sampled_from([1, 44_100, 48_000, 192_000]),
+    channels=st.sampled_from([1, 2, 32]),
+    time_s=st.floats(allow_nan=False, allow_infinity=False),
+    discontinuity=st.booleans(),
+    seed=st.integers(0, 2**32),
+)
+
+
+@settings(max_examples=40)
+@given(st.lists(deliveries, max_size=12))
+def test_every_buffer_of_every_stream_comes_back_bit_for_bit(tmp_path_factory, given_buffers):
+    folder = tmp_path_factory.mktemp("capture")
+    with CaptureWriter(folder, streams=STREAMS) as writer:
+        for delivery in given_buffers:
+            deliver(writer, delivery)
+    for stream in STREAMS:
+        expected = [delivery.key for delivery in given_buffers if delivery.stream == stream]
+        assert contents(folder, stream) == (expected, [])
+        assert writer.buffers(stream) == len(expected)
+        frames = sum(found[1][0] for found in expected)
+        assert frames == writer.frames(stream) == Capture(folder).frames_expected(stream)
+
+
+def test_a_change_of_format_and_nothing_else_starts_a_segment(tmp_path):
+    formats = [(48_000, 2), (48_000, 2), (44_100, 2), (44_100, 1), (48_000, 2)]
+    with CaptureWriter(tmp_path / "c", streams=("tap", "effect")) as writer:
+        for samplerate, channels in formats:
+            deliver(writer, Delivery("tap", 5, samplerate, channels, discontinuity=True))
+            deliver(writer, Delivery("effect", 5, 48_000, 1))
+    segments = {path.name: soundfile.info(path) for path in (tmp_path / "c").glob("*.wav")}
+    found = {name: (i.samplerate, i.channels, i.frames) for name, i in segments.items()}
+    assert found == {
+        "tap-0001.wav": (48_000, 2, 10),
+        "tap-0002.wav": (44_100, 2, 5),
+        "tap-0003.wav": (44_100, 1, 5),
+        "tap-0004.wav": (48_000, 2, 5),
+        "effect-0001.wav": (48_000, 1, 25),
+    }
+    assert {i.subtype for i in segments.values()} == {"FLOAT"}
+
+
+def test_two_readers_at_a_time_do_not_disturb_one_another(tmp_path):
+    given_buffers = [Delivery(seed=seed, samplerate=1_000 * (seed // 2 + 1)) for seed in range(6)]
+    with CaptureWriter(tmp_path) as writer:
+        for delivery in given_buffers:
+            deliver(writer, delivery)
+    capture = Capture(tmp_path)
+    both = list(zip(capture.buffers(), capture.buffers(), strict=True))
+    assert [(key(a), key(b)) for a, b in both] == [(d.key, d.key) for d in given_buffers]
+
+
+def test_a_reader_owns_what_it_gets(tmp_path):
+    with CaptureWriter(tmp_path) as writer:
+        deliver(writer, Delivery())
+    (buffer,) = Capture(tmp_path).buffers()
+    buffer.frames[:] = 0.0
+    assert contents(tmp_path)[0] == [Delivery().key]
+
+
+def test_frames_in_any_memory_layout_are_kept(tmp_path):
+    frames = Delivery(frames=40, channels=4).samples
+    layouts = [np.asfortranarray(frames), frames[::3, 1:3], frames[::-1], frames[:, :0:-1]]
+    with CaptureWriter(tmp_path) as writer:
+        for layout in layouts:
+            writer.write_buffer("tap", layout, 48_000, 0.0)
+    found = [buffer.frames.tobytes() for buffer in Capture(tmp_path).buffers()]
+    assert found == [np.ascontiguousarray(layout).tobytes() for layout in layouts]
+
+
+def test_the_index_is_what_the_format_says(tmp_path):
+    with CaptureWriter(tmp_path, facts={"tap": "sink:Grüße", "latency_s": 0.05}) as writer:
+        deliver(writer, Delivery(time_s=0.1, discontinuity=True))
+        writer.note_dropped("tap", 2, 512)
+    lines = (tmp_path / INDEX_NAME).read_bytes().splitlines()
+    fields = [json.loads(line) for line in lines]
+    for line, found in zip(lines, fields, strict=True):
+        assert int(found.pop("crc"), 16) == zlib.crc32(line[: line.rindex(b',"crc"')])
+    program = fields[0]["facts"].pop("program")
+    assert program.startswith("haptic-cushion ")
+    assert fields == [
+        {
+            "kind": "capture",
+            "format": "haptic-cushion capture",
+            "version": 1,
+            "streams": ["tap"],
+            "facts": {"tap": "sink:Grüße", "latency_s": 0.05},
+        },
+        {
+            "kind": "buffer",
+            "stream": "tap",
+            "buffer": 0,
+            "segment": 1,
+            "first": 0,
+            "frames": 3,
+            "samplerate": 48_000,
+            "channels": 2,
+            "time_s": 0.1,
+            "discontinuity": True,
+            "samples_crc": f"{zlib.crc32(Delivery().samples.tobytes()):08x}",
+        },
+        {"kind": "dropped", "stream": "tap", "buffers": 2, "frames": 512},
+        {"kind": "end", "buffers": {"tap": 1}},
+    ]
+    assert Capture(tmp_path).facts["tap"] == "sink:Grüße"
+
+
+def test_what_was_dropped_makes_the_next_buffer_a_discontinuity(tmp_path):
+    with CaptureWriter(tmp_path, streams=("tap", "effect")) as writer:
+        deliver(writer, Delivery("tap"))
+        writer.note_dropped("tap", 2, 512)
+        for stream in ("effect", "tap", "tap"):
+            deliver(writer, Delivery(stream))
+    capture = Capture(tmp_path)
+    assert [buffer.discontinuity for buffer in capture.buffers()] == [False, True, False]
+    (warning,) = capture.warnings
+    assert "2 buffers (512 frames) of stream tap were dropped while recording" in warning
+    assert [buffer.discontinuity for buffer in capture.buffers("effect")] == [False]
+
+
+def test_samples_are_written_before_their_line_and_the_header_last(tmp_path, monkeypatch):
+    pwrite, written = os.pwrite, []
+
+    def write(fd, content, position):
+        written.append((Path(f"/proc/self/fd/{fd}").readlink().name, position))
+        return pwrite(fd, content, position)
+
+    with CaptureWriter(tmp_path) as writer:
+        deliver(writer, Delivery())
+        size = (tmp_path / INDEX_NAME).stat().st_size
+        monkeypatch.setattr(os, "pwrite", write)
+        deliver(writer, Delivery())
+        monkeypatch.undo()
+    end = SAMPLES_OFFSET + Delivery().samples.nbytes
+    assert written == [("tap-0001.wav", end), (INDEX_NAME, size), ("tap-0001.wav", 0)]
+
+
+@pytest.mark.parametrize("frames", [0, 1_000, 2**31])
+def test_samples_begin_where_the_format_says(frames):
+    assert len(wav_header(48_000, 2, frames)) == SAMPLES_OFFSET
+
+
+def test_a_player_reads_a_capture_that_was_never_closed(tmp_path):
+    writer = CaptureWriter(tmp_path)
+    for seed in range(10):
+        deliver(writer, Delivery(frames=480, seed=seed))
+    assert soundfile.info(tmp_path / "tap-0001.wav").frames == 4_800
+    with (tmp_path / "tap-0001.wav").open("ab") as file:
+        file.write(bytes(range(1, 100)))  # a piece of the next buffer
+    assert soundfile.read(tmp_path / "tap-0001.wav")[0].shape == (4_800, 2)
+    writer.close()
+
+
+def test_a_reader_may_follow_a_writer(tmp_path):
+    writer = CaptureWriter(tmp_path)
+    for seed in range(5):
+        assert len(contents(tmp_path)[0]) == seed
+        deliver(writer, Delivery(seed=seed))
+    assert "still being written" in contents(tmp_path)[1][0]
+    writer.close()
+    assert contents(tmp_path)[1] == []
+
+
+def test_a_segment_over_4_gb_can_be_read_anywhere(tmp_path):
+    segment = SegmentWriter(tmp_path / "tap-0001.wav", 48_000, 1)
+    samples = Delivery(frames=5, channels=1).samples
+    segment.frames = 2**30  # a hole: takes no room on the disk
+    crc = segment.append(samples)
+    segment.keep(5)
+    segment.close()
+    info = soundfile.info(tmp_path / "tap-0001.wav")
+    assert (info.format, info.frames) == ("RF64", 2**30 + 5)
+    reader = SegmentReader(tmp_path / "tap-0001.wav")
+    found = reader.read(2**30, 5, 1, crc)
+    assert found is not None
+    assert found.tobytes() == samples.tobytes()
+    found_format = reader.format()
+    assert found_format is not None
+    assert found_format.frames == 2**30 + 5
+    reader.close()
+
+
+def test_memory_stays_flat_whatever_the_length(tmp_path):
+    frames = Delivery(frames=2_000).samples
+
+    def peak_of(work):
+        work(20)
+        tracemalloc.start()
+        work(400)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    writer = CaptureWriter(tmp_path)
+
+    def write(count):
+        for _ in range(count):
+            writer.write_buffer("tap", frames, 48_000, 0.0)
+
+    assert peak_of(write) < 20 * frames.nbytes  # of 400 times that
+    writer.close()
+    capture = Capture(tmp_path)
+
+    def read(count):
+        with_numbers = zip(range(count), capture.buffers(), strict=False)
+        assert sum(len(buffer.frames) for _, buffer in with_numbers) == count * 2_000
+
+    assert peak_of(read) < 20 * frames.nbytes
+
+
+# ---------------------------------------------------------------------------------- what is refused
+
+
+def test_a_folder_in_use_is_the_users_mistake_and_stays_as_it_is(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="not empty; name a new one"):
+        CaptureWriter(tmp_path)
+    with pytest.raises(UsageError, match="not a folder"):
+        CaptureWriter(tmp_path / "notes.txt")
+    with pytest.raises(UsageError, match=f"folder {tmp_path / 'no'} does not exist; create it"):
+        CaptureWriter(tmp_path / "no" / "capture")
+    with pytest.raises(UsageError, match="null"):
+        CaptureWriter(tmp_path / "a\0b")
+    with pytest.raises(UsageError, match="too long"):
+        CaptureWriter(tmp_path / ("x" * 300))
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_capture_is_not_written_over_another(tmp_path):
+    with CaptureWriter(tmp_path / "c") as writer:
+        deliver(writer, Delivery())
+    with pytest.raises(UsageError, match="not empty"):
+        CaptureWriter(tmp_path / "c")
+    assert contents(tmp_path / "c") == ([Delivery().key], [])
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written_is_the_users_mistake(tmp_path):
+    (tmp_path / "locked").mkdir(mode=0o500)
+    for folder in (tmp_path / "locked", tmp_path / "locked" / "new"):
+        with pytest.raises(UsageError, match="no permission to write there; name another"):
+            CaptureWriter(folder)
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "text"),
+    [
+        (PermissionError(13, "Permission denied"), UsageError, "no permission"),
+        (OSError(30, "Read-only file system"), UsageError, "read-only"),
+        (FileExistsError(17, "File exists"), UsageError, "another capture began there"),
+        (OSError(28, "No space left on device"), WriteError, "disk is full"),
+    ],
+)
+def test_a_capture_that_cannot_begin_leaves_no_folder(tmp_path, monkeypatch, error, kind, text):
+    def fail(*_args, **_options):
+        raise error
+
+    monkeypatch.setattr(os, "open", fail)
+    with pytest.raises(kind, match=text):
+        CaptureWriter(tmp_path / "c")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("streams", [(), ("tap", "tap"), ("sound",), ("../tap",)])
+def test_streams_that_do_not_exist_are_refused(tmp_path, streams):
+    with pytest.raises(InternalError, match="streams="):
+        CaptureWriter(tmp_path / "c", streams=streams)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("frames", "samplerate", "time_s", "stream", "text"),
+    [
+        (np.zeros(4, np.float32), 48_000, 0.0, "tap", r"shape \(4,\)"),
+        (np.zeros((4, 2)), 48_000, 0.0, "tap", "float64"),
+        (np.zeros((4, 0), np.float32), 48_000, 0.0, "tap", "channels=0"),
+        (np.zeros((4, 2), np.float32), 0, 0.0, "tap", "samplerate=0"),
+        (np.zeros((4, 2), np.float32), 48_000, np.nan, "tap", "time_s=nan"),
+        (np.zeros((4, 2), np.float32), 48_000, 0.0, "device", "no stream 'device'"),
+    ],
+)
+def test_a_buffer_that_is_none_is_refused_and_leaves_no_trace(
+    tmp_path, frames, samplerate, time_s, stream, text
+):
+    with CaptureWriter(tmp_path) as writer:
+        deliver(writer, Delivery(seed=1))
+        with pytest.raises(InternalError, match=text):
+            writer.write_buffer(stream, frames, samplerate, time_s)
+        deliver(writer, Delivery(seed=2))
+    assert contents(tmp_path) == ([Delivery(seed=1).key, Delivery(seed=2).key], [])
+    assert sorted(path.name for path in tmp_path.iterdir()) == [INDEX_NAME, "tap-0001.wav"]
+
+
+@pytest.mark.parametrize("fact", ["y" * LINE_BYTES_MAX, float("nan"), object()])
+def test_facts_that_no_line_can_hold_are_refused(tmp_path, fact):
+    with pytest.raises(InternalError, match="capture line"):
+        CaptureWriter(tmp_path / "c", facts={"x": fact})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_written_after_the_end(tmp_path):
+    writer = CaptureWriter(tmp_path)
+    writer.close()
+    writer.close()
+    with pytest.raises(InternalError, match="closed"):
+        deliver(writer, Delivery())
+    with pytest.raises(InternalError, match="closed"):
+        writer.note_dropped("tap", 1, 1)
+    assert contents(tmp_path) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"version": 2}, "version 2; this program reads version 1: use a newer one"),
+        ({"format": "other"}, "holds a 'other'"),
+    ],
+)
+def test_an_unknown_version_is_refused(tmp_path, fields, text):
+    with CaptureWriter(tmp_path) as writer:
+        deliver(writer, Delivery())
+    index = tmp_path / INDEX_NAME
+    header, *rest = index.read_bytes().splitlines(keepends=True)
+    changed = json.loads(header) | fields
+    del changed["crc"]
+    body = json.dumps(changed)[:-1].encode()
+    index.write_bytes(body + b',"crc":"%08x"}\n' % zlib.crc32(body) + b"".join(rest))
+    with pytest.raises(UsageError, match=text):
+        Capture(tmp_path)
+
+
+def test_a_folder_that_is_no_capture_is_refused_with_what_was_expected(tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / INDEX_NAME).write_text('{"kind": "something else"}\n')
+    (tmp_path / "file").write_bytes(struct.pack("<I", 1))
+    for name in ("empty", "other"):
+        with pytest.raises(UsageError, match=r"index.jsonl and tap-0001.wav.* was expected"):
+            Capture(tmp_path / name)
+    with pytest.raises(UsageError, match="is not a folder; give the folder of a capture"):
+        Capture(tmp_path / "file")
+    for name in ("none", "a\0b"):
+        with pytest.raises(UsageError, match="does not exist; give the folder of a capture"):
+            Capture(tmp_path / name)
+
+
+def test_a_stream_that_is_not_there_is_refused(tmp_path):
+    with CaptureWriter(tmp_path) as writer:
+        deliver(writer, Delivery())
+    with pytest.raises(UsageError, match="no stream 'effect', only tap"):
+        Capture(tmp_path).buffers("effect")
+
+
+def test_foreign_files_in_the_folder_are_left_alone(tmp_path):
+    with CaptureWriter(tmp_path) as writer:
+        deliver(writer, Delivery())
+        foreign = ["notes.txt", "tap-0001.wav.bak", "tap-2.wav", "tap-00002.wav", "xtap-0001.wav"]
+        for name in foreign:
+            (tmp_path / name).write_text("mine")
+        (tmp_path / "tap-0009.wav.d").mkdir()
+    assert contents(tmp_path) == ([Delivery().key], [])
+    assert Capture(tmp_path).streams == ("tap",)
+    assert {(tmp_path / name).read_text() for name in foreign} == {"mine"}
