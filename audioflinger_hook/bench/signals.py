@@ -136,8 +136,8 @@ def speech(recordings: tuple[Recording, ...]) -> Stereo | None:
 class CostScene:
     """A kind of sound whose cost is measured.
 
-    budgeted: whether the budget of a second is asked of it (music and recordings), or it is
-    there for what it shows. make: (seconds, recordings) to sound of about that length, None where
+    budgeted: whether the budget of a second is asked of it (all that sounds), or it is there
+    for comparison. make: (seconds, recordings) to sound of about that length, None where
     it cannot be had; the demo scene comes whole.
     """
 
@@ -155,7 +155,7 @@ COST_SCENES: tuple[CostScene, ...] = (
     CostScene("demo scene", True, lambda _s, _: mixdown(demo_scene())),
     CostScene("chord, 10 modulated partials", True, lambda s, _: chord(s)),
     CostScene("speech recordings", True, _speech_scene),
-    CostScene("white noise, 0 dBFS", False, lambda s, _: white_noise(s)),
+    CostScene("white noise, 0 dBFS", True, lambda s, _: white_noise(s)),
     CostScene("silence", False, lambda s, _: stereo(np.zeros(round(s * SAMPLERATE)))),
     CostScene(
         "denormal numbers", False, lambda s, _: stereo(np.full(round(s * SAMPLERATE), DENORMAL))

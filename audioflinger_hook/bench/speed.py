@@ -57,7 +57,7 @@ def cost_of_a_second(bench: Workbench) -> Section:
         "What a second of 48 kHz stereo costs: 10 ms are 1 % of one core. Blocks of "
         f"{BLOCKSIZES[0]} frames are what a sound server delivers, {BLOCKSIZES[1]} what a "
         f"rendering takes at once; medians of {effort.cost_repeats} repeats, all in turns. "
-        "The limit is asked of music and recordings; the rest shows the range. Denormal "
+        "The limit is asked of everything that sounds. Denormal "
         "numbers, on which many processors are slow, should cost what silence costs.",
         tuple(rows),
         tuple(missing),
