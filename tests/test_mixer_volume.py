@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from audioflinger_hook.mixer.channels import layout, sides
@@ -38,6 +38,7 @@ def test_gains_that_make_no_sense_are_silence_and_none_amplifies(asked: float, u
 
 
 @given(st.lists(st.floats(), min_size=1, max_size=24), st.integers(1, 24))
+@example([SMALLEST_NORMAL, 0.0], 1)
 def test_every_gain_in_use_lies_in_0_to_1_and_is_no_subnormal(volume, channels) -> None:
     gains = gains_of(volume, channels)
     assert len(gains) == channels

@@ -30,7 +30,7 @@ def gains_of(volume: Sequence[float], channels: int) -> Gains:
     usable = [float(np.float32(usable_gain(gain))) for gain in volume]
     if len(usable) == 2:
         left, right = usable
-        of_side = {"L": left, "R": right, "C": float(np.float32((left + right) * 0.5))}
+        of_side = {"L": left, "R": right, "C": usable_gain(float(np.float32((left + right) * 0.5)))}
         return tuple(of_side[side] for side in sides(channels))
     return tuple(usable[min(channel, len(usable) - 1)] for channel in range(channels))
 
