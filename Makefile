@@ -6,12 +6,13 @@ PYTEST_ARGS ?=
 # another environment's modules must not stand in for those of .venv
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help run test soak bench clean
+.PHONY: help run test test-servers soak bench clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make run     set up and play the demo scene; results in out/'
 	@echo 'make test    set up and run every check and test (PYTEST_ARGS="..." for pytest)'
+	@echo 'make test-servers   live sound, on sound servers started for it'
 	@echo 'make soak    the tests that take minutes'
 	@echo 'make bench   measure speed and error on this machine'
 	@echo 'make clean   remove what the set-up and the tests made; out/ stays'
@@ -27,6 +28,12 @@ test:
 	.venv/bin/python -m ruff format --check .
 	.venv/bin/python -m mypy --strict
 	.venv/bin/python -m pytest -n auto --dist loadfile $(PYTEST_ARGS)
+
+test-servers:
+	@sh tools/setup.sh test
+	@sh tools/fetch_recordings.sh
+	@sh tools/fetch_servers.sh
+	.venv/bin/python -m pytest -m servers $(PYTEST_ARGS) tests/servers
 
 soak:
 	@sh tools/setup.sh test

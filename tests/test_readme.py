@@ -110,9 +110,9 @@ def test_the_effect_of_one_s_own_runs_before_the_haptic_effect_and_halves_it(
 
 
 def test_the_command_table_names_exactly_the_commands_that_exist() -> None:
-    named = set(re.findall(r"^\| `cushion (\w+)", README, re.MULTILINE))
+    named = set(re.findall(r"^\| `cushion ([\w-]+)", README, re.MULTILINE))
     usage = build_parser().format_help()
-    found = re.findall(r"^    (\w+) ", usage, re.MULTILINE)
+    found = re.findall(r"^    ([\w-]+)(?: |$)", usage, re.MULTILINE)
     assert named == set(found)
 
 

@@ -70,6 +70,40 @@ def build_parser() -> Parser:
     )
     dump.add_argument("--config", type=Path, metavar="FILE", help="take the settings from it")
 
+    run = _add(commands, "run", "feel everything this computer plays", _run_daemon)
+    _add_tap(run)
+    run.add_argument(
+        "--device", required=True, metavar="DEVICE", help="sink:NAME or usb:VID:PID[:SERIAL]"
+    )
+    run.add_argument("--config", type=Path, metavar="FILE", help="default: the user's own")
+    run.add_argument(
+        "--seconds", type=_duration, default=math.inf, metavar="S", help="of sound; default: ever"
+    )
+    run.add_argument("--offset-ms", type=float, default=0.0, metavar="MS", help="delay it more")
+    run.add_argument("--profile", metavar="NAME", help="default: paper")
+    run.add_argument(
+        "--wait", action="store_true", help="for a server, device or tap that is not there yet"
+    )
+
+    status = _add(commands, "status", "ask a running daemon", _status)
+    status.add_argument("--watch", action="store_true", help="again and again")
+    _add_json(status)
+
+    devices = _add(commands, "devices", "list outputs, and who plays", _devices)
+    _add_json(devices)
+
+    tone = _add(commands, "test-tone", "vibrate one output, to find the right one", _test_tone)
+    tone.add_argument("--device", required=True, metavar="DEVICE", help="see `cushion devices`")
+    tone.add_argument("--hz", type=float, default=60.0, metavar="HZ", help="default: 60")
+    tone.add_argument("--level", type=float, default=0.2, metavar="L", help="default: 0.2 of 1")
+    tone.add_argument("--seconds", type=float, default=2.0, metavar="S", help="default: 2")
+
+    service = _add(commands, "install-service", "run from every login on", _install_service)
+    service.add_argument("--device", metavar="DEVICE", help="see `cushion devices`")
+    _add_tap(service)
+    service.add_argument("--remove", action="store_true", help="take it away again")
+    service.add_argument("--udev", action="store_true", help="print a rule for USB devices, too")
+
     bench = _add(commands, "bench", "measure speed against error on this machine", _bench)
     bench.add_argument("--quick", action="store_true", help="under a minute")
     bench.add_argument("--plots", type=Path, metavar="DIR", help="draw the figures there")
@@ -176,6 +210,36 @@ def _dump(options: argparse.Namespace) -> int:
     from audioflinger_hook.cli import dump
 
     return dump.run(options)
+
+
+def _run_daemon(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import run
+
+    return run.run(options)
+
+
+def _status(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import status
+
+    return status.run(options)
+
+
+def _devices(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import devices
+
+    return devices.run(options)
+
+
+def _test_tone(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import test_tone
+
+    return test_tone.run(options)
+
+
+def _install_service(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import install_service
+
+    return install_service.run(options)
 
 
 def _bench(options: argparse.Namespace) -> int:

@@ -37,6 +37,11 @@ class TapClient:
         """As the tap says."""
         return self._tap.frames_expected
 
+    @property
+    def pending_frames(self) -> int:
+        """Frames of the buffer read last that are still to be played."""
+        return len(self._pending)
+
     def connect(self, mixer: Mixer) -> None:
         """Make the track."""
         self._mixer = mixer

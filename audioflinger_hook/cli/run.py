@@ -1,0 +1,119 @@
+"""`cushion run`: everything this computer plays, felt, until it is told to stop."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime
+
+from audioflinger_hook import config
+from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.clients import parse_tap
+from audioflinger_hook.daemon.engine import Clocks
+from audioflinger_hook.daemon.report import status_of
+from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.service.folder import RuntimeFolder
+from audioflinger_hook.service.lock import DaemonLock, Holder
+from audioflinger_hook.service.notify import Notifier
+from audioflinger_hook.service.socket import StatusServer
+from audioflinger_hook.service.watchdog import Watchdog, watchdog_period_s
+from audioflinger_hook.settings import Settings
+from device.address import parse_device
+from device.errors import NotFoundError, UsageError
+from device.server import quiet_libraries
+
+TICK_S = 0.05
+
+LIVE_TAPS = ("default", "sink")
+LIVE_DEVICES = ("sink", "usb")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run until `--seconds` of sound are over or somebody ends it."""
+    tap, device = parse_tap(options.tap), parse_device(options.device)
+    if tap.kind not in LIVE_TAPS:
+        raise NotFoundError(
+            f"tap {str(tap)!r}: `cushion run` listens to default or sink:NAME in this version; "
+            "for files, captures and scenes there is `cushion render` and `cushion replay`"
+        )
+    if device.kind not in LIVE_DEVICES:
+        raise NotFoundError(
+            f"device {str(device)!r}: `cushion run` plays to sink:NAME or usb:VID:PID in this "
+            "version; `cushion devices` lists them"
+        )
+    offset_s = options.offset_ms * 1e-3
+    if not 0.0 <= offset_s <= 1.0:
+        raise UsageError(f"offset-ms={options.offset_ms:g} is out of range; allowed: 0 to 1000 ms")
+    settings = _settings(options)
+    if not options.debug:
+        quiet_libraries()
+    holder = Holder(os.getpid(), datetime.now().isoformat(" ", "seconds"), str(device))
+    clocks = Clocks(time.monotonic, time.thread_time)
+    with (
+        RuntimeFolder(os.environ, create=True) as folder,
+        DaemonLock(folder, holder),
+        _asked_to_end() as ending,
+    ):
+        supervisor = Supervisor(tap, device, settings, clocks, offset_s=offset_s)
+        try:
+            if not options.wait:
+                supervisor.look()
+            with StatusServer(
+                folder, lambda: status_of(supervisor, time.monotonic()), time.monotonic
+            ):
+                return _keep_on(supervisor, options.seconds, ending)
+        finally:
+            supervisor.close(time.monotonic())
+
+
+def _settings(options: argparse.Namespace) -> Settings:
+    path = options.config or config.default_path()
+    settings = config.load(path) if options.config or path.exists() else Settings()
+    return dataclasses.replace(settings, profile=options.profile) if options.profile else settings
+
+
+@contextmanager
+def _asked_to_end() -> Iterator[list[int]]:
+    """Signals that ask for the end, as they come: none breaks into an opening or a closing."""
+    signals: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: signals.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield signals
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _keep_on(supervisor: Supervisor, seconds: float, ending: Sequence[int]) -> int:
+    """Tick until enough was heard or a signal came; tell systemd and the user what goes on."""
+    notifier = Notifier()
+    watchdog = Watchdog(watchdog_period_s(os.getpid()))
+    told = ""
+    notifier.ready()
+    while supervisor.heard_s < seconds:
+        if ending:
+            raise KeyboardInterrupt
+        now_s = time.monotonic()
+        supervisor.tick(now_s)
+        report = supervisor.states.report(now_s)
+        text = f"{report.state.value}{': ' if report.reason else ''}{report.reason}"
+        if text != told:
+            told = text
+            notifier.status(text)
+            print(f"cushion: {text}", file=sys.stderr, flush=True)
+        if watchdog.due(supervisor.heard_frames, report.state, now_s):
+            notifier.watchdog()
+        time.sleep(TICK_S)
+    notifier.stopping()
+    for warning in supervisor.warnings:
+        warn(warning)
+    return 0

@@ -1,0 +1,35 @@
+"""`cushion status`: what a running daemon says of itself."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from audioflinger_hook.cli.terminal import LineConsole
+from audioflinger_hook.service.ask import ask_status
+from audioflinger_hook.service.status_view import status_view
+
+ANSWER_S = 2.0
+REFRESH_S = 0.5
+
+
+def run(options: argparse.Namespace) -> int:
+    """Ask, and print the answer once, or again and again."""
+    if options.watch and not options.json:
+        return _watch()
+    status = ask_status(ANSWER_S, time.monotonic)
+    if options.json:
+        print(status.to_json())
+    else:
+        LineConsole().print(status_view(status))
+    return 0
+
+
+def _watch() -> int:
+    """Show the status until somebody ends it, or the daemon does."""
+    from rich.live import Live
+
+    with Live(status_view(ask_status(ANSWER_S, time.monotonic)), auto_refresh=False) as live:
+        while True:
+            time.sleep(REFRESH_S)
+            live.update(status_view(ask_status(ANSWER_S, time.monotonic)), refresh=True)

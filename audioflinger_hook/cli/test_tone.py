@@ -1,0 +1,88 @@
+"""`cushion test-tone`: a short vibration on one device, to find the right output."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+
+import numpy as np
+
+from device.address import parse_device
+from device.errors import LostError, NotFoundError, UsageError
+from device.server import (
+    PcmConfig,
+    PlaybackStream,
+    PulseConnection,
+    Refuge,
+    StreamGuard,
+    quiet_libraries,
+)
+from device.units import Float32Array
+
+FADE_S = 0.1
+LIMIT_HZ = (20.0, 220.0)
+
+
+class Tone:
+    """A sine with a soft start and end; `ended` is set once it is over."""
+
+    def __init__(self, hz: float, level: float, duration_s: float, samplerate: int) -> None:
+        time_s = np.arange(round(duration_s * samplerate)) / samplerate
+        fade = np.clip(np.minimum(time_s, duration_s - time_s) / FADE_S, 0.0, 1.0)
+        self._wave = (level * fade * np.sin(2.0 * np.pi * hz * time_s)).astype(np.float32)
+        self._position = 0
+        self.ended = threading.Event()
+
+    def fill(self, out: Float32Array, now_s: float) -> None:
+        """Write the next frames, the same in every channel. Called by the output's thread."""
+        part = self._wave[self._position : self._position + len(out)]
+        self._position += len(part)
+        out[: len(part)] = part[:, None]
+        if len(part) < len(out):
+            self.ended.set()
+
+
+def run(options: argparse.Namespace) -> int:
+    """Play the tone on exactly that device, nowhere else."""
+    low, high = LIMIT_HZ
+    if not low <= options.hz <= high:
+        raise UsageError(f"hz={options.hz:g} is out of range; allowed: {low:g} to {high:g} Hz")
+    if not 0.0 < options.level <= 1.0:
+        raise UsageError(f"level={options.level:g} is out of range; allowed: above 0, up to 1")
+    if not FADE_S * 2 < options.seconds <= 60.0:
+        raise UsageError(f"seconds={options.seconds:g} is out of range; allowed: 0.2 to 60 s")
+    device = parse_device(options.device)
+    if device.kind not in ("sink", "usb"):
+        raise NotFoundError(f"device {str(device)!r}: it takes a sink; see `cushion devices`")
+    quiet_libraries()
+    pcms = PcmConfig("cushion_output")
+    try:
+        connection = PulseConnection()
+        try:
+            sink = device.sink(connection.latest)
+            refuge = Refuge(connection)
+            pcm = pcms.pcms["cushion_output"]
+            pcm.lead(sink.name)
+            tone = Tone(options.hz, options.level, options.seconds, sink.samplerate)
+            stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
+            guard = StreamGuard(connection, stream, sink.name)
+            try:
+                print(f"{sink.name} ({sink.description}): {options.hz:g} Hz", flush=True)
+                _wait(tone, stream)
+            finally:
+                guard.release()
+                stream.close()
+                refuge.close()
+        finally:
+            connection.close()
+    finally:
+        pcms.close()
+    return 0
+
+
+def _wait(tone: Tone, stream: PlaybackStream) -> None:
+    """Wait for the end of the tone, or of the stream."""
+    while not tone.ended.wait(0.1):
+        if stream.is_lost(time.monotonic()):
+            raise LostError("the device went away while the tone was played; plug it in again")

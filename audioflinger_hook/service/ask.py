@@ -1,0 +1,107 @@
+"""Asking a running daemon for its status."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import socket
+import struct
+from collections.abc import Callable, Mapping
+
+from audioflinger_hook.service.connection import ASK_STATUS
+from audioflinger_hook.service.folder import RuntimeFolder
+from audioflinger_hook.service.socket import NAME, peer_uid
+from audioflinger_hook.service.status import Status
+from audioflinger_hook.service.text import one_line
+from device.errors import CushionError, InternalError, NotFoundError, UsageError
+
+ANSWER_BYTES_MAX = 1 << 20
+NOBODY = "no daemon is running; start one with `cushion run`"
+
+
+def ask_status(
+    timeout_s: float, clock: Callable[[], float], environ: Mapping[str, str] = os.environ
+) -> Status:
+    """Return the status of this user's daemon, asked within `timeout_s` seconds of `clock`.
+
+    Waits in the calling thread, which must not be the audio thread.
+
+    Raises
+    ------
+    NotFoundError
+        No daemon is running.
+    UsageError
+        $XDG_RUNTIME_DIR is not usable, or folder or socket belong to somebody else.
+    InternalError
+        The daemon does not answer in time, or not as this version of the program expects.
+    """
+    if not 0.0 < timeout_s < math.inf:
+        raise UsageError(f"a timeout of {timeout_s} s; allowed: above 0")
+    end_s = clock() + timeout_s
+    try:
+        with RuntimeFolder(environ, create=False) as folder:
+            line = _exchange(folder, end_s, clock)
+    except TimeoutError as error:
+        raise InternalError(
+            f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
+        ) from error
+    except (NotFoundError, FileNotFoundError, ConnectionRefusedError) as error:
+        raise NotFoundError(NOBODY) from error
+    except OSError as error:
+        raise InternalError(f"the daemon does not answer: {error.strerror}; try again") from error
+    return _understood(line)
+
+
+def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -> bytes:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+        # Blocking, with the kernel's own timeouts: a non-blocking connect to a socket whose
+        # queue is full fails at once and would have to be tried over and over.
+        _limit(client, socket.SO_SNDTIMEO, end_s - clock())
+        try:
+            client.connect(folder.address(NAME))
+            owner = peer_uid(client)
+            if owner != os.geteuid():
+                raise UsageError(f"the daemon at {folder.path / NAME} runs as user {owner}")
+            client.sendall(json.dumps(ASK_STATUS).encode() + b"\n", socket.MSG_NOSIGNAL)
+            answer = bytearray()
+            while not answer.endswith(b"\n"):
+                _limit(client, socket.SO_RCVTIMEO, end_s - clock())
+                received = client.recv(65_536)
+                answer += received
+                if not received or len(answer) > ANSWER_BYTES_MAX:
+                    raise InternalError("the daemon's answer is cut off or too long; try again")
+        except BlockingIOError as error:
+            raise TimeoutError from error
+        except PermissionError as error:
+            raise UsageError(
+                f"no permission to connect to {folder.path / NAME}; run as the daemon's user"
+            ) from error
+    return bytes(answer)
+
+
+def _limit(client: socket.socket, option: int, left_s: float) -> None:
+    if left_s <= 0.0:
+        raise TimeoutError
+    microseconds = max(1, int(1e6 * left_s))  # 0 would mean for ever
+    value = struct.pack("@ll", *divmod(microseconds, 1_000_000))
+    client.setsockopt(socket.SOL_SOCKET, option, value)
+
+
+def _understood(line: bytes) -> Status:
+    try:
+        return Status.from_json(line)
+    except CushionError as error:
+        told = _told_error(line) or f"its answer is not understood ({error})"
+        raise InternalError(
+            f"the daemon does not tell its status: {told}; restart it with this version"
+        ) from error
+
+
+def _told_error(line: bytes) -> str:
+    try:
+        answer = json.loads(line)
+    except (ValueError, RecursionError):
+        return ""
+    told = answer.get("error") if isinstance(answer, dict) else None
+    return one_line(told) if isinstance(told, str) else ""

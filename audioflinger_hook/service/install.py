@@ -1,0 +1,128 @@
+"""Putting the user unit where systemd looks for it, and taking it away again."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from audioflinger_hook.service import unit
+from device.atomic_file import write_bytes_atomically
+from device.errors import UsageError
+
+UNIT_BYTES_MAX = 1 << 16
+START = ("systemctl --user daemon-reload", "systemctl --user enable --now cushion.service")
+STOP = ("systemctl --user disable --now cushion.service",)
+FORGET = ("systemctl --user daemon-reload",)
+
+
+@dataclass(frozen=True)
+class Installed:
+    """What was done: the unit's path, whether its text is new, and the commands to type next."""
+
+    path: Path
+    changed: bool
+    commands: tuple[str, ...]
+
+
+def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple[str, ...]:
+    """Return how this very program is started: the `cushion` that runs, or Python and -m.
+
+    Links stay: behind the one of a virtual environment is a Python that lacks its packages.
+    """
+    script = Path(argv0).absolute()
+    if script.name == "cushion" and script.is_file() and os.access(script, os.X_OK):
+        return (str(script),)
+    return (str(Path(python).absolute()), "-m", "audioflinger_hook")
+
+
+def unit_path(environ: Mapping[str, str] = os.environ) -> Path:
+    """Return where the unit belongs: $XDG_CONFIG_HOME/systemd/user/cushion.service."""
+    return _home(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / unit.NAME
+
+
+def install(
+    arguments: Sequence[str] = (),
+    command: Sequence[str] | None = None,
+    environ: Mapping[str, str] = os.environ,
+) -> Installed:
+    """Write the unit that runs `cushion run` with these arguments.
+
+    command: of `own_command` if not given. The folders it needs are made. The file appears
+    whole, and only if its text is another. systemd is told nothing: the commands do that.
+
+    Raises
+    ------
+    UsageError
+        A path or argument that systemd does not take; a folder that cannot be written; a unit of
+        that name that somebody else has written, which stays.
+    WriteError
+        The disk is full or failed.
+    """
+    path = unit_path(environ)
+    state = _home(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
+    text = unit.unit_text([*(command or own_command()), "run", *arguments], state)
+    before = _written_before(path)
+    for folder in (path.parent, state):
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(
+                f"cannot make the folder {folder}: {error.strerror}; make it yourself"
+            ) from error
+    if before != text:
+        write_bytes_atomically(path, text.encode())
+    return Installed(path, before != text, START)
+
+
+def remove(environ: Mapping[str, str] = os.environ) -> Installed:
+    """Remove the unit that `install` wrote; nothing changes where there is none.
+
+    Type the commands of `STOP` before: systemd cannot disable what is gone.
+
+    Raises
+    ------
+    UsageError
+        Somebody else has written it, or the folder cannot be written.
+    """
+    path = unit_path(environ)
+    if _written_before(path) is None:
+        return Installed(path, False, ())
+    try:
+        path.unlink()
+    except OSError as error:
+        raise UsageError(f"cannot remove {path}: {error.strerror}; remove it yourself") from error
+    return Installed(path, True, FORGET)
+
+
+def _written_before(path: Path) -> str | None:
+    """Return our unit's text, None for nothing there."""
+    text = ""
+    try:
+        found = path.lstat()
+        if stat.S_ISREG(found.st_mode) and found.st_size <= UNIT_BYTES_MAX:
+            text = path.read_text(encoding="utf-8")
+    except (FileNotFoundError, NotADirectoryError):  # the latter is for `install` to tell
+        return None
+    except (OSError, UnicodeDecodeError):
+        pass
+    if not text.startswith(unit.MARK):
+        raise UsageError(
+            f"{path} was not written by `cushion install-service` and is left alone; "
+            "move it away first"
+        )
+    return text
+
+
+def _home(environ: Mapping[str, str], variable: str, otherwise: str) -> Path:
+    text = environ.get(variable, "")
+    # As the XDG specification has it, a relative path counts as not set.
+    if text.startswith("/"):
+        return Path(text)
+    home = environ.get("HOME", "")
+    if not home.startswith("/"):
+        raise UsageError(f"neither {variable} nor HOME is an absolute path; set one of them")
+    return Path(home) / otherwise

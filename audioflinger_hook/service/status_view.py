@@ -1,0 +1,151 @@
+"""The status as text, for a terminal of any width."""
+
+from __future__ import annotations
+
+import io
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from audioflinger_hook.service.levels import FLOOR_DBFS, Level
+from audioflinger_hook.service.state import DaemonState
+from audioflinger_hook.service.status import Endpoint, Status
+from audioflinger_hook.service.text import one_line
+
+BAR_CELLS = 16
+BAR_RANGE_DB = 60.0
+WARNINGS_MAX = 20
+
+_COLOURS = {
+    DaemonState.RUNNING: "bold green",
+    DaemonState.IDLE: "green",
+    DaemonState.STOPPING: "dim",
+    DaemonState.STARTING: "cyan",
+}
+
+
+def status_text(status: Status, width: int = 80) -> str:
+    """Return the view as plain text, no line wider than `width` cells; legible from 20 on."""
+    console = Console(
+        file=io.StringIO(), width=max(1, width), color_system=None, legacy_windows=False
+    )
+    with console.capture() as capture:
+        console.print(status_view(status))
+    return "\n".join(line.rstrip() for line in capture.get().splitlines()) + "\n"
+
+
+def status_view(status: Status) -> Table:
+    """Return what rich prints or redraws: a line for each part of the status.
+
+    Names come from the sound server and from users: they are shown as text, never as markup or
+    escape sequences.
+    """
+    table = Table.grid(padding=(0, 1, 0, 0), expand=False)
+    table.add_column(style="dim", overflow="fold", min_width=1)
+    table.add_column(overflow="fold", min_width=1)
+    for label, value in _rows(status):
+        table.add_row(Text(label), value)
+    return table
+
+
+def _rows(status: Status) -> list[tuple[str, Text]]:
+    line, buffers, xruns = status.delay_line, status.buffer_times, status.xruns
+    rows = [
+        ("cushion", Text(f"{one_line(status.version)}, process {status.pid}")),
+        ("state", _state(status)),
+        ("tap", _endpoint(status.tap)),
+        ("device", _endpoint(status.device)),
+        ("sound", _level(status.levels.sound, "cyan")),
+        ("vibration", _level(status.levels.vibration, "yellow")),
+        ("latency", _latency(status)),
+        (
+            "delay line",
+            Text(
+                f"{one_line(line.state)}, {line.delay_ms:.1f} of {line.target_ms:.1f} ms, "
+                f"{line.ratio_ppm:+.1f} ppm; {_count(line.resyncs, 'resync')}, "
+                f"{_count(line.underflows, 'underflow')}, {_count(line.overflows, 'overflow')}"
+            ),
+        ),
+        ("xruns", Text(f"tap {xruns.tap}, output {xruns.output}")),
+        (
+            "buffers",
+            Text(
+                f"{buffers.share_percent:.1f} % of {buffers.buffer_ms:.1f} ms; "
+                f"p50 {buffers.p50_ms:.2f}, p99 {buffers.p99_ms:.2f}, max {buffers.max_ms:.2f} ms"
+            ),
+        ),
+        ("recoveries", _recoveries(status)),
+        (
+            "samples",
+            Text(f"{status.limited_samples} limited, {status.replaced_samples} replaced"),
+        ),
+    ]
+    if status.effects_bypassed:
+        names = ", ".join(one_line(name, 60) for name in status.effects_bypassed)
+        rows.append(("bypassed", Text(names, "red")))
+    shown = status.warnings[-WARNINGS_MAX:]
+    if status.warnings[:-WARNINGS_MAX]:
+        left_out = len(status.warnings) - len(shown)
+        rows.append(("warning", Text(f"({left_out} earlier ones left out)", "yellow")))
+    rows += [("warning", Text(one_line(warning), "yellow")) for warning in shown]
+    return rows
+
+
+def _state(status: Status) -> Text:
+    colour = _COLOURS.get(status.state, "bold yellow")
+    text = Text.assemble((status.state.value, colour), f" for {duration(status.since_s)}")
+    if status.reason:
+        text.append(f": {one_line(status.reason)}")
+    return text
+
+
+def _endpoint(endpoint: Endpoint) -> Text:
+    address = one_line(endpoint.address)
+    if endpoint.name is None:
+        return Text.assemble(address, (" (not there)", "yellow"))
+    name = one_line(endpoint.name)
+    return Text(address if name in ("", address) else f"{name} ({address})")
+
+
+def _level(level: Level, colour: str) -> Text:
+    share = min(1.0, max(0.0, 1.0 + level.peak_dbfs / BAR_RANGE_DB))
+    filled = round(share * BAR_CELLS)
+    bar = ("█" * filled, colour), ("░" * (BAR_CELLS - filled), "dim")
+    if level.peak_dbfs <= FLOOR_DBFS:
+        return Text.assemble(*bar, " silence")
+    return Text.assemble(
+        *bar, f" peak {level.peak_dbfs:6.1f}, rms {max(FLOOR_DBFS, level.rms_dbfs):6.1f} dBFS"
+    )
+
+
+def _latency(status: Status) -> Text:
+    latency = status.latency
+    return Text(
+        f"{latency.total_ms:.1f} ms = tap {latency.tap_ms:.1f} + transform "
+        f"{latency.transform_ms:.1f} + delay line {latency.delay_line_ms:.1f} + output "
+        f"{latency.output_ms:.1f} {'-' if latency.offset_ms < 0 else '+'} offset "
+        f"{abs(latency.offset_ms):.1f}"
+    )
+
+
+def _recoveries(status: Status) -> Text:
+    counted = [f"{cause.value} {n}" for cause, n in status.recoveries.items() if n]
+    return Text(", ".join(counted) or "none")
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def duration(time_s: float) -> str:
+    """Return a duration in its two largest units."""
+    if time_s < 59.95:
+        return f"{time_s:.1f} s"
+    minutes, seconds = divmod(round(time_s), 60)
+    if minutes < 60:
+        return f"{minutes} min {seconds:02d} s"
+    hours, minutes = divmod(minutes, 60)
+    if hours < 48:
+        return f"{hours} h {minutes:02d} min"
+    return f"{hours // 24} d {hours % 24:02d} h"

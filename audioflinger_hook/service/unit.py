@@ -1,0 +1,131 @@
+"""The systemd user unit, as text."""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Sequence
+from pathlib import Path
+
+from audioflinger_hook.service.text import one_line
+from device.errors import UsageError
+
+NAME = "cushion.service"
+MARK = "# Written by `cushion install-service`."
+"""How every unit of ours begins; what does not is the user's own."""
+
+_TEMPLATE = string.Template("""\
+$mark Changes belong into a drop-in: systemctl --user edit cushion
+
+[Unit]
+Description=Haptic Cushion: sound to vibration
+After=pipewire-pulse.service pulseaudio.service wireplumber.service
+# a daemon that fails ten times in five minutes is left alone
+StartLimitIntervalSec=300
+StartLimitBurst=10
+
+[Service]
+Type=notify
+NotifyAccess=main
+ExecStart=$command
+ExecReload=/bin/kill -HUP $$MAINPID
+TimeoutStartSec=30
+TimeoutStopSec=10
+WatchdogSec=10
+Restart=on-failure
+RestartSec=2
+# wrong config or usage stays wrong; interrupted is a way to end
+RestartPreventExitStatus=2
+SuccessExitStatus=130
+
+# its folder; kept, for a daemon that was started by hand may be using it
+RuntimeDirectory=cushion
+RuntimeDirectoryMode=0700
+RuntimeDirectoryPreserve=yes
+UMask=0077
+
+# the audio thread may ask for real-time priority, and is stopped if it spins
+LimitRTPRIO=20
+LimitRTTIME=200000
+LimitCORE=0
+MemoryMax=512M
+OOMPolicy=stop
+
+# what needs no privilege
+NoNewPrivileges=yes
+RestrictAddressFamilies=AF_UNIX AF_NETLINK
+RestrictNamespaces=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+
+# what needs a user namespace; systemd goes without where there is none
+ProtectSystem=strict
+$writable
+PrivateTmp=yes
+
+[Install]
+WantedBy=default.target
+""")
+
+
+def unit_text(command: Sequence[str], state_folder: Path) -> str:
+    """Return the unit that runs a command, its program's absolute path first.
+
+    state_folder: the one folder besides the runtime folder that the daemon may write.
+
+    Raises
+    ------
+    UsageError
+        systemd takes no such path or argument.
+    """
+    program, *arguments = command
+    words = [_program(program), *(_quoted(argument) for argument in arguments)]
+    return _TEMPLATE.substitute(
+        mark=MARK, command=" ".join(words), writable=f"ReadWritePaths={_optional(state_folder)}"
+    )
+
+
+def _program(path: str) -> str:
+    # systemd refuses these in a program's name, however they are quoted; and it expands no
+    # variable in it, so that a dollar sign stands for itself.
+    if not path.startswith("/") or any(sign in path for sign in "\"'\\"):
+        raise UsageError(
+            f"systemd cannot run {one_line(path)!r}: allowed is an absolute path without quotes "
+            "and backslashes; install the program elsewhere"
+        )
+    return f'"{_checked(path).replace("%", "%%")}"'
+
+
+def _quoted(argument: str) -> str:
+    text = _checked(argument).replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{text.replace("%", "%%").replace("$", "$$")}"'
+
+
+def _optional(path: Path) -> str:
+    """Return a path that may be missing, which is what the minus sign says."""
+    text = str(path)
+    if any(sign in text for sign in "\"'\\"):
+        raise UsageError(
+            f"systemd takes no folder named {one_line(text)!r}: allowed is a path without quotes "
+            "and backslashes; set XDG_STATE_HOME to another"
+        )
+    return f'"-{_checked(text).replace("%", "%%")}"'
+
+
+def _checked(text: str) -> str:
+    if not text.isprintable() or not _is_utf8(text):
+        raise UsageError(
+            f"systemd takes no {one_line(text)!r}: it has signs that cannot be printed; "
+            "choose another name"
+        )
+    return text
+
+
+def _is_utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

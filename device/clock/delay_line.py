@@ -1,0 +1,353 @@
+"""The delay line between the tap's clock and the output's."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from device.clock.declick import Joint
+from device.clock.interpolator import CubicReader
+from device.clock.lateness import LEAST_S, Lateness
+from device.clock.rate_loop import RateLoop
+from device.clock.ring import NewestFrames
+from device.clock.status import DelayState, DelayStatus
+from device.clock.target import TargetDelay
+from device.clock.timing import STALLED_S, ClockReading, FrameClock
+from device.errors import InternalError, UsageError
+from device.units import Float32Array, FloatArray
+
+RESYNC_FRAMES = 256
+ASTRAY_S = 0.1
+"""A delay this far from its target is given up at once, before the clocks are known again."""
+LOCK_S = 0.00025
+UNLOCK_S = 0.001
+LOCK_AFTER_S = 1.0
+STARVED_AGAIN_S = 1.0
+HOLD_OFF_S = 0.25
+"""Silence after the second starvation within a second: bursts at a steady rate would buzz."""
+
+_PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
+
+
+class _Written(NamedTuple):
+    """What the writer tells the reader, in one assignment.
+
+    run_start: the first frame after the last stall; frames before it are not played after it.
+    """
+
+    frames: int
+    clock: ClockReading
+    run_start: int
+    lateness_s: float
+
+
+class DelayLine:
+    """What is written comes out of `read` after a delay that stays the same for days.
+
+    channels: of every block. samplerate_in, samplerate_out: nominal, Hz; they may differ.
+    capture_block, output_block: frames of a usual `write` and `read`; others are taken, too, and
+    provided for as if they were late. offset_s: delay on top of what is needed, 0 or more.
+    capacity_s: memory, allocated at once; the target stays within three quarters of it.
+    lateness_limit_s: the most that is provided for late callbacks; later ones are underflows.
+
+    Target: 1.5 capture blocks + an output block + lateness (99.9th percentile, both sides) +
+    offset. A delay further off than max(256 frames, half a capture block) is set anew by a jump;
+    otherwise the ratio of reading is steered (see `RateLoop`). Both counters are interpolated to
+    one instant by `FrameClock`s, so blocks do not show in the measured delay. The delay counts
+    from a frame's capture, that is the end of its block less the frames after it, to its place in
+    the output's block. Whenever the pieces on both sides of a moment do not belong together, a
+    `Joint` of 5 ms makes them one.
+
+    Threads: one calls `write`, one `read`; any may call the rest at any time. Nobody waits for
+    anybody: see `NewestFrames` for the frames; everything else that crosses is one attribute
+    that holds an immutable object and is assigned by one side only, or by whoever was last.
+    Times are seconds of one monotonic clock, taken when the callback began.
+
+    Raises
+    ------
+    UsageError
+        offset_s, samplerates or capacity_s out of range.
+    InternalError
+        A block has another number of channels, or is not (frames, channels). Nothing else that
+        is passed to `write` or `read` makes them raise; `read` then still gives finite frames.
+    """
+
+    def __init__(
+        self,
+        channels: int,
+        samplerate_in: float,
+        samplerate_out: float,
+        *,
+        capacity_s: float = 2.0,
+        capture_block: int = 256,
+        output_block: int = 256,
+        offset_s: float = 0.0,
+        lateness_limit_s: float = 0.03,
+    ) -> None:
+        if channels < 1 or capture_block < 1 or output_block < 1:
+            raise InternalError("channels, capture_block and output_block must be 1 or more")
+        for name, rate in (("samplerate_in", samplerate_in), ("samplerate_out", samplerate_out)):
+            if not 1.0 <= rate < math.inf:
+                raise UsageError(f"{name}={rate} Hz is out of range; choose 1 Hz or more")
+        least_s = 1.5 * capture_block / samplerate_in + output_block / samplerate_out
+        needed_s = (least_s + 2.0 * lateness_limit_s) / 0.75
+        if not needed_s <= capacity_s < math.inf:
+            raise UsageError(
+                f"capacity_s={capacity_s} is too short for these blocks; "
+                f"choose {needed_s:.3f} or more"
+            )
+        self._channels = channels
+        self._samplerate_in = float(samplerate_in)
+        self._samplerate_out = float(samplerate_out)
+        self._most_offset_s = 0.75 * (capacity_s - needed_s)
+        self._resync_frames = max(RESYNC_FRAMES, capture_block // 2)
+
+        self._ring = NewestFrames(math.ceil(capacity_s * samplerate_in), channels)
+        # the writer's
+        self._written_clock = FrameClock(samplerate_in)
+        self._written_late = Lateness(lateness_limit_s)
+        self._capture_s = capture_block / samplerate_in
+        self._last_write_s = -math.inf
+        self._written: _Written | None = None
+        # the reader's
+        self._read_clock = FrameClock(samplerate_out)
+        self._read_late = Lateness(lateness_limit_s)
+        self._output_block = output_block
+        self._output_s = output_block / samplerate_out
+        self._read_frames = 0
+        self._reader = CubicReader(self._ring.frames)
+        self._joint = Joint(samplerate_out, channels)
+        self._loop = RateLoop(samplerate_in)
+        self._target = TargetDelay(
+            least_s, 0.75 * capacity_s, self._resync_frames / self._samplerate_in
+        )
+        self._state = DelayState.EMPTY
+        self._step = self._nominal_step = self._samplerate_in / self._samplerate_out
+        self._delay_s = 0.0
+        self._on_target_s = 0.0
+        self._starved_at_s = -math.inf
+        self._not_before_s = -math.inf
+        self._from_frame = 0
+        self._flushed: object = None
+        self._resyncs = self._underflows = self._overflows = 0
+        # anybody's
+        self._flush_wanted: object = None
+        self._silenced = False
+        self._offset_s = 0.0
+        self.offset_s = offset_s
+        self._target.want(2.0 * LEAST_S, self._offset_s)
+        self._target.jump()
+        self._published = self._picture()
+
+    @property
+    def channels(self) -> int:
+        """Channels of every block."""
+        return self._channels
+
+    @property
+    def samplerate_in(self) -> float:
+        """Nominal rate of what is written, in Hz."""
+        return self._samplerate_in
+
+    @property
+    def samplerate_out(self) -> float:
+        """Nominal rate of what is read, in Hz."""
+        return self._samplerate_out
+
+    @property
+    def status(self) -> DelayStatus:
+        """The picture as of the last read. Any thread; the audio threads do not notice."""
+        return DelayStatus(*self._published)
+
+    @property
+    def offset_s(self) -> float:
+        """Delay on top of what is needed, in seconds. A change takes effect in the next read."""
+        return self._offset_s
+
+    @offset_s.setter
+    def offset_s(self, offset_s: float) -> None:
+        if not 0.0 <= offset_s <= self._most_offset_s:
+            raise UsageError(
+                f"offset_s={offset_s} is out of range; "
+                f"choose 0 to {self._most_offset_s:.3f}, or a larger capacity_s"
+            )
+        self._offset_s = float(offset_s)
+
+    def flush(self) -> None:
+        """Drop all that was written so far: the next read fades to silence. Any thread.
+
+        What is written from now on comes out after the target delay.
+        """
+        self._flush_wanted = object()
+
+    def silence(self) -> None:
+        """Let the next read and all that follow give exact zeros, from their first frame on.
+
+        Any thread. Not faded, as it is meant for the moment when the output must not sound;
+        `flush` first where there is time to fade. The delay is kept up meanwhile.
+        """
+        self._silenced = True
+
+    def resume(self) -> None:
+        """End `silence`: the next read fades in. Any thread."""
+        self._silenced = False
+
+    def write(self, frames: FloatArray | Float32Array, now_s: float) -> None:
+        """Take (frames, channels), full scale ±1.0, any number of frames, captured until now_s.
+
+        The array belongs to the caller again when this returns. Called by the tap's thread.
+        """
+        self._check(frames)
+        count = len(frames)
+        if not count:
+            return
+        now_s = float(now_s)
+        before = self._written
+        stalled = not now_s - self._last_write_s < STALLED_S
+        written = self._ring.store(frames)
+        if math.isfinite(now_s):
+            self._last_write_s = now_s
+        clock = self._written_clock.update(now_s, written)
+        if clock is None:  # no time has ever been finite
+            return
+        # How far the ring was behind the clock, just before these frames came.
+        late_s = now_s - clock.time_of(written - count) - self._capture_s
+        _measure_lateness(self._written_late, late_s, count / self._samplerate_in, clock)
+        run_start = written - count if stalled or before is None else before.run_start
+        self._written = _Written(written, clock, run_start, self._written_late.estimate_s)
+
+    def read(self, out: Float32Array, now_s: float) -> None:
+        """Fill (frames, channels), any number of frames, that will be played from now_s on.
+
+        Silence where there is nothing to play. Called by the output's thread.
+        """
+        self._check(out)
+        frames = len(out)
+        if not frames:
+            return
+        now_s = float(now_s)
+        written = self._written
+        clock = self._read_clock.update(now_s, self._read_frames)
+        self._read_frames += frames
+        if self._flush_wanted is not self._flushed:
+            self._flushed = self._flush_wanted
+            self._from_frame = self._ring.claimed
+            self._stop(DelayState.EMPTY)
+        played = 0
+        if written is not None and clock is not None:
+            self._steer(written, clock, now_s, frames)
+            if self._state in _PLAYING:
+                played = self._play(written, out, now_s)
+        out[played:] = 0.0
+        self._joint.apply(out[played:])
+        if self._silenced:
+            out[:] = 0.0
+            self._joint.cut()
+        self._published = self._picture()
+
+    def _steer(self, written: _Written, clock: ClockReading, now_s: float, frames: int) -> None:
+        """Bring state, position and step up to date for a read of `frames`."""
+        seconds = frames / self._samplerate_out
+        early_s = clock.time_of(clock.frames + frames) - now_s - self._output_s
+        _measure_lateness(self._read_late, early_s, seconds, clock)
+        lateness_s = written.lateness_s + self._read_late.estimate_s
+        self._target.want(lateness_s, self._offset_s)
+        slew = self._target.move(seconds)
+        known = clock.settled and written.clock.settled
+        captured = written.clock.frames_at(clock.time_s)
+        if self._state in _PLAYING:
+            self._measure(captured, seconds, slew, known)
+        if self._state not in _PLAYING and written.frames > self._from_frame:
+            if self._state is DelayState.EMPTY:
+                self._state = DelayState.FILLING
+            held_off = self._starved_at_s <= now_s < self._not_before_s
+            if known and not held_off:
+                self._start(written, captured, frames)
+
+    def _measure(self, captured: float, seconds: float, slew: float, known: bool) -> None:
+        """Steer while playing, or jump, or give up."""
+        held = captured - self._reader.position - self._reader.fraction
+        self._delay_s = held / self._samplerate_in
+        error = held - self._target.current_s * self._samplerate_in
+        error_s = error / self._samplerate_in
+        if self._reader.position - 1 < self._ring.oldest:
+            self._overflows += 1
+            self._stop(DelayState.FILLING)
+        elif abs(error) > (self._resync_frames if known else ASTRAY_S * self._samplerate_in):
+            self._resyncs += 1
+            self._stop(DelayState.FILLING)
+        elif known:
+            ratio = self._loop.update(error, seconds)
+            self._step = self._nominal_step * (ratio - slew)
+            self._on_target_s = self._on_target_s + seconds if abs(error_s) < LOCK_S else 0.0
+            if self._on_target_s >= LOCK_AFTER_S:
+                self._state = DelayState.LOCKED
+            elif abs(error_s) > UNLOCK_S:
+                self._state = DelayState.SETTLING
+
+    def _start(self, written: _Written, captured: float, frames: int) -> None:
+        """Play from where the delay is on target, once there is enough for a usual block."""
+        self._target.jump()
+        position = math.floor(captured - self._target.current_s * self._samplerate_in)
+        earliest = max(self._from_frame, written.run_start, self._ring.oldest) + 1
+        self._reader.jump_to(position)
+        usual = min(frames, self._output_block)
+        if position >= earliest and self._reader.readable(written.frames, self._step) >= usual:
+            self._loop.restart()
+            self._step = self._nominal_step * self._loop.ratio
+            self._delay_s = (captured - position) / self._samplerate_in
+            self._on_target_s = 0.0
+            self._joint.begin()
+            self._state = DelayState.SETTLING
+
+    def _play(self, written: _Written, out: Float32Array, now_s: float) -> int:
+        """Fill as much of `out` as there is, and return how much that was."""
+        first = self._reader.position - 1
+        played = min(len(out), self._reader.readable(written.frames, self._step))
+        self._reader.read(out[:played], self._step)
+        if first < self._ring.oldest:  # the writer overtook while this was read
+            self._overflows += 1
+            self._stop(DelayState.FILLING)
+            return 0
+        self._joint.apply(out[:played])
+        if played < len(out):
+            self._underflows += 1
+            if now_s - self._starved_at_s < STARVED_AGAIN_S:
+                self._not_before_s = now_s + HOLD_OFF_S
+            self._starved_at_s = now_s
+            self._stop(DelayState.STARVED)
+        return played
+
+    def _stop(self, state: DelayState) -> None:
+        """Go on with silence, without a click."""
+        if self._state in _PLAYING:
+            self._joint.begin()
+        self._state = state
+        self._delay_s = 0.0
+
+    def _check(self, block: FloatArray | Float32Array) -> None:
+        if block.ndim != 2 or block.shape[1] != self._channels:
+            raise InternalError(
+                f"a block has shape {block.shape}: (frames, {self._channels}) was expected"
+            )
+
+    def _picture(self) -> tuple[float, float, float, int, int, int, DelayState, bool]:
+        return (
+            self._target.current_s,
+            self._delay_s,
+            1e6 * (self._step / self._nominal_step - 1.0),
+            self._resyncs,
+            self._underflows,
+            self._overflows,
+            self._state,
+            self._silenced,
+        )
+
+
+def _measure_lateness(
+    lateness: Lateness, late_s: float, seconds: float, clock: ClockReading
+) -> None:
+    if not clock.settled:
+        lateness.forget_pause()
+    elif math.isfinite(late_s):
+        lateness.add(late_s, seconds, clock.astray)

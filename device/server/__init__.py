@@ -1,0 +1,45 @@
+"""The one room for the connection to the sound server; taps and outputs both go through it.
+
+    pcms.py       names that PortAudio knows, led to sinks and monitors
+    portaudio.py  the one PyAudio instance; opening and closing within a time limit
+    streams.py    CaptureStream, PlaybackStream: 256 frames a callback
+    pulse.py      PulseConnection: what the server holds (snapshot.py) and what changes (events.py)
+    identity.py   sinks by exact name, monitors, our own streams, real devices
+    guard.py      a stream is where it belongs, or silent
+    quiet.py      what the libraries print; statistics.py: how long callbacks take
+
+pulsectl and PyAudio are loaded when they are first needed: both need libraries of the system.
+"""
+
+from device.server.events import Event, Listener, backoff_s
+from device.server.guard import Hold, Refuge, StreamGuard
+from device.server.identity import default_monitor, find_monitor, find_sink, identity_of, monitor_of
+from device.server.pcms import Pcm, PcmConfig
+from device.server.pulse import PulseConnection
+from device.server.quiet import quiet_libraries
+from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
+from device.server.streams import CaptureStream, PlaybackStream
+
+__all__ = [
+    "CaptureStream",
+    "Event",
+    "Hold",
+    "Listener",
+    "Pcm",
+    "PcmConfig",
+    "PlaybackStream",
+    "PulseConnection",
+    "Refuge",
+    "ServerSnapshot",
+    "Sink",
+    "Source",
+    "Stream",
+    "StreamGuard",
+    "backoff_s",
+    "default_monitor",
+    "find_monitor",
+    "find_sink",
+    "identity_of",
+    "monitor_of",
+    "quiet_libraries",
+]

@@ -1,0 +1,227 @@
+"""Sound from and to the server, 256 frames at a time, by callbacks on threads of PortAudio.
+
+Two separate streams: one that captures and plays at once would poll. A callback never raises and
+always delivers its full length, since an exception or a short block would end the stream without a
+word; what goes wrong in it is counted by name. The clock is time.monotonic().
+
+Whether a stream still runs shows in the age of its last callback: a server that dies or suspends
+its device raises nothing. Ask `is_lost`, close the stream, open another one.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from device.errors import UsageError
+from device.server.pcms import Pcm
+from device.server.portaudio import BLOCK_FRAMES, OpenStream, close_stream, open_stream
+from device.server.statistics import Durations
+from device.units import Float32Array
+
+LOST_AFTER_S = 0.5
+"""Callbacks come 20 ms apart at worst on an idle machine, 25 ms with a thread that hogs Python."""
+
+_CONTINUE = 0
+_INPUT_UNDERFLOW, _INPUT_OVERFLOW, _OUTPUT_UNDERFLOW, _OUTPUT_OVERFLOW = 1, 2, 4, 8
+_ERROR_NAMES = 16
+
+OnFrames = Callable[[Float32Array, float], None]
+Fill = Callable[[Float32Array, float], None]
+
+
+class _Stream:
+    """What both streams have in common.
+
+    Any thread may read, while the stream runs:
+
+    tag: what the server shows of this stream (property `pcms.TAG`). opened_s: when it was opened.
+    last_callback_s: start of the last callback, opened_s before the first. callbacks, frames: how
+    many there were. xruns: overflows and underflows that PortAudio flagged; it flags few of them.
+    errors: exceptions in callbacks, how many by name. thread_time: what callbacks cost of their
+    thread's time. gaps: from one callback's start to the next one's.
+
+    audible: any thread may set it. While it is False there is silence instead of sound, from the
+    very next block on. silenced: how many blocks that concerned.
+    """
+
+    def __init__(
+        self, pcm: Pcm, samplerate: int, channels: int, output: bool, audible: bool
+    ) -> None:
+        self.audible = audible
+        self.silenced = 0
+        self.pcm = pcm
+        self.samplerate = samplerate
+        self.channels = channels
+        self.opened_s = self.last_callback_s = time.monotonic()
+        self.callbacks = 0
+        self.frames = 0
+        self.xruns = 0
+        self.errors: dict[str, int] = {}
+        self.thread_time = Durations()
+        self.gaps = Durations()
+        self._closing = False
+        self._close_lock = threading.Lock()
+        self._open: OpenStream | None = None
+        self._open = open_stream(
+            pcm, output=output, samplerate=samplerate, channels=channels, callback=self._callback
+        )
+        self.tag = self._open.tag
+
+    def is_lost(self, now_s: float | None = None) -> bool:
+        """Whether no callback came for LOST_AFTER_S, or the stream ended. Any thread may call it.
+
+        now_s: time.monotonic() if the caller has it at hand. A closed stream is lost.
+        """
+        now = time.monotonic() if now_s is None else now_s
+        return now - self.last_callback_s > LOST_AFTER_S or not self.is_active()
+
+    def is_active(self) -> bool:
+        """Whether PortAudio takes the stream for running, which it does of a suspended one too."""
+        opened = self._open
+        try:
+            return opened is not None and bool(opened.stream.is_active())
+        except (OSError, ValueError, SystemError):  # closed meanwhile
+            return False
+
+    def close(self) -> bool:
+        """End the stream; whether it came back in time, else it ends by itself, later.
+
+        Any thread but the callback's may call this, again too; it raises nothing. Once it returns
+        True no callback runs any more.
+        """
+        self._closing = True
+        with self._close_lock:
+            opened, self._open = self._open, None
+        return opened is None or close_stream(opened)
+
+    def _callback(
+        self, data: bytes | None, frames: int, times: Any, flags: int
+    ) -> tuple[bytes | None, int]:
+        now_s = time.monotonic()
+        started_ns = time.thread_time_ns()
+        try:
+            if self.callbacks:
+                self.gaps.add(int((now_s - self.last_callback_s) * 1e9))
+            self.last_callback_s = now_s
+            self.callbacks += 1
+            self.frames += frames
+            if flags & (_INPUT_UNDERFLOW | _INPUT_OVERFLOW | _OUTPUT_UNDERFLOW | _OUTPUT_OVERFLOW):
+                self.xruns += 1
+            if not self._closing:
+                self._exchange(data, frames, now_s)
+        except BaseException as error:  # nothing may pass: PortAudio would end the stream
+            self._count(error)
+        result = self._result(frames)
+        self.thread_time.add(time.thread_time_ns() - started_ns)
+        return result, _CONTINUE
+
+    def _count(self, error: BaseException) -> None:
+        name = type(error).__name__
+        if name not in self.errors and len(self.errors) >= _ERROR_NAMES:
+            name = "others"
+        self.errors[name] = self.errors.get(name, 0) + 1
+
+    def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
+        raise NotImplementedError
+
+    def _result(self, frames: int) -> bytes | None:
+        raise NotImplementedError
+
+
+class CaptureStream(_Stream):
+    """Frames of a PCM's source as they are delivered; runs from the moment it is made.
+
+    on_frames(frames, now_s): called by a thread of PortAudio with float32 (frames, channels), read
+    only, which may be kept, and the time of their arrival, in seconds of time.monotonic(). It must
+    neither block nor close the stream; what it raises is counted in `errors`.
+
+    audible: True from the start, unless given otherwise; while False the frames are all 0.
+
+    Raises
+    ------
+    LostError, NotFoundError
+        See `open_stream`. PipeWire may let a device be opened that is not there and end the
+        stream only then: look names up first (`identity`).
+    UsageError
+        samplerate (Hz) or channels cannot be had.
+    """
+
+    def __init__(
+        self,
+        pcm: Pcm,
+        samplerate: int,
+        channels: int,
+        on_frames: OnFrames,
+        *,
+        audible: bool = True,
+    ) -> None:
+        _check_format(samplerate, channels)
+        self._on_frames = on_frames
+        super().__init__(pcm, samplerate, channels, output=False, audible=audible)
+
+    def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
+        if not self.audible:
+            self.silenced += 1
+            data = bytes(len(data or b""))
+        buffer = np.frombuffer(data or b"", np.float32)
+        self._on_frames(buffer.reshape(-1, self.channels), now_s)
+
+    def _result(self, frames: int) -> bytes | None:
+        return None
+
+
+class PlaybackStream(_Stream):
+    """Frames to a PCM's sink as it asks for them; silent until `audible` is set.
+
+    fill(out, now_s): called by a thread of PortAudio to write float32 into out (frames, channels),
+    which is all 0 and belongs to the caller again afterwards; now_s in seconds of
+    time.monotonic(). It must neither block nor close the stream. If it raises, or leaves a sample
+    that is not finite, the block becomes silence and is counted in `errors`.
+
+    audible: False at first; while it is, fill is called and 0 is played.
+
+    Raises
+    ------
+    LostError, NotFoundError, UsageError
+        As `CaptureStream`.
+    """
+
+    def __init__(self, pcm: Pcm, samplerate: int, channels: int, fill: Fill) -> None:
+        _check_format(samplerate, channels)
+        self._fill = fill
+        self._out = np.zeros((BLOCK_FRAMES, channels), np.float32)
+        self._silence = bytes(self._out.nbytes)
+        self._sound: bytes | None = None
+        super().__init__(pcm, samplerate, channels, output=True, audible=False)
+
+    def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
+        if len(self._out) != frames:
+            self._out = np.zeros((frames, self.channels), np.float32)
+        else:
+            self._out[:] = 0.0
+        self._sound = None
+        self._fill(self._out, now_s)
+        # One sum instead of a look at each: it is finite only if all of them are.
+        if not np.isfinite(self._out.sum(dtype=np.float64)):
+            raise FloatingPointError("samples that are not finite")
+        self._sound = self._out.tobytes()
+
+    def _result(self, frames: int) -> bytes | None:
+        sound, self._sound = self._sound, None
+        if sound is not None and self.audible:
+            return sound
+        self.silenced += 1
+        length = frames * self.channels * 4
+        return self._silence if len(self._silence) == length else bytes(length)
+
+
+def _check_format(samplerate: int, channels: int) -> None:
+    if not 1_000 <= samplerate <= 768_000:
+        raise UsageError(f"samplerate={samplerate} Hz is not possible; 1000 to 768000 Hz are")
+    if not 1 <= channels <= 32:
+        raise UsageError(f"channels={channels} is not possible; 1 to 32 are")

@@ -1,0 +1,69 @@
+"""Each kind of sound server, in a folder of its own, and PortAudio led to it."""
+
+from __future__ import annotations
+
+import gc
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from device.server import portaudio
+from device.server.pcms import PcmConfig
+from device.server.pulse import PulseConnection
+from device.server.streams import CaptureStream, PlaybackStream
+from tests.servers.listening import Notes
+from tools.sound_server import PROGRAMS, SoundServer, missing_programs
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    here = Path(__file__).parent
+    for item in items:
+        if here in item.path.parents and "server" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.servers)
+
+
+def started(kind: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
+    if missing := missing_programs(kind):
+        pytest.skip(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
+    # not tmp_path: a socket's path has room for some 100 characters only
+    with (
+        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
+        SoundServer(kind, Path(folder)) as server,
+    ):
+        for name, value in server.environment.items():
+            if name.startswith(("PULSE_", "XDG_", "HOME", "DBUS_", "PIPEWIRE_")):
+                monkeypatch.setenv(name, value)
+        yield server
+
+
+@pytest.fixture(params=sorted(PROGRAMS))
+def server(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[SoundServer]:
+    yield from started(request.param, monkeypatch)
+
+
+@pytest.fixture
+def pcms(server: SoundServer) -> Iterator[PcmConfig]:
+    config = PcmConfig("cushion_tap", "cushion_output")
+    yield config
+    for item in gc.get_objects():  # what a failed test left open must not fail the next one
+        if isinstance(item, (CaptureStream, PlaybackStream)):
+            item.close()
+    assert portaudio.open_streams() == 0
+    assert portaudio.terminate() or portaudio.abandoned_streams()
+    config.close()
+
+
+@pytest.fixture
+def notes() -> Notes:
+    return Notes()
+
+
+@pytest.fixture
+def connection(server: SoundServer, notes: Notes) -> Iterator[PulseConnection]:
+    connection = PulseConnection(notes)
+    yield connection
+    connection.close()

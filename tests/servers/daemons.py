@@ -1,0 +1,220 @@
+"""What the tests of `cushion run` share: the command as a process, its status, what comes out."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.service.ask import ask_status
+from audioflinger_hook.service.state import Cause, DaemonState
+from audioflinger_hook.service.status import Status
+from device.errors import CushionError
+from device.units import Float32Array
+from tests.servers.listening import RATE_HZ, wait_for
+from tools.sound_server import SoundServer
+
+CUSHION = (sys.executable, "-m", "audioflinger_hook")
+ROOT = Path(__file__).parents[2]
+SOUNDING = (DaemonState.RUNNING, DaemonState.IDLE)
+FELT = 1e-3
+"""Vibration of at least this is felt."""
+
+
+class Daemon:
+    """A running `cushion run`; stderr: what it has written there so far."""
+
+    def __init__(self, server: SoundServer, process: subprocess.Popen[str]) -> None:
+        self._server = server
+        self.process = process
+        self.stderr = ""
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self.stderr += line
+
+    def status(self) -> Status | None:
+        """What it says of itself, None while it does not answer."""
+        try:
+            return ask_status(2.0, time.monotonic, self._server.environment)
+        except CushionError:
+            return None
+
+    def wait(self, condition: Callable[[Status], Any], what: str, limit_s: float = 15.0) -> Status:
+        """Its status once the condition holds of it."""
+        seen: list[Status] = []
+
+        def holds() -> bool:
+            assert self.process.poll() is None, f"{self.process.returncode}: {self.stderr}"
+            status = self.status()
+            if status is not None:
+                seen[:] = [status]
+            return status is not None and bool(condition(status))
+
+        try:
+            wait_for(holds, what, limit_s)
+        except AssertionError as error:
+            raise AssertionError(f"{error}; {seen} {self.stderr}") from None
+        return seen[0]
+
+    def wait_state(self, state: DaemonState, limit_s: float = 15.0) -> Status:
+        """Its status once it is in this state."""
+        return self.wait(lambda status: status.state is state, state.value, limit_s)
+
+    def wait_ready(self, limit_s: float = 20.0) -> Status:
+        """Its status once it plays and knows both clocks."""
+        return self.wait(
+            lambda status: status.state in SOUNDING and status.delay_line.delay_ms > 0.0,
+            "steady vibration",
+            limit_s,
+        )
+
+    def end(self, how: signal.Signals = signal.SIGTERM) -> int:
+        """Ask it to end; its exit code."""
+        self.process.send_signal(how)
+        return self.wait_exit()
+
+    def wait_exit(self, limit_s: float = 15.0) -> int:
+        """Its exit code."""
+        code = self.process.wait(limit_s)
+        self.close()
+        return code
+
+    def close(self) -> None:
+        """Read the rest of what it wrote, once it has ended."""
+        self._reader.join(5.0)
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+
+    def cpu_s(self) -> float:
+        """Time that its process has used."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@contextmanager
+def running(
+    server: SoundServer, *arguments: str, device: str = "haptic", ready: bool = True
+) -> Iterator[Daemon]:
+    """`cushion run` on this server, once it plays (unless not `ready`)."""
+    process = subprocess.Popen(
+        [*CUSHION, "run", "--device", device, *arguments],
+        env=environment(server),
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    daemon = Daemon(server, process)
+    try:
+        if ready:
+            daemon.wait_ready()
+        yield daemon
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.terminate()
+        try:
+            process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        daemon.close()
+        sys.stderr.write(daemon.stderr)
+
+
+def cushion(server: SoundServer, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A command that ends by itself."""
+    return subprocess.run(
+        [*CUSHION, *arguments],
+        env=environment(server),
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=30.0,
+    )
+
+
+def environment(server: SoundServer) -> dict[str, str]:
+    return {**server.environment, "PYTHONPATH": str(ROOT)}
+
+
+def recovered(status: Status, cause: Cause) -> int:
+    """How often it recovered from this."""
+    return status.recoveries[cause]
+
+
+def tone(hz: float, seconds: float, level: float = 0.3) -> Float32Array:
+    """A stereo tone."""
+    wave = level * np.sin(2.0 * np.pi * hz * np.arange(int(seconds * RATE_HZ)) / RATE_HZ)
+    return np.column_stack([wave, wave]).astype(np.float32)
+
+
+def pitch_hz(frames: Float32Array) -> float:
+    """The strongest frequency, to 1 Hz; 0 of silence."""
+    if not len(frames) or float(np.abs(frames).max()) < FELT:
+        return 0.0
+    return float(np.argmax(np.abs(np.fft.rfft(frames[:, 0] * np.hanning(len(frames)), RATE_HZ))))
+
+
+def envelope(samples: NDArray[np.floating]) -> NDArray[np.float64]:
+    """The RMS over 10 ms, every millisecond."""
+    step = RATE_HZ // 1_000
+    squares = np.square(samples[: len(samples) // step * step], dtype=np.float64)
+    powers = squares.reshape(-1, step).mean(axis=1)
+    return np.sqrt(np.convolve(powers, np.full(10, 0.1), "valid"))
+
+
+def best_lag(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:
+    """By how many ms `wanted` comes late in `heard`."""
+    size = len(heard) + len(wanted)
+    products = np.fft.irfft(np.fft.rfft(heard, size) * np.fft.rfft(wanted, size).conj(), size)
+    return int(np.argmax(products[: max(1, len(heard) - len(wanted) + 1)]))
+
+
+def likeness(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
+    """The correlation of two envelopes, every second of them at its own best lag.
+
+    A busy machine makes the daemon provide for more lateness meanwhile, which is no other sound.
+    """
+    lag = best_lag(heard, wanted)
+    aligned = np.zeros_like(wanted)
+    for start in range(0, len(wanted), 1_000):
+        part = wanted[start : start + 1_000]
+        first = max(0, lag + start - 60)
+        near = heard[first : lag + start + 60 + len(part)]
+        own = best_lag(near, part)
+        found = near[own : own + len(part)]
+        aligned[start : start + len(found)] = found
+    return float(np.corrcoef(aligned, wanted)[0, 1])
+
+
+def felt_now(heard: Callable[[], Float32Array], seconds: float = 0.05) -> bool:
+    """Whether the end of a recording is vibration."""
+    last = heard()[-int(seconds * RATE_HZ) :]
+    return bool(len(last)) and float(np.abs(last).max()) > FELT
+
+
+def modules_of(server: SoundServer) -> list[str]:
+    return server.pactl("list", "short", "modules").splitlines()
+
+
+def cpu_percent(daemon: Daemon, seconds: float) -> float:
+    """What its process uses of one core."""
+    began_s, used_s = time.monotonic(), daemon.cpu_s()
+    wait_for(lambda: time.monotonic() - began_s > seconds, "time", 2.0 * seconds)
+    return 100.0 * (daemon.cpu_s() - used_s) / (time.monotonic() - began_s)

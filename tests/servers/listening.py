@@ -1,0 +1,156 @@
+"""What the tests of sound servers share: waiting, playing, recording, and signals worth finding."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from device.errors import LostError
+from device.server.events import Event, Listener
+from device.server.snapshot import ServerSnapshot
+from device.units import Float32Array
+from tools.sound_server import SoundServer
+
+RATE_HZ = 48_000
+LEVEL = np.float32(0.25)
+
+Found = TypeVar("Found")
+
+
+def wait_for(condition: Callable[[], Found], what: str, limit_s: float = 10.0) -> Found:
+    """What the condition gives once that is true; looks every millisecond."""
+    deadline_s = time.monotonic() + limit_s
+    while not (found := condition()):
+        assert time.monotonic() < deadline_s, f"no {what} within {limit_s} s"
+        time.sleep(0.001)
+    return found
+
+
+class Notes(Listener):
+    """Everything that a connection told, with the time at which it did."""
+
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+        self.snapshots: list[ServerSnapshot] = []
+        self.defaults: list[tuple[float, str]] = []
+        self.lost: list[tuple[float, LostError]] = []
+
+    def on_event(self, event: Event) -> bool:
+        self.events.append(event)
+        return False
+
+    def on_snapshot(self, snapshot: ServerSnapshot) -> None:
+        self.snapshots.append(snapshot)
+
+    def on_default_sink(self, name: str) -> None:
+        self.defaults.append((time.monotonic(), name))
+
+    def on_lost(self, error: LostError) -> None:
+        self.lost.append((time.monotonic(), error))
+
+
+class Collector:
+    """Keeps what a CaptureStream delivers."""
+
+    def __init__(self) -> None:
+        self._buffers: list[Float32Array] = []
+
+    def __call__(self, frames: Float32Array, now_s: float) -> None:
+        self._buffers.append(frames)
+
+    def frames(self) -> Float32Array:
+        buffers = list(self._buffers)
+        return np.concatenate(buffers) if buffers else np.zeros((0, 2), np.float32)
+
+
+def steady(out: Float32Array, now_s: float) -> None:
+    out[:] = LEVEL
+
+
+def noise(seconds: float, seed: int = 1) -> Float32Array:
+    """Stereo float32 noise without a zero: every sample tells where it belongs."""
+    generator = np.random.default_rng(seed)
+    samples = generator.uniform(0.05, 0.5, (int(seconds * RATE_HZ), 2))
+    return samples.astype(np.float32)
+
+
+def sounding(frames: Float32Array) -> Float32Array:
+    """The frames without those that are silent: `noise` has none, a busy machine inserts some."""
+    return frames[frames.any(axis=1)]
+
+
+@contextmanager
+def playing(server: SoundServer, sink: str, samples: Float32Array) -> Iterator[int]:
+    """Another program that plays these samples to a sink; its process id."""
+    command = [
+        *("pacat", "--playback", "--client-name=Player", "--property=media.role=music"),
+        *_format(sink, 200),
+    ]
+    with _process(server, command, stdin=subprocess.PIPE) as process:
+        feeder = threading.Thread(target=_feed, args=(process, samples.tobytes()), daemon=True)
+        feeder.start()
+        yield process.pid
+    feeder.join(5.0)
+
+
+@contextmanager
+def recording(server: SoundServer, source: str, path: Path) -> Iterator[Callable[[], Float32Array]]:
+    """Another program that records a source; a function that gives what it has so far."""
+    with path.open("wb") as file:
+
+        def heard() -> Float32Array:
+            whole = path.read_bytes()
+            return np.frombuffer(whole[: len(whole) // 8 * 8], np.float32).reshape(-1, 2)
+
+        with _process(server, ["parec", *_format(source, 20)], stdout=file.fileno()):
+            wait_for(lambda: len(heard()) > 0, f"sound from {source}")
+            yield heard
+
+
+def _format(device: str, latency_ms: int) -> list[str]:
+    return [
+        f"--device={device}",
+        "--raw",
+        "--format=float32le",
+        f"--rate={RATE_HZ}",
+        "--channels=2",
+        f"--latency-msec={latency_ms}",
+    ]
+
+
+@contextmanager
+def _process(
+    server: SoundServer,
+    command: list[str],
+    stdin: int = subprocess.DEVNULL,
+    stdout: int | None = None,
+) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen(
+        command,
+        env=server.environment,
+        stdin=stdin,
+        stdout=stdout,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait(5.0)
+        if process.stdin is not None:
+            with suppress(BrokenPipeError):
+                process.stdin.close()
+
+
+def _feed(process: subprocess.Popen[bytes], data: bytes) -> None:
+    assert process.stdin is not None
+    with suppress(BrokenPipeError, ValueError):  # the test may be over by now
+        process.stdin.write(data)
+        process.stdin.flush()

@@ -1,0 +1,256 @@
+"""What a connection knows, notices and changes, and what it says when the server is gone."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from device.errors import InternalError, LostError, NotFoundError, UsageError
+from device.server.events import Event, Listener
+from device.server.identity import (
+    default_monitor,
+    find_monitor,
+    find_sink,
+    is_own,
+    monitor_of,
+    tagged,
+)
+from device.server.pcms import APPLICATION_NAME, ROLE, PcmConfig
+from device.server.pulse import ANSWER_LIMIT_S, PulseConnection
+from device.server.snapshot import ServerSnapshot
+from device.server.streams import CaptureStream, PlaybackStream
+from tests.servers.listening import RATE_HZ, Collector, Notes, noise, playing, steady, wait_for
+from tools.sound_server import SoundServer
+
+
+def test_a_snapshot_says_what_the_server_holds(
+    server: SoundServer, connection: PulseConnection
+) -> None:
+    snapshot = connection.snapshot()
+    assert snapshot.kind == {"pulse": "PulseAudio", "pipewire": "PipeWire"}[server.kind]
+    assert snapshot.version[0].isdecimal()
+    assert snapshot.default_sink == "desktop"
+    assert {sink.name for sink in snapshot.sinks} == {"desktop", "haptic"}
+    haptic = find_sink(snapshot, "haptic")
+    assert (haptic.samplerate, haptic.channels, haptic.monitor) == (48_000, 2, "haptic.monitor")
+    assert monitor_of(snapshot, "haptic").name == "haptic.monitor"
+    with pytest.raises(NotFoundError, match=r"no sink 'hapti'; did you mean 'haptic'\?"):
+        find_sink(snapshot, "hapti")
+
+
+def test_applications_are_listed_with_process_binary_and_role(
+    server: SoundServer, connection: PulseConnection
+) -> None:
+    with playing(server, "desktop", noise(5.0)) as process_id:
+        wait_for(
+            lambda: any(item.place_name for item in connection.snapshot().sink_inputs), "the player"
+        )
+        (stream,) = connection.latest.sink_inputs
+        assert stream.application == "Player"
+        assert stream.binary == "pacat"
+        assert stream.role == "music"
+        assert stream.process_id == process_id
+        assert stream.place_name == "desktop"
+        assert not is_own(stream)
+    wait_for(lambda: not connection.latest.sink_inputs, "the end of the stream")
+
+
+def test_our_own_streams_are_known_by_process_and_tag(
+    server: SoundServer, pcms: PcmConfig, connection: PulseConnection
+) -> None:
+    pcms.pcms["cushion_tap"].lead("desktop.monitor")
+    pcms.pcms["cushion_output"].lead("haptic")
+    capture = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, Collector())
+    playback = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+    snapshot = connection.snapshot()
+    plays = tagged(snapshot.sink_inputs, playback.tag)
+    records = tagged(snapshot.source_outputs, capture.tag)
+    assert plays is not None
+    assert records is not None
+    assert is_own(plays)
+    assert is_own(records)
+    assert (plays.application, plays.role, plays.place_name) == (APPLICATION_NAME, ROLE, "haptic")
+    assert records.place_name == "desktop.monitor"
+    assert tagged(snapshot.sink_inputs, capture.tag) is None
+    assert capture.close()
+    assert playback.close()
+    wait_for(lambda: not connection.latest.sink_inputs, "the end of the stream")
+
+
+def test_another_default_sink_is_told_within_half_a_second(
+    server: SoundServer, connection: PulseConnection, notes: Notes
+) -> None:
+    server.add_sink("speakers")
+    server.choose_default("speakers")
+    changed_s = time.monotonic()
+    wait_for(lambda: notes.defaults, "the news", 2.0)
+    assert notes.defaults[0][1] == "speakers"
+    print(f"{server.kind}: default sink told after {notes.defaults[0][0] - changed_s:.3f} s")
+    assert notes.defaults[0][0] - changed_s < 0.5
+    assert default_monitor(connection.latest).name == "speakers.monitor"
+    with pytest.raises(NotFoundError, match="feed back"):
+        default_monitor(connection.latest, haptic_sink="speakers")
+    # there and back again within the time it has to settle: nothing to tell
+    server.choose_default("desktop")
+    server.choose_default("speakers")
+    server.pactl("set-sink-volume", "desktop", "50%")
+    wait_for(lambda: notes.snapshots[-1].default_sink == "speakers", "the old default")
+    settled_s = time.monotonic() + 0.4
+    wait_for(lambda: time.monotonic() > settled_s, "settling")
+    assert len(notes.defaults) == 1
+
+
+def test_a_microphone_is_never_tapped(
+    server: SoundServer, pcms: PcmConfig, connection: PulseConnection
+) -> None:
+    server.add_microphone("microphone")
+    wait_for(lambda: connection.snapshot().default_source == "microphone", "the microphone")
+    snapshot = connection.latest
+    with pytest.raises(UsageError, match="'microphone' is no monitor"):
+        find_monitor(snapshot, "microphone")
+    with pytest.raises(NotFoundError, match=r"did you mean 'desktop\.monitor'"):
+        find_monitor(snapshot, "desktop.monito")
+    source = default_monitor(snapshot)
+    assert find_monitor(snapshot, source.name) == source
+    pcms.pcms["cushion_tap"].lead(source.name)
+    stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, Collector())
+    wait_for(lambda: stream.callbacks > 5, "callbacks")
+
+    places = {
+        output.place_name for output in connection.snapshot().source_outputs if is_own(output)
+    }
+    assert places == {"desktop.monitor"}
+    assert stream.close()
+
+
+def test_a_tap_is_moved_to_another_monitor(
+    server: SoundServer, pcms: PcmConfig, connection: PulseConnection
+) -> None:
+    server.add_sink("speakers")
+    pcms.pcms["cushion_tap"].lead("desktop.monitor")
+    collector = Collector()
+    stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
+    snapshot = connection.snapshot()
+    ours = tagged(snapshot.source_outputs, stream.tag)
+    assert ours is not None
+    with playing(server, "speakers", noise(10.0)):
+        wait_for(lambda: connection.snapshot().sink_inputs, "the player")
+        assert not collector.frames().any()
+        moved_s = time.monotonic()
+        connection.move_source_output(ours.index, monitor_of(snapshot, "speakers").index)
+        wait_for(lambda: collector.frames()[-256:].any(), "the other sink's sound", 3.0)
+        print(f"{server.kind}: tap moved in {time.monotonic() - moved_s:.3f} s")
+    assert stream.close()
+
+
+def test_streams_are_muted_and_set_and_modules_loaded(
+    server: SoundServer, pcms: PcmConfig, connection: PulseConnection
+) -> None:
+    pcms.pcms["cushion_output"].lead("haptic")
+    stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+    ours = tagged(connection.snapshot().sink_inputs, stream.tag)
+    assert ours is not None
+    connection.set_sink_input_volume(ours.index, 0.5)
+    connection.mute_sink_input(ours.index, True)
+    wait_for(lambda: connection.snapshot().sink_inputs[0].mute, "the mute")
+    assert stream.close()
+    wait_for(lambda: not connection.snapshot().sink_inputs, "the end of the stream")
+    with pytest.raises(NotFoundError, match="is gone"):
+        connection.mute_sink_input(ours.index, True)
+    index = connection.load_module("module-null-sink", ["sink_name=third"])
+    wait_for(lambda: "third" in server.names("sinks"), "the sink")
+    assert connection.modules()[index] == "module-null-sink"
+    connection.unload_module(index)
+    wait_for(lambda: "third" not in server.names("sinks"), "the end of the sink")
+    with pytest.raises(NotFoundError):
+        connection.load_module("module-that-is-not-there")
+
+
+def test_a_killed_server_is_told_and_another_connection_is_made(
+    server: SoundServer, connection: PulseConnection, notes: Notes
+) -> None:
+    killed_s = time.monotonic()
+    server.kill()
+    wait_for(lambda: notes.lost, "the loss", 2.0)
+    print(f"{server.kind}: loss told after {notes.lost[0][0] - killed_s:.3f} s")
+    with pytest.raises(LostError, match="was lost"):
+        connection.snapshot()
+    with pytest.raises(LostError, match=r"no sound server answers at unix:.*; start PulseAudio"):
+        PulseConnection()
+    server.start()
+    started_s = time.monotonic()
+    again = PulseConnection()
+    print(f"{server.kind}: connected again in {time.monotonic() - started_s:.3f} s")
+    assert find_sink(again.latest, "haptic").name == "haptic"
+    again.close()
+    with pytest.raises(LostError, match="closed"):
+        again.snapshot()
+    assert len(notes.lost) == 1
+
+
+def test_a_server_that_hangs_counts_as_lost(
+    server: SoundServer, connection: PulseConnection, notes: Notes
+) -> None:
+    server.pause()
+    asked_s = time.monotonic()
+    with pytest.raises(LostError, match="does not answer"):
+        connection.snapshot()
+    assert time.monotonic() - asked_s < 2 * ANSWER_LIMIT_S + 0.5
+    wait_for(lambda: notes.lost, "the loss", 1.0)
+    with pytest.raises(LostError):
+        PulseConnection()
+    server.resume()
+    connection.close()
+
+
+def test_a_listener_that_asks_is_refused_and_does_not_hang(
+    server: SoundServer, connection: PulseConnection
+) -> None:
+    class Asking(Listener):
+        def on_snapshot(self, snapshot: ServerSnapshot) -> None:
+            try:
+                connection.snapshot()
+            except InternalError as error:
+                refused.append(str(error))
+
+    refused: list[str] = []
+    connection.add(Asking())
+    assert refused == ["a listener must not ask the connection that calls it"]
+
+
+def test_events_come_as_they_happen_and_snapshots_after_them(
+    server: SoundServer, connection: PulseConnection, notes: Notes
+) -> None:
+    class Stamps(Listener):
+        def on_event(self, event: Event) -> bool:
+            if (event.facility, event.kind) == ("sink", "new"):
+                stamps.append(time.monotonic())
+            return False
+
+    stamps: list[float] = []
+    connection.add(Stamps())
+    server.add_sink("speakers")
+    wait_for(lambda: any(sink.name == "speakers" for sink in connection.latest.sinks), "the sink")
+    assert stamps
+    assert notes.events[-1].number >= len(notes.events)
+    assert connection.latest.events <= notes.events[-1].number
+
+
+def test_connections_leave_nothing_behind(server: SoundServer) -> None:
+    def held() -> tuple[int, int]:
+        gc.collect()
+        return threading.active_count(), len(list(Path("/proc/self/fd").iterdir()))
+
+    PulseConnection().close()
+    before = held()
+    for _ in range(20):
+        connection = PulseConnection()
+        connection.snapshot()
+        connection.close()
+        connection.close()
+    del connection
+    wait_for(lambda: held() == before, f"return to {before}", 3.0)

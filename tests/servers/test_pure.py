@@ -1,0 +1,198 @@
+"""What needs no server: decisions of the guard, names, identities, durations, configurations."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from device.errors import NotFoundError
+from device.server.events import Event, backoff_s
+from device.server.guard import Hold, Place
+from device.server.identity import default_monitor, find_sink, identity_of, is_own
+from device.server.pcms import TAG, PcmConfig
+from device.server.quiet import loud_libraries, quiet_libraries
+from device.server.snapshot import ServerSnapshot, Sink, Source, Stream, _kind
+from device.server.statistics import Durations
+
+
+def sink(index: int, name: str, **properties: str) -> Sink:
+    return Sink(index, name, name, f"{name}.monitor", 48_000, 2, None, properties)
+
+
+def playback(index: int, place: int | None, **properties: str) -> Stream:
+    return Stream(index, place, "", "", "", "", "", None, False, False, {TAG: "mine"} | properties)
+
+
+def snapshot(*streams: Stream, events: int = 0, haptic: bool = True) -> ServerSnapshot:
+    sinks = (sink(1, "desktop"), *((sink(2, "haptic"),) if haptic else ()))
+    sources = (Source(1, "desktop.monitor", "", "desktop", 48_000, 2, {}),)
+    return ServerSnapshot("PulseAudio", "16.1", "desktop", "", sinks, sources, streams, (), events)
+
+
+PLACE = Place("mine", "haptic")
+HOME = PLACE.after_snapshot(snapshot(playback(7, 2), events=3))
+
+
+@pytest.mark.parametrize(
+    ("place", "hold"),
+    [
+        (PLACE, Hold.LOST),
+        (HOME, Hold.FREE),
+        (PLACE.after_snapshot(snapshot()), Hold.NO_STREAM),
+        (PLACE.after_snapshot(snapshot(playback(7, 1))), Hold.ELSEWHERE),
+        (PLACE.after_snapshot(snapshot(playback(7, None))), Hold.NO_STREAM),
+        (PLACE.after_snapshot(snapshot(playback(7, 2), haptic=False)), Hold.NO_DEVICE),
+        (HOME.after_event(Event("sink_input", "change", 7, 4)), Hold.UNSETTLED),
+        (HOME.after_event(Event("sink_input", "remove", 7, 4)), Hold.NO_STREAM),
+        (HOME.after_event(Event("sink", "remove", 2, 4)), Hold.NO_DEVICE),
+        (HOME.after_event(Event("sink", "change", 2, 4)), Hold.FREE),
+        (HOME.after_event(Event("sink_input", "change", 8, 4)), Hold.FREE),
+        (HOME.after_event(Event("source", "remove", 2, 4)), Hold.FREE),
+        (HOME.after_loss(), Hold.LOST),
+        (HOME.after_loss().after_snapshot(snapshot(playback(7, 2))), Hold.FREE),
+    ],
+)
+def test_vibration_is_felt_only_where_it_is_known_to_be(place: Place, hold: Hold) -> None:
+    assert place.hold is hold
+    assert hold.audible == (hold is Hold.FREE)
+
+
+def test_a_snapshot_older_than_the_event_frees_nothing() -> None:
+    moved = HOME.after_event(Event("sink_input", "change", 7, 5))
+    stale = moved.after_snapshot(snapshot(playback(7, 2), events=4))
+    assert stale.hold is Hold.UNSETTLED
+    assert stale.after_snapshot(snapshot(playback(7, 2), events=5)).hold is Hold.FREE
+    assert stale.after_snapshot(snapshot(playback(7, 1), events=5)).hold is Hold.ELSEWHERE
+
+
+def test_a_name_that_is_not_there_offers_what_is() -> None:
+    with pytest.raises(
+        NotFoundError, match=r"^there is no sink 'haptik'; did you mean 'haptic'\?$"
+    ):
+        find_sink(snapshot(), "haptik")
+    with pytest.raises(NotFoundError, match=r"there are 'desktop', 'haptic'$"):
+        find_sink(snapshot(), "qqqq")
+    nothing = ServerSnapshot("PipeWire", "1", "", "", (), (), (), (), 0)
+    with pytest.raises(NotFoundError, match="there is none at all"):
+        find_sink(nothing, "x")
+    with pytest.raises(NotFoundError, match="no default sink"):
+        default_monitor(nothing)
+
+
+def test_a_device_keeps_its_identity() -> None:
+    dac = sink(
+        1,
+        "dac",
+        **{
+            "device.bus": "usb",
+            "device.vendor.id": "0x0d8c",
+            "device.product.id": "0014",
+            "device.serial": "C-Media_Audio_A42",
+            "device.bus_path": "pci-0000:00:14.0-usb-0:2:1.0",
+            "alsa.card": "1",
+        },
+    )
+    identity = identity_of(dac)
+    assert (identity.vendor_id, identity.product_id, identity.alsa_card) == ("0d8c", "0014", "1")
+    assert identity.is_usb("0D8C", "14")
+    assert identity.is_usb("0d8c", "0014", "A42")
+    assert not identity.is_usb("0d8c", "0014", "42")
+    assert not identity.is_usb("0d8c", "0015")
+    assert not identity_of(sink(1, "null")).is_usb("", "")
+
+
+def test_a_stream_of_another_machine_with_our_process_id_is_not_ours() -> None:
+    stream = Stream(1, 1, "", "", "", "", "", os.getpid(), False, False, {})
+    assert is_own(stream)
+    there = {"application.process.host": "another-machine"}
+    assert not is_own(Stream(1, 1, "", "", "", "", "", os.getpid(), False, False, there))
+
+
+def test_the_kind_of_a_server_is_in_its_name() -> None:
+    assert _kind("pulseaudio", "16.1") == ("PulseAudio", "16.1")
+    assert _kind("PulseAudio (on PipeWire 0.3.65)", "15.0.0") == ("PipeWire", "0.3.65")
+
+
+def test_durations_are_told_within_nine_percent() -> None:
+    durations = Durations()
+    assert durations.summary().count == 0
+    for microseconds in range(1, 1_001):
+        durations.add(microseconds * 1_000)
+    durations.add(10**15)
+    summary = durations.summary()
+    assert summary.count == 1_001
+    assert summary.median_us == pytest.approx(500, rel=0.1)
+    assert summary.p99_us == pytest.approx(990, rel=0.1)
+    assert summary.max_us == 10**12
+
+
+def test_waiting_doubles_up_to_two_seconds() -> None:
+    assert [backoff_s(n) for n in (1, 2, 3, 5, 6, 7, 1_000)] == [0.1, 0.2, 0.4, 1.6, 2.0, 2.0, 2.0]
+
+
+def test_a_configuration_leads_where_it_should_and_restores_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PULSE_LATENCY_MSEC", "5")
+    monkeypatch.setenv("PULSE_PROP", "a=b")
+    before = dict(os.environ)
+    config = PcmConfig("one", "two", folder=tmp_path)
+    first = os.environ["ALSA_CONFIG_PATH"]
+    assert "PULSE_LATENCY_MSEC" not in os.environ
+    assert "pcm.one { type null }" in Path(first).read_text()
+    config.pcms["one"].lead("haptic", "unix:/run/x")
+    with config.opening(config.pcms["one"], "tag-1", output=True):
+        path = os.environ["ALSA_CONFIG_PATH"]
+        assert path != first
+        text = Path(path).read_text().splitlines()
+        assert text[0] == 'pcm.one { type pulse device "haptic" server "unix:/run/x" }'
+        assert text[1:] == ["pcm.two { type null }", "pcm.default { type null }"]
+        assert os.environ["PULSE_PROP"].startswith("a=b application.id=")
+        assert f"{TAG}=tag-1" in os.environ["PULSE_PROP"]
+    assert os.environ["PULSE_PROP"] == "a=b"
+    config.close()
+    assert dict(os.environ) == before
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_quietening_leaves_python_its_voice() -> None:
+    if not quiet_libraries():
+        pytest.skip("needs the GNU C library")
+    assert quiet_libraries()
+    loud_libraries()
+    program = (
+        "import ctypes, os, sys\n"
+        "from device.server.quiet import loud_libraries, quiet_libraries\n"
+        "libc = ctypes.CDLL(None)\n"
+        "quiet_libraries(); libc.perror(b'library')\n"
+        "os.write(2, b'ours\\n'); print('also ours', file=sys.stderr, flush=True)\n"
+        "loud_libraries(); libc.perror(b'again')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert done.stderr.splitlines()[:2] == ["ours", "also ours"]
+    assert done.stderr.splitlines()[2].startswith("again")
+    assert len(done.stderr.splitlines()) == 3
+
+
+def test_neither_pulsectl_nor_pyaudio_is_loaded_by_importing_the_room() -> None:
+    program = (
+        "import sys, device.server; print([n for n in ('pulsectl', 'pyaudio') if n in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    assert done.stdout.strip() == "[]", done.stderr

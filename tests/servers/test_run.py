@@ -1,0 +1,203 @@
+"""`cushion run` on a real sound server: what plays is felt, whatever becomes of the rest."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from audioflinger_hook.clients import mixdown
+from audioflinger_hook.render import render_file
+from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.service.state import Cause, DaemonState
+from audioflinger_hook.settings import Settings
+from audioflinger_hook.transform.grid import LiveGrid
+from device.units import Float32Array, FloatArray
+from tests.servers.daemons import (
+    FELT,
+    best_lag,
+    cpu_percent,
+    cushion,
+    envelope,
+    felt_now,
+    likeness,
+    modules_of,
+    recovered,
+    running,
+    tone,
+)
+from tests.servers.listening import RATE_HZ, playing, recording, wait_for
+from tools.sound_server import SoundServer
+
+SCENE_S = 8.0
+SHIFTS = 16
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Float32Array, list[FloatArray]]:
+    """Eight seconds of sound, and the vibrations that a file of it gives.
+
+    There are several, since analysis goes by hops, and these may begin with any frame of a sound:
+    peaks of the vibration's envelope differ then.
+    """
+    folder = tmp_path_factory.mktemp("scene")
+    source, target = folder / "sound.wav", folder / "vibration.wav"
+    sound = mixdown(demo_scene())[: int(SCENE_S * RATE_HZ)].astype(np.float32)
+    assert demo_scene().samplerate == RATE_HZ
+    hop = LiveGrid.at(Settings().parameters, RATE_HZ).hop_frames
+    vibrations = []
+    for shift in range(0, hop, hop // SHIFTS):
+        shifted = np.concatenate([np.zeros((shift, 2), np.float32), sound])
+        soundfile.write(source, shifted, RATE_HZ, subtype="FLOAT")
+        render_file(source, target)
+        vibrations.append(soundfile.read(target, always_2d=True)[0][:, 0])
+    return sound, vibrations
+
+
+def test_what_plays_is_felt_as_a_file_of_it_is_rendered(
+    server: SoundServer, scene: tuple[Float32Array, list[FloatArray]], tmp_path: Path
+) -> None:
+    sound, vibrations = scene
+    with (
+        running(server) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+        playing(server, "desktop", sound),
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        enough = len(felt()) + int((SCENE_S + 0.5) * RATE_HZ)
+        wait_for(lambda: len(felt()) > enough, "the whole of it", 2.0 * SCENE_S)
+        status = daemon.status()
+    heard = felt()[:, 0]
+    alike = [likeness(envelope(heard), envelope(wanted)) for wanted in vibrations]
+    lag = best_lag(envelope(heard), envelope(vibrations[0]))
+    got = heard[lag * RATE_HZ // 1_000 :][: len(sound)].astype(np.float64)
+    level_db = 10.0 * np.log10(np.mean(got**2) / np.mean(vibrations[0] ** 2))
+    print(f"{server.kind}: correlation {max(alike):.4f}, level {level_db:+.2f} dB, {status}")
+    assert max(alike) >= 0.97
+    assert abs(level_db) <= 0.5
+
+
+def test_it_ends_after_the_seconds_asked_for_and_tells_what_it_does_until_then(
+    server: SoundServer,
+) -> None:
+    with playing(server, "desktop", tone(60.0, 30.0)), running(server, "--seconds", "3") as daemon:
+        status = daemon.wait(lambda s: s.levels.vibration.peak_dbfs > -60.0, "vibration")
+        assert status.state is DaemonState.RUNNING
+        assert status.tap.name == "desktop.monitor"
+        assert status.device.name == "haptic"
+        assert status.pid == daemon.process.pid
+        assert 5.0 < status.latency.total_ms < 250.0
+        assert -20.0 < status.levels.sound.rms_dbfs < -6.0
+        assert status.levels.vibration.peak_dbfs <= 0.0
+        assert cushion(server, "status", "--json").stdout.startswith("{")
+        assert daemon.wait_exit() == 0
+
+
+def test_there_is_one_daemon_and_the_other_is_told_who_it_is(server: SoundServer) -> None:
+    with running(server) as daemon:
+        second = cushion(server, "run", "--device", "haptic", "--seconds", "1")
+        assert second.returncode == 2
+        assert str(daemon.process.pid) in second.stderr
+        assert len(second.stderr.strip().splitlines()) == 1
+
+
+def test_when_it_is_ended_nothing_of_it_is_left(server: SoundServer) -> None:
+    before = modules_of(server)
+    with running(server) as daemon:
+        assert "cushion.stream" in server.pactl("list", "sink-inputs")
+        code = daemon.end()
+    assert code == 130
+    assert "Traceback" not in daemon.stderr
+    assert [path.name for path in (server.folder / "cushion").glob("*.sock*")] == []
+    assert modules_of(server) == before
+    assert server.pactl("list", "short", "sink-inputs") == ""
+    assert server.pactl("list", "short", "source-outputs") == ""
+    assert cushion(server, "status").returncode == 3
+
+
+def test_the_device_vanishes_and_nobody_else_plays_its_vibration(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    server.add_sink("speakers")
+    server.choose_default("speakers")
+    with (
+        running(server, "--tap", "sink:desktop") as daemon,
+        playing(server, "desktop", tone(60.0, 60.0)),
+    ):
+        with (
+            recording(server, "speakers.monitor", tmp_path / "elsewhere") as heard,
+            recording(server, "haptic.monitor", tmp_path / "before") as felt,
+        ):
+            wait_for(lambda: felt_now(felt), "vibration")
+            server.remove("haptic")
+            status = daemon.wait_state(DaemonState.WAITING_FOR_DEVICE)
+            assert "haptic" in status.reason
+            long = len(heard()) + RATE_HZ // 2
+            wait_for(lambda: len(heard()) > long, "half a second")
+            server.add_sink("haptic")
+            back_s = time.monotonic()
+            with recording(server, "haptic.monitor", tmp_path / "after") as felt_again:
+                wait_for(lambda: felt_now(felt_again), "vibration again", 5.0)
+            took_s = time.monotonic() - back_s
+            assert np.count_nonzero(heard()) == 0
+        status = daemon.wait_state(DaemonState.RUNNING)
+    print(f"{server.kind}: felt {took_s:.2f} s after the device was back")
+    assert took_s < 2.0
+    assert recovered(status, Cause.DEVICE_LOST) >= 1
+
+
+def test_the_server_is_killed_and_comes_back(server: SoundServer, tmp_path: Path) -> None:
+    with running(server) as daemon:
+        server.kill()
+        daemon.wait_state(DaemonState.WAITING_FOR_SERVER)
+        server.start()
+        back_s = time.monotonic()
+        with (
+            playing(server, "desktop", tone(60.0, 30.0)),
+            recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+        ):
+            wait_for(lambda: felt_now(felt), "vibration", 10.0)
+            took_s = time.monotonic() - back_s
+            status = daemon.wait_state(DaemonState.RUNNING)
+    print(f"{server.kind}: felt {took_s:.2f} s after the server was back")
+    assert took_s < 2.0
+    assert recovered(status, Cause.SERVER_LOST) == 1
+
+
+def test_without_a_server_it_says_so_or_waits_for_one(server: SoundServer) -> None:
+    server.kill()
+    alone = cushion(server, "run", "--device", "haptic")
+    assert alone.returncode == 4
+    assert len(alone.stderr.strip().splitlines()) == 1
+    assert alone.stderr.startswith("cushion: error: no sound server answers")
+    with running(server, "--wait", ready=False) as daemon:
+        daemon.wait_state(DaemonState.WAITING_FOR_SERVER)
+        server.start()
+        back_s = time.monotonic()
+        daemon.wait_ready()
+        print(f"{server.kind}: plays {time.monotonic() - back_s:.2f} s after the server came")
+
+
+def test_silence_costs_little_and_the_sound_after_it_is_felt(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    with (
+        running(server) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        idle = daemon.wait_state(DaemonState.IDLE)
+        idle_percent = cpu_percent(daemon, 3.0)
+        began = len(felt())
+        with playing(server, "desktop", tone(60.0, 20.0)):
+            wait_for(lambda: felt_now(felt), "vibration", 2.0)
+            playing_percent = cpu_percent(daemon, 3.0)
+            status = daemon.wait_state(DaemonState.RUNNING)
+        assert np.abs(felt()[began:]).max() > FELT
+    print(
+        f"{server.kind}: {idle_percent:.1f} % of a core idle, {playing_percent:.1f} % playing; "
+        f"delay {idle.delay_line.delay_ms:.1f} then {status.delay_line.delay_ms:.1f} ms"
+    )
+    assert idle_percent < playing_percent

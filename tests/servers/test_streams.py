@@ -1,0 +1,285 @@
+"""Samples go through the server unchanged, to where they belong, and streams survive its death."""
+
+from __future__ import annotations
+
+import gc
+import resource
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from device.errors import LostError, UsageError
+from device.server import portaudio
+from device.server.pcms import PcmConfig
+from device.server.streams import LOST_AFTER_S, CaptureStream, PlaybackStream
+from device.units import Float32Array
+from tests.servers.listening import (
+    LEVEL,
+    RATE_HZ,
+    Collector,
+    noise,
+    playing,
+    recording,
+    sounding,
+    steady,
+    wait_for,
+)
+from tools.sound_server import SoundServer
+
+ATTEMPTS = 3
+"""A shared machine drops whole buffers now and then."""
+
+
+def tap(pcms: PcmConfig, collector: Collector) -> CaptureStream:
+    pcms.pcms["cushion_tap"].lead("desktop.monitor")
+    return CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
+
+
+def output(pcms: PcmConfig, sink: str = "haptic") -> PlaybackStream:
+    pcms.pcms["cushion_output"].lead(sink)
+    stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+    stream.audible = True
+    return stream
+
+
+def test_a_tap_hears_every_sample_as_it_was_played(server: SoundServer, pcms: PcmConfig) -> None:
+    played = noise(2.0)
+
+    def heard() -> Float32Array:
+        collector = Collector()
+        stream = tap(pcms, collector)
+        wait_for(lambda: stream.callbacks > 10, "callbacks")
+        with playing(server, "desktop", played):
+            wait_for(lambda: collector.frames().any(), "sound")
+            wait_for(lambda: not collector.frames()[-RATE_HZ // 2 :].any(), "end of the sound")
+        assert stream.close()
+        assert stream.errors == {}
+        assert stream.frames == 256 * stream.callbacks
+        assert stream.thread_time.summary().count == stream.callbacks
+        return sounding(collector.frames())
+
+    assert any(np.array_equal(heard(), played) for _ in range(ATTEMPTS))
+
+
+def test_playback_reaches_the_named_sink_and_no_other(
+    server: SoundServer, pcms: PcmConfig, tmp_path: Path
+) -> None:
+    with (
+        recording(server, "haptic.monitor", tmp_path / "haptic") as felt,
+        recording(server, "desktop.monitor", tmp_path / "desktop") as heard,
+    ):
+        stream = output(pcms)
+        wait_for(lambda: np.count_nonzero(felt()) > RATE_HZ, "vibration")
+        assert stream.close()
+        assert set(np.unique(felt())) <= {np.float32(0.0), LEVEL}
+        assert len(heard()) > RATE_HZ // 4
+        assert not heard().any()
+
+
+def test_a_stream_is_silent_until_it_is_let_be_heard(
+    server: SoundServer, pcms: PcmConfig, tmp_path: Path
+) -> None:
+    with recording(server, "haptic.monitor", tmp_path / "haptic") as felt:
+        pcms.pcms["cushion_output"].lead("haptic")
+        stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+        wait_for(lambda: stream.callbacks > 100, "callbacks")
+        assert not felt().any()
+        assert stream.silenced == pytest.approx(stream.callbacks, abs=1)
+        stream.audible = True
+        wait_for(lambda: felt().any(), "vibration")
+        assert stream.close()
+
+
+def test_what_goes_wrong_in_a_callback_is_counted_and_becomes_silence(
+    server: SoundServer, pcms: PcmConfig, tmp_path: Path
+) -> None:
+    def fill(out: Float32Array, now_s: float) -> None:
+        out[:] = 0.5
+        if stream_blocks["n"] % 3 == 0:
+            out[3, 1] = np.nan
+        stream_blocks["n"] += 1
+        if stream_blocks["n"] % 3 == 0:
+            raise KeyError("x")
+
+    def on_frames(frames: Float32Array, now_s: float) -> None:
+        raise RuntimeError("no")
+
+    stream_blocks = {"n": 0}
+    pcms.pcms["cushion_output"].lead("haptic")
+    pcms.pcms["cushion_tap"].lead("desktop.monitor")
+    with recording(server, "haptic.monitor", tmp_path / "haptic") as felt:
+        stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, fill)
+        capture = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, on_frames)
+        stream.audible = True
+        wait_for(lambda: stream.callbacks > 200 and capture.callbacks > 100, "callbacks")
+        assert stream.is_active()
+        assert capture.is_active()
+        assert stream.close()
+        assert capture.close()
+        assert np.isfinite(felt()).all()
+        assert felt().any()
+    assert stream.errors["KeyError"] == pytest.approx(stream.callbacks / 3, abs=5)
+    assert stream.errors["FloatingPointError"] == pytest.approx(stream.callbacks / 3, abs=5)
+    # the callbacks of a stream that is being closed do nothing
+    assert capture.errors == {"RuntimeError": pytest.approx(capture.callbacks, abs=5)}
+
+
+def test_a_killed_server_is_noticed_and_streams_open_again_once_it_is_back(
+    server: SoundServer, pcms: PcmConfig, tmp_path: Path
+) -> None:
+    collector = Collector()
+    capture, playback = tap(pcms, collector), output(pcms)
+    wait_for(lambda: capture.callbacks > 20 and playback.callbacks > 20, "callbacks")
+    killed_s = time.monotonic()
+    server.kill()
+    wait_for(lambda: capture.is_lost() and playback.is_lost(), "loss", LOST_AFTER_S + 1.0)
+    noticed_s = time.monotonic() - killed_s
+    assert capture.close()
+    assert playback.close()
+    closed_s = time.monotonic() - killed_s - noticed_s
+    with pytest.raises(LostError, match="does not answer"):
+        output(pcms)
+
+    server.start()
+    with recording(server, "haptic.monitor", tmp_path / "haptic") as felt:
+        opening_s = time.monotonic()
+        capture, playback = tap(pcms, collector), output(pcms)
+        opened_s = time.monotonic() - opening_s
+        wait_for(lambda: felt().any() and capture.callbacks > 5, "sound after the restart")
+    felt_s = time.monotonic() - opening_s
+    assert playback.close()
+    assert capture.close()
+    print(
+        f"{server.kind}: noticed {noticed_s:.3f} s, closed {closed_s:.3f} s, "
+        f"both reopened {opened_s:.3f} s, felt {felt_s:.3f} s after reopening began"
+    )
+    assert noticed_s < LOST_AFTER_S + 0.3
+
+
+def test_a_server_that_hangs_costs_neither_the_caller_nor_the_process(
+    server: SoundServer, pcms: PcmConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(portaudio, "OPEN_LIMIT_S", 0.3)
+    monkeypatch.setattr(portaudio, "CLOSE_LIMIT_S", 0.3)
+    stream = output(pcms)
+    wait_for(lambda: stream.callbacks > 20, "callbacks")
+    server.pause()
+    wait_for(stream.is_lost, "loss", LOST_AFTER_S + 1.0)
+    stream.close()
+    with pytest.raises(LostError, match=r"not answered|not come back|does not answer"):
+        output(pcms)
+    server.resume()
+    wait_for(lambda: portaudio.open_streams() == 0, "end of the streams")
+    stream = output(pcms)
+    wait_for(lambda: stream.callbacks > 20, "callbacks")
+    assert stream.close()
+
+
+def test_a_suspended_sink_is_noticed(server: SoundServer, pcms: PcmConfig) -> None:
+    if server.kind == "pipewire":
+        pytest.skip("PipeWire resumes a sink that is played to")
+    stream = output(pcms)
+    wait_for(lambda: stream.callbacks > 20, "callbacks")
+    server.pactl("suspend-sink", "haptic", "1")
+    wait_for(stream.is_lost, "loss", 2.0)
+    assert stream.is_active()
+    server.pactl("suspend-sink", "haptic", "0")
+    wait_for(lambda: not stream.is_lost(), "callbacks again", 2.0)
+    assert stream.close()
+
+
+def test_no_such_sink_is_an_error_or_a_stream_that_ends(
+    server: SoundServer, pcms: PcmConfig, tmp_path: Path
+) -> None:
+    with recording(server, "desktop.monitor", tmp_path / "desktop") as heard:
+        try:
+            stream = output(pcms, "nowhere")
+        except LostError:
+            pass  # PulseAudio at once, PipeWire as often as not
+        else:
+            wait_for(stream.is_lost, "end of the stream", 2.0)
+            assert stream.close()
+        before = len(heard())
+        wait_for(lambda: len(heard()) > before + RATE_HZ // 4, "sound")
+        assert not heard().any()
+
+
+def test_names_that_would_change_the_configuration_are_refused(
+    server: SoundServer, pcms: PcmConfig
+) -> None:
+    for name in ('x" server "y', "a\nb", "a\\b", ""):
+        with pytest.raises(UsageError, match="cannot be"):
+            pcms.pcms["cushion_tap"].lead(name)
+    with pytest.raises(UsageError, match="samplerate=12"):
+        CaptureStream(pcms.pcms["cushion_tap"], 12, 2, Collector())
+    with pytest.raises(UsageError, match="channels=0"):
+        PlaybackStream(pcms.pcms["cushion_tap"], RATE_HZ, 0, steady)
+
+
+def memory_kb() -> int:
+    fields = Path("/proc/self/statm").read_text().split()
+    return int(fields[1]) * resource.getpagesize() // 1024
+
+
+def test_opening_and_closing_leaves_nothing_behind(server: SoundServer, pcms: PcmConfig) -> None:
+    def cycle() -> None:
+        capture, playback = tap(pcms, Collector()), output(pcms)
+        wait_for(lambda: capture.callbacks > 2 and playback.callbacks > 2, "callbacks")
+        assert capture.close()
+        assert playback.close()
+
+    def held() -> tuple[int, int, int]:
+        gc.collect()
+        tasks = len(list(Path("/proc/self/task").iterdir()))
+        return threading.active_count(), tasks, len(list(Path("/proc/self/fd").iterdir()))
+
+    def grown() -> int | None:
+        """Memory after 20 cycles; None if one of them had to leave a stream behind."""
+        before, before_kb, abandoned = held(), memory_kb(), portaudio.abandoned_streams()
+        for _ in range(20):
+            cycle()
+        if portaudio.abandoned_streams() != abandoned:
+            return None
+        wait_for(lambda: held() == before, f"return to {before}", 3.0)
+        return memory_kb() - before_kb
+
+    for _ in range(5):
+        cycle()
+    results = (grown() for _ in range(ATTEMPTS))
+    grown_kb = next(result for result in results if result is not None)
+    print(f"{server.kind}: {grown_kb} kB after 20 cycles")
+    assert grown_kb < 2_000
+
+
+def test_libraries_print_nothing_and_we_do(server: SoundServer) -> None:
+    program = """
+import os, sys
+from device.errors import LostError
+from device.server import PcmConfig, PlaybackStream, quiet_libraries
+quiet_libraries()
+pcms = PcmConfig("out")
+pcms.pcms["out"].lead("nowhere", server="unix:/nowhere")
+try:
+    PlaybackStream(pcms.pcms["out"], 48000, 2, lambda out, now_s: None)
+except LostError as error:
+    print(error, file=sys.stderr)
+os.write(2, b"ours\\n")
+pcms.close()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=server.environment | {"PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+    lines = done.stderr.splitlines()
+    assert len(lines) == 2, done.stderr
+    assert "nowhere" in lines[0]
+    assert lines[1] == "ours"
+    assert done.returncode == 0

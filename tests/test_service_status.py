@@ -1,0 +1,229 @@
+"""The status document and its view."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from types import MappingProxyType
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.cells import cell_len
+
+from audioflinger_hook.service.buffer_times import BufferTimes
+from audioflinger_hook.service.levels import Level
+from audioflinger_hook.service.state import Cause, DaemonState
+from audioflinger_hook.service.status import (
+    DelayLineFigures,
+    Endpoint,
+    LatencyBudget,
+    Levels,
+    Status,
+    Xruns,
+)
+from audioflinger_hook.service.status_view import duration, status_text
+from device.errors import UsageError
+
+STATUS = Status(
+    version="0.1.0",
+    pid=4321,
+    state=DaemonState.RUNNING,
+    reason="",
+    since_s=7503.25,
+    tap=Endpoint("default", "alsa_output.pci-0000_00_1f.3.analog-stereo.monitor"),
+    device=Endpoint("sink:Cushion", "alsa_output.usb-Amplifier-00.analog-stereo"),
+    levels=Levels(Level(-3.1, -14.2), Level(-18.2, -27.0)),
+    latency=LatencyBudget.of(
+        tap_ms=21.3, transform_ms=42.7, delay_line_ms=20.0, output_ms=10.7, offset_ms=-5.0
+    ),
+    delay_line=DelayLineFigures(20.0, 20.1, 13.4, 1, 2, 3, "locked"),
+    xruns=Xruns(4, 5),
+    buffer_times=BufferTimes(1.2, 2.9, 8.1, 21.3, 5.8),
+    recoveries=MappingProxyType(dict.fromkeys(Cause, 0) | {Cause.STALL: 2}),
+    effects_bypassed=("loudness",),
+    limited_samples=12,
+    replaced_samples=1,
+    warnings=("the sink runs at 44100 Hz",),
+)
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+texts = st.text(max_size=300)
+statuses = st.builds(
+    Status,
+    version=texts,
+    pid=st.integers(0, 2**22),
+    state=st.sampled_from(DaemonState),
+    reason=texts,
+    since_s=st.floats(0.0, 1e9),
+    tap=st.builds(Endpoint, texts, st.none() | texts),
+    device=st.builds(Endpoint, texts, st.none() | texts),
+    levels=st.builds(Levels, st.builds(Level, numbers, numbers), st.builds(Level)),
+    delay_line=st.builds(DelayLineFigures, numbers, numbers, numbers, state=texts),
+    effects_bypassed=st.lists(texts, max_size=4).map(tuple),
+    warnings=st.lists(texts, max_size=30).map(tuple),
+)
+
+
+@given(statuses)
+def test_a_status_comes_back_from_its_document_as_it_was(status):
+    line = status.to_json()
+    assert "\n" not in line
+    assert line.isascii()
+    assert Status.from_json(line) == status
+    assert Status.from_json(line.encode()) == status
+
+
+def test_every_key_is_there_with_its_unit_and_every_cause_counted():
+    document = json.loads(STATUS.to_json())
+    assert list(document) == [
+        *("version", "pid", "state", "reason", "since_s", "tap", "device", "levels", "latency"),
+        *("delay_line", "xruns", "buffer_times", "recoveries", "effects_bypassed"),
+        *("limited_samples", "replaced_samples", "warnings"),
+    ]
+    assert document["latency"]["total_ms"] == pytest.approx(89.7)
+    assert list(document["recoveries"]) == [cause.value for cause in Cause]
+    assert document["buffer_times"]["share_percent"] == 5.8
+
+
+WRONG = [
+    (("pid",), "12", "pid is '12'; allowed: a whole number"),
+    (("pid",), True, "pid is True"),
+    (("pid",), 1.0, "pid is 1.0"),
+    (("version",), None, "version is None; allowed: a text"),
+    (("since_s",), "x", "since_s is 'x'; allowed: a number"),
+    (("since_s",), 10**400, "since_s is 0x"),
+    (("state",), "flying", "state is 'flying'; allowed: starting,"),
+    (("state",), ["running"], "state is"),
+    (("tap", "address"), None, "tap.address is None"),
+    (("tap",), None, "tap is None; allowed: an object"),
+    (("levels", "sound", "peak_dbfs"), [], "levels.sound.peak_dbfs is []"),
+    (("recoveries", "stall"), 1.5, "recoveries.stall is 1.5"),
+    (("recoveries", "rain"), 1, "unknown key recoveries.rain"),
+    (("colour",), 1, "unknown key colour"),
+    (("warnings",), "x", "warnings is 'x'; allowed: a list"),
+    (("warnings",), [1], "warnings[0] is 1"),
+]
+
+
+@pytest.mark.parametrize(("path", "value", "message"), WRONG)
+def test_whatever_is_not_exactly_a_status_is_refused_by_name(path, value, message):
+    document = json.loads(STATUS.to_json())
+    part = document
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = value
+    with pytest.raises(UsageError) as caught:
+        Status.from_json(json.dumps(document))
+    assert message in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize("section", [None, "tap", "levels", "delay_line", "recoveries"])
+def test_a_missing_key_is_refused(section):
+    document = json.loads(STATUS.to_json())
+    part = document if section is None else document[section]
+    for key in list(part):
+        value = part.pop(key)
+        with pytest.raises(UsageError, match=f"has no .*{key}"):
+            Status.from_json(json.dumps(document))
+        part[key] = value
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "x", "[]", "1", "NaN", '{"pid": 1, "pid": 2}', "[" * 100_000, b"\xff\xfe", "9" * 5000],
+    ids=range(9),
+)
+def test_what_is_no_document_is_refused(text):
+    with pytest.raises(UsageError, match="the document"):
+        Status.from_json(text)
+
+
+def test_a_key_that_stands_there_twice_is_refused():
+    with pytest.raises(UsageError, match="a key stands there twice"):
+        Status.from_json(STATUS.to_json().replace('"pid": 4321', '"pid": 4321, "pid": 4322'))
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_numbers_that_are_not_finite_neither_go_out_nor_come_in(number):
+    with pytest.raises(ValueError, match="JSON"):
+        replace(STATUS, since_s=number).to_json()
+    with pytest.raises(UsageError, match="no JSON"):
+        Status.from_json(STATUS.to_json().replace("7503.25", json.dumps(number)))
+    with pytest.raises(UsageError, match="finite"):
+        Status.from_json(STATUS.to_json().replace("7503.25", "1e999"))
+
+
+# ----------------------------------------------------------------------------------- the view
+
+
+def test_the_view_shows_every_figure():
+    assert status_text(STATUS, 100).splitlines() == [
+        "cushion    0.1.0, process 4321",
+        "state      running for 2 h 05 min",
+        "tap        alsa_output.pci-0000_00_1f.3.analog-stereo.monitor (default)",
+        "device     alsa_output.usb-Amplifier-00.analog-stereo (sink:Cushion)",
+        "sound      ███████████████░ peak   -3.1, rms  -14.2 dBFS",
+        "vibration  ███████████░░░░░ peak  -18.2, rms  -27.0 dBFS",
+        "latency    89.7 ms = tap 21.3 + transform 42.7 + delay line 20.0 + output 10.7 "
+        "- offset 5.0",
+        "delay line locked, 20.1 of 20.0 ms, +13.4 ppm; 1 resync, 2 underflows, 3 overflows",
+        "xruns      tap 4, output 5",
+        "buffers    5.8 % of 21.3 ms; p50 1.20, p99 2.90, max 8.10 ms",
+        "recoveries stall 2",
+        "samples    12 limited, 1 replaced",
+        "bypassed   loudness",
+        "warning    the sink runs at 44100 Hz",
+    ]
+
+
+def test_who_waits_says_for_what_and_why():
+    waiting = Status(
+        *("0.1.0", 1, DaemonState.WAITING_FOR_SOUND_SOURCE, "it feeds the cushion", 0.25),
+        *(Endpoint("default"), Endpoint("usb:0d8c:0014")),
+    )
+    shown = status_text(waiting)
+    assert "waiting-for-sound-source for 0.2 s: it feeds the cushion" in shown
+    assert "usb:0d8c:0014 (not there)" in shown
+    assert "silence" in shown
+    assert "recoveries none" in shown
+    assert "bypassed" not in shown
+
+
+@given(statuses, st.integers(20, 200))
+def test_no_line_is_wider_than_the_terminal_whatever_the_names_are(status, width):
+    shown = status_text(status, width)
+    assert all(cell_len(line) <= width for line in shown.splitlines())
+    assert all(sign.isprintable() or sign == "\n" for sign in shown)
+
+
+def test_names_are_text_and_neither_markup_nor_commands_to_the_terminal():
+    evil = replace(STATUS, tap=Endpoint("[bold]x[/bold]", "\x1b]0;t\x07\u202egnp.exe\nnew line"))
+    shown = status_text(evil, 120)
+    assert "?]0;t??gnp.exe new line ([bold]x[/bold])" in shown
+
+
+def test_of_a_flood_of_warnings_the_last_ones_are_shown():
+    flooded = replace(STATUS, warnings=tuple(f"number {i}" for i in range(1000)))
+    shown = status_text(flooded)
+    assert "(980 earlier ones left out)" in shown
+    assert "number 999" in shown
+    assert "number 979" not in shown
+
+
+@pytest.mark.parametrize(
+    ("time_s", "text"),
+    [
+        (0.0, "0.0 s"),
+        (59.94, "59.9 s"),
+        (59.96, "1 min 00 s"),
+        (3599.6, "1 h 00 min"),
+        (125.0, "2 min 05 s"),
+        (172_799.0, "47 h 59 min"),
+        (172_800.0, "2 d 00 h"),
+    ],
+)
+def test_a_duration_is_shown_in_its_two_largest_units(time_s, text):
+    assert duration(time_s) == text

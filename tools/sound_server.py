@@ -1,0 +1,369 @@
+"""A sound server of its own: tools/sound_server.py pulse|pipewire [COMMAND ...]
+
+Starts PulseAudio, or PipeWire with WirePlumber and pipewire-pulse, in a folder of its own with the
+null sinks `desktop` (the default) and `haptic`, runs the command (else a shell) with an environment
+that leads to it, and stops it again. No session bus, no hardware, no files outside the folder: a
+desktop's own server is never touched. The tests use `SoundServer` directly.
+tools/fetch_servers.sh installs what is needed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Self
+
+PROGRAMS = {
+    "pulse": ("pulseaudio", "pactl", "pacat"),
+    "pipewire": ("pipewire", "wireplumber", "pipewire-pulse", "pactl", "pacat", "pw-play"),
+}
+START_S = 15.0
+"""How long a server may take until it answers; it usually takes a tenth of a second."""
+
+_FOREIGN = ("PULSE_", "PIPEWIRE_", "WIREPLUMBER_", "XDG_", "DBUS_", "ALSA_", "JACK_", "DISPLAY")
+_RATE_HZ = 48_000
+_QUANTUM_FRAMES = 256
+
+
+class ServerError(Exception):
+    """The server is not installed, does not start or does not answer."""
+
+
+def missing_programs(kind: str) -> list[str]:
+    """The programs of this kind of server that are not installed; also why it cannot be set up."""
+    missing = [program for program in PROGRAMS[kind] if shutil.which(program) is None]
+    if kind == "pipewire" and not Path("/usr/share/wireplumber/main.lua.d").is_dir():
+        missing.append("WirePlumber 0.4 (/usr/share/wireplumber/main.lua.d)")
+    return missing
+
+
+class SoundServer:
+    """A running server of kind `pulse` or `pipewire` in `folder`; a context manager that stops it.
+
+    address: for PULSE_SERVER; environment: for programs that are to use this server.
+    One thread calls the methods. All raise ServerError where the server does not do as asked.
+    """
+
+    def __init__(self, kind: str, folder: Path) -> None:
+        if missing := missing_programs(kind):
+            raise ServerError(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
+        self.kind = kind
+        self.folder = folder.resolve()
+        socket = self.folder / "native"
+        if len(bytes(socket)) > 100:
+            raise ServerError(f"{socket} is too long for a socket's path; choose a shorter folder")
+        self.address = f"unix:{socket}"
+        self._socket = socket
+        self._processes: list[subprocess.Popen[bytes]] = []
+        self._modules: dict[str, str] = {}
+        for name in ("", "home", "config", "state", "cache"):
+            (self.folder / name).mkdir(mode=0o700, parents=True, exist_ok=True)
+        self.environment = {
+            name: value for name, value in os.environ.items() if not name.startswith(_FOREIGN)
+        } | {
+            "HOME": str(self.folder / "home"),
+            "XDG_RUNTIME_DIR": str(self.folder),
+            "XDG_CONFIG_HOME": str(self.folder / "config"),
+            "XDG_STATE_HOME": str(self.folder / "state"),
+            "XDG_CACHE_HOME": str(self.folder / "cache"),
+            "DBUS_SESSION_BUS_ADDRESS": "disabled:",
+            "PULSE_RUNTIME_PATH": str(self.folder / "pulse"),
+            "PULSE_STATE_PATH": str(self.folder / "state" / "pulse"),
+            "PULSE_COOKIE": str(self.folder / "cookie"),
+            "PULSE_SERVER": self.address,
+            "PIPEWIRE_RUNTIME_DIR": str(self.folder),
+        }
+        wireplumber = str(self.folder / "wireplumber")
+        self._configuration = {
+            "PIPEWIRE_CONFIG_DIR": str(self.folder / "pipewire"),
+            "WIREPLUMBER_CONFIG_DIR": wireplumber,
+            "WIREPLUMBER_DATA_DIR": wireplumber,
+        }
+        self._write_configuration()
+        self.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        self.stop()
+
+    # ------------------------------------------------------------------------------- the server
+
+    def start(self) -> None:
+        """Start the server, which must not be running, and wait until it has both sinks."""
+        self._modules.clear()
+        for leftover in ("native", "native.lock", "pipewire-0", "pipewire-0.lock"):
+            (self.folder / leftover).unlink(missing_ok=True)
+        try:
+            if self.kind == "pulse":
+                self._run("pulseaudio", *self._pulse_arguments())
+            else:
+                self._run("pipewire")
+                self._wait(lambda: (self.folder / "pipewire-0").exists(), "PipeWire's socket")
+                self._run("wireplumber")
+                self._run("pipewire-pulse")
+            self._wait(self._answers, "an answer")
+            self.add_sink("desktop")
+            self.add_sink("haptic")
+            self.choose_default("desktop")
+        except ServerError:
+            self.stop()
+            raise
+
+    def kill(self) -> None:
+        """End every process of the server with SIGKILL, as a crash would."""
+        self._end(signal.SIGKILL)
+
+    def stop(self) -> None:
+        """End the server; it may already be gone."""
+        self._end(signal.SIGTERM)
+
+    def pause(self) -> None:
+        """Hold every process of the server: it keeps its connections and answers nothing."""
+        for process in self._processes:
+            process.send_signal(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        """Let a paused server go on."""
+        for process in self._processes:
+            process.send_signal(signal.SIGCONT)
+
+    # ------------------------------------------------------------------------------ what it holds
+
+    def pactl(self, *arguments: str) -> str:
+        """What pactl prints for these arguments, without the end of the line."""
+        try:
+            done = subprocess.run(
+                ["pactl", *arguments],
+                env=self.environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                timeout=START_S,
+            )
+        except subprocess.TimeoutExpired:
+            raise ServerError(f"pactl {' '.join(arguments)}: no answer") from None
+        if done.returncode != 0:
+            raise ServerError(f"pactl {' '.join(arguments)}: {done.stderr.strip()}")
+        return done.stdout.strip()
+
+    def add_sink(self, name: str, properties: str = "") -> None:
+        """Add a null sink: stereo, float32, 48 kHz; it never renders ahead of what is played."""
+        arguments = [
+            f"sink_name={name}",
+            f"rate={_RATE_HZ}",
+            "channels=2",
+            "format=float32le",
+            f'sink_properties="device.description={name} {properties}"',
+        ]
+        if self.kind == "pulse":
+            arguments.append("norewinds=1")
+        self._modules[name] = self.pactl("load-module", "module-null-sink", *arguments)
+        self._wait(lambda: name in self.names("sinks"), f"the sink {name}")
+
+    def add_microphone(self, name: str) -> None:
+        """Add a source that is no monitor and make it the default one.
+
+        What is played to the sink NAME-room is what it hears.
+        """
+        self.add_sink(f"{name}-room")
+        arguments = [f"master={name}-room.monitor", f"source_name={name}", "channels=2"]
+        self._modules[name] = self.pactl("load-module", "module-remap-source", *arguments)
+        self._wait(lambda: name in self.names("sources"), f"the source {name}")
+        self.pactl("set-default-source", name)
+        self._wait(lambda: self.pactl("get-default-source") == name, "the default source")
+
+    def choose_default(self, sink: str) -> None:
+        """Make a sink the default one; WirePlumber may take a moment until it accepts that."""
+
+        def chosen() -> bool:
+            with contextlib.suppress(ServerError):
+                self.pactl("set-default-sink", sink)
+                return self.pactl("get-default-sink") == sink
+            return False
+
+        self._wait(chosen, f"default sink {sink}")
+
+    def remove(self, name: str) -> None:
+        """Remove a sink or source at once, as pulling its plug would."""
+        self.pactl("unload-module", self._modules.pop(name))
+
+    def names(self, what: str) -> list[str]:
+        """The names of all `sinks` or `sources`."""
+        lines = self.pactl("list", "short", what).splitlines()
+        return [line.split("\t")[1] for line in lines]
+
+    # ------------------------------------------------------------------------------------ inside
+
+    def _run(self, *command: str) -> None:
+        # a server ends with the program that started it, even if that is killed
+        bound = ("setpriv", "--pdeathsig", "TERM") if shutil.which("setpriv") else ()
+        with (self.folder / f"{command[0]}.log").open("ab") as log:
+            self._processes.append(
+                subprocess.Popen(
+                    (*bound, *command),
+                    env=self.environment | self._configuration,
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    start_new_session=True,
+                )
+            )
+
+    def _end(self, how: signal.Signals) -> None:
+        for process in reversed(self._processes):
+            process.send_signal(signal.SIGCONT)
+            process.send_signal(how)
+        for process in self._processes:
+            try:
+                process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self._processes.clear()
+
+    def _answers(self) -> bool:
+        with contextlib.suppress(ServerError):
+            return self._socket.exists() and bool(self.pactl("info"))
+        return False
+
+    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + START_S
+        while not condition():
+            dead = [process for process in self._processes if process.poll() is not None]
+            if dead or time.monotonic() > deadline:
+                logs = [log.read_text("utf-8", "replace") for log in self.folder.glob("*.log")]
+                ended = "".join(f"{process.args!r} ended; " for process in dead)
+                raise ServerError(f"{self.kind}: no {what}; {ended}{''.join(logs)[-2000:]}")
+            time.sleep(0.005)
+
+    def _pulse_arguments(self) -> list[str]:
+        return [
+            "-n",  # not the system's start-up script
+            f"--file={self.folder / 'start.pa'}",
+            "--daemonize=no",
+            "--use-pid-file=no",
+            "--exit-idle-time=-1",
+            "--realtime=no",
+            "--high-priority=no",
+            "--log-target=stderr",
+            "--log-level=warning",
+        ]
+
+    def _write_configuration(self) -> None:
+        (self.folder / "start.pa").write_text(
+            ".fail\n"
+            f"load-module module-native-protocol-unix socket={self._socket} auth-anonymous=1\n"
+        )
+        if self.kind == "pipewire":
+            folder = self.folder / "pipewire"
+            folder.mkdir(exist_ok=True)
+            (folder / "pipewire.conf").write_text(PIPEWIRE_CONF)
+            (folder / "pipewire-pulse.conf").write_text(
+                PIPEWIRE_PULSE_CONF.replace("@ADDRESS@", self.address)
+            )
+            for name in ("client.conf", "client-rt.conf"):  # what pw-play and pw-cli read
+                shutil.copy(f"/usr/share/pipewire/{name}", folder)
+            wireplumber = self.folder / "wireplumber"
+            if not wireplumber.exists():
+                shutil.copytree("/usr/share/wireplumber", wireplumber)
+            (wireplumber / "main.lua.d" / "90-enable-all.lua").write_text(WIREPLUMBER_LUA)
+            (wireplumber / "bluetooth.lua.d" / "90-enable-all.lua").write_text("")
+
+
+PIPEWIRE_CONF = f"""
+context.properties = {{
+    core.daemon = true
+    core.name = pipewire-0
+    mem.allow-mlock = false
+    default.clock.rate = {_RATE_HZ}
+    default.clock.quantum = {_QUANTUM_FRAMES}
+    default.clock.min-quantum = 64
+    default.clock.max-quantum = 1024
+}}
+context.spa-libs = {{
+    audio.convert.* = audioconvert/libspa-audioconvert
+    support.* = support/libspa-support
+}}
+context.modules = [
+    {{ name = libpipewire-module-protocol-native }}
+    {{ name = libpipewire-module-metadata }}
+    {{ name = libpipewire-module-spa-node-factory }}
+    {{ name = libpipewire-module-client-node }}
+    {{ name = libpipewire-module-client-device }}
+    {{ name = libpipewire-module-access }}
+    {{ name = libpipewire-module-adapter }}
+    {{ name = libpipewire-module-link-factory }}
+    {{ name = libpipewire-module-session-manager }}
+]
+context.objects = [
+    # drives the graph while there is no sink
+    {{ factory = spa-node-factory
+      args = {{ factory.name = support.node.driver node.name = Dummy-Driver
+               node.group = pipewire.dummy priority.driver = 20000 }} }}
+]
+"""
+
+# without vm.overrides: a virtual machine is to behave as a desktop does
+PIPEWIRE_PULSE_CONF = """
+context.spa-libs = {
+    audio.convert.* = audioconvert/libspa-audioconvert
+    support.* = support/libspa-support
+}
+context.modules = [
+    { name = libpipewire-module-protocol-native }
+    { name = libpipewire-module-client-node }
+    { name = libpipewire-module-adapter }
+    { name = libpipewire-module-metadata }
+    { name = libpipewire-module-protocol-pulse }
+]
+pulse.properties = {
+    server.address = [ "@ADDRESS@" ]
+    pulse.min.req = 64/48000
+    pulse.min.frag = 64/48000
+    pulse.min.quantum = 64/48000
+}
+"""
+
+# the policy of a desktop, without devices, without a session bus, without a memory
+WIREPLUMBER_LUA = """
+default_access.properties["enable-flatpak-portal"] = false
+device_defaults.properties["use-persistent-storage"] = false
+stream_defaults.properties["restore-props"] = false
+stream_defaults.properties["restore-target"] = false
+load_module("metadata")
+default_access.enable()
+device_defaults.enable()
+stream_defaults.enable()
+load_script("intended-roles.lua")
+"""
+
+
+def main() -> int:
+    """Run a command beside a server of its own; its exit code."""
+    parser = argparse.ArgumentParser(description="Run a command beside a sound server of its own.")
+    parser.add_argument("kind", choices=sorted(PROGRAMS))
+    parser.add_argument("command", nargs=argparse.REMAINDER, help="default: a shell")
+    options = parser.parse_args()
+    command = options.command or [os.environ.get("SHELL", "/bin/sh")]
+    with tempfile.TemporaryDirectory(prefix="sound-server-") as folder:
+        try:
+            with SoundServer(options.kind, Path(folder)) as server:
+                return subprocess.run(command, env=server.environment).returncode
+        except ServerError as error:
+            print(f"sound_server: error: {error}", file=sys.stderr)
+            return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
