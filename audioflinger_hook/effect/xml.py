@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from uuid import UUID
@@ -73,8 +74,12 @@ class DeclaredEffects:
 
 def bundled_effects(registry: EffectRegistry) -> DeclaredEffects:
     """Return what the bundled file declares: the haptic effect on the output mix."""
-    bundled = files("audioflinger_hook.effect").joinpath("audio_effects.xml")
-    return parse_effects(bundled.read_bytes(), registry)
+    return parse_effects(_bundled(), registry)
+
+
+@cache
+def _bundled() -> bytes:
+    return files("audioflinger_hook.effect").joinpath("audio_effects.xml").read_bytes()
 
 
 def read_effects(path: Path, registry: EffectRegistry) -> DeclaredEffects:
