@@ -23,7 +23,8 @@ class Side:
     """The callbacks of one stream.
 
     ppm: its clock against true time. jitter_s: every callback is late by a uniform 0 to this.
-    burst: callbacks delivered together, when the last of them is due. pauses: (from_s, to_s)
+    burst: callbacks delivered together, when the last of them is due. server_block: frames that the
+    server delivers together, a callback for each whole block of ours. pauses: (from_s, to_s)
     during which no callback runs; they all come at the end of it. gaps: the same, but the stream
     itself stands: what would have been captured or played meanwhile never is.
     """
@@ -33,6 +34,7 @@ class Side:
     ppm: float = 0.0
     jitter_s: float = 0.0
     burst: int = 1
+    server_block: int = 0
     start_s: float = 0.0
     pauses: tuple[tuple[float, float], ...] = ()
     gaps: tuple[tuple[float, float], ...] = ()
@@ -54,7 +56,10 @@ class Side:
                         shift_s += end_s - true_s
                         true_s = end_s
                 due = number + self.burst - 1 - number % self.burst
-                now_s = true_s + (due - number) * self.block / self.rate + late
+                waits = (due - number) * self.block
+                if self.server_block:
+                    waits = -(number * self.block) % self.server_block
+                now_s = true_s + waits / self.rate + late
                 for begin_s, end_s in self.pauses:
                     if begin_s <= now_s < end_s:
                         now_s = end_s

@@ -51,14 +51,14 @@ def test_the_delay_stays_on_target_between_any_two_clocks(
     assert course.ppm[course.time_s > 30].mean() == pytest.approx(-ppm, abs=0.2 + jitter_s * 5e3)
 
 
-def test_it_is_on_target_a_second_after_the_first_frame_and_locked_after_another_three() -> None:
+def test_it_plays_once_it_knows_both_sides_and_is_on_target_a_second_later() -> None:
     for seed in range(4):
         course = two_clocks(-300, 2 * MS, 8.0, seed=seed)
-        assert np.abs(course.after(1.2)).max() < 0.25 * MS
+        assert np.abs(course.after(1.7)).max() < 0.44 * MS
         locked = course.states.index(DelayState.LOCKED)
         assert course.time_s[locked] < 4.5
         settling = course.states.index(DelayState.SETTLING)
-        assert course.time_s[settling] < 0.2
+        assert course.time_s[settling] < 0.75
 
 
 def test_five_milliseconds_of_jitter_are_no_reason_to_leave_the_target() -> None:
@@ -80,7 +80,7 @@ def test_nominal_rates_may_differ(rates: tuple[int, int]) -> None:
 def test_bursts_of_four_blocks_are_provided_for(ppm: int) -> None:
     line = DelayLine(1, 48_000, 48_000)
     course = run(line, Side(burst=4), Side(burst=4, ppm=ppm, start_s=0.003), 40.0)
-    # 1.5 + 1 blocks, and on both sides one and a half blocks of lateness before the mean
+    # 1.5 + 1 blocks, and the three blocks that the first of a burst waits for the last
     assert course.last.target_s == pytest.approx((2.5 + 3.0) * 256 / 48_000, abs=0.8 * MS)
     assert np.abs(course.after(15.0)).max() < 0.44 * MS
     assert course.last.underflows <= 1
@@ -98,9 +98,19 @@ def test_the_target_is_what_blocks_lateness_and_offset_add_up_to() -> None:
     line = DelayLine(1, 48_000, 48_000, capture_block=512, output_block=128, offset_s=0.02)
     writer = Side(block=512, jitter_s=4 * MS)
     course = run(line, writer, Side(block=128, jitter_s=4 * MS, start_s=0.003), 30.0)
-    # half of a uniform lateness is in the mean of the clock, the other half comes on top, twice
+    # reads are never early: only what is written late has to be provided for
     assert course.last.target_s == pytest.approx(0.02 + 896 / 48_000 + 4 * MS, abs=0.7 * MS)
     assert course.last.delay_s == pytest.approx(course.last.target_s, abs=0.1 * MS)
+
+
+@pytest.mark.parametrize("server_block", [470, 511, 1_000])
+def test_blocks_of_a_server_that_beat_with_ours_do_not_move_the_delay(server_block: int) -> None:
+    line = DelayLine(1, 48_000, 48_000)
+    writer = Side(server_block=server_block, ppm=-100, jitter_s=0.2 * MS)
+    course = run(line, writer, Side(ppm=-250, jitter_s=0.2 * MS, start_s=0.003), 120.0)
+    assert course.last.resyncs == 0
+    assert course.last.underflows <= 1  # while the lateness is not yet known
+    assert np.ptp(course.after(60.0)) < 0.3 * MS
 
 
 def test_an_hour_at_300_ppm_gains_and_loses_nothing() -> None:

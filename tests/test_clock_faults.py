@@ -176,7 +176,7 @@ def test_states_tell_the_story() -> None:
     line.write(np.zeros((256, 1)), 0.001)
     line.read(out, BLOCK_S)
     assert (before_anything, line.status.state) == (DelayState.EMPTY, DelayState.FILLING)
-    _, _, states = tone_line(4.0, missing=range(300, 400))
+    _, _, states = tone_line(6.0, missing=range(500, 600))
     story = [state for last, state in zip([None, *states], states, strict=False) if state != last]
     playing = [DelayState.SETTLING, DelayState.LOCKED]
     assert story == [DelayState.FILLING, *playing, DelayState.STARVED, *playing]
@@ -282,12 +282,12 @@ def test_memory_does_not_grow() -> None:
             line.write(block, number * BLOCK_S)
             line.read(block, number * BLOCK_S + 0.001)
 
-    live(0, 1_000)
+    live(0, 12_000)  # a minute of callbacks is kept
     tracemalloc.start()
     try:
-        live(1_000, 500)
+        live(12_000, 500)
         before, _ = tracemalloc.get_traced_memory()
-        live(1_500, 1_500)
+        live(12_500, 1_500)
         after, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

@@ -1,4 +1,4 @@
-"""Callback times, smoothed: the line through them is the stream's own clock."""
+"""Callback times without their lateness: the line under them is the stream's own clock."""
 
 from __future__ import annotations
 
@@ -37,11 +37,17 @@ def test_without_jitter_the_counter_is_known_to_a_microsecond(ppm: int) -> None:
 
 
 @pytest.mark.parametrize("jitter_ms", [0.2, 2.0, 5.0])
-def test_jitter_is_smoothed_to_a_fourteenth(jitter_ms: float) -> None:
+def test_of_jitter_less_than_a_fiftieth_is_left(jitter_ms: float) -> None:
     now, error, clock = errors(Side(ppm=150, jitter_s=jitter_ms / 1000), 60.0)
-    # The mean of the lateness cannot be told from a later clock; a uniform one is half its range.
-    rest = error[now > 10] - jitter_ms / 2000
-    assert rest.std() < jitter_ms / 1000 / math.sqrt(12) / 14
+    # callbacks are late by 0 to jitter_ms, and it is not the mean that counts but the 0
+    assert np.abs(error[now > 10]).max() < jitter_ms / 1000 / 50
+    assert clock.restarts == 0
+
+
+@pytest.mark.parametrize("server_block", [470, 511, 513, 1_000])
+def test_a_beat_between_blocks_is_no_change_of_the_clock(server_block: int) -> None:
+    now, error, clock = errors(Side(server_block=server_block, jitter_s=0.0002, ppm=-100), 180.0)
+    assert np.ptp(error[now > 60]) < 0.0002
     assert clock.restarts == 0
 
 
@@ -58,17 +64,17 @@ def test_both_ways_between_time_and_counter_are_the_same_line() -> None:
     assert reading.time_of(reading.frames_at(5.01)) == pytest.approx(5.01, abs=1e-12)
 
 
-def test_a_pause_of_80_ms_moves_the_counter_by_less_than_a_quarter_of_a_millisecond() -> None:
+def test_a_pause_of_80_ms_does_not_move_the_counter() -> None:
     side = Side(jitter_s=0.0002, pauses=((20.0, 20.08),))
     now, error, clock = errors(side, 30.0)
-    assert np.abs(error[now > 10] - 0.0001).max() < 0.00025
+    assert np.abs(error[now > 10]).max() < 0.00005
     assert clock.restarts == 0
 
 
 @pytest.mark.parametrize("lost_s", [0.008, 0.03, 0.2, 2.0])
 def test_frames_lost_in_the_stream_begin_a_new_line_within_half_a_second(lost_s: float) -> None:
     now, error, clock = errors(Side(jitter_s=0.0005, gaps=((20.0, 20.0 + lost_s),)), 40.0)
-    assert np.abs(error[now > 20.5 + lost_s] - 0.00025).max() < 0.0005
+    assert np.abs(error[now > 20.5 + lost_s]).max() < 0.0005
     assert clock.restarts == 1
 
 
@@ -76,7 +82,7 @@ def test_frames_lost_in_the_stream_begin_a_new_line_within_half_a_second(lost_s:
 def test_a_backlog_of_any_length_is_forgotten_a_fifth_of_a_second_later(seconds: float) -> None:
     side = Side(jitter_s=0.0005, pauses=((20.0, 20.0 + seconds),))
     now, error, _ = errors(side, 30.0)
-    assert np.abs(error[now > 20.2 + seconds] - 0.00025).max() < 0.001
+    assert np.abs(error[now > 20.2 + seconds]).max() < 0.001
 
 
 def test_the_pace_learned_survives_a_restart() -> None:

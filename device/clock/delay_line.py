@@ -39,6 +39,7 @@ class _Written(NamedTuple):
     clock: ClockReading
     run_start: int
     lateness_s: float
+    lateness_known: bool
 
 
 class DelayLine:
@@ -214,7 +215,8 @@ class DelayLine:
         late_s = now_s - clock.time_of(written - count) - self._capture_s
         _measure_lateness(self._written_late, late_s, count / self._samplerate_in, clock)
         run_start = written - count if stalled or before is None else before.run_start
-        self._written = _Written(written, clock, run_start, self._written_late.estimate_s)
+        late = self._written_late
+        self._written = _Written(written, clock, run_start, late.estimate_s, late.known)
 
     def read(self, out: Float32Array, now_s: float) -> None:
         """Fill (frames, channels), any number of frames, that will be played from now_s on.
@@ -261,7 +263,9 @@ class DelayLine:
             if self._state is DelayState.EMPTY:
                 self._state = DelayState.FILLING
             held_off = self._starved_at_s <= now_s < self._not_before_s
-            if known and not held_off:
+            # A first start too near would run out of frames as soon as the first callback is late.
+            provided = written.lateness_known and self._read_late.known
+            if known and provided and not held_off:
                 self._start(written, captured, frames)
 
     def _measure(self, captured: float, seconds: float, slew: float, known: bool) -> None:

@@ -26,7 +26,7 @@ class Lateness:
     counter made a jump, they do not count at all.
 
     estimate_s: 0.5 ms to `limit_s`. It follows every rise, but a fall only by more than 1 ms, so
-    that it rests. Any thread may read it.
+    that it rests. known: whether it was looked at yet. Any thread may read them.
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -37,6 +37,7 @@ class Lateness:
         self._unseen_s = 0.0
         self._paused_s = 0.0
         self.estimate_s = min(LEAST_S, limit_s)
+        self.known = False
 
     def add(self, late_s: float, seconds: float, paused: bool) -> None:
         """Take one callback that was `late_s` late, `seconds` of its stream after the last.
@@ -69,6 +70,7 @@ class Lateness:
         self._counts[min(last, max(0, int(late_s / _BIN_S)))] += self._weight
 
     def _look(self) -> None:
+        self.known = True
         from_latest = np.cumsum(self._counts[::-1])
         beyond = int(np.searchsorted(from_latest, SHARE * from_latest[-1], side="right"))
         upper_edge_s = (len(self._counts) - beyond) * _BIN_S

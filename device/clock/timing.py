@@ -1,12 +1,19 @@
-"""When a frame counter really stood where: callback times without their jitter."""
+"""When a frame counter really stood where: callback times without their lateness."""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections import deque
 from typing import NamedTuple
 
-BANDWIDTH_HZ = 0.1
-SETTLED_S = 0.1
+WINDOW_S = 60.0
+"""How far back callbacks are considered: several times the slowest beat between blocks."""
+BUCKET_S = 0.5
+"""Of each of these only the earliest callback is kept."""
+SETTLED_S = 0.15
+PREFILL_S = 0.06
+"""A stream that begins fills its buffers at once: those callbacks come too early to be a clock."""
 MAX_DEVIATION = 2_000e-6
 """How far a sound card's rate may lie from nominal; what looks like more is jitter."""
 
@@ -15,20 +22,24 @@ STALLED_S = 0.25
 EARLY_S = 0.03
 """A callback earlier than this: a backlog is delivered; what was learned before it is wrong."""
 ASTRAY_S = 0.3
-"""Outliers to one side for this long are no outliers: the counter has made a jump."""
+"""Outliers for this long are no outliers: the counter has made a jump."""
 
 _OUTLIER = 6.0
 _FIRST_SPREAD_S = 0.005
 _LEAST_SPREAD_S = 50e-6
 _FIRST_TIME_S = 0.25
 _SPREAD_TIME_S = 5.0
+_USUAL_DRIFT = 150e-6
+_LEARNED_DRIFT = 10e-6
+_LEAST_NOISE_S = 5e-6
 
 
 class ClockReading(NamedTuple):
     """A straight line through a counter and time; any thread may use it, it never changes.
 
-    time_s: when the counter stood at `frames`; frames_per_s: its pace; settled: enough callbacks
-    have been seen to rely on it; astray: the last one was an outlier, perhaps of a new line.
+    time_s: the earliest at which the counter can have stood at `frames`; frames_per_s: its pace;
+    settled: enough callbacks have been seen to rely on it; astray: the last one was an outlier,
+    perhaps of a new line.
     """
 
     time_s: float
@@ -47,27 +58,38 @@ class ClockReading(NamedTuple):
 
 
 class FrameClock:
-    """Smoothed times of the callbacks of one stream: a second-order delay-locked loop.
+    """The line that a stream's callbacks are never ahead of: its clock.
 
-    samplerate: nominal, Hz; bandwidth_hz: of the loop, once it has settled. One thread, the
-    stream's own, calls `update`; the reading it returns may go anywhere.
+    samplerate: nominal, Hz. One thread, the stream's own, calls `update`; the reading it returns
+    may go anywhere.
 
-    F. Adriaensen, "Using a DLL to filter time" (2005), with steps in proportion to the frames of
-    each callback, so that these may vary. Until the loop's own bandwidth is reached, 4.5 s after
-    a start, it is that of a line fitted to all callbacks so far (gains 4/k, 8/k²). Lateness far
-    beyond the usual (six times its mean) is cut: a paused thread says nothing about the clock.
+    A callback can only be late: by a busy machine, and by a server whose own blocks are no
+    multiple of the stream's. The second kind beats, some ms up and down within seconds or
+    minutes, which no averaging over less removes. So the line lies under all callbacks of the
+    last minute: the lower convex hull of (counter, lateness), the edge of it that is in the
+    middle. S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from network
+    delay measurements" (INFOCOM 1999). While there is less than a minute, and as far as the
+    callbacks leave it open, the pace is the one known before.
+
     Lost frames, a backlog or a restarted stream begin a new line; the pace learned is kept.
 
     reading: the last `ClockReading`; None before the first callback.
     restarts: lines begun since the start, the first one not counted.
     """
 
-    def __init__(self, samplerate: float, bandwidth_hz: float = BANDWIDTH_HZ) -> None:
+    def __init__(self, samplerate: float) -> None:
         self._nominal_s = 1.0 / samplerate
-        self._omega = 2.0 * math.pi * bandwidth_hz
-        self._period_s = self._nominal_s
+        # A line: the counter stood at _frames at _time_s and each frame takes _period_s.
+        # Points are (seconds of the counter since then, seconds later than nominal).
+        self._deviation = self._known_deviation = 0.0
+        self._drift = _USUAL_DRIFT
+        self._points: deque[tuple[float, float]] = deque()
+        self._best: tuple[float, float] | None = None
+        self._time_s = self._offset_s = self._fallen_s = self._bucket_s = 0.0
+        self._frames = 0
+        self._begun_s = self._age_s = self._astray_s = 0.0
         self._spread_s = _FIRST_SPREAD_S
-        self._age_s = self._astray_s = self._begun_s = 0.0
+        self._filling = True
         self.reading: ClockReading | None = None
         self.restarts = 0
 
@@ -81,49 +103,113 @@ class FrameClock:
         reading = self.reading
         if reading is None:
             return self._begin(now_s, frames)
-        moved = frames - reading.frames
-        if moved == 0:
+        moved = frames - self._frames
+        if frames == reading.frames:
             return reading
-        expected_s = reading.time_s + moved * self._period_s
-        late_s = now_s - expected_s
-        if moved < 0 or late_s > STALLED_S or late_s < -EARLY_S:
+        counted_s = moved * self._nominal_s
+        later_s = now_s - self._time_s - counted_s
+        late_s = later_s - self._offset_s - self._deviation * counted_s
+        early_s = self._fallen_s - late_s
+        if frames < reading.frames or late_s > STALLED_S or early_s > EARLY_S:
             return self._begin(now_s, frames)
-        seconds = moved * self._nominal_s
-        limit_s = _OUTLIER * self._spread_s
-        outlier = abs(late_s) > limit_s
-        self._astray_s = self._counted_astray(late_s, seconds) if outlier else 0.0
-        if abs(self._astray_s) > ASTRAY_S:
+        seconds = (frames - reading.frames) * self._nominal_s
+        outlier = late_s > _OUTLIER * self._spread_s
+        self._astray_s = self._astray_s + seconds if outlier else 0.0
+        if self._astray_s > ASTRAY_S:
             return self._begin(now_s, frames)
-        late_s = max(-limit_s, min(limit_s, late_s))
-        if abs(self._astray_s) <= seconds:  # not on and on: what goes astray is not the usual
-            share = min(1.0, seconds / min(_SPREAD_TIME_S, _FIRST_TIME_S + self._age_s))
-            self._spread_s += share * (abs(late_s) - self._spread_s)
-            self._spread_s = max(self._spread_s, _LEAST_SPREAD_S)
         self._age_s += seconds
-        step = seconds * max(self._omega, 2.0 * math.sqrt(2.0) / self._age_s)
-        proportional = min(1.0, math.sqrt(2.0) * step)
-        self._period_s += 0.5 * proportional**2 * late_s / moved
-        lowest = self._nominal_s * (1.0 - MAX_DEVIATION)
-        highest = self._nominal_s * (1.0 + MAX_DEVIATION)
-        self._period_s = max(lowest, min(highest, self._period_s))
-        return self._read(expected_s + proportional * late_s, frames, now_s)
-
-    def _counted_astray(self, late_s: float, seconds: float) -> float:
-        """Seconds of outliers in a row, counted with the sign of their side."""
-        side = math.copysign(1.0, late_s)
-        return side * seconds + (self._astray_s if self._astray_s * side > 0.0 else 0.0)
+        if self._filling and min(self._age_s, now_s - self._begun_s) > PREFILL_S:
+            self._filling = False
+            self._forget(now_s, frames, self._spread_s)
+            return self._read(frames, now_s)
+        if not outlier or self._astray_s <= seconds:  # on and on astray is not the usual
+            share = min(1.0, seconds / min(_SPREAD_TIME_S, _FIRST_TIME_S + self._age_s))
+            usual_s = min(late_s, _OUTLIER * self._spread_s)
+            self._spread_s += share * (max(usual_s, 0.0) - self._spread_s)
+            self._spread_s = max(self._spread_s, _LEAST_SPREAD_S)
+        if late_s < 0.0:
+            self._offset_s += late_s
+            self._fallen_s -= late_s
+        if self._best is None or later_s - self._best[1] < self._deviation * (
+            counted_s - self._best[0]
+        ):
+            self._best = (counted_s, later_s)
+        if counted_s - self._bucket_s >= BUCKET_S and not self._filling:
+            self._fit(counted_s)
+        return self._read(frames, now_s)
 
     def _begin(self, now_s: float, frames: int) -> ClockReading:
+        self.restarts += self.reading is not None
         self._begun_s = now_s
         self._age_s = 0.0
-        self._astray_s = 0.0
-        self._spread_s = _FIRST_SPREAD_S
-        self.restarts += self.reading is not None
-        return self._read(now_s, frames, now_s)
+        self._filling = True
+        # What was known of the pace is not lost with the line.
+        self._known_deviation = self._deviation
+        self._forget(now_s, frames, _FIRST_SPREAD_S)
+        return self._read(frames, now_s)
 
-    def _read(self, time_s: float, frames: int, now_s: float) -> ClockReading:
+    def _forget(self, now_s: float, frames: int, spread_s: float) -> None:
+        """Begin a line at this callback."""
+        self._time_s, self._frames = now_s, frames
+        self._offset_s = self._fallen_s = 0.0
+        self._spread_s = spread_s
+        self._astray_s = 0.0
+        self._points.clear()
+        self._best = (0.0, 0.0)
+        self._bucket_s = 0.0
+
+    def _fit(self, counted_s: float) -> None:
+        """Lay the line under the earliest callbacks of the last minute."""
+        points = self._points
+        assert self._best is not None
+        points.append(self._best)
+        self._best = None
+        self._bucket_s = counted_s
+        self._fallen_s = 0.0
+        while points[0][0] < counted_s - WINDOW_S:
+            points.popleft()
+        first_s, last_s = points[0][0], points[-1][0]
+        slope = _middle_slope(points)
+        if slope is not None:
+            at = [later_s - slope * point_s for point_s, later_s in points]
+            noise_s = sum(at) / len(at) - min(at) + _LEAST_NOISE_S
+            told_s = self._drift * (last_s - first_s)
+            trust = told_s**2 / (told_s**2 + noise_s**2)
+            deviation = self._known_deviation + trust * (slope - self._known_deviation)
+            self._deviation = max(-MAX_DEVIATION, min(MAX_DEVIATION, deviation))
+            if last_s - first_s > 0.9 * WINDOW_S:
+                self._known_deviation = self._deviation
+                self._drift = _LEARNED_DRIFT + math.sqrt(1.0 - trust) * _USUAL_DRIFT
+        self._offset_s = min(later_s - self._deviation * point_s for point_s, later_s in points)
+
+    def _read(self, frames: int, now_s: float) -> ClockReading:
         settled = self._age_s >= SETTLED_S and now_s - self._begun_s >= SETTLED_S
+        period_s = self._nominal_s * (1.0 + self._deviation)
+        moved = frames - self._frames
         self.reading = ClockReading(
-            time_s, frames, 1.0 / self._period_s, settled, self._astray_s != 0.0
+            self._time_s + self._offset_s + moved * period_s,
+            frames,
+            1.0 / period_s,
+            settled,
+            self._astray_s != 0.0,
         )
         return self.reading
+
+
+def _middle_slope(points: deque[tuple[float, float]]) -> float | None:
+    """The slope of the edge of the points' lower convex hull that lies under their mean."""
+    hull: list[tuple[float, float]] = []
+    total = 0.0
+    for x, y in points:
+        total += x
+        while len(hull) > 1:
+            (x0, y0), (x1, y1) = hull[-2], hull[-1]
+            if (y1 - y0) * (x - x0) < (y - y0) * (x1 - x0):
+                break
+            hull.pop()
+        hull.append((x, y))
+    mean = total / len(points)
+    for (x0, y0), (x1, y1) in itertools.pairwise(hull):
+        if x0 <= mean <= x1 and x1 > x0:
+            return (y1 - y0) / (x1 - x0)
+    return None
