@@ -17,7 +17,8 @@ from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.clients import parse_tap
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.report import status_of
-from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.daemon.supervisor import Order, Supervisor
+from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.service.folder import RuntimeFolder
 from audioflinger_hook.service.lock import DaemonLock, Holder
 from audioflinger_hook.service.notify import Notifier
@@ -27,8 +28,6 @@ from audioflinger_hook.settings import Settings
 from device.address import parse_device
 from device.errors import NotFoundError, UsageError
 from device.server import quiet_libraries
-
-TICK_S = 0.05
 
 LIVE_TAPS = ("default", "sink")
 LIVE_DEVICES = ("sink", "usb")
@@ -54,20 +53,21 @@ def run(options: argparse.Namespace) -> int:
     if not options.debug:
         quiet_libraries()
     holder = Holder(os.getpid(), datetime.now().isoformat(" ", "seconds"), str(device))
-    clocks = Clocks(time.monotonic, time.thread_time)
+    clocks = Clocks(time.monotonic, time.thread_time, _slept_s)
     with (
         RuntimeFolder(os.environ, create=True) as folder,
         DaemonLock(folder, holder),
-        _asked_to_end() as ending,
+        Wake() as wake,
+        _asked_to_end(wake) as ending,
     ):
-        supervisor = Supervisor(tap, device, settings, clocks, offset_s=offset_s)
+        supervisor = Supervisor(Order(tap, device, settings, offset_s), clocks, wake)
         try:
             if not options.wait:
                 supervisor.look()
             with StatusServer(
                 folder, lambda: status_of(supervisor, time.monotonic()), time.monotonic
             ):
-                return _keep_on(supervisor, options.seconds, ending)
+                return _keep_on(supervisor, options.seconds, wake, ending)
         finally:
             supervisor.close(time.monotonic())
 
@@ -79,13 +79,15 @@ def _settings(options: argparse.Namespace) -> Settings:
 
 
 @contextmanager
-def _asked_to_end() -> Iterator[list[int]]:
+def _asked_to_end(wake: Wake) -> Iterator[list[int]]:
     """Signals that ask for the end, as they come: none breaks into an opening or a closing."""
     signals: list[int] = []
-    before = {
-        number: signal.signal(number, lambda number, _: signals.append(number))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
+
+    def take(number: int, _: object) -> None:
+        signals.append(number)
+        wake.ring()
+
+    before = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield signals
     finally:
@@ -93,7 +95,7 @@ def _asked_to_end() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _keep_on(supervisor: Supervisor, seconds: float, ending: Sequence[int]) -> int:
+def _keep_on(supervisor: Supervisor, seconds: float, wake: Wake, ending: Sequence[int]) -> int:
     """Tick until enough was heard or a signal came; tell systemd and the user what goes on."""
     notifier = Notifier()
     watchdog = Watchdog(watchdog_period_s(os.getpid()))
@@ -110,10 +112,15 @@ def _keep_on(supervisor: Supervisor, seconds: float, ending: Sequence[int]) -> i
             told = text
             notifier.status(text)
             print(f"cushion: {text}", file=sys.stderr, flush=True)
-        if watchdog.due(supervisor.heard_frames, report.state, now_s):
+        if watchdog.due(supervisor.heard_buffers, report.state, now_s):
             notifier.watchdog()
-        time.sleep(TICK_S)
+        wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     notifier.stopping()
     for warning in supervisor.warnings:
         warn(warning)
     return 0
+
+
+def _slept_s() -> float:
+    """For how long this machine has slept since it was started."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()

@@ -1,4 +1,4 @@
-"""What the audio threads run: captured frames through the chain into the delay line, and out."""
+"""What the audio threads run: sound through the chain into the delay line, and out."""
 
 from __future__ import annotations
 
@@ -8,17 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.chain import Chain
-from audioflinger_hook.clients import TapClient
+from audioflinger_hook.clients import Client
+from audioflinger_hook.daemon.gathering import Gathered
 from audioflinger_hook.framework import Framework
 from audioflinger_hook.service.buffer_times import BufferClock
-from audioflinger_hook.service.levels import LevelMeter
 from audioflinger_hook.settings import Settings
-from audioflinger_hook.taps import PushTap
 from device.clock import DelayLine
 from device.units import Float32Array, FloatArray
-
-IDLE_AFTER_S = 5.0
-"""After silence of this length silent buffers are not treated any more: they give silence."""
 
 FADED = 1e-6
 """Vibration below this, of full scale, is none: -120 dB."""
@@ -26,98 +22,113 @@ FADED = 1e-6
 
 @dataclass(frozen=True)
 class Clocks:
-    """Where time comes from, in seconds: now_s goes on, used_s is the calling thread's CPU time."""
+    """Where time comes from, in seconds: now_s goes on, used_s is the calling thread's CPU time.
+
+    slept_s: how long the machine has slept since it was started, in which now_s stands still.
+    """
 
     now_s: Callable[[], float]
     used_s: Callable[[], float]
+    slept_s: Callable[[], float] = float
+
+
+OnStep = Callable[[Float32Array, Float32Array, float], None]
+"""(sound as mixed, vibration as sent, when): what one cycle of the chain moved."""
 
 
 class Engine:
-    """One stream of sound on its way to one device.
+    """One mix of sound on its way to one device.
 
-    samplerate, channels: of the tap; output_samplerate: of the device, Hz; offset_s: what the
-    user adds to the delay; clocks: what time it is, and what the thread has used. `on_frames` is
-    called by the capture's thread, `fill` by the output's; neither waits for the other. Any thread
-    may read the rest.
+    client: plays into the mix, which has its samplerate (Hz) and channels. output_samplerate: of
+    the device, Hz; offset_s: what the user adds to the delay; block_frames: of the streams on
+    both sides; clocks: what time it is, and what the thread has used. on_step: told of every
+    cycle, on the thread that calls `advance`; the arrays are its own. `advance` is called by the
+    capture's thread, `fill` by the output's; neither waits for the other. Any thread may read the
+    rest.
 
-    frames, last_sound_s: how many frames came, and when one of them was not silence. skipped:
-    how many of them were silence that was not treated, after IDLE_AFTER_S of it and once the
-    vibration had faded, too: silence passes by the chain into the delay line, which goes on, and
-    the first buffer of sound finds the chain as silence leaves it.
+    buffers, frames: how many were mixed; last_sound_s: when they were not silent. faded: whether
+    the vibration last looked at was none. sound, vibration: their levels.
 
     Raises
     ------
     UsageError
-        The settings cannot be used with this stream.
+        The settings cannot be used with this mix.
     """
 
     def __init__(
         self,
-        samplerate: int,
-        channels: int,
+        client: Client,
         output_samplerate: int,
         settings: Settings | None = None,
         *,
         clocks: Clocks,
         offset_s: float = 0.0,
+        block_frames: int = 256,
         now_s: float = 0.0,
+        on_step: OnStep | None = None,
     ) -> None:
+        self._client = client
         self._clocks = clocks
-        self.samplerate = samplerate
-        self.channels = channels
-        self.framework = Framework(samplerate, channels, settings, clock=clocks.now_s)
-        self.delay_line = DelayLine(
-            self.framework.haptic_channels, samplerate, output_samplerate, offset_s=offset_s
-        )
-        self.sound = LevelMeter(samplerate)
-        self.vibration = LevelMeter(samplerate)
+        self._on_step = on_step
+        self._block_frames = block_frames
+        self.samplerate = client.samplerate
+        self.channels = client.channels
+        self.framework = Framework(self.samplerate, self.channels, settings, clock=clocks.now_s)
+        self.delay_line = self._line(output_samplerate, offset_s)
+        self.sound = Gathered(self.samplerate, self.channels)
+        self.vibration = Gathered(self.samplerate, self.framework.haptic_channels)
         self.buffer_times = BufferClock()
+        self.buffers = 0
         self.frames = 0
-        self.skipped = 0
-        self._faded = False
+        self.faded = True
         self.last_sound_s = now_s
-        self._tap = PushTap(samplerate, channels)
-        self._into_line = _IntoLine(self.delay_line)
-        self._client = TapClient(self._tap)
-        self._chain = Chain(self._client, self.framework, [self._into_line])
+        self._into_line = _IntoLine(self)
+        self._chain = Chain(client, self.framework, [self._into_line])
         self._scratch = np.zeros((0, self.framework.haptic_channels), np.float32)
-        self._silence = self._scratch
 
-    def on_frames(self, frames: Float32Array, now_s: float) -> None:
-        """Take captured frames, (frames, channels) float32, and put out what they make one feel.
+    def _line(self, samplerate: int, offset_s: float) -> DelayLine:
+        return DelayLine(
+            self.framework.haptic_channels,
+            self.samplerate,
+            samplerate,
+            capture_block=self._block_frames,
+            output_block=self._block_frames,
+            offset_s=offset_s,
+        )
 
-        now_s: when they came, in seconds of time.monotonic().
+    def lead_to(self, samplerate: int) -> None:
+        """Go on to an output of another samplerate, Hz; call it while nobody calls `fill`."""
+        if samplerate != round(self.delay_line.samplerate_out):
+            self.delay_line = self._line(samplerate, self.delay_line.offset_s)
+
+    def advance(self, now_s: float) -> bool:
+        """Do one cycle with what the client has; False once it has come to its end.
+
+        now_s: when the sound came, in seconds of time.monotonic().
         """
-        if not len(frames):
-            return
         began_s = self._clocks.used_s()
         self._into_line.now_s = now_s
-        if frames.any():
+        step = self._chain.step(now_s)
+        if step is None:
+            return False
+        audio, vibration = step.audio, step.vibration
+        self.sound.add(audio)
+        self.vibration.add(vibration)
+        if self.sound.whole and self.sound.loudest > 0.0:
             self.last_sound_s = now_s
-            self._treat(frames, now_s)
-        elif self._faded and now_s - self.last_sound_s > IDLE_AFTER_S:
-            self._skip(len(frames))
-        else:
-            self._treat(frames, now_s)
-        self.sound.add(frames)
-        self.frames += len(frames)
-        self.buffer_times.add(self._clocks.used_s() - began_s, len(frames) / self.samplerate)
+        if self.vibration.whole:
+            self.faded = self.vibration.loudest < FADED
+        if self._on_step is not None:
+            self._on_step(audio, vibration, now_s)
+        self.buffers += 1
+        self.frames += len(audio)
+        self.buffer_times.add(self._clocks.used_s() - began_s, len(vibration) / self.samplerate)
+        return True
 
-    def _treat(self, frames: Float32Array, now_s: float) -> None:
-        self._tap.push(frames)
-        while self._tap.waiting or self._client.pending_frames:
-            step = self._chain.step(now_s)
-            if step is not None:
-                self.vibration.add(step.vibration)
-                self._faded = bool(np.abs(step.vibration).max(initial=0.0) < FADED)
-
-    def _skip(self, count: int) -> None:
-        """Let silence through without treating it."""
-        if len(self._silence) != count:
-            self._silence = np.zeros((count, self.framework.haptic_channels), np.float32)
-        self._into_line.write(self._silence)
-        self.vibration.add(self._silence)
-        self.skipped += count
+    def quiet(self) -> None:
+        """Let the levels be those of silence; call it while nobody calls `advance`."""
+        self.sound.reset()
+        self.vibration.reset()
 
     def fill(self, out: Float32Array, now_s: float) -> None:
         """Write what the device plays next into `out`, (frames, channels of the device).
@@ -136,19 +147,19 @@ class Engine:
 class _IntoLine:
     """The delay line as an output of the chain; now_s: when the frames being treated came."""
 
-    def __init__(self, line: DelayLine) -> None:
-        self._line = line
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
         self.now_s = 0.0
-        self.samplerate = round(line.samplerate_in)
-        self.channels = line.channels
+        self.samplerate = engine.samplerate
+        self.channels = engine.framework.haptic_channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take one block."""
-        self._line.write(vibration, self.now_s)
+        self._engine.delay_line.write(vibration, self.now_s)
 
     def close(self) -> None:
         """Nothing is held."""
 
     def abort(self) -> None:
         """Drop what is waiting."""
-        self._line.flush()
+        self._engine.delay_line.flush()

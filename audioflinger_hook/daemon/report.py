@@ -40,7 +40,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     offset_s = engine.delay_line.offset_s
     return replace(
         status,
-        levels=Levels(engine.sound.level(), engine.vibration.level()),
+        levels=Levels(engine.sound.meter.level(), engine.vibration.meter.level()),
         latency=LatencyBudget.of(
             tap_ms=0.0,
             transform_ms=1e3 * engine.framework.latency_s,

@@ -1,82 +1,94 @@
-"""The main thread of the daemon: opens streams, watches them, moves them, opens them again."""
+"""The main thread of the daemon: opens what is needed, watches it, and lets it rest."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from audioflinger_hook.clients import TapAddress
-from audioflinger_hook.daemon.engine import IDLE_AFTER_S, Clocks, Engine
+from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.daemon.live_input import LiveInput
+from audioflinger_hook.daemon.live_output import LiveOutput
+from audioflinger_hook.daemon.rest import Rest
+from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.settings import Settings
 from device.address import DeviceAddress
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import (
-    CaptureStream,
-    Hold,
+    Listener,
     PcmConfig,
-    PlaybackStream,
     PulseConnection,
     Refuge,
     ServerSnapshot,
     Sink,
     Source,
-    StreamGuard,
-    default_monitor,
-    monitor_of,
 )
-from device.server.identity import tagged
 from device.units import Float32Array
 
-SETTLES_S = 1.0
-"""How long a stream may take from its opening until the server shows it where it belongs."""
+TICK_S = 0.05
+"""How often streams are looked after while they run; events come sooner."""
 
-ASTRAY_S = 0.4
-"""A stream that is elsewhere for less is perhaps being put right by somebody else."""
-
-GONE_S = 3.0
-"""The server may be without a stream that runs for so long: one underrun follows another then."""
+RESTING_TICK_S = 1.0
+"""The same while they rest."""
 
 LONGEST_WAIT_S = 0.5
 """Between attempts to reach the server: asking costs it and us next to nothing."""
+
+STALLED_S = 1.0
+"""A tick later than this: the process stood still."""
+
+SLEPT_S = 0.5
+"""The machine has slept if it did so for longer."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """What the daemon was asked for.
+
+    offset_s: delay on top of what is needed, in seconds.
+    """
+
+    tap: TapAddress
+    device: DeviceAddress
+    settings: Settings
+    offset_s: float = 0.0
 
 
 class Supervisor:
     """One daemon: from a tap of the sound server to one of its sinks.
 
-    `tick` is called some ten times a second by the thread that made it; times are seconds of
-    time.monotonic(). Nothing that a server or device does makes it raise: it waits, recovers and
-    says so in `states`. `engine` is what runs at present, None before the first sound.
+    `tick` is called by the thread that made it whenever `wake` rings, and `rest_s` after the last
+    time anyway; times are seconds of time.monotonic(). Nothing that a server or device does makes
+    it raise: it waits, recovers and says so in `states`. `engine` is what runs at present, None
+    before the first sound.
     """
 
-    def __init__(
-        self,
-        tap: TapAddress,
-        device: DeviceAddress,
-        settings: Settings,
-        clocks: Clocks,
-        *,
-        offset_s: float = 0.0,
-    ) -> None:
-        self._clocks = clocks
-        self.states = StateKeeper(clocks.now_s())
+    def __init__(self, order: Order, clocks: Clocks, wake: Wake) -> None:
+        now_s = clocks.now_s()
+        self.states = StateKeeper(now_s)
         self.engine: Engine | None = None
-        self.sink: Sink | None = None
-        self.source: Source | None = None
-        self._tap = tap
-        self._device = device
-        self._settings = settings
-        self._offset_s = offset_s
+        self._order = order
+        self._clocks = clocks
+        self._wake = wake
         self._pcms = PcmConfig("cushion_tap", "cushion_output")
+        self._input = LiveInput(order.tap, self._pcms.pcms["cushion_tap"], self.states)
+        self._output = LiveOutput(order.device, self._pcms.pcms["cushion_output"], self.states)
         self._connection: PulseConnection | None = None
         self._refuge: Refuge | None = None
-        self._playback: PlaybackStream | None = None
-        self._capture: CaptureStream | None = None
-        self._playback_guard: StreamGuard | None = None
-        self._capture_guard: StreamGuard | None = None
         self._server_backoff = Backoff(longest_s=LONGEST_WAIT_S)
-        self._playback_backoff = Backoff(longest_s=LONGEST_WAIT_S)
-        self._capture_backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._rest = Rest(now_s)
+        self._found: tuple[Source | None, Sink | None] = (None, None)
+        self._ticked_s = now_s
+        self._slept_s = clocks.slept_s()
+        self._resyncs = 0
+
+    @property
+    def rest_s(self) -> float:
+        """For how long nothing has to be done, unless `wake` rings."""
+        return RESTING_TICK_S if self.states.state is DaemonState.IDLE else TICK_S
 
     @property
     def heard_s(self) -> float:
@@ -84,24 +96,23 @@ class Supervisor:
         return self.engine.frames / self.engine.samplerate if self.engine else 0.0
 
     @property
-    def heard_frames(self) -> int:
-        """Frames that came in since the first buffer."""
-        return self.engine.frames if self.engine else 0
+    def heard_buffers(self) -> int:
+        """Buffers that came in since the first one."""
+        return self.engine.buffers if self.engine else 0
 
     @property
     def endpoints(self) -> tuple[tuple[str, str | None], tuple[str, str | None]]:
         """Tap and device: the address asked for, and the name of what is there."""
-        source, sink = self.source, self.sink
+        source, sink = self._found
         return (
-            (str(self._tap), source.name if source and self._capture else None),
-            (str(self._device), sink.name if sink and self._playback else None),
+            (str(self._input), source.name if source else None),
+            (str(self._output), sink.name if sink else None),
         )
 
     @property
     def xruns(self) -> tuple[int, int]:
         """How often the streams of tap and output were late, as far as PortAudio tells."""
-        capture, playback = self._capture, self._playback
-        return capture.xruns if capture else 0, playback.xruns if playback else 0
+        return self._input.xruns, self._output.xruns
 
     @property
     def warnings(self) -> list[str]:
@@ -122,50 +133,73 @@ class Supervisor:
         """
         connection = PulseConnection()
         try:
-            sink = self._device.sink(connection.latest)
-            self._source_of(connection.latest, sink)
+            self._input.locate(connection.latest, self._output.locate(connection.latest))
         finally:
             connection.close()
 
     def tick(self, now_s: float) -> None:
         """Bring everything nearer to where it should be."""
+        self._notice_pauses(now_s)
         try:
             connection = self._connected(now_s)
             if connection is None:
                 return
-            sink = self._there(connection, now_s)
+            sink = self._there(connection.latest, now_s)
             if sink is None:
                 return
-            source = self._source_of(connection.latest, sink)
+            self._found = (None, sink)
+            source = self._input.locate(connection.latest, sink)
+            self._found = (source, sink)
         except LostError as error:
             self._lose_server(now_s, str(error))
             return
         except NotFoundError as error:
-            self._close_capture()
-            self.source = None
+            self._input.close()
+            self._rest.awake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
+        if self._rests(connection, source, now_s):
+            return
         try:
-            self._keep_playback(connection, sink, now_s)
-            self._keep_capture(connection, source, sink, now_s)
+            engine = self._engine_for(source, sink, now_s)
+            self._output.keep(connection, sink, self._fill, now_s)
+            self._input.keep(connection, source, engine, now_s)
         except LostError as error:
             if connection.lost:
                 self._lose_server(now_s, str(error))
             return
         except NotFoundError:
             return  # it went while we looked; the next snapshot says what to do
-        self._name_state(now_s)
+        if self._input.name and self._output.name:
+            self.states.enter(DaemonState.RUNNING, now_s)
 
     def close(self, now_s: float) -> None:
         """Fall silent and let go of everything."""
         self.states.enter(DaemonState.STOPPING, now_s)
-        self._close_playback()
-        self._close_capture()
+        self._close_streams()
         if self._refuge:
             self._refuge.close()
         if self._connection:
             self._connection.close()
         self._pcms.close()
+
+    def _notice_pauses(self, now_s: float) -> None:
+        """Count what made the process or the sound stand still."""
+        slept_s, before_s = self._clocks.slept_s(), self._slept_s
+        self._slept_s = slept_s
+        if slept_s - before_s > SLEPT_S:
+            self.states.recover(Cause.RESUMED, now_s, f"slept for {slept_s - before_s:.0f} s")
+            # Devices and servers come back in their own time: begin with what is there then.
+            self._close_streams()
+            self._rest.awake(now_s)
+        elif now_s - self._ticked_s > STALLED_S + self.rest_s:
+            self.states.count(Cause.STALL)
+        self._ticked_s = now_s
+        if self.engine:
+            resyncs = self.engine.delay_line.status.resyncs
+            for _ in range(resyncs - self._resyncs):
+                self.states.count(Cause.RESYNC)
+            self._resyncs = resyncs
 
     def _connected(self, now_s: float) -> PulseConnection | None:
         connection = self._connection
@@ -176,131 +210,66 @@ class Supervisor:
         if self._server_backoff.wait_s(now_s) > 0.0:
             return None
         try:
-            self._connection = connection = PulseConnection()
+            self._connection = connection = PulseConnection(_Nudge(self._wake))
             self._refuge = Refuge(connection)
         except CushionError as error:
             self._server_backoff.failed(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, str(error))
             return None
         self._server_backoff.succeeded()
+        self._rest.awake(now_s)
         return connection
 
     def _lose_server(self, now_s: float, reason: str) -> None:
         if self._connection is not None:
-            self.states.recover(Cause.SERVER_LOST, now_s, reason)
+            self.states.count(Cause.SERVER_LOST)
+            self._close_streams()
             self._connection.close()
-        self._close_playback()
-        self._close_capture()
-        self._connection = self._refuge = self.sink = self.source = None
+            self._connection = self._refuge = None
+        self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
 
-    def _there(self, connection: PulseConnection, now_s: float) -> Sink | None:
+    def _there(self, snapshot: ServerSnapshot, now_s: float) -> Sink | None:
         """Return the device's sink, or None after saying that it is awaited."""
         try:
-            return self._device.sink(connection.latest)
+            return self._output.locate(snapshot)
         except NotFoundError as error:
-            if self._playback is not None:
+            if self._output.is_open:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
-            self._close_playback()
-            self.sink = None
+            self._output.close()
+            self._found = (None, None)
+            self._rest.awake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
             return None
 
-    def _source_of(self, snapshot: ServerSnapshot, sink: Sink) -> Source:
-        if self._tap.kind == "sink":
-            source = monitor_of(snapshot, self._tap.name)
-            if source.monitor_of == sink.name:
-                raise NotFoundError(
-                    f"the tap {str(self._tap)!r} is the sink that the vibration goes to, which "
-                    "would feed back; tap another sink"
-                )
-            return source
-        return default_monitor(snapshot, sink.name)
-
-    def _keep_playback(self, connection: PulseConnection, sink: Sink, now_s: float) -> None:
-        playback, guard = self._playback, self._playback_guard
-        if playback is not None and guard is not None:
-            settled = now_s - playback.opened_s > SETTLES_S
-            if playback.is_lost(now_s):
-                self.states.recover(Cause.DEVICE_LOST, now_s, "the output stopped")
-                self._close_playback()
-            elif settled and _is_misplaced(guard, now_s):
-                self.states.recover(Cause.DEVICE_MOVED, now_s, guard.hold.value)
-                self._close_playback()
-        if self._playback is None and self._playback_backoff.wait_s(now_s) <= 0.0:
-            pcm = self._pcms.pcms["cushion_output"]
-            pcm.lead(sink.name)
-            try:
-                stream = PlaybackStream(pcm, sink.samplerate, sink.channels, self._fill)
-                self._playback = stream
-                self._playback_guard = StreamGuard(connection, stream, sink.name)
-            except CushionError:
-                self._playback_backoff.failed(now_s)
-                self._close_playback()
-                raise
-            self._playback_backoff.succeeded()
-            self.sink = sink
-
-    def _keep_capture(
-        self, connection: PulseConnection, source: Source, sink: Sink, now_s: float
-    ) -> None:
-        capture, guard = self._capture, self._capture_guard
-        if capture is not None and guard is not None:
-            settled = now_s - capture.opened_s > SETTLES_S
-            if self.source is not None and source.name != self.source.name:
-                self._lead_capture(connection, source)
-            elif capture.is_lost(now_s):
-                self.states.recover(Cause.TAP_LOST, now_s, "the tap stopped")
-                self._close_capture()
-            elif settled and _is_misplaced(guard, now_s):
-                self.states.recover(Cause.TAP_MOVED, now_s, guard.hold.value)
-                self._close_capture()
-        if self._capture is None and self._capture_backoff.wait_s(now_s) <= 0.0:
-            pcm = self._pcms.pcms["cushion_tap"]
-            pcm.lead(source.name)
-            engine = self._engine_for(source, sink, now_s)
-            try:
-                stream = CaptureStream(
-                    pcm, engine.samplerate, engine.channels, engine.on_frames, audible=False
-                )
-                self._capture = stream
-                self._capture_guard = StreamGuard(connection, stream, source.name)
-            except CushionError:
-                self._capture_backoff.failed(now_s)
-                self._close_capture()
-                raise
-            self._capture_backoff.succeeded()
-            self.source = source
-
-    def _lead_capture(self, connection: PulseConnection, source: Source) -> None:
-        """Let the tap go on from another monitor, on the same stream."""
-        assert self._capture is not None
-        assert self._capture_guard is not None
-        self.states.count(Cause.DEFAULT_CHANGED)
-        self._capture_guard.lead(source.name)
-        stream = tagged(connection.latest.source_outputs, self._capture.tag)
-        if stream is None:
-            self._close_capture()
-            return
-        connection.move_source_output(stream.index, source.index)
-        self.source = source
+    def _rests(self, connection: PulseConnection, source: Source, now_s: float) -> bool:
+        """Rest if nothing plays; whether so."""
+        engine = self.engine
+        players = self._input.players(connection.latest, source)
+        last_sound_s = engine.last_sound_s if engine and engine.faded else now_s
+        if not self._rest.update(now_s, players, last_sound_s, heard=False):
+            return False
+        self._close_streams()
+        if engine:
+            engine.quiet()
+        self.states.enter(DaemonState.IDLE, now_s, "nothing plays")
+        return True
 
     def _engine_for(self, source: Source, sink: Sink, now_s: float) -> Engine:
-        """Return the engine, the one there is where it fits: its vibration goes on."""
+        """Return the engine, made for the first source: later ones are mixed into its format."""
         engine = self.engine
-        wanted = (source.samplerate, source.channels, sink.samplerate)
-        if engine is not None and wanted == (
-            engine.samplerate,
-            engine.channels,
-            round(engine.delay_line.samplerate_out),
-        ):
-            return engine
-        if engine is not None:
-            self.states.count(Cause.FORMAT_CHANGED)
-        self.engine = Engine(
-            *wanted, self._settings, clocks=self._clocks, offset_s=self._offset_s, now_s=now_s
-        )
-        return self.engine
+        if engine is None:
+            engine = self.engine = Engine(
+                self._input.client(source),
+                sink.samplerate,
+                self._order.settings,
+                clocks=self._clocks,
+                offset_s=self._order.offset_s,
+                now_s=now_s,
+            )
+        elif not self._output.is_open:
+            engine.lead_to(sink.samplerate)
+        return engine
 
     def _fill(self, out: Float32Array, now_s: float) -> None:
         engine = self.engine
@@ -309,32 +278,21 @@ class Supervisor:
         else:
             engine.fill(out, now_s)
 
-    def _name_state(self, now_s: float) -> None:
-        engine = self.engine
-        if engine is None or self._capture is None or self._playback is None:
-            return
-        if now_s - engine.last_sound_s > IDLE_AFTER_S:
-            self.states.enter(DaemonState.IDLE, now_s, "nothing plays")
-        else:
-            self.states.enter(DaemonState.RUNNING, now_s)
-
-    def _close_playback(self) -> None:
-        guard, stream = self._playback_guard, self._playback
-        self._playback_guard = self._playback = None
-        if guard:
-            guard.release()
-        if stream:
-            stream.close()
-
-    def _close_capture(self) -> None:
-        guard, stream = self._capture_guard, self._capture
-        self._capture_guard = self._capture = None
-        if guard:
-            guard.release()
-        if stream:
-            stream.close()
+    def _close_streams(self) -> None:
+        self._output.close()
+        self._input.close()
 
 
-def _is_misplaced(guard: StreamGuard, now_s: float) -> bool:
-    """Whether its stream will not come back to its place by itself."""
-    return guard.astray_s(now_s) > (GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S)
+class _Nudge(Listener):
+    """Wakes the supervising thread whenever the server has changed."""
+
+    def __init__(self, wake: Wake) -> None:
+        self._wake = wake
+
+    def on_snapshot(self, snapshot: ServerSnapshot) -> None:
+        """Something is different."""
+        self._wake.ring()
+
+    def on_lost(self, error: LostError) -> None:
+        """The server is gone."""
+        self._wake.ring()

@@ -13,7 +13,14 @@ pulsectl and PyAudio are loaded when they are first needed: both need libraries 
 
 from device.server.events import Event, Listener, backoff_s
 from device.server.guard import Hold, Refuge, StreamGuard
-from device.server.identity import default_monitor, find_monitor, find_sink, identity_of, monitor_of
+from device.server.identity import (
+    default_monitor,
+    find_monitor,
+    find_sink,
+    identity_of,
+    is_ours,
+    monitor_of,
+)
 from device.server.pcms import Pcm, PcmConfig
 from device.server.pulse import PulseConnection
 from device.server.quiet import quiet_libraries
@@ -40,6 +47,7 @@ __all__ = [
     "find_monitor",
     "find_sink",
     "identity_of",
+    "is_ours",
     "monitor_of",
     "quiet_libraries",
 ]

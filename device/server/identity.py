@@ -100,6 +100,11 @@ def is_own(stream: Stream, process_id: int | None = None) -> bool:
     return stream.process_id == (os.getpid() if process_id is None else process_id)
 
 
+def is_ours(stream: Stream) -> bool:
+    """Whether a stream is one of a daemon like this one, in whatever process."""
+    return TAG in stream.properties
+
+
 def tagged(streams: Iterable[Stream], tag: str) -> Stream | None:
     """Our own stream that was opened with this tag, None if it is not (or no longer) there."""
     for stream in streams:

@@ -42,8 +42,8 @@ class _Stream:
     tag: what the server shows of this stream (property `pcms.TAG`). opened_s: when it was opened.
     last_callback_s: start of the last callback, opened_s before the first. callbacks, frames: how
     many there were. xruns: overflows and underflows that PortAudio flagged; it flags few of them.
-    errors: exceptions in callbacks, how many by name. thread_time: what callbacks cost of their
-    thread's time. gaps: from one callback's start to the next one's.
+    errors: exceptions in callbacks, how many by name. gaps: from one callback's start to the next
+    one's.
 
     audible: any thread may set it. While it is False there is silence instead of sound, from the
     very next block on. silenced: how many blocks that concerned.
@@ -62,7 +62,6 @@ class _Stream:
         self.frames = 0
         self.xruns = 0
         self.errors: dict[str, int] = {}
-        self.thread_time = Durations()
         self.gaps = Durations()
         self._closing = False
         self._close_lock = threading.Lock()
@@ -103,7 +102,6 @@ class _Stream:
         self, data: bytes | None, frames: int, times: Any, flags: int
     ) -> tuple[bytes | None, int]:
         now_s = time.monotonic()
-        started_ns = time.thread_time_ns()
         try:
             if self.callbacks:
                 self.gaps.add(int((now_s - self.last_callback_s) * 1e9))
@@ -116,9 +114,7 @@ class _Stream:
                 self._exchange(data, frames, now_s)
         except BaseException as error:  # nothing may pass: PortAudio would end the stream
             self._count(error)
-        result = self._result(frames)
-        self.thread_time.add(time.thread_time_ns() - started_ns)
-        return result, _CONTINUE
+        return self._result(frames), _CONTINUE
 
     def _count(self, error: BaseException) -> None:
         name = type(error).__name__

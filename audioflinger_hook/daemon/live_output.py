@@ -1,0 +1,76 @@
+"""The vibration's way to one sink of the sound server, and to no other."""
+
+from __future__ import annotations
+
+from audioflinger_hook.daemon.kept import KeptStream
+from audioflinger_hook.service.state import Cause, StateKeeper
+from device.address import DeviceAddress
+from device.server import Pcm, PlaybackStream, PulseConnection, ServerSnapshot, Sink
+from device.server.streams import Fill
+
+
+class LiveOutput:
+    """A sink of the server that is the haptic device. For the supervisor alone.
+
+    name: of the sink that is played to, None while none is.
+    """
+
+    def __init__(self, address: DeviceAddress, pcm: Pcm, states: StateKeeper) -> None:
+        self._address = address
+        self._pcm = pcm
+        self._kept: KeptStream[PlaybackStream] = KeptStream(
+            "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
+        )
+        self._sink: Sink | None = None
+
+    def __str__(self) -> str:
+        return str(self._address)
+
+    @property
+    def name(self) -> str | None:
+        """What is there."""
+        return self._sink.name if self._sink and self._kept.stream else None
+
+    @property
+    def xruns(self) -> int:
+        """How often PortAudio told of lateness."""
+        return self._kept.xruns
+
+    @property
+    def tag(self) -> str | None:
+        """What the server shows of the stream."""
+        return self._kept.stream.tag if self._kept.stream else None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a stream plays, or did until a moment ago."""
+        return self._kept.stream is not None
+
+    def locate(self, snapshot: ServerSnapshot) -> Sink:
+        """Return the sink. NotFoundError: it is not there; no other is taken instead."""
+        return self._address.sink(snapshot)
+
+    def keep(self, connection: PulseConnection, sink: Sink, fill: Fill, now_s: float) -> None:
+        """Bring the playback nearer to where it should be.
+
+        Raises LostError or NotFoundError where it cannot be opened; another try follows.
+        """
+        kept = self._kept
+        if kept.stream is not None and self._sink is not None:
+            if sink.index != self._sink.index:  # plugged in again: another sink of the same name
+                kept.close()
+            else:
+                kept.check(now_s)
+        if kept.stream is None:
+            self._pcm.lead(sink.name)
+            kept.open(
+                lambda: PlaybackStream(self._pcm, sink.samplerate, sink.channels, fill),
+                connection,
+                sink.name,
+                now_s,
+            )
+            self._sink = sink
+
+    def close(self) -> None:
+        """Fall silent. Again too; it raises nothing."""
+        self._kept.close()
