@@ -78,6 +78,17 @@ def test_frames_lost_in_the_stream_begin_a_new_line_within_half_a_second(lost_s:
     assert clock.restarts == 1
 
 
+def test_a_jump_that_was_announced_begins_a_new_line_with_the_first_late_callback() -> None:
+    clock, shift_s = FrameClock(48_000), 0.0
+    for number in range(4_000):
+        if number == 3_000:
+            clock.expect_jump()
+        if number == 3_010:
+            shift_s = 0.08
+        clock.update(number * 256 / 48_000 + shift_s, number * 256)
+        assert clock.restarts == (number >= 3_010)
+
+
 @pytest.mark.parametrize("seconds", [0.5, 1.7, 1.9, 2.1])
 def test_a_backlog_of_any_length_is_forgotten_a_fifth_of_a_second_later(seconds: float) -> None:
     side = Side(jitter_s=0.0005, pauses=((20.0, 20.0 + seconds),))

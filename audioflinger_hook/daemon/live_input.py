@@ -139,6 +139,8 @@ class LiveInput:
             self._kept.close()
             return
         guard.lead(source.name)
+        if self._engine:
+            self._engine.delay_line.expect_jump()
         connection.move_source_output(served.index, source.index)
         self._source = source
 

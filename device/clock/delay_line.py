@@ -109,6 +109,7 @@ class DelayLine:
         self._written_late = Lateness(lateness_limit_s)
         self._capture_s = capture_block / samplerate_in
         self._last_write_s = -math.inf
+        self._jump_expected: object = None
         self._written: _Written | None = None
         # the reader's
         self._read_clock = FrameClock(samplerate_out)
@@ -133,6 +134,7 @@ class DelayLine:
         self._resyncs = self._underflows = self._overflows = 0
         # anybody's
         self._flush_wanted: object = None
+        self._jump_wanted: object = None
         self._silenced = False
         self._offset_s = 0.0
         self.offset_s = offset_s
@@ -181,6 +183,13 @@ class DelayLine:
         """
         self._flush_wanted = object()
 
+    def expect_jump(self) -> None:
+        """Be told that what is written comes from elsewhere in a moment, after a gap. Any thread.
+
+        The clock then begins anew with the first late callback, instead of waiting for proof.
+        """
+        self._jump_wanted = object()
+
     def silence(self) -> None:
         """Let the next read and all that follow give exact zeros, from their first frame on.
 
@@ -208,6 +217,9 @@ class DelayLine:
         written = self._ring.store(frames)
         if math.isfinite(now_s):
             self._last_write_s = now_s
+        if self._jump_wanted is not self._jump_expected:
+            self._jump_expected = self._jump_wanted
+            self._written_clock.expect_jump()
         clock = self._written_clock.update(now_s, written)
         if clock is None:  # no time has ever been finite
             return

@@ -11,7 +11,7 @@ WINDOW_S = 60.0
 """How far back callbacks are considered: several times the slowest beat between blocks."""
 BUCKET_S = 0.5
 """Of each of these only the earliest callback is kept."""
-SETTLED_S = 0.15
+SETTLED_S = 0.1
 PREFILL_S = 0.06
 """A stream that begins fills its buffers at once: those callbacks come too early to be a clock."""
 MAX_DEVIATION = 2_000e-6
@@ -23,6 +23,8 @@ EARLY_S = 0.03
 """A callback earlier than this: a backlog is delivered; what was learned before it is wrong."""
 ASTRAY_S = 0.3
 """Outliers for this long are no outliers: the counter has made a jump."""
+ALERT_S = 0.5
+"""For so long after a jump was announced one outlier suffices."""
 
 _OUTLIER = 6.0
 _FIRST_SPREAD_S = 0.005
@@ -89,9 +91,14 @@ class FrameClock:
         self._frames = 0
         self._begun_s = self._age_s = self._astray_s = 0.0
         self._spread_s = _FIRST_SPREAD_S
+        self._alert_s = 0.0
         self._filling = True
         self.reading: ClockReading | None = None
         self.restarts = 0
+
+    def expect_jump(self) -> None:
+        """Be told that the stream is being moved: frames will be lost in a moment."""
+        self._alert_s = ALERT_S
 
     def update(self, now_s: float, frames: int) -> ClockReading | None:
         """Take one callback: the counter stood at `frames` at about `now_s`; returns `reading`.
@@ -115,8 +122,9 @@ class FrameClock:
         seconds = (frames - reading.frames) * self._nominal_s
         outlier = late_s > _OUTLIER * self._spread_s
         self._astray_s = self._astray_s + seconds if outlier else 0.0
-        if self._astray_s > ASTRAY_S:
+        if self._astray_s > (0.0 if self._alert_s > 0.0 else ASTRAY_S):
             return self._begin(now_s, frames)
+        self._alert_s -= seconds
         self._age_s += seconds
         if self._filling and min(self._age_s, now_s - self._begun_s) > PREFILL_S:
             self._filling = False
