@@ -125,8 +125,12 @@ class Engine:
         self.buffer_times.add(self._clocks.used_s() - began_s, len(vibration) / self.samplerate)
         return True
 
-    def quiet(self) -> None:
-        """Let the levels be those of silence; call it while nobody calls `advance`."""
+    def rest(self) -> None:
+        """Forget what was to be played, and what levels were; call it while no stream runs.
+
+        The next sound then goes out as soon as both streams run.
+        """
+        self.delay_line.flush()
         self.sound.reset()
         self.vibration.reset()
 

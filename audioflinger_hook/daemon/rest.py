@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-QUIET_S = 2.0
+QUIET_S = 5.0
 """After silence of this length, if no application plays: none can sound without a new event."""
 
 SILENT_S = 10.0
 """After silence of this length although an application plays: its sound may come at any moment,
 and waking up costs it its first tenths of a second."""
 
-AWAKE_S = 3.0
+AWAKE_S = 8.0
 """For so long at least it stays awake: an application may open its stream well before it plays."""
 
 

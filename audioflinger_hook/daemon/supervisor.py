@@ -162,8 +162,9 @@ class Supervisor:
             return
         try:
             engine = self._engine_for(source, sink, now_s)
-            self._output.keep(connection, sink, self._fill, now_s)
+            # Sound first: what comes while the output opens is not lost.
             self._input.keep(connection, source, engine, now_s)
+            self._output.keep(connection, sink, self._fill, now_s)
         except LostError as error:
             if connection.lost:
                 self._lose_server(now_s, str(error))
@@ -251,7 +252,7 @@ class Supervisor:
             return False
         self._close_streams()
         if engine:
-            engine.quiet()
+            engine.rest()
         self.states.enter(DaemonState.IDLE, now_s, "nothing plays")
         return True
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-
+from device.clock.crossing import Flush, Written
 from device.clock.declick import Joint
 from device.clock.interpolator import CubicReader
 from device.clock.lateness import LEAST_S, Lateness
@@ -27,19 +26,6 @@ HOLD_OFF_S = 0.25
 """Silence after the second starvation within a second: bursts at a steady rate would buzz."""
 
 _PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
-
-
-class _Written(NamedTuple):
-    """What the writer tells the reader, in one assignment.
-
-    run_start: the first frame after the last stall; frames before it are not played after it.
-    """
-
-    frames: int
-    clock: ClockReading
-    run_start: int
-    lateness_s: float
-    lateness_known: bool
 
 
 class DelayLine:
@@ -110,7 +96,7 @@ class DelayLine:
         self._capture_s = capture_block / samplerate_in
         self._last_write_s = -math.inf
         self._jump_expected: object = None
-        self._written: _Written | None = None
+        self._written: Written | None = None
         # the reader's
         self._read_clock = FrameClock(samplerate_out)
         self._read_late = Lateness(lateness_limit_s)
@@ -130,10 +116,11 @@ class DelayLine:
         self._starved_at_s = -math.inf
         self._not_before_s = -math.inf
         self._from_frame = 0
-        self._flushed: object = None
+        self._fresh = False
+        self._flushed: Flush | None = None
         self._resyncs = self._underflows = self._overflows = 0
         # anybody's
-        self._flush_wanted: object = None
+        self._flush_wanted: Flush | None = None
         self._jump_wanted: object = None
         self._silenced = False
         self._offset_s = 0.0
@@ -181,7 +168,7 @@ class DelayLine:
 
         What is written from now on comes out after the target delay.
         """
-        self._flush_wanted = object()
+        self._flush_wanted = Flush(self._ring.claimed)
 
     def expect_jump(self) -> None:
         """Be told that what is written comes from elsewhere in a moment, after a gap. Any thread.
@@ -228,7 +215,7 @@ class DelayLine:
         _measure_lateness(self._written_late, late_s, count / self._samplerate_in, clock)
         run_start = written - count if stalled or before is None else before.run_start
         late = self._written_late
-        self._written = _Written(written, clock, run_start, late.estimate_s, late.known)
+        self._written = Written(written, clock, run_start, late.estimate_s, late.known)
 
     def read(self, out: Float32Array, now_s: float) -> None:
         """Fill (frames, channels), any number of frames, that will be played from now_s on.
@@ -245,8 +232,9 @@ class DelayLine:
         self._read_frames += frames
         if self._flush_wanted is not self._flushed:
             self._flushed = self._flush_wanted
-            self._from_frame = self._ring.claimed
+            self._from_frame = self._flushed.frames if self._flushed else 0
             self._stop(DelayState.EMPTY)
+            self._fresh = True
         played = 0
         if written is not None and clock is not None:
             self._steer(written, clock, now_s, frames)
@@ -259,7 +247,7 @@ class DelayLine:
             self._joint.cut()
         self._published = self._picture()
 
-    def _steer(self, written: _Written, clock: ClockReading, now_s: float, frames: int) -> None:
+    def _steer(self, written: Written, clock: ClockReading, now_s: float, frames: int) -> None:
         """Bring state, position and step up to date for a read of `frames`."""
         seconds = frames / self._samplerate_out
         early_s = clock.time_of(clock.frames + frames) - now_s - self._output_s
@@ -277,7 +265,9 @@ class DelayLine:
             held_off = self._starved_at_s <= now_s < self._not_before_s
             # A first start too near would run out of frames as soon as the first callback is late.
             provided = written.lateness_known and self._read_late.known
-            if known and provided and not held_off:
+            # After a rest there is no time to lose: what the clocks then tell may take a jump.
+            fresh = self._state is DelayState.FILLING and self._fresh
+            if provided and (known or fresh) and not held_off:
                 self._start(written, captured, frames)
 
     def _measure(self, captured: float, seconds: float, slew: float, known: bool) -> None:
@@ -301,7 +291,7 @@ class DelayLine:
             elif abs(error_s) > UNLOCK_S:
                 self._state = DelayState.SETTLING
 
-    def _start(self, written: _Written, captured: float, frames: int) -> None:
+    def _start(self, written: Written, captured: float, frames: int) -> None:
         """Play from where the delay is on target, once there is enough for a usual block."""
         self._target.jump()
         position = math.floor(captured - self._target.current_s * self._samplerate_in)
@@ -314,9 +304,10 @@ class DelayLine:
             self._delay_s = (captured - position) / self._samplerate_in
             self._on_target_s = 0.0
             self._joint.begin()
+            self._fresh = False
             self._state = DelayState.SETTLING
 
-    def _play(self, written: _Written, out: Float32Array, now_s: float) -> int:
+    def _play(self, written: Written, out: Float32Array, now_s: float) -> int:
         """Fill as much of `out` as there is, and return how much that was."""
         first = self._reader.position - 1
         played = min(len(out), self._reader.readable(written.frames, self._step))
