@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+
 from device.clock.crossing import Flush, Written
 from device.clock.declick import Joint
 from device.clock.interpolator import CubicReader
