@@ -6,11 +6,17 @@
     pulse.py      PulseConnection: what the server holds (snapshot.py) and what changes (events.py)
     identity.py   sinks by exact name, monitors, our own streams, real devices
     guard.py      a stream is where it belongs, or silent
+    applications.py  which applications are captured by themselves, before the mix
+    app_captures.py  AppCaptures opens an AppCapture (app_capture.py) for each
+    pulse_thread.py  their connection and thread; libpulse.py: the library that they call
     quiet.py      what the libraries print; statistics.py: how long callbacks take
 
 pulsectl and PyAudio are loaded when they are first needed: both need libraries of the system.
 """
 
+from device.server.app_capture import AppCapture, Ended
+from device.server.app_captures import AppCaptures
+from device.server.applications import AppRules
 from device.server.events import Event, Listener, backoff_s
 from device.server.guard import Hold, Refuge, StreamGuard
 from device.server.identity import (
@@ -28,7 +34,11 @@ from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
 from device.server.streams import CaptureStream, PlaybackStream
 
 __all__ = [
+    "AppCapture",
+    "AppCaptures",
+    "AppRules",
     "CaptureStream",
+    "Ended",
     "Event",
     "Hold",
     "Listener",

@@ -156,7 +156,7 @@ class CaptureStream(_Stream):
         *,
         audible: bool = True,
     ) -> None:
-        _check_format(samplerate, channels)
+        check_format(samplerate, channels)
         self._on_frames = on_frames
         super().__init__(pcm, samplerate, channels, output=False, audible=audible)
 
@@ -188,7 +188,7 @@ class PlaybackStream(_Stream):
     """
 
     def __init__(self, pcm: Pcm, samplerate: int, channels: int, fill: Fill) -> None:
-        _check_format(samplerate, channels)
+        check_format(samplerate, channels)
         self._fill = fill
         self._out = np.zeros((BLOCK_FRAMES, channels), np.float32)
         self._silence = bytes(self._out.nbytes)
@@ -216,7 +216,8 @@ class PlaybackStream(_Stream):
         return self._silence if len(self._silence) == length else bytes(length)
 
 
-def _check_format(samplerate: int, channels: int) -> None:
+def check_format(samplerate: int, channels: int) -> None:
+    """Refuse what no stream can have: UsageError. Any thread may call it."""
     if not 1_000 <= samplerate <= 768_000:
         raise UsageError(f"samplerate={samplerate} Hz is not possible; 1000 to 768000 Hz are")
     if not 1 <= channels <= 32:
