@@ -1,0 +1,132 @@
+"""Several sounds that come by themselves as a client: a track each, mixed at one of them's pace."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.mixer import Mixer, PcmFormat, Track
+
+PACE_LOST_S = 0.05
+"""Another voice sets the pace if the one that did has been silent for so long."""
+
+WAITING_S = 0.04
+"""What a voice may have waiting; older frames are dropped, or its delay would only ever grow."""
+
+_Frames = NDArray[np.float32]
+
+
+@dataclass(eq=False)
+class Voice:
+    """One sound: its frames wait here until a cycle takes them. dropped: frames left out."""
+
+    name: str
+    track: Track
+    waiting: deque[_Frames] = field(default_factory=deque)
+    frames: int = 0
+    dropped: int = 0
+
+    def take(self, count: int) -> _Frames:
+        """Return the next `count` frames, with silence in front of them where there are fewer."""
+        out = np.zeros((count, self.track.channels), np.float32)
+        at = count - min(count, self.frames)
+        while at < count:
+            first = self.waiting.popleft()
+            part = first[: count - at]
+            out[at : at + len(part)] = part
+            at += len(part)
+            if len(part) < len(first):
+                self.waiting.appendleft(first[len(part) :])
+        self.frames -= min(count, self.frames)
+        return out
+
+
+class VoicesClient:
+    """Plays sounds that arrive one beside the other, such as applications, into one mix.
+
+    samplerate (Hz) and channels: of the mix and of every voice. The voice that was there first
+    sets the pace: its frames are cycles, what others have then goes with them.
+
+    `add` and `remove` are called by the supervising thread, the rest by the one on which all
+    sounds arrive, which also steps the chain.
+    """
+
+    frames_expected = None
+
+    def __init__(self, samplerate: int, channels: int) -> None:
+        self.samplerate = samplerate
+        self.channels = channels
+        self._most_waiting = round(WAITING_S * samplerate)
+        self._mixer: Mixer | None = None
+        self._voices: tuple[Voice, ...] = ()
+        self._pacer: Voice | None = None
+        self._paced_s = 0.0
+        self._due = 0
+
+    @property
+    def pending_frames(self) -> int:
+        """Frames that cycles are due for."""
+        return self._due
+
+    def connect(self, mixer: Mixer) -> None:
+        """Take the mixer; voices can be added from now on."""
+        self._mixer = mixer
+
+    def add(self, name: str) -> Voice:
+        """Return a new voice, with a track of this name."""
+        assert self._mixer is not None
+        track = self._mixer.create_track(
+            name, PcmFormat.FLOAT, self.samplerate, self.channels, start_threshold=1
+        )
+        track.start()
+        voice = Voice(name, track)
+        self._voices = (*self._voices, voice)
+        return voice
+
+    def remove(self, voice: Voice) -> None:
+        """Let go of a voice and its track; nobody pushes to it any more."""
+        assert self._mixer is not None
+        self._voices = tuple(other for other in self._voices if other is not voice)
+        if self._pacer is voice:
+            self._pacer = None
+        voice.track.stop()
+        self._mixer.remove_track(voice.track)
+
+    def push(self, voice: Voice, frames: _Frames, now_s: float) -> None:
+        """Take frames of one voice, (frames, channels) float32, which came at now_s.
+
+        They are kept as they are. `pending_frames` says whether cycles are due then.
+        """
+        voice.waiting.append(frames)
+        voice.frames += len(frames)
+        if self._pacer is None or now_s - self._paced_s > PACE_LOST_S:
+            self._pacer = voice
+        if voice is self._pacer:
+            self._paced_s = now_s
+            self._due += len(frames)
+            return
+        while voice.frames - len(voice.waiting[0]) > self._most_waiting:
+            dropped = voice.waiting.popleft()
+            voice.frames -= len(dropped)
+            voice.dropped += len(dropped)
+
+    def play(self) -> int | None:
+        """Write what is due, as far as one cycle goes, and return its frames."""
+        assert self._mixer is not None
+        count = min(self._due, self._mixer.frames)
+        if not count:
+            return None
+        self._due -= count
+        for voice in self._voices:
+            voice.track.write(voice.take(count))
+        return count
+
+    def close(self) -> None:
+        """Drop what is waiting."""
+        self._due = 0
+        for voice in self._voices:
+            voice.waiting.clear()
+            voice.frames = 0
