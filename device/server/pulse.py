@@ -97,6 +97,13 @@ class PulseConnection:
 
         self._ask(work)
 
+    def set_default_sink(self, name: str) -> None:
+        """Make a sink the default one, as a user would. NotFoundError: there is none of this name.
+
+        PulseAudio moves the streams that follow the default at once, WirePlumber some 50 ms later.
+        """
+        self._ask(lambda pulse: pulse.sink_default_set(name))
+
     def load_module(self, name: str, arguments: Sequence[str] = ()) -> int:
         """Load a module into the server; its index. NotFoundError: the server has none or fails."""
         return int(self._ask(lambda pulse: pulse.module_load(name, list(arguments))))

@@ -15,7 +15,7 @@ class Sink:
     """A place to play to. index: the server's, never used twice; monitor: its monitor's name.
 
     properties: as the server has them, all text. module: index of the module that made it, None
-    if none did. samplerate in Hz.
+    if none did. samplerate in Hz. channel_map: "front-left,front-right" and the like.
     """
 
     index: int
@@ -26,6 +26,7 @@ class Sink:
     channels: int
     module: int | None
     properties: Mapping[str, str]
+    channel_map: str = ""
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,8 @@ class Stream:
 
     place: the index of its sink or source, None while it has none; place_name: the name, "" if
     that is unknown. application, binary, role, media: "" where the application does not say.
-    process_id: None where it does not say. corked: paused by the application.
+    process_id: None where it does not say. corked: paused by the application. module: index of the
+    module that made it, None for an application's.
     """
 
     index: int
@@ -61,6 +63,7 @@ class Stream:
     corked: bool
     mute: bool
     properties: Mapping[str, str]
+    module: int | None = None
 
 
 @dataclass(frozen=True)
@@ -146,8 +149,9 @@ def _sink(item: Any) -> Sink:
         monitor=item.monitor_source_name or "",
         samplerate=item.samplerate,
         channels=item.channel_count,
-        module=None if item.owner_module == NOWHERE else item.owner_module,
+        module=_known(item.owner_module),
         properties=dict(item.proplist),
+        channel_map=",".join(item.channel_list),
     )
 
 
@@ -169,7 +173,7 @@ def _stream(item: Any, place: int, names: Mapping[int, str]) -> Stream:
     process_id = properties.get("application.process.id", "")
     return Stream(
         index=item.index,
-        place=None if place == NOWHERE else place,
+        place=_known(place),
         place_name=names.get(place, ""),
         application=properties.get("application.name", ""),
         binary=properties.get("application.process.binary", ""),
@@ -179,4 +183,10 @@ def _stream(item: Any, place: int, names: Mapping[int, str]) -> Stream:
         corked=item.corked,
         mute=bool(item.mute),
         properties=properties,
+        # PulseAudio calls the module that an application is connected by its owner
+        module=_known(item.owner_module) if _known(item.client) is None else None,
     )
+
+
+def _known(index: int) -> int | None:
+    return None if index == NOWHERE else index

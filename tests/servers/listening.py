@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import threading
 import time
@@ -101,17 +102,68 @@ def playing(server: SoundServer, sink: str, samples: Float32Array) -> Iterator[i
 
 
 @contextmanager
-def recording(server: SoundServer, source: str, path: Path) -> Iterator[Callable[[], Float32Array]]:
-    """Another program that records a source; a function that gives what it has so far."""
+def recording(
+    server: SoundServer, source: str, path: Path, *, stays: bool = False
+) -> Iterator[Callable[[], Float32Array]]:
+    """Another program that records a source; a function that gives what it has so far.
+
+    stays: PipeWire does not lead it elsewhere with the default sink. PulseAudio does that only
+    with a recording of the default source.
+    """
     with path.open("wb") as file:
 
         def heard() -> Float32Array:
             whole = path.read_bytes()
             return np.frombuffer(whole[: len(whole) // 8 * 8], np.float32).reshape(-1, 2)
 
-        with _process(server, ["parec", *_format(source, 20)], stdout=file.fileno()):
+        options = [
+            *_format(source, 20),
+            *(["--property=node.dont-reconnect=true"] if stays else []),
+        ]
+        with _process(server, ["parec", *options], stdout=file.fileno()):
             wait_for(lambda: len(heard()) > 0, f"sound from {source}")
             yield heard
+
+
+class Arrivals:
+    """Another program that records a source, with the time at which each frame came."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self._process = process
+        self._parts: list[tuple[int, float]] = []
+        self._bytes = bytearray()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        while part := os.read(self._process.stdout.fileno(), 1 << 16):
+            self._bytes += part
+            self._parts.append((len(self._bytes) // 8, time.monotonic()))
+
+    def frames(self) -> Float32Array:
+        whole = bytes(self._bytes)
+        return np.frombuffer(whole[: len(whole) // 8 * 8], np.float32).reshape(-1, 2)
+
+    def began_s(self) -> float:
+        """When frame 0 was recorded, but for what every such recording needs at least."""
+        return min(at_s - frames / RATE_HZ for frames, at_s in tuple(self._parts))
+
+    def end(self) -> None:
+        self._thread.join(5.0)
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+
+
+@contextmanager
+def arriving(server: SoundServer, source: str) -> Iterator[Arrivals]:
+    """A recording by another program whose frames have times; it stays on its source."""
+    command = ["parec", *_format(source, 5), "--property=node.dont-reconnect=true"]
+    with _process(server, command, stdout=subprocess.PIPE) as process:
+        arrivals = Arrivals(process)
+        wait_for(lambda: len(arrivals.frames()) > 0, f"sound from {source}")
+        yield arrivals
+    arrivals.end()
 
 
 def _format(device: str, latency_ms: int) -> list[str]:

@@ -1,0 +1,203 @@
+"""Drop-in mode's sink and the loopback that forwards it, as the server holds them.
+
+Pure functions on a snapshot and the arguments of both modules; any thread may call them. All that
+a later process needs to know stands in properties of the loopback's two streams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from device.errors import UsageError
+from device.server.guard import REFUGE
+from device.server.identity import identity_of, is_own
+from device.server.pcms import APPLICATION_ID, ROLE
+from device.server.snapshot import ServerSnapshot, Sink, Stream
+
+SINK = "cushion"
+"""Name of the virtual sink."""
+
+DESCRIPTION = "Haptic Cushion"
+"""What sound settings show for it."""
+
+LEAST_DELAY_S = 0.02
+"""What both servers keep up without a gap; they count the devices' own latency in."""
+
+LONGEST_DELAY_S = 0.5
+
+_MARK = "cushion.drop_in"
+_TARGET = "cushion.target"
+_RESTORE = "cushion.restore"
+_DELAY = "cushion.delay_ms"
+
+
+@dataclass(frozen=True)
+class Route:
+    """Where a loopback leads. target: name of a sink; restore: of the user's default sink.
+
+    delay_ms: from the virtual sink's monitor until the target plays it.
+    """
+
+    target: str
+    restore: str
+    delay_ms: int
+
+
+@dataclass(frozen=True)
+class Loopback:
+    """A loopback of ours. module: its index; complete: both streams are where they belong."""
+
+    module: int
+    route: Route
+    complete: bool
+
+
+def whole_ms(delay_s: float | None) -> int:
+    """A delay as servers take it, in ms: at least LEAST_DELAY_S, which None stands for, too.
+
+    Raises
+    ------
+    UsageError
+        It is negative or above LONGEST_DELAY_S.
+    """
+    delay_s = LEAST_DELAY_S if delay_s is None else delay_s
+    if not 0.0 <= delay_s <= LONGEST_DELAY_S:
+        raise UsageError(f"delay_s={delay_s!r} is not possible; 0 to {LONGEST_DELAY_S} s are")
+    return round(1e3 * max(delay_s, LEAST_DELAY_S))
+
+
+def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
+    """Our loopbacks, those of earlier processes too, the newest one last."""
+    found = []
+    taps = {tap.module: tap for tap in snapshot.source_outputs if _TARGET in tap.properties}
+    for stream in snapshot.sink_inputs:
+        target = stream.properties.get(_TARGET)
+        if target is None or stream.module is None:
+            continue
+        tap = taps.pop(stream.module, None)
+        complete = stream.place_name == target and tap is not None and _taps_us(snapshot, tap)
+        found.append(Loopback(stream.module, _route(stream.properties), complete))
+    found += [
+        Loopback(module, _route(tap.properties), False)
+        for module, tap in taps.items()
+        if module is not None
+    ]
+    return sorted(found, key=lambda loopback: loopback.module)
+
+
+def our_sink(snapshot: ServerSnapshot) -> Sink | None:
+    """The virtual sink, of this process or an earlier one."""
+    return next((sink for sink in snapshot.sinks if sink.name == SINK), None)
+
+
+def is_ours(sink: Sink) -> bool:
+    """Whether a sink of our name was made by us."""
+    return _MARK in sink.properties and sink.module is not None
+
+
+def is_application(stream: Stream) -> bool:
+    """Whether a playing stream is somebody else's: neither vibration nor a loopback of ours."""
+    return not (
+        _TARGET in stream.properties
+        or stream.role == ROLE
+        or stream.properties.get("application.id") == APPLICATION_ID
+        or is_own(stream)
+    )
+
+
+def real_sinks(snapshot: ServerSnapshot, haptic_sink: str | None) -> list[str]:
+    """The names of all sinks that may be forwarded to, sound cards first."""
+    sinks = [sink for sink in snapshot.sinks if sink.name not in (SINK, REFUGE, haptic_sink)]
+    return [sink.name for sink in sorted(sinks, key=lambda sink: not identity_of(sink).bus)]
+
+
+def reached(snapshot: ServerSnapshot, target: str) -> set[str]:
+    """The target, and the sinks that its sound comes to by other virtual sinks and loopbacks."""
+    names = {target}
+    while more := {
+        stream.place_name
+        for stream in snapshot.sink_inputs
+        if stream.place_name not in (*names, SINK, "") and carries(snapshot, stream, names)
+    }:
+        names |= more
+    return names
+
+
+def carries(snapshot: ServerSnapshot, stream: Stream, sinks: Collection[str]) -> bool:
+    """Whether a playing stream is a module's that carries the sound of one of these sinks."""
+    if any(sink.name in sinks and _belong_together(sink, stream) for sink in snapshot.sinks):
+        return True
+    monitors = {source.index for source in snapshot.sources if source.monitor_of in sinks}
+    return any(
+        tap.place in monitors and _belong_together(tap, stream) for tap in snapshot.source_outputs
+    )
+
+
+def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
+    """What module-null-sink is loaded with, for a sink of the target's format.
+
+    Without norewinds an idle PulseAudio renders 2 s ahead, and so late would a tap be.
+    """
+    own = ["format=float32le", "norewinds=1"] if snapshot.kind == "PulseAudio" else []
+    properties = f"device.description='{DESCRIPTION}' {_MARK}=1"
+    return [f"sink_name={SINK}", *_format(target), *own, f'sink_properties="{properties}"']
+
+
+def loopback_arguments(route: Route, sink: Sink) -> list[str]:
+    """What module-loopback is loaded with; sink: the virtual one.
+
+    Its streams stay where they are: both servers unload the whole loopback when its target
+    vanishes. PipeWire would else lead it into its own source.
+
+    Raises
+    ------
+    UsageError
+        A name holds a quote or backslash.
+    """
+    for name in (route.target, route.restore):
+        if not name.isprintable() or set(name) & set("\"'\\"):
+            raise UsageError(
+                f"sound cannot be forwarded to a sink called {name!r}: quotes, backslashes and "
+                "control characters are not allowed; choose another sink"
+            )
+    properties = (
+        f"media.name='{DESCRIPTION}' {_TARGET}='{route.target}' {_RESTORE}='{route.restore}' "
+        f"{_DELAY}={route.delay_ms}"
+    )
+    return [
+        f"source={sink.monitor}",
+        f'sink="{route.target}"',
+        *_format(sink),
+        f"latency_msec={route.delay_ms}",
+        "source_dont_move=true",
+        "sink_dont_move=true",
+        f'sink_input_properties="{properties}"',
+        f'source_output_properties="{properties}"',
+    ]
+
+
+def _format(sink: Sink) -> list[str]:
+    names = [f"channel_map={sink.channel_map}"] if sink.channel_map else []
+    return [f"rate={sink.samplerate}", f"channels={sink.channels}", *names]
+
+
+def _route(properties: Mapping[str, str]) -> Route:
+    delay = properties.get(_DELAY, "")
+    return Route(
+        target=properties[_TARGET],
+        restore=properties.get(_RESTORE, ""),
+        delay_ms=int(delay) if delay.isdecimal() else 0,
+    )
+
+
+def _taps_us(snapshot: ServerSnapshot, tap: Stream) -> bool:
+    source = next((source for source in snapshot.sources if source.index == tap.place), None)
+    return source is not None and source.monitor_of == SINK
+
+
+def _belong_together(one: Sink | Stream, other: Stream) -> bool:
+    if one.module is not None and one.module == other.module:
+        return True
+    group = one.properties.get("node.link-group")
+    return group is not None and group == other.properties.get("node.link-group")

@@ -1,0 +1,515 @@
+"""Drop-in mode: the server forwards the sound, as late as asked for, whatever becomes of us."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from device.errors import NotFoundError, UsageError
+from device.server.drop_in import DropIn
+from device.server.forwarding import SINK
+from device.server.guard import Hold, StreamGuard
+from device.server.identity import find_sink, tagged
+from device.server.pcms import PcmConfig
+from device.server.pulse import PulseConnection
+from device.server.snapshot import Stream
+from device.server.streams import PlaybackStream
+from device.units import Float32Array
+from tests.servers.daemons import ROOT, modules_of, tone
+from tests.servers.listening import RATE_HZ, arriving, playing, recording, steady, wait_for
+from tools.sound_server import SoundServer
+
+DEFAULT = "@DEFAULT_SINK@"
+ANOTHER_PROCESS = """
+import sys
+from device.server.drop_in import DropIn
+from device.server.pulse import PulseConnection
+drop_in = DropIn(PulseConnection(), delay_s=0.05, haptic_sink="haptic")
+print(drop_in.target_name, flush=True)
+sys.stdin.read()
+"""
+
+
+@contextmanager
+def dropped_in(
+    connection: PulseConnection, target: str | None = None, delay_s: float | None = None
+) -> Iterator[DropIn]:
+    """Drop-in mode, once the virtual sink is the default one."""
+    drop_in = DropIn(connection, target, delay_s, haptic_sink="haptic")
+    try:
+        wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
+        yield drop_in
+    finally:
+        drop_in.close()
+
+
+@contextmanager
+def another_process() -> Iterator[subprocess.Popen[str]]:
+    """Drop-in mode in a process of its own."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", ANOTHER_PROCESS],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline().strip() == "desktop"
+        yield process
+    finally:
+        process.kill()
+        process.wait(5.0)
+        process.stdin.close()
+        process.stdout.close()
+
+
+@pytest.fixture(autouse=True)
+def still_recordings(server: SoundServer) -> None:
+    """PulseAudio moves what records the default source when the default sink is another one."""
+    server.pactl("set-default-source", "haptic.monitor")
+
+
+def places(connection: PulseConnection) -> dict[str, str]:
+    """Where each playing program is, by its process id."""
+    streams = connection.snapshot().sink_inputs
+    return {str(stream.process_id): stream.place_name for stream in streams}
+
+
+def everything(server: SoundServer, connection: PulseConnection) -> object:
+    """What is to be as it was: default sink, sinks, modules, programs and volumes."""
+    return (
+        server.pactl("get-default-sink"),
+        server.names("sinks"),
+        [line.split("\t")[1:] for line in modules_of(server)],
+        places(connection),
+        [server.pactl("get-sink-volume", name) for name in server.names("sinks")],
+    )
+
+
+def level_db(frames: Float32Array) -> float:
+    return float(10.0 * np.log10(np.mean(np.square(frames, dtype=np.float64)) + 1e-20))
+
+
+def sounds(heard: Callable[[], Float32Array], seconds: float = 0.1) -> bool:
+    """Whether the end of a recording is sound without a gap."""
+    last = heard()[-int(seconds * RATE_HZ) :]
+    return len(last) >= int(seconds * RATE_HZ) and bool(
+        np.abs(last).reshape(-1, 96).max(axis=1).min() > 0.01
+    )
+
+
+def lateness_ms(server: SoundServer, played: Float32Array) -> float:
+    """By how much later the clicks come from the real sink than from the virtual one."""
+    with (
+        arriving(server, f"{SINK}.monitor") as near,
+        arriving(server, "desktop.monitor") as far,
+        playing(server, SINK, played),
+    ):
+        wait_for(lambda: len(clicks_s(far.frames())) >= 6, "clicks")
+        early = near.began_s() + clicks_s(near.frames())
+        late = far.began_s() + clicks_s(far.frames())
+    return float(np.median([1e3 * (late - at_s)[late > at_s - 0.02].min() for at_s in early[:6]]))
+
+
+def clicks_s(frames: Float32Array) -> np.ndarray:
+    loud = np.flatnonzero(np.abs(frames[:, 0]) > 0.2)
+    first = np.diff(loud, prepend=-RATE_HZ) > RATE_HZ // 10
+    return loud[first] / RATE_HZ
+
+
+def clicks(seconds: float) -> Float32Array:
+    frames = np.zeros((int(seconds * RATE_HZ), 2), np.float32)
+    for start in range(RATE_HZ // 4, len(frames) - RATE_HZ // 4, RATE_HZ // 2):
+        frames[start : start + 48] = 0.6
+    return frames
+
+
+def test_what_plays_to_the_default_sink_is_heard_at_its_level_and_can_be_tapped(
+    server: SoundServer, connection: PulseConnection, tmp_path: Path
+) -> None:
+    with (
+        dropped_in(connection, delay_s=0.05) as drop_in,
+        recording(server, "desktop.monitor", tmp_path / "far", stays=True) as far,
+        recording(server, f"{SINK}.monitor", tmp_path / "near", stays=True) as near,
+        playing(server, DEFAULT, tone(1_000.0, 20.0)),
+    ):
+        assert (drop_in.target_name, drop_in.delay_s) == ("desktop", 0.05)
+        wait_for(lambda: drop_in.forwarded, "forwarding")
+
+        def alike() -> bool:
+            both = [level_db(heard()[-RATE_HZ // 2 :]) for heard in (near, far)]
+            return all(abs(level - level_db(tone(1_000.0, 1.0))) < 0.1 for level in both)
+
+        wait_for(alike, "the same level on both sinks")
+        wait_for(lambda: sounds(far) and sounds(near), "sound without gaps")
+
+
+@pytest.mark.parametrize("delay_ms", [0, 75, 150])
+def test_the_sound_is_as_late_as_asked_for(
+    server: SoundServer, connection: PulseConnection, delay_ms: int
+) -> None:
+    wanted_ms = max(delay_ms, 20)
+    with dropped_in(connection, delay_s=delay_ms / 1e3) as drop_in:
+        measured = [lateness_ms(server, clicks(20.0))]
+        if abs(measured[0] - wanted_ms) > 10.0:  # a busy machine
+            measured.append(lateness_ms(server, clicks(20.0)))
+        print(f"{server.kind}: {wanted_ms} ms became {measured}")
+        assert abs(measured[-1] - wanted_ms) <= 10.0
+        drop_in.delay_s = 0.1
+        wait_for(lambda: len(forwarders(connection)) == 1 and delays(connection) == ["100"], "it")
+        with pytest.raises(UsageError, match="delay_s"):
+            drop_in.delay_s = 0.6
+
+
+def forwarders(connection: PulseConnection) -> list[int]:
+    return [item.index for item in connection.snapshot().sink_inputs if item.module is not None]
+
+
+def delays(connection: PulseConnection) -> list[str]:
+    streams = connection.latest.sink_inputs
+    return [item.properties["cushion.delay_ms"] for item in streams if item.module is not None]
+
+
+def test_another_delay_while_sound_plays_is_no_more_than_a_short_gap(
+    server: SoundServer, connection: PulseConnection, tmp_path: Path
+) -> None:
+    with (
+        dropped_in(connection, delay_s=0.02) as drop_in,
+        recording(server, "desktop.monitor", tmp_path / "far", stays=True) as far,
+        playing(server, DEFAULT, np.full((30 * RATE_HZ, 2), 0.2, np.float32)),
+    ):
+        wait_for(lambda: sounds(far, 0.5), "sound")
+        before = len(far())
+        drop_in.delay_s = 0.075
+        wait_for(lambda: delays(connection) == ["75"], "the other delay")
+        after = len(far())
+        wait_for(lambda: len(far()) > after + RATE_HZ // 2, "half a second")
+        silent = np.count_nonzero(np.abs(far()[before:, 0]) < 0.01)
+        print(f"{server.kind}: {silent / 48:.1f} ms of silence")
+        assert silent < 0.05 * RATE_HZ  # loading anew would cost 75 ms and more
+        assert abs(lateness_of(connection) - 75) < 1
+
+
+def lateness_of(connection: PulseConnection) -> int:
+    return int(delays(connection)[0])
+
+
+def test_a_killed_process_leaves_the_sound_going_and_the_next_one_takes_over(
+    server: SoundServer, connection: PulseConnection, tmp_path: Path
+) -> None:
+    with ExitStack() as stack:
+        stack.enter_context(playing(server, DEFAULT, tone(440.0, 60.0)))
+        wait_for(lambda: list(places(connection).values()) == ["desktop"], "the player")
+        before = everything(server, connection)
+        far = stack.enter_context(
+            recording(server, "desktop.monitor", tmp_path / "far", stays=True)
+        )
+        with another_process() as process:
+            wait_for(lambda: SINK in places(connection).values(), "the player in between")
+            wait_for(lambda: sounds(far, 0.5), "sound")
+            process.send_signal(signal.SIGKILL)
+            process.wait(5.0)
+            killed = len(far())
+        wait_for(lambda: len(far()) > killed + RATE_HZ, "a second")
+        assert SINK in places(connection).values()
+        forwarder = forwarders(connection)
+        with dropped_in(connection) as drop_in:
+            assert (drop_in.target_name, drop_in.delay_s) == ("desktop", 0.05)
+            assert drop_in.forwarded
+            wait_for(lambda: sounds(far, 0.2), "sound")
+            assert forwarders(connection) == forwarder  # the same one: no gap
+            heard = far()[killed:, 0]
+        silent = np.count_nonzero(np.abs(heard).reshape(-1)[: len(heard) // 96 * 96]
+                                  .reshape(-1, 96).max(axis=1) < 0.01)  # fmt: skip
+        print(f"{server.kind}: {2 * silent} ms of silence in {len(heard) / RATE_HZ:.1f} s")
+        assert silent * 96 < 0.1 * RATE_HZ  # xruns of a busy machine, no more
+        assert everything(server, connection) == before
+
+
+def test_closing_leaves_everything_as_it_was(
+    server: SoundServer, connection: PulseConnection, tmp_path: Path
+) -> None:
+    server.add_sink("speakers")
+    server.pactl("set-sink-volume", "desktop", "40%")
+    sound = tone(440.0, 60.0)
+    with (
+        playing(server, DEFAULT, sound) as follower,
+        playing(server, "speakers", sound) as bound,
+        playing(server, "haptic", sound) as apart,
+    ):
+        wait_for(lambda: len(places(connection)) == 3, "three players")
+        before = everything(server, connection)
+        with dropped_in(connection, "speakers", 0.03):
+            wait_for(
+                lambda: (
+                    places(connection)
+                    == {
+                        str(follower): SINK,
+                        str(bound): SINK,
+                        str(apart): "haptic",
+                        "None": "speakers",
+                    }
+                ),
+                "both players in between",
+            )
+        wait_for(lambda: everything(server, connection) == before, "what was before", 2.0)
+        server.choose_default("haptic")  # and streams follow the default sink as before
+        wait_for(
+            lambda: (
+                places(connection)
+                == {str(follower): "haptic", str(bound): "speakers", str(apart): "haptic"}
+            ),
+            "the player on the other default sink",
+        )
+
+
+def test_ten_times_leave_nothing(server: SoundServer, connection: PulseConnection) -> None:
+    with playing(server, DEFAULT, tone(440.0, 60.0)):
+        wait_for(lambda: places(connection), "the player")
+        before = everything(server, connection)
+        for _ in range(10):
+            with dropped_in(connection) as drop_in:
+                wait_for(lambda: SINK in places(connection).values(), "the player in between")
+            drop_in.close()  # again, which does nothing
+            wait_for(lambda: everything(server, connection) == before, "what was before", 2.0)
+
+
+def test_without_its_sink_the_sound_goes_elsewhere_until_that_is_back(
+    server: SoundServer, connection: PulseConnection, tmp_path: Path
+) -> None:
+    server.add_sink("speakers")
+    with (
+        dropped_in(connection) as drop_in,
+        playing(server, DEFAULT, tone(440.0, 60.0)),
+        recording(server, "haptic.monitor", tmp_path / "haptic", stays=True) as felt,
+    ):
+        with recording(server, "speakers.monitor", tmp_path / "other", stays=True) as other:
+            assert not sounds(other)
+            server.remove("desktop")
+            wait_for(lambda: sounds(other), "sound from the other sink")
+            assert drop_in.target_name == "speakers"
+        server.add_sink("desktop")
+        with recording(server, "desktop.monitor", tmp_path / "first", stays=True) as first:
+            wait_for(lambda: sounds(first), "sound from the first sink")
+        wait_for(lambda: drop_in.forwarded and drop_in.target_name == "desktop", "the first sink")
+        for name in ("desktop", "speakers"):
+            server.remove(name)
+        wait_for(lambda: "no sink is left" in drop_in.reason, "the reason")
+        assert not drop_in.forwarded
+        server.add_sink("speakers")
+        wait_for(lambda: drop_in.forwarded and drop_in.target_name == "speakers", "forwarding")
+        wait_for(lambda: not drop_in.reason, "the end of the reason")
+        assert not np.any(felt())  # never the haptic sink
+
+
+def test_the_default_sink_that_a_user_chooses_becomes_the_target(
+    server: SoundServer, connection: PulseConnection, tmp_path: Path
+) -> None:
+    server.add_sink("speakers")
+    with playing(server, DEFAULT, tone(440.0, 60.0)) as player:
+        wait_for(lambda: places(connection), "the player")
+        with (
+            dropped_in(connection) as drop_in,
+            recording(server, "speakers.monitor", tmp_path / "other", stays=True) as other,
+        ):
+            server.pactl("set-default-sink", "speakers")
+            wait_for(lambda: drop_in.target_name == "speakers", "the choice")
+            wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
+            wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+            wait_for(lambda: sounds(other), "sound from the chosen sink")
+            assert drop_in.forwarded
+        assert connection.snapshot().default_sink == "speakers"
+        wait_for(lambda: places(connection) == {str(player): "speakers"}, "the player", 2.0)
+
+
+def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(
+    server: SoundServer, connection: PulseConnection, pcms: PcmConfig
+) -> None:
+    pcms.pcms["cushion_output"].lead("haptic")
+    stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
+    guard = StreamGuard(connection, stream, "haptic")
+    wait_for(lambda: guard.hold is Hold.FREE, "our stream")
+    with dropped_in(connection) as drop_in, playing(server, DEFAULT, tone(440.0, 60.0)) as player:
+        wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+        server.pactl("set-default-sink", "haptic")
+        wait_for(lambda: "the vibration goes there" in drop_in.reason, "the refusal")
+        wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
+        wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+        assert drop_in.target_name == "desktop"
+        wait_for(lambda: guard.hold is Hold.FREE, "our stream")  # PulseAudio had moved it
+    ours = tagged(connection.snapshot().sink_inputs, stream.tag)
+    assert ours is not None
+    assert ours.place_name == "haptic"
+    stream.close()
+    guard.release()
+
+
+def test_what_cannot_be_forwarded_to_is_refused_and_leaves_nothing(
+    server: SoundServer, connection: PulseConnection
+) -> None:
+    before = everything(server, connection)
+    with pytest.raises(NotFoundError, match="no sink 'desktob'; did you mean 'desktop'"):
+        DropIn(connection, "desktob")
+    with pytest.raises(NotFoundError, match="'haptic': the vibration goes there"):
+        DropIn(connection, "haptic", haptic_sink="haptic")
+    with pytest.raises(UsageError, match=r"delay_s=0\.6 is not possible; 0 to 0\.5 s are"):
+        DropIn(connection, delay_s=0.6)
+    server.choose_default("haptic")
+    with pytest.raises(NotFoundError, match="'haptic': the vibration goes there"):
+        DropIn(connection, haptic_sink="haptic")
+    server.choose_default("desktop")
+    assert everything(server, connection) == before
+    server.add_sink(SINK)
+    with pytest.raises(NotFoundError, match="is not ours"):
+        DropIn(connection)
+
+
+def test_volume_changes_the_virtual_sink_and_what_is_tapped_there(
+    server: SoundServer, connection: PulseConnection, tmp_path: Path
+) -> None:
+    server.pactl("set-sink-volume", "desktop", "80%")
+    with (
+        dropped_in(connection),
+        playing(server, DEFAULT, tone(1_000.0, 60.0)),
+        recording(server, f"{SINK}.monitor", tmp_path / "near", stays=True) as near,
+        recording(server, "desktop.monitor", tmp_path / "far", stays=True) as far,
+    ):
+
+        def levels() -> np.ndarray:
+            return np.array([level_db(heard()[-RATE_HZ // 4 :]) for heard in (near, far)])
+
+        loud = level_db(tone(1_000.0, 1.0)) + np.array([0.0, 60.0 * np.log10(0.8)])
+        wait_for(lambda: np.abs(levels() - loud).max() < 0.2, "the full volume")
+        server.pactl("set-sink-volume", DEFAULT, "50%")
+        soft = loud + 60.0 * np.log10(0.5)
+        wait_for(lambda: np.abs(levels() - soft).max() < 0.2, "half the volume")
+        assert "80%" in server.pactl("get-sink-volume", "desktop")
+    assert "80%" in server.pactl("get-sink-volume", "desktop")
+
+
+def test_a_stream_that_somebody_moves_away_is_left_there(
+    server: SoundServer, connection: PulseConnection
+) -> None:
+    server.add_sink("speakers")
+    with dropped_in(connection), playing(server, DEFAULT, tone(440.0, 60.0)) as player:
+        wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
+        snapshot = connection.latest
+        index = next(item.index for item in snapshot.sink_inputs if item.process_id == player)
+        sinks = {sink.name: sink.index for sink in snapshot.sinks}
+        connection.move_sink_input(index, sinks["desktop"])
+        wait_for(lambda: places(connection).get(str(player)) == "desktop", "the player")
+        until_s = time.monotonic() + 1.0
+        wait_for(lambda: time.monotonic() > until_s, "a second")
+        assert places(connection)[str(player)] == "desktop"
+        with playing(server, "desktop", tone(440.0, 60.0)) as new:
+            wait_for(lambda: places(connection).get(str(new)) == SINK, "the new player")
+
+
+def test_a_program_that_wants_the_default_sink_for_itself_gets_it(
+    server: SoundServer, connection: PulseConnection
+) -> None:
+    server.add_sink("speakers")
+    with dropped_in(connection) as drop_in:
+
+        def insists() -> bool:
+            if connection.snapshot().default_sink == SINK:
+                server.pactl("set-default-sink", "speakers")
+            return "another program" in drop_in.reason
+
+        wait_for(insists, "the reason")
+        wait_for(lambda: connection.snapshot().default_sink == "speakers", "the other default")
+        assert connection.snapshot().default_sink == "speakers"
+        assert drop_in.forwarded
+        server.pactl("set-default-sink", SINK)
+        wait_for(lambda: drop_in.reason == "", "the end of the contest")
+
+
+def test_a_virtual_sink_that_is_forwarded_to_brings_nothing_back(
+    server: SoundServer, connection: PulseConnection, tmp_path: Path
+) -> None:
+    module = server.pactl(
+        "load-module", "module-remap-sink", "sink_name=virtual", "master=desktop", "channels=2"
+    )
+    server.choose_default("virtual")
+
+    def outlet() -> Stream:
+        streams = connection.snapshot().sink_inputs
+        return next(item for item in streams if str(item.module) == module)
+
+    with (
+        dropped_in(connection) as drop_in,
+        playing(server, DEFAULT, tone(440.0, 60.0)),
+        recording(server, f"{SINK}.monitor", tmp_path / "near", stays=True) as near,
+    ):
+        wait_for(lambda: outlet().place_name == "desktop", "the virtual sink's sound")
+        assert drop_in.target_name == "virtual"
+        with suppress(NotFoundError):  # PipeWire binds it to its master
+            connection.move_sink_input(outlet().index, find_sink(connection.latest, SINK).index)
+        wait_for(lambda: outlet().place_name == "desktop", "the virtual sink's sound")
+        again = len(near())
+        wait_for(lambda: len(near()) > again + 2 * RATE_HZ, "two seconds")
+        level = level_db(near()[-RATE_HZ // 2 :]) - level_db(tone(440.0, 1.0))
+        assert abs(level) < 0.2  # one sound, not many
+        assert drop_in.forwarded
+    server.choose_default("desktop")
+    server.pactl("unload-module", module)
+
+
+def test_a_server_started_anew_has_a_usable_default_sink(
+    server: SoundServer, connection: PulseConnection, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.stop()
+    remember(server)
+    server.start()
+    connection = PulseConnection()
+    drop_in = DropIn(connection, haptic_sink="haptic")
+    wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
+    wait_for(lambda: remembers(server), "the server's memory")
+    server.kill()
+    wait_for(lambda: connection.lost, "the loss")
+    assert not drop_in.forwarded
+    drop_in.close()
+    connection.close()
+    monkeypatch.setattr(server, "choose_default", lambda name: None)
+    server.start()
+    connection = PulseConnection()
+    wait_for(lambda: connection.snapshot().default_sink, "a default sink")
+    print(f"{server.kind}: {connection.latest.default_sink} is the default sink")
+    assert connection.latest.default_sink in ("desktop", "haptic")
+    with dropped_in(connection, "desktop") as drop_in:
+        assert drop_in.forwarded
+    assert connection.snapshot().default_sink in ("desktop", "haptic")
+    connection.close()
+
+
+def remember(server: SoundServer) -> None:
+    """Let a stopped server keep the default sink beyond its end, as desktops do."""
+    if server.kind == "pulse":
+        with (server.folder / "start.pa").open("a") as file:
+            file.write("load-module module-default-device-restore\n")
+        return
+    script = server.folder / "wireplumber" / "main.lua.d" / "90-enable-all.lua"
+    lines = script.read_text().splitlines()
+    kept = [line for line in lines if "use-persistent-storage" not in line]
+    assert len(kept) == len(lines) - 1
+    script.write_text("\n".join(kept))
+
+
+def remembers(server: SoundServer) -> bool:
+    """Whether the server has written down that the default sink is ours."""
+    with suppress(OSError):  # a file of its that is not finished
+        files = [path for path in (server.folder / "state").rglob("*default*") if path.is_file()]
+        return any(SINK in path.read_text(errors="replace") for path in files)
+    return False
