@@ -3,7 +3,8 @@
 Starts PulseAudio, or PipeWire with WirePlumber and pipewire-pulse, in a folder of its own with the
 null sinks `desktop` (the default) and `haptic`, runs the command (else a shell) with an environment
 that leads to it, and stops it again. No session bus, no hardware, no files outside the folder: a
-desktop's own server is never touched. The tests use `SoundServer` directly.
+desktop's own server is never touched. --clock-ratio 1.0002 makes PulseAudio's clock, and so its
+sinks, 200 ppm fast, as another sound card's may be. The tests use `SoundServer` directly.
 tools/fetch_servers.sh installs what is needed.
 """
 
@@ -26,6 +27,9 @@ PROGRAMS = {
     "pulse": ("pulseaudio", "pactl", "pacat"),
     "pipewire": ("pipewire", "wireplumber", "pipewire-pulse", "pactl", "pacat", "pw-play"),
 }
+FAKETIME = "libfaketime.so.1"
+"""Lets a program's clock run fast or slow."""
+
 START_S = 15.0
 """How long a server may take until it answers; it usually takes a tenth of a second."""
 
@@ -46,16 +50,23 @@ def missing_programs(kind: str) -> list[str]:
     return missing
 
 
+def missing_clock() -> list[str]:
+    """What a clock_ratio needs and is not installed."""
+    return [] if _faketime() else [FAKETIME]
+
+
 class SoundServer:
     """A running server of kind `pulse` or `pipewire` in `folder`; a context manager that stops it.
 
-    address: for PULSE_SERVER; environment: for programs that are to use this server.
+    address: for PULSE_SERVER; environment: for programs that are to use this server. clock_ratio:
+    how much faster than ours its clock runs, 0.99 to 1.01; PulseAudio only.
     One thread calls the methods. All raise ServerError where the server does not do as asked.
     """
 
-    def __init__(self, kind: str, folder: Path) -> None:
+    def __init__(self, kind: str, folder: Path, *, clock_ratio: float = 1.0) -> None:
         if missing := missing_programs(kind):
             raise ServerError(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
+        self._clock = _clock_environment(kind, clock_ratio)
         self.kind = kind
         self.folder = folder.resolve()
         socket = self.folder / "native"
@@ -212,7 +223,7 @@ class SoundServer:
             self._processes.append(
                 subprocess.Popen(
                     (*bound, *command),
-                    env=self.environment | self._configuration,
+                    env=self.environment | self._configuration | self._clock,
                     stdin=subprocess.DEVNULL,
                     stdout=log,
                     stderr=log,
@@ -279,6 +290,24 @@ class SoundServer:
                 shutil.copytree("/usr/share/wireplumber", wireplumber)
             (wireplumber / "main.lua.d" / "90-enable-all.lua").write_text(WIREPLUMBER_LUA)
             (wireplumber / "bluetooth.lua.d" / "90-enable-all.lua").write_text("")
+
+
+def _faketime() -> Path | None:
+    return next(Path("/usr/lib").glob(f"*/faketime/{FAKETIME}"), None)
+
+
+def _clock_environment(kind: str, ratio: float) -> dict[str, str]:
+    """What makes a server's clock run at another pace than ours."""
+    if ratio == 1.0:
+        return {}
+    if kind != "pulse" or not 0.99 <= ratio <= 1.01:
+        raise ServerError(
+            f"clock_ratio={ratio:g} of {kind} is not possible; 0.99 to 1.01 of pulse are"
+        )
+    library = _faketime()
+    if library is None:
+        raise ServerError(f"missing: {FAKETIME}; run tools/fetch_servers.sh")
+    return {"LD_PRELOAD": str(library), "FAKETIME": f"+0 x{ratio:.9f}"}
 
 
 PIPEWIRE_CONF = f"""
@@ -353,12 +382,15 @@ def main() -> int:
     """Run a command beside a server of its own; its exit code."""
     parser = argparse.ArgumentParser(description="Run a command beside a sound server of its own.")
     parser.add_argument("kind", choices=sorted(PROGRAMS))
+    parser.add_argument(
+        "--clock-ratio", type=float, default=1.0, metavar="X", help="pulse: pace of its clock"
+    )
     parser.add_argument("command", nargs=argparse.REMAINDER, help="default: a shell")
     options = parser.parse_args()
     command = options.command or [os.environ.get("SHELL", "/bin/sh")]
     with tempfile.TemporaryDirectory(prefix="sound-server-") as folder:
         try:
-            with SoundServer(options.kind, Path(folder)) as server:
+            with SoundServer(options.kind, Path(folder), clock_ratio=options.clock_ratio) as server:
                 return subprocess.run(command, env=server.environment).returncode
         except ServerError as error:
             print(f"sound_server: error: {error}", file=sys.stderr)

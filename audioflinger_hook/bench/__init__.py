@@ -4,8 +4,9 @@
                           |-> benches (tones, fidelity, speed, growth, savings, mixing, rendering,
     subjects (live, ...) -'        measures, cost        rig)              |
                                                                            v
-                       soak record ------------------------------------> report -> Markdown, JSON
-                                                                           '----> drawing
+           soak record, live record ------------------------------------> report -> Markdown, JSON
+                 ^                                                         '----> drawing
+                 '- live_latency (live_recording, arrival, lag), by tools/latency.py
 
     report = run_bench(quick=True, progress=None)
     print(report.to_markdown())
@@ -22,6 +23,7 @@ from pathlib import Path
 from audioflinger_hook.bench import (
     fidelity,
     growth,
+    live_report,
     mixing,
     rendering,
     rig,
@@ -64,6 +66,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("rendering", rendering.render_speed, 2.0),
     ("simulated rig", rig.linear_rung, 2.0),
     ("memory", growth.memory_held, 4.0),
+    ("live record", live_report.live_result, 0.1),
     ("soak record", soak.soak_result, 0.1),
 )
 """Every bench in the order of the report: its name, the bench, and about how long it takes."""

@@ -5,7 +5,7 @@ The JSON document is the dataclasses below, field by field, in this shape (SCHEM
     {"schema": 1, "date": "...", "quick": bool, "duration_s": number, "machine": {MachineFacts},
      "must": {"met": int, "not_met": [name, ...]},
      "sections": [{"title", "explanation", "rows": [{Row, "met"}], "missing": [{Missing}],
-                   "series": {name: [number, ...]}}]}
+                   "series": {name: [number, ...]}, "footnote"}]}
 
 A number that is not finite is null. `must` in a row is {"relation", "bound"} or null; `met` is
 true, false, or null where nothing is asked.
@@ -98,7 +98,8 @@ class Missing:
 class Section:
     """One bench's rows under a title, with a sentence on what they mean to a reader.
 
-    series: the single measurements behind some rows, by name, for plots.
+    series: the single measurements behind some rows, by name, for plots. footnote: how the rows
+    came about, where that is more than a sentence.
     """
 
     title: str
@@ -106,6 +107,7 @@ class Section:
     rows: tuple[Row, ...]
     missing: tuple[Missing, ...] = ()
     series: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    footnote: str = ""
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,7 @@ class BenchReport:
                     "rows": [asdict(row) | {"met": row.met} for row in section.rows],
                     "missing": [asdict(missing) for missing in section.missing],
                     "series": {name: list(values) for name, values in section.series.items()},
+                    "footnote": section.footnote,
                 }
                 for section in self.sections
             ],
@@ -245,7 +248,7 @@ def _section_markdown(section: Section) -> str:
         if noted:
             cells.append("; ".join(row.note for row in mine if row.note and row.value is not None))
         lines.append(_line(cells))
-    lines += ["", *(f"Not measured: {missing}." for missing in section.missing)]
+    lines += ["", *(f"Not measured: {missing}." for missing in section.missing), section.footnote]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 

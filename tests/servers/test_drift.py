@@ -1,0 +1,178 @@
+"""Two sound cards whose clocks differ: the delay between them stays what it should be.
+
+The second card is a PulseAudio of its own whose clock runs fast or slow. Null sinks have a pace of
+their own besides (their blocks are rounded to microseconds), so the true drift is read off the
+two monitors.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.bench.lag import swelling_tone
+from audioflinger_hook.bench.live_recording import Recording
+from audioflinger_hook.daemon.engine import Clocks, Engine
+from device.clock.status import DelayState, DelayStatus
+from device.server import CaptureStream, PcmConfig, PlaybackStream, portaudio
+from tests.servers.listening import RATE_HZ, playing, wait_for
+from tools.sound_server import SoundServer, missing_clock, missing_programs
+
+SOAK_S = float(os.environ.get("CUSHION_DRIFT_SOAK_S", "300"))
+"""How long each pair of clocks is watched in the soak."""
+
+SHORT_S = 24.0
+SETTLES_S = 60.0
+"""The delay line steers with 0.02 Hz once it has found its target."""
+
+POLL_S = 0.1
+LONG_ENOUGH_FOR_PPM_S = 20.0
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What a delay line told ten times a second once it had settled, and the true drift.
+
+    drift_ppm: how much faster than the second card takes them frames come from the first.
+    """
+
+    statuses: list[DelayStatus]
+    drift_ppm: float
+
+    @property
+    def errors_ms(self) -> np.ndarray:
+        return np.array([1e3 * (status.delay_s - status.target_s) for status in self.statuses])
+
+    @property
+    def ratio_ppm(self) -> float:
+        return float(np.mean([status.ratio_ppm for status in self.statuses]))
+
+    @property
+    def resyncs(self) -> int:
+        return self.statuses[-1].resyncs - self.statuses[0].resyncs
+
+    @property
+    def starved(self) -> int:
+        return self.statuses[-1].underflows - self.statuses[0].underflows
+
+    def __str__(self) -> str:
+        errors_ms = self.errors_ms
+        return (
+            f"drift {self.drift_ppm:+.0f} ppm, mean ratio {self.ratio_ppm:+.0f} ppm, delay less "
+            f"target {errors_ms.min():+.2f} to {errors_ms.max():+.2f} ms, target "
+            f"{1e3 * self.statuses[-1].target_s:.2f} ms, {self.resyncs} resyncs, "
+            f"{self.starved} underflows"
+        )
+
+
+@contextmanager
+def two_cards(ratio: float, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[SoundServer]]:
+    """A server of the usual pace and one whose clock runs at this ratio to it."""
+    if missing := missing_programs("pulse") + missing_clock():
+        pytest.skip(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
+    with ExitStack() as stack:
+        servers = [
+            stack.enter_context(
+                SoundServer(
+                    "pulse",
+                    Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cushion-"))),
+                    clock_ratio=clock_ratio,
+                )
+            )
+            for clock_ratio in (1.0, ratio)
+        ]
+        for name, value in servers[0].environment.items():
+            if name.startswith(("PULSE_", "XDG_", "HOME", "DBUS_")):
+                monkeypatch.setenv(name, value)
+        yield servers
+
+
+@contextmanager
+def bridged(tap: SoundServer, output: SoundServer) -> Iterator[Engine]:
+    """The engine between the first card's `desktop` and the second one's `haptic`."""
+    config = PcmConfig("cushion_tap", "cushion_output")
+    clocks = Clocks(time.monotonic, time.thread_time)
+    engine = Engine(RATE_HZ, 2, RATE_HZ, clocks=clocks, now_s=time.monotonic())
+    streams: list[CaptureStream | PlaybackStream] = []
+    try:
+        config.pcms["cushion_output"].lead("haptic", output.address)
+        playback = PlaybackStream(config.pcms["cushion_output"], RATE_HZ, 2, engine.fill)
+        streams.append(playback)
+        playback.audible = True
+        config.pcms["cushion_tap"].lead("desktop.monitor", tap.address)
+        streams.append(CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, engine.on_frames))
+        yield engine
+        assert all(stream.errors == {} for stream in streams)
+    finally:
+        for stream in streams:
+            stream.close()
+        portaudio.terminate()
+        config.close()
+
+
+def watched(
+    ratio: float, seconds: float, settles_s: float, monkeypatch: pytest.MonkeyPatch
+) -> Watched:
+    """What the delay line does for `seconds` once it has played for settles_s."""
+    tone = swelling_tone(145.0, 60.0, RATE_HZ)[:, None].repeat(2, axis=1).astype(np.float32)
+    length = int((settles_s + seconds + 30.0) / 60.0) + 1
+    with (
+        two_cards(ratio, monkeypatch) as (first, second),
+        playing(first, "desktop", np.tile(tone, (length, 1))),
+        bridged(first, second) as engine,
+        closing(recording(first, "desktop")) as captured,
+        closing(recording(second, "haptic")) as taken,
+    ):
+        line = engine.delay_line
+        wait_for(lambda: line.status.state is DelayState.SETTLING, "vibration", 20.0)
+        began_s = time.monotonic()
+        statuses: list[DelayStatus] = []
+
+        def over() -> bool:
+            elapsed_s = time.monotonic() - began_s
+            captured.drain()
+            taken.drain()
+            if elapsed_s > settles_s + POLL_S * len(statuses):
+                statuses.append(line.status)
+            return elapsed_s > settles_s + seconds
+
+        wait_for(over, "the end", settles_s + seconds + 10.0)
+        drift_ppm = taken.line().drift_ppm - captured.line().drift_ppm
+    result = Watched(statuses, drift_ppm)
+    print(f"clock x{ratio:g}, {seconds:.0f} s: {result}")
+    return result
+
+
+def recording(server: SoundServer, sink: str) -> Recording:
+    return Recording(f"{sink}.monitor", RATE_HZ, server.environment, lambda _: None)
+
+
+@pytest.mark.servers
+@pytest.mark.parametrize("ratio", [0.999, 1.001])
+def test_a_card_that_is_fast_or_slow_is_followed(
+    ratio: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = watched(ratio, SHORT_S - 10.0, 10.0, monkeypatch)
+    assert np.sign(found.drift_ppm) == np.sign(1.0 - ratio)
+    assert np.sign(found.ratio_ppm) == np.sign(1.0 - ratio)
+    assert found.resyncs == 0
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("ratio", [0.9998, 1.0, 1.0002])
+def test_the_delay_stays_on_its_target_for_minutes(
+    ratio: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settles_s = min(SETTLES_S, SOAK_S / 2.0)
+    found = watched(ratio, SOAK_S - settles_s, settles_s, monkeypatch)
+    assert found.resyncs == 0
+    assert np.abs(found.errors_ms).max() <= 1.0
+    assert found.ratio_ppm == pytest.approx(found.drift_ppm, abs=30.0)

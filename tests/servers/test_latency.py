@@ -1,0 +1,116 @@
+"""Live latency on real servers: the tool measures it, and it stays what it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from audioflinger_hook.bench.live_report import (
+    LAG,
+    NO_GROWTH_MS,
+    RECORD,
+    TRUSTED_MS,
+    USUAL_BLOCK_FRAMES,
+    LiveRecord,
+    keep_records,
+    read_records,
+)
+from tests.servers.daemons import ROOT, environment, running
+from tools.latency import main
+from tools.sound_server import PROGRAMS, SoundServer, missing_programs
+
+SOAK_S = float(os.environ.get("CUSHION_LATENCY_SOAK_S", "600"))
+"""How long the latency is watched in the soak."""
+
+
+def measured(arguments: list[str], environ: dict[str, str] | None = None) -> dict[str, object]:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tools/latency.py"), "--json", *arguments],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        env=environ,
+        timeout=120.0,
+    )
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["schema"] == 1
+    (record,) = document["records"]
+    assert set(record) == {field.name for field in fields(LiveRecord)}
+    assert isinstance(record, dict)
+    print({key: value for key, value in record.items() if key != "lags_ms"}, record["lags_ms"])
+    return record
+
+
+def skip_without(kind: str) -> None:
+    if missing := missing_programs(kind):
+        pytest.skip(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
+
+
+@pytest.mark.servers
+@pytest.mark.parametrize("kind", sorted(PROGRAMS))
+def test_the_tool_finds_a_plausible_lag_and_no_error_of_its_own(kind: str, tmp_path: Path) -> None:
+    skip_without(kind)
+    kept = tmp_path / "live.json"
+    record = LiveRecord(**measured(["--kind", kind, "--seconds", "12", "--out", str(kept)]))  # type: ignore[arg-type]
+    assert kind in record.server.lower()
+    assert record.trusted
+    assert abs(record.check_median_ms or 0.0) <= TRUSTED_MS
+    assert record.lag_median_ms is not None
+    assert 20.0 < record.lag_median_ms < 150.0
+    assert record.budget_ms is not None
+    # the budget leaves out what servers hold back, and no more than that
+    assert -5.0 < record.lag_median_ms - record.budget_ms < 60.0
+    assert record.transform_ms == pytest.approx(41.2, abs=0.1)
+    assert len(record.lags_ms) == 4
+    assert [each.name for each in read_records(kept)] == [record.name]
+
+
+def test_a_daemon_that_already_runs_is_measured_where_it_is(server: SoundServer) -> None:
+    with running(server):
+        record = measured(["--here", "--play", "--seconds", "6"], environment(server))
+    assert record["block_frames"] is None
+    lag_ms, check_ms = record["lag_median_ms"], record["check_median_ms"]
+    assert isinstance(lag_ms, float)
+    assert isinstance(check_ms, float)
+    assert 20.0 < lag_ms < 150.0
+    assert abs(check_ms) <= TRUSTED_MS
+
+
+def test_without_a_daemon_there_is_nothing_to_measure_here(server: SoundServer) -> None:
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tools/latency.py"), "--here"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        env=environment(server),
+        timeout=30.0,
+    )
+    assert done.returncode == 1
+    assert done.stderr == "latency: error: no daemon plays here; start one with `cushion run`\n"
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("kind", sorted(PROGRAMS))
+def test_the_latency_is_short_and_does_not_grow(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    skip_without(kind)
+    with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
+        out = Path(folder) / "live.json"
+        arguments = ["--kind", kind, "--seconds", str(SOAK_S), "--out", str(out)]
+        monkeypatch.setattr(sys, "argv", ["latency.py", *arguments])
+        code = main()
+        (record,) = read_records(out)
+    keep_records([record], ROOT / RECORD)  # a failure is kept as well
+    assert code == 0
+    assert record.block_frames == USUAL_BLOCK_FRAMES
+    assert record.lag_median_ms is not None
+    assert record.growth_ms is not None
+    assert LAG.met(record.lag_median_ms), record
+    assert NO_GROWTH_MS.met(abs(record.growth_ms)), record

@@ -1,0 +1,193 @@
+"""How late live vibration is: tools/latency.py [--kind pulse|pipewire|both] [--seconds S] ...
+
+Starts a sound server of its own (tools/sound_server.py) with `cushion run` on it, plays a sound
+that swells irregularly, records what is heard and what is felt side by side, and tells by how much
+one comes after the other, transform included. With --here it measures the daemon that is running
+on this desktop, by whatever plays there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from audioflinger_hook import config
+from audioflinger_hook.bench.lag import swelling_tone
+from audioflinger_hook.bench.live_latency import (
+    WINDOW_S,
+    Place,
+    measure,
+    running_daemon,
+    status_of_daemon,
+)
+from audioflinger_hook.bench.live_recording import playing, samplerate_of
+from audioflinger_hook.bench.live_report import (
+    USUAL_BLOCK_FRAMES,
+    LiveRecord,
+    keep_records,
+    to_json,
+)
+from audioflinger_hook.bench.signals import stereo
+from audioflinger_hook.cli.terminal import progress_bar
+from audioflinger_hook.settings import Settings
+from device.errors import CushionError, NotFoundError
+from tools.sound_server import PROGRAMS, ServerError, SoundServer
+
+LOOP_S = 60.0
+MONITOR = ".monitor"
+
+
+def main() -> int:
+    """Measure, print, keep; the exit code is 1 where nothing could be measured."""
+    options = _parse()
+    try:
+        records = []
+        for record in _here(options) if options.here else _on_servers(options):
+            records.append(record)
+            if not options.json:
+                print(_told(record), flush=True)
+        if options.json:
+            print(json.dumps(to_json(records), indent=2))
+        if options.out:
+            keep_records(records, options.out)
+    except (CushionError, ServerError) as error:
+        print(f"latency: error: {error}", file=sys.stderr)
+        return 1
+    return (
+        0 if all(record.trusted and record.lag_median_ms is not None for record in records) else 1
+    )
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description="Measure by how much live vibration comes after its sound.", allow_abbrev=False
+    )
+    parser.add_argument("--kind", choices=(*sorted(PROGRAMS), "both"), default="both")
+    parser.add_argument("--seconds", type=float, default=30.0, metavar="S", help="default: 30")
+    parser.add_argument(
+        "--block-frames",
+        type=int,
+        nargs="+",
+        default=[USUAL_BLOCK_FRAMES],
+        metavar="N",
+        help=f"of the daemon's streams, one run each; default: {USUAL_BLOCK_FRAMES}",
+    )
+    parser.add_argument("--hz", type=float, default=145.0, help="of the tone; default: 145")
+    parser.add_argument("--here", action="store_true", help="the daemon that runs here")
+    parser.add_argument("--play", action="store_true", help="with --here: play the tone, too")
+    parser.add_argument("--json", action="store_true", help="one JSON document on stdout")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="keep the results there")
+    options = parser.parse_args()
+    if not WINDOW_S <= options.seconds <= 86_400.0:
+        parser.error(f"--seconds {options.seconds:g}: {WINDOW_S:g} to 86400 are possible")
+    if not 60.0 <= options.hz <= 10_000.0:
+        parser.error(f"--hz {options.hz:g}: 60 to 10000 are possible")
+    return options
+
+
+def _on_servers(options: argparse.Namespace) -> Iterator[LiveRecord]:
+    """A record for each server and block size, as they come."""
+    kinds = sorted(PROGRAMS) if options.kind == "both" else [options.kind]
+    for kind in kinds:
+        for block_frames in options.block_frames:
+            with (
+                tempfile.TemporaryDirectory(prefix="latency-") as folder,
+                SoundServer(kind, Path(folder)) as server,
+            ):
+                yield on_server(server, options, block_frames)
+
+
+def on_server(server: SoundServer, options: argparse.Namespace, block_frames: int) -> LiveRecord:
+    """The record of a daemon that is started on this server."""
+    place = Place("desktop" + MONITOR, "haptic" + MONITOR, server.environment)
+    asked = None if block_frames == USUAL_BLOCK_FRAMES else block_frames
+    with (
+        _tone(place, options.hz),
+        running_daemon("haptic", server.environment, server.folder, block_frames=asked),
+    ):
+        return _measured(place, options, Settings(), block_frames, _name(options.hz))
+
+
+def _here(options: argparse.Namespace) -> Iterator[LiveRecord]:
+    """The record of the daemon that runs on this desktop."""
+    environment = dict(os.environ)
+    status = status_of_daemon(environment)
+    if status is None or status.tap.name is None or status.device.name is None:
+        raise NotFoundError("no daemon plays here; start one with `cushion run`")
+    place = Place(status.tap.name, status.device.name + MONITOR, environment)
+    path = config.default_path()
+    settings = config.load(path) if path.exists() else Settings()
+    with _tone(place, options.hz) if options.play else nullcontext():
+        name = _name(options.hz) if options.play else "whatever played"
+        yield _measured(place, options, settings, None, name)
+
+
+def _tone(place: Place, hertz: float) -> AbstractContextManager[None]:
+    rate = samplerate_of(place.heard, place.environment)
+    sound = stereo(swelling_tone(hertz, LOOP_S, rate))
+    return playing(place.heard.removesuffix(MONITOR), sound, rate, place.environment)
+
+
+def _name(hertz: float) -> str:
+    return f"a tone of {hertz:g} Hz that swells irregularly"
+
+
+def _measured(
+    place: Place,
+    options: argparse.Namespace,
+    settings: Settings,
+    block_frames: int | None,
+    stimulus: str,
+) -> LiveRecord:
+    with progress_bar("latency") as advance:
+        return measure(
+            place,
+            options.seconds,
+            settings=settings,
+            block_frames=block_frames,
+            stimulus=stimulus,
+            progress=advance,
+        )
+
+
+def _told(record: LiveRecord) -> str:
+    """A record for a person to read."""
+
+    def ms(value: float | None, sign: str = "") -> str:
+        return "-" if value is None else f"{value:{sign}.2f} ms"
+
+    lines = [
+        f"{record.name}: {record.seconds:.0f} s of {record.stimulus}, load "
+        f"{record.load_before:.1f} to {record.load_after:.1f}",
+        "  from      lag   the daemon says",
+    ]
+    for index, (lag_ms, budget_ms) in enumerate(
+        zip(record.lags_ms, record.budgets_ms, strict=True)
+    ):
+        lines.append(f"{index * record.window_s:4.0f} s {ms(lag_ms):>12} {ms(budget_ms):>12}")
+    lines += [
+        f"  lag: median {ms(record.lag_median_ms)}, 5 % under {ms(record.lag_p5_ms)}, 95 % under "
+        f"{ms(record.lag_p95_ms)}, {ms(record.growth_ms, '+')} over the run",
+        f"  the daemon: {ms(record.budget_ms)} in all, of it transform {ms(record.transform_ms)}, "
+        f"delay line {ms(record.delay_ms)} (target {ms(record.target_ms)}); {record.resyncs} "
+        f"resyncs, {record.underflows} underflows, {record.overflows} overflows, "
+        f"{record.recoveries} recoveries",
+        f"  dropouts: {record.dropouts}, {record.dropout_ms:.1f} ms; splices in the recordings: "
+        f"{record.splices}",
+        f"  self-check: one monitor recorded twice differs by {ms(record.check_median_ms, '+')}, "
+        f"at worst {ms(record.check_worst_ms, '+')}: "
+        + ("as it should" if record.trusted else "NOT TO BE TRUSTED"),
+    ]
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
