@@ -28,7 +28,7 @@ ALERT_S = 0.5
 
 _OUTLIER = 6.0
 _FIRST_SPREAD_S = 0.005
-_LEAST_SPREAD_S = 50e-6
+_LEAST_SPREAD_S = 150e-6
 _FIRST_TIME_S = 0.25
 _SPREAD_TIME_S = 5.0
 _USUAL_DRIFT = 150e-6
@@ -90,7 +90,7 @@ class FrameClock:
         self._time_s = self._offset_s = self._fallen_s = self._bucket_s = 0.0
         self._frames = 0
         self._begun_s = self._age_s = self._astray_s = 0.0
-        self._spread_s = _FIRST_SPREAD_S
+        self._usual_s, self._spread_s = 0.0, _FIRST_SPREAD_S
         self._alert_s = 0.0
         self._filling = True
         self.reading: ClockReading | None = None
@@ -120,7 +120,7 @@ class FrameClock:
         if frames < reading.frames or late_s > STALLED_S or early_s > EARLY_S:
             return self._begin(now_s, frames)
         seconds = (frames - reading.frames) * self._nominal_s
-        outlier = late_s > _OUTLIER * self._spread_s
+        outlier = late_s > self._usual_s + _OUTLIER * self._spread_s
         self._astray_s = self._astray_s + seconds if outlier else 0.0
         if self._astray_s > (0.0 if self._alert_s > 0.0 else ASTRAY_S):
             return self._begin(now_s, frames)
@@ -130,14 +130,15 @@ class FrameClock:
             self._filling = False
             self._forget(now_s, frames, self._spread_s)
             return self._read(frames, now_s)
-        if not outlier or self._astray_s <= seconds:  # on and on astray is not the usual
+        if not outlier:  # what is late on and on must not become the usual
             share = min(1.0, seconds / min(_SPREAD_TIME_S, _FIRST_TIME_S + self._age_s))
-            usual_s = min(late_s, _OUTLIER * self._spread_s)
-            self._spread_s += share * (max(usual_s, 0.0) - self._spread_s)
+            self._spread_s += share * (abs(late_s - self._usual_s) - self._spread_s)
             self._spread_s = max(self._spread_s, _LEAST_SPREAD_S)
+            self._usual_s += share * (late_s - self._usual_s)
         if late_s < 0.0:
             self._offset_s += late_s
             self._fallen_s -= late_s
+            self._usual_s -= late_s
         if self._best is None or later_s - self._best[1] < self._deviation * (
             counted_s - self._best[0]
         ):
@@ -160,7 +161,7 @@ class FrameClock:
         """Begin a line at this callback."""
         self._time_s, self._frames = now_s, frames
         self._offset_s = self._fallen_s = 0.0
-        self._spread_s = spread_s
+        self._usual_s, self._spread_s = 0.0, spread_s
         self._astray_s = 0.0
         self._points.clear()
         self._best = (0.0, 0.0)

@@ -107,6 +107,7 @@ class AppCapture:
     def _start(self, handle: Any, samplerate: int, channels: int) -> None:
         """It runs from now on, with this stream of libpulse."""
         self._handle, self.samplerate, self.channels = handle, samplerate, channels
+        self._pending, self._failed = True, False
         self.opened_s = self.last_callback_s = time.monotonic()
 
     def _stop(self) -> Any:

@@ -25,6 +25,9 @@ FRAGMENT_FRAMES = 256
 BACKLOG_S = 0.5
 """What the server keeps for us while we are held up; older sound is dropped."""
 
+ATTEMPTS = 3
+"""PipeWire now and then refuses a stream on a busy machine, where links are made late."""
+
 START_LIMIT_S = 0.5
 """How long an opening waits for the first sound of an application that does not pause."""
 
@@ -139,7 +142,7 @@ class AppCaptures(PulseThread):
         return bool(self._captures)
 
     def _open(self, capture: AppCapture, samplerate: int | None, channels: int | None) -> None:
-        if capture.ended is not None:  # whoever asked has given up since
+        if capture.is_lost():  # whoever asked has given up since
             return
         self._captures.append(capture)  # from now on the end of its application is noticed
         try:
@@ -147,16 +150,19 @@ class AppCaptures(PulseThread):
             if playing is None:
                 raise NotFoundError(_no_stream(capture.stream_index))
             samplerate, channels = samplerate or playing.samplerate, channels or playing.channels
-            handle = self._connected(capture, playing, samplerate, channels)
-            capture._start(handle, samplerate, channels)
-            # PipeWire says that the stream is ready only once the application plays.
-            self._comes(lambda: not capture._pending, 0.0 if playing.paused else START_LIMIT_S)
-            if (capture._pending or capture._failed) and not self._playing(capture.stream_index):
-                raise NotFoundError(_no_stream(capture.stream_index))
-            if capture._failed:
-                raise LostError(self._refusal(capture))
-            if capture.ended is not None:
-                raise NotFoundError(_no_stream(capture.stream_index))
+            for attempt in range(1, ATTEMPTS + 1):
+                handle = self._connected(capture, playing, samplerate, channels)
+                capture._start(handle, samplerate, channels)
+                # PipeWire says that the stream is ready only once the application plays.
+                self._comes(lambda: not capture._pending, 0.0 if playing.paused else START_LIMIT_S)
+                runs = not capture._pending and not capture._failed
+                if capture.is_lost() or not (runs or self._playing(capture.stream_index)):
+                    raise NotFoundError(_no_stream(capture.stream_index))
+                if not capture._failed:
+                    return
+                if attempt == ATTEMPTS:
+                    raise LostError(self._refusal(capture))
+                self._leave(capture)
         except BaseException:
             self._give_up(capture)
             raise
@@ -204,6 +210,10 @@ class AppCaptures(PulseThread):
         if capture in self._captures:
             self._captures.remove(capture)
         capture.ended = capture.ended or Ended.CLOSED
+        self._leave(capture)
+
+    def _leave(self, capture: AppCapture) -> None:
+        """End the stream that a capture has, if any."""
         handle = capture._stop()
         if handle is not None:
             self._leaving.append(handle)

@@ -20,9 +20,12 @@ import pytest
 
 from audioflinger_hook.bench.lag import swelling_tone
 from audioflinger_hook.bench.live_recording import Recording
+from audioflinger_hook.clients import TapClient
 from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.taps import PushTap
 from device.clock.status import DelayState, DelayStatus
 from device.server import CaptureStream, PcmConfig, PlaybackStream, portaudio
+from device.units import Float32Array
 from tests.servers.listening import RATE_HZ, playing, wait_for
 from tools.sound_server import SoundServer, missing_clock, missing_programs
 
@@ -96,19 +99,25 @@ def two_cards(ratio: float, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[So
 
 
 @contextmanager
-def bridged(tap: SoundServer, output: SoundServer) -> Iterator[Engine]:
+def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
     """The engine between the first card's `desktop` and the second one's `haptic`."""
     config = PcmConfig("cushion_tap", "cushion_output")
     clocks = Clocks(time.monotonic, time.thread_time)
-    engine = Engine(RATE_HZ, 2, RATE_HZ, clocks=clocks, now_s=time.monotonic())
+    tap = PushTap(RATE_HZ, 2)
+    engine = Engine(TapClient(tap), RATE_HZ, clocks=clocks, now_s=time.monotonic())
+
+    def on_frames(frames: Float32Array, now_s: float) -> None:
+        tap.push(frames)
+        engine.advance(now_s)
+
     streams: list[CaptureStream | PlaybackStream] = []
     try:
-        config.pcms["cushion_output"].lead("haptic", output.address)
+        config.pcms["cushion_output"].lead("haptic", felt.address)
         playback = PlaybackStream(config.pcms["cushion_output"], RATE_HZ, 2, engine.fill)
         streams.append(playback)
         playback.audible = True
-        config.pcms["cushion_tap"].lead("desktop.monitor", tap.address)
-        streams.append(CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, engine.on_frames))
+        config.pcms["cushion_tap"].lead("desktop.monitor", heard.address)
+        streams.append(CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, on_frames))
         yield engine
         assert all(stream.errors == {} for stream in streams)
     finally:
