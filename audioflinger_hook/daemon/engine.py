@@ -16,6 +16,9 @@ from audioflinger_hook.settings import Settings
 from device.clock import DelayLine
 from device.units import Float32Array, FloatArray
 
+LATENESS_LEAST_S = 0.005
+"""An idle machine's callbacks are some ms late now and then: the delay is not to follow that."""
+
 FADED = 1e-6
 """Vibration below this, of full scale, is none: -120 dB."""
 
@@ -94,6 +97,7 @@ class Engine:
             capture_block=self._block_frames,
             output_block=self._block_frames,
             offset_s=offset_s,
+            lateness_least_s=LATENESS_LEAST_S,
         )
 
     def lead_to(self, samplerate: int) -> None:

@@ -37,15 +37,16 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     if engine is None:
         return status
     line = engine.delay_line.status
+    tap_s, output_s = supervisor.latencies_s
     offset_s = engine.delay_line.offset_s
     return replace(
         status,
         levels=Levels(engine.sound.meter.level(), engine.vibration.meter.level()),
         latency=LatencyBudget.of(
-            tap_ms=0.0,
+            tap_ms=1e3 * tap_s,
             transform_ms=1e3 * engine.framework.latency_s,
             delay_line_ms=1e3 * (line.delay_s - offset_s),
-            output_ms=0.0,
+            output_ms=1e3 * output_s,
             offset_ms=1e3 * offset_s,
         ),
         delay_line=DelayLineFigures(

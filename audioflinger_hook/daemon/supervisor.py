@@ -26,6 +26,8 @@ from device.server import (
     Sink,
     Source,
 )
+from device.server.latency import output_latency_s, tap_latency_s
+from device.server.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
 TICK_S = 0.05
@@ -113,6 +115,18 @@ class Supervisor:
     def xruns(self) -> tuple[int, int]:
         """How often the streams of tap and output were late, as far as PortAudio tells."""
         return self._input.xruns, self._output.xruns
+
+    @property
+    def latencies_s(self) -> tuple[float, float]:
+        """What tap and output add to the delay, in seconds."""
+        (source, sink), connection = self._found, self._connection
+        if connection is None or source is None or sink is None:
+            return 0.0, 0.0
+        snapshot = connection.latest
+        return (
+            tap_latency_s(snapshot, BLOCK_FRAMES, source.samplerate),
+            output_latency_s(snapshot, BLOCK_FRAMES, sink.samplerate),
+        )
 
     @property
     def warnings(self) -> list[str]:

@@ -37,6 +37,8 @@ class DelayLine:
     provided for as if they were late. offset_s: delay on top of what is needed, 0 or more.
     capacity_s: memory, allocated at once; the target stays within three quarters of it.
     lateness_limit_s: the most that is provided for late callbacks; later ones are underflows.
+    lateness_least_s: what is provided for anyway, so that the first late callbacks after a calm
+    start do not move the delay.
 
     Target: 1.5 capture blocks + an output block + lateness (99.9th percentile, both sides) +
     offset. A delay further off than max(256 frames, half a capture block) is set anew by a jump;
@@ -71,6 +73,7 @@ class DelayLine:
         output_block: int = 256,
         offset_s: float = 0.0,
         lateness_limit_s: float = 0.03,
+        lateness_least_s: float = 0.0,
     ) -> None:
         if channels < 1 or capture_block < 1 or output_block < 1:
             raise InternalError("channels, capture_block and output_block must be 1 or more")
@@ -87,6 +90,7 @@ class DelayLine:
         self._channels = channels
         self._samplerate_in = float(samplerate_in)
         self._samplerate_out = float(samplerate_out)
+        self._lateness_least_s = lateness_least_s
         self._most_offset_s = 0.75 * (capacity_s - needed_s)
         self._resync_frames = max(RESYNC_FRAMES, capture_block // 2)
 
@@ -253,7 +257,8 @@ class DelayLine:
         seconds = frames / self._samplerate_out
         early_s = clock.time_of(clock.frames + frames) - now_s - self._output_s
         _measure_lateness(self._read_late, early_s, seconds, clock)
-        lateness_s = written.lateness_s + self._read_late.estimate_s
+        late_s = written.lateness_s + self._read_late.estimate_s
+        lateness_s = max(self._lateness_least_s, late_s)
         self._target.want(lateness_s, self._offset_s)
         slew = self._target.move(seconds)
         known = clock.settled and written.clock.settled
