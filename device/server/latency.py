@@ -24,5 +24,5 @@ def tap_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) 
 
 
 def output_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) -> float:
-    """Seconds from when a playback of such blocks asks for a frame until it is mixed. Any thread."""
+    """Seconds from a playback's asking for a frame until it is mixed. Any thread."""
     return _BLOCKS.get(snapshot.kind, (0.0, 0.0))[1] * block_frames / samplerate
