@@ -38,6 +38,7 @@ test-servers:
 soak:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
+	@sh tools/fetch_servers.sh
 	.venv/bin/python -m pytest -m soak $(PYTEST_ARGS)
 
 bench:

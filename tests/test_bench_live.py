@@ -285,6 +285,7 @@ def a_record(**changed):
         lag_p5_ms=70.0,
         lag_p95_ms=73.0,
         growth_ms=-0.4,
+        hidden_growth_ms=0.1,
         dropouts=1,
         dropout_ms=5.3,
         splices=0,

@@ -3,7 +3,7 @@
 Starts a sound server of its own (tools/sound_server.py) with `cushion run` on it, plays a sound
 that swells irregularly, records what is heard and what is felt side by side, and tells by how much
 one comes after the other, transform included. With --here it measures the daemon that is running
-on this desktop, by whatever plays there.
+on this desktop: by whatever plays there to some milliseconds, with --play as well as elsewhere.
 """
 
 from __future__ import annotations
@@ -21,13 +21,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from audioflinger_hook import config
 from audioflinger_hook.bench.lag import swelling_tone
-from audioflinger_hook.bench.live_latency import (
-    WINDOW_S,
-    Place,
-    measure,
-    running_daemon,
-    status_of_daemon,
-)
+from audioflinger_hook.bench.live_daemon import running_daemon, status_of_daemon
+from audioflinger_hook.bench.live_latency import WINDOW_S, Place, measure
 from audioflinger_hook.bench.live_recording import playing, samplerate_of
 from audioflinger_hook.bench.live_report import (
     USUAL_BLOCK_FRAMES,
@@ -52,12 +47,12 @@ def main() -> int:
         records = []
         for record in _here(options) if options.here else _on_servers(options):
             records.append(record)
+            if options.out:
+                keep_records([record], options.out)
             if not options.json:
                 print(_told(record), flush=True)
         if options.json:
             print(json.dumps(to_json(records), indent=2))
-        if options.out:
-            keep_records(records, options.out)
     except (CushionError, ServerError) as error:
         print(f"latency: error: {error}", file=sys.stderr)
         return 1
@@ -175,7 +170,8 @@ def _told(record: LiveRecord) -> str:
         lines.append(f"{index * record.window_s:4.0f} s {ms(lag_ms):>12} {ms(budget_ms):>12}")
     lines += [
         f"  lag: median {ms(record.lag_median_ms)}, 5 % under {ms(record.lag_p5_ms)}, 95 % under "
-        f"{ms(record.lag_p95_ms)}, {ms(record.growth_ms, '+')} over the run",
+        f"{ms(record.lag_p95_ms)}, {ms(record.growth_ms, '+')} over the run, "
+        f"{ms(record.hidden_growth_ms, '+')} of which the daemon does not tell",
         f"  the daemon: {ms(record.budget_ms)} in all, of it transform {ms(record.transform_ms)}, "
         f"delay line {ms(record.delay_ms)} (target {ms(record.target_ms)}); {record.resyncs} "
         f"resyncs, {record.underflows} underflows, {record.overflows} overflows, "

@@ -6,7 +6,7 @@
                                                                            v
            soak record, live record ------------------------------------> report -> Markdown, JSON
                  ^                                                         '----> drawing
-                 '- live_latency (live_recording, arrival, lag), by tools/latency.py
+                 '- live_latency (live_daemon, live_recording, arrival, lag), by tools/latency.py
 
     report = run_bench(quick=True, progress=None)
     print(report.to_markdown())

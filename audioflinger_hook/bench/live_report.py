@@ -44,7 +44,9 @@ class LiveRecord:
 
     lags_ms: of each window, by how much the vibration comes after its sound, from monitor to
     monitor, transform included; budgets_ms: what the daemon said meanwhile. lag_*_ms: of all of
-    them; growth_ms: how much later at the end than at the start, by a robust line.
+    them; growth_ms: how much later at the end than at the start, by a robust line;
+    hidden_growth_ms: the same of the part that the daemon does not tell of. (It provides for late
+    callbacks, and says so: on a busy machine the lag may grow by that.)
 
     dropouts, dropout_ms: silences amid vibration. splices: places where the recordings, not what
     they recorded, lack frames. check_median_ms, check_worst_ms: the lag between two recordings of
@@ -68,6 +70,7 @@ class LiveRecord:
     lag_p5_ms: float | None
     lag_p95_ms: float | None
     growth_ms: float | None
+    hidden_growth_ms: float | None
     dropouts: int
     dropout_ms: float
     splices: int
@@ -90,6 +93,11 @@ class LiveRecord:
         """What was measured, in a few words; the same for the next measurement of it."""
         frames = "" if self.block_frames is None else f", {self.block_frames} frames"
         return f"{self.server}{frames}"
+
+    @property
+    def busy(self) -> bool:
+        """Whether the machine had more to do than it has cores: lags are then its own affair."""
+        return max(self.load_before, self.load_after) > self.cores
 
     @property
     def trusted(self) -> bool:
@@ -163,6 +171,7 @@ _COLUMNS: tuple[tuple[str, str, str, Must | None], ...] = (
     ("lag_p5_ms", "5 % under", "ms", None),
     ("lag_p95_ms", "95 % under", "ms", None),
     ("growth_ms", "change over the run", "ms", NO_GROWTH_MS),
+    ("hidden_growth_ms", "of it hidden", "ms", NO_GROWTH_MS),
     ("budget_ms", "what the daemon says", "ms", None),
     ("delay_ms", "of it in the delay line", "ms", None),
     ("resyncs", "resyncs", "", None),
@@ -203,7 +212,7 @@ def _rows(record: LiveRecord) -> Iterable[Row]:
         value = getattr(record, field)
         if value is None:
             continue
-        if field == "growth_ms":
+        if field in ("growth_ms", "hidden_growth_ms"):
             value = abs(value)
         asked = must if record.block_frames == USUAL_BLOCK_FRAMES else None
         yield Row(
@@ -225,8 +234,10 @@ def _footnote(records: tuple[LiveRecord, ...]) -> str:
         f"own with null sinks, and leave their last results here. Played: {stimuli}. The lag "
         "of every few seconds is that of the vibration's envelope behind the envelope of what "
         "`cushion render` makes of the same sound; a frame's time is the earliest at which it "
-        "could be recorded. Dropouts are silences over 2 ms amid vibration. The instrument's error "
-        "is the lag that it finds between two recordings of one monitor. "
+        "could be recorded. Hidden is the change of what the daemon does not tell of: it provides "
+        "for late callbacks, more of them on a busy machine, and says so. Dropouts are silences "
+        "over 2 ms amid vibration. The instrument's error is the lag that it finds between two "
+        "recordings of one monitor. "
         f"{cpus}, load {min(loads):.1f} to {max(loads):.1f}; null sinks have no hardware behind "
         "them, whose own delay comes on top."
     )

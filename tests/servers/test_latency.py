@@ -30,23 +30,32 @@ SOAK_S = float(os.environ.get("CUSHION_LATENCY_SOAK_S", "600"))
 """How long the latency is watched in the soak."""
 
 
-def measured(arguments: list[str], environ: dict[str, str] | None = None) -> dict[str, object]:
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "tools/latency.py"), "--json", *arguments],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        env=environ,
-        timeout=120.0,
-    )
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
-    assert document["schema"] == 1
-    (record,) = document["records"]
-    assert set(record) == {field.name for field in fields(LiveRecord)}
-    assert isinstance(record, dict)
-    print({key: value for key, value in record.items() if key != "lags_ms"}, record["lags_ms"])
-    return record
+ATTEMPTS = 3
+"""A shared machine may be too busy for a measurement; then this says so, and is asked again."""
+
+
+def measured(arguments: list[str], environ: dict[str, str] | None = None) -> LiveRecord:
+    for attempt in range(1, ATTEMPTS + 1):
+        done = subprocess.run(
+            [sys.executable, str(ROOT / "tools/latency.py"), "--json", *arguments],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            env=environ,
+            timeout=120.0,
+        )
+        assert done.stderr == ""
+        document = json.loads(done.stdout)
+        assert document["schema"] == 1
+        (found,) = document["records"]
+        assert set(found) == {field.name for field in fields(LiveRecord)}
+        record = LiveRecord(**found)
+        print(record)
+        usable = record.trusted and record.lag_median_ms is not None
+        assert done.returncode == (0 if usable else 1)
+        if usable or attempt == ATTEMPTS:
+            return record
+    raise AssertionError("unreachable")
 
 
 def skip_without(kind: str) -> None:
@@ -59,7 +68,7 @@ def skip_without(kind: str) -> None:
 def test_the_tool_finds_a_plausible_lag_and_no_error_of_its_own(kind: str, tmp_path: Path) -> None:
     skip_without(kind)
     kept = tmp_path / "live.json"
-    record = LiveRecord(**measured(["--kind", kind, "--seconds", "12", "--out", str(kept)]))  # type: ignore[arg-type]
+    record = measured(["--kind", kind, "--seconds", "12", "--out", str(kept)])
     assert kind in record.server.lower()
     assert record.trusted
     assert abs(record.check_median_ms or 0.0) <= TRUSTED_MS
@@ -76,12 +85,10 @@ def test_the_tool_finds_a_plausible_lag_and_no_error_of_its_own(kind: str, tmp_p
 def test_a_daemon_that_already_runs_is_measured_where_it_is(server: SoundServer) -> None:
     with running(server):
         record = measured(["--here", "--play", "--seconds", "6"], environment(server))
-    assert record["block_frames"] is None
-    lag_ms, check_ms = record["lag_median_ms"], record["check_median_ms"]
-    assert isinstance(lag_ms, float)
-    assert isinstance(check_ms, float)
-    assert 20.0 < lag_ms < 150.0
-    assert abs(check_ms) <= TRUSTED_MS
+    assert record.block_frames is None
+    assert record.lag_median_ms is not None
+    assert 20.0 < record.lag_median_ms < 150.0
+    assert abs(record.check_median_ms or 0.0) <= TRUSTED_MS
 
 
 def test_without_a_daemon_there_is_nothing_to_measure_here(server: SoundServer) -> None:
@@ -112,5 +119,9 @@ def test_the_latency_is_short_and_does_not_grow(kind: str, monkeypatch: pytest.M
     assert record.block_frames == USUAL_BLOCK_FRAMES
     assert record.lag_median_ms is not None
     assert record.growth_ms is not None
+    assert record.hidden_growth_ms is not None
+    if record.busy:
+        pytest.skip(f"load over {record.cores}, where nothing is promised: {record}")
     assert LAG.met(record.lag_median_ms), record
+    assert NO_GROWTH_MS.met(abs(record.hidden_growth_ms)), record
     assert NO_GROWTH_MS.met(abs(record.growth_ms)), record
