@@ -9,6 +9,8 @@
     applications.py  which applications are captured by themselves, before the mix
     app_captures.py  AppCaptures opens an AppCapture (app_capture.py) for each
     pulse_thread.py  their connection and thread; libpulse.py: the library that they call
+    drop_in.py    DropIn: the sound passes a virtual sink, which the server forwards
+                  (forwarding.py, default_sink.py, guests.py)
     quiet.py      what the libraries print; statistics.py: how long callbacks take
 
 pulsectl and PyAudio are loaded when they are first needed: both need libraries of the system.
@@ -17,6 +19,7 @@ pulsectl and PyAudio are loaded when they are first needed: both need libraries 
 from device.server.app_capture import AppCapture, Ended
 from device.server.app_captures import AppCaptures
 from device.server.applications import AppRules
+from device.server.drop_in import DropIn
 from device.server.events import Event, Listener, backoff_s
 from device.server.guard import Hold, Refuge, StreamGuard
 from device.server.identity import (
@@ -38,6 +41,7 @@ __all__ = [
     "AppCaptures",
     "AppRules",
     "CaptureStream",
+    "DropIn",
     "Ended",
     "Event",
     "Hold",

@@ -9,9 +9,19 @@ from pathlib import Path
 
 import pytest
 
-from device.errors import NotFoundError
+from device.errors import NotFoundError, UsageError
 from device.server.events import Event, backoff_s
-from device.server.guard import Hold, Place
+from device.server.forwarding import (
+    SINK,
+    Route,
+    carries,
+    loopback_arguments,
+    loopbacks,
+    reached,
+    real_sinks,
+    whole_ms,
+)
+from device.server.guard import REFUGE, Hold, Place
 from device.server.identity import default_monitor, find_sink, identity_of, is_own
 from device.server.pcms import TAG, PcmConfig
 from device.server.quiet import loud_libraries, quiet_libraries
@@ -196,3 +206,68 @@ def test_neither_pulsectl_nor_pyaudio_is_loaded_by_importing_the_room() -> None:
         timeout=30,
     )
     assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_sound_cards_are_forwarded_to_first_and_nothing_of_ours_ever() -> None:
+    sinks = (
+        sink(1, "virtual"),
+        sink(2, "card", **{"device.bus": "pci"}),
+        sink(3, "haptic", **{"device.bus": "usb"}),
+        sink(4, SINK),
+        sink(5, REFUGE),
+    )
+    there = ServerSnapshot("PulseAudio", "16.1", SINK, "", sinks, (), (), (), 0)
+    assert real_sinks(there, "haptic") == ["card", "virtual"]
+    assert real_sinks(there, None) == ["card", "haptic", "virtual"]
+
+
+def made(index: int, place: int, place_name: str, module: int, **properties: str) -> Stream:
+    names = ("", "", "", "")
+    return Stream(index, place, place_name, *names, None, False, False, properties, module)
+
+
+def test_what_a_sink_s_sound_comes_to_is_found_through_modules() -> None:
+    first = made(1, 2, "second", 7)
+    back = made(2, 4, SINK, 8)
+    other = made(3, 4, SINK, 9)
+    sinks = tuple(sink(index, name) for index, name in ((1, "first"), (2, "second"), (4, SINK)))
+    sources = tuple(Source(one.index, one.monitor, "", one.name, 48_000, 2, {}) for one in sinks)
+    taps = (made(1, 1, "first.monitor", 7), made(2, 2, "second.monitor", 8))
+    there = ServerSnapshot(
+        "PulseAudio", "", SINK, "", sinks, sources, (first, back, other), taps, 0
+    )
+    assert reached(there, "first") == {"first", "second"}
+    assert reached(there, "second") == {"second"}
+    assert carries(there, back, {"first", "second"})
+    assert not carries(there, other, {"first", "second"})
+
+
+def test_a_loopback_tells_its_route_and_whether_it_is_complete() -> None:
+    route = Route("desktop", "speakers", 75)
+    arguments = loopback_arguments(route, sink(4, SINK))
+    told = next(text for text in arguments if text.startswith("sink_input_properties"))
+    pairs = told.partition("=")[2].strip('"').replace("'Haptic Cushion'", "x").split()
+    properties = {
+        name: value.strip("'") for name, _, value in (pair.partition("=") for pair in pairs)
+    }
+    sinks = (sink(1, "desktop"), sink(4, SINK))
+    sources = (Source(4, f"{SINK}.monitor", "", SINK, 48_000, 2, {}),)
+    for playing, taps, complete in (
+        ((made(1, 1, "desktop", 7, **properties),), (made(1, 4, "", 7, **properties),), True),
+        ((made(1, 4, SINK, 7, **properties),), (made(1, 4, "", 7, **properties),), False),
+        ((made(1, 1, "desktop", 7, **properties),), (), False),
+        ((), (made(1, 4, "", 7, **properties),), False),
+    ):
+        there = ServerSnapshot("PulseAudio", "", SINK, "", sinks, sources, playing, taps, 0)
+        (found,) = loopbacks(there)
+        assert (found.module, found.route, found.complete) == (7, route, complete)
+
+
+def test_a_route_that_no_module_could_take_is_refused() -> None:
+    with pytest.raises(UsageError, match="quotes"):
+        loopback_arguments(Route("it's", "desktop", 20), sink(4, SINK))
+    with pytest.raises(UsageError, match=r"delay_s=-1\.0"):
+        whole_ms(-1.0)
+    with pytest.raises(UsageError, match="delay_s=nan"):
+        whole_ms(float("nan"))
+    assert [whole_ms(delay_s) for delay_s in (None, 0.0, 0.0754, 0.5)] == [20, 20, 75, 500]
