@@ -18,7 +18,8 @@ from device.output import VibrationOutput
 class Step:
     """What one step moved: the sound as mixed and the vibration as sent, float32.
 
-    At the end of the sound comes one step of no sound, with the vibration still owed.
+    At the end of the sound comes one step of no sound, with the vibration still owed. Nothing at
+    all where the client has nothing yet.
     """
 
     audio: NDArray[np.float32]
@@ -55,6 +56,10 @@ class Chain:
             self._ended = True
             self._sink.send(self._framework.drain())
             audio = np.zeros((0, self._framework.mixer.channels), np.float32)
+        elif frames == 0:
+            mixer = self._framework.mixer
+            nothing = np.zeros((0, mixer.channels + mixer.haptic_channels), np.float32)
+            return Step(nothing[:, : mixer.channels], nothing[:, mixer.channels :])
         else:
             audio = self._framework.cycle(now_s, frames).buffer.audio.copy()
         return Step(audio, self._sink.sent.copy())

@@ -191,11 +191,20 @@ def test_a_capture_is_made_in_a_new_or_empty_folder_only(tmp_path, source, folde
 
 
 @pytest.mark.parametrize("tap", ["default", "sink:speakers", "app:Firefox", "speakers"])
-def test_what_is_playing_cannot_be_captured_yet(tmp_path, tap):
-    for command in (["capture", tmp_path / "cap"], ["dump"]):
+def test_what_is_playing_cannot_be_dumped_yet_and_an_application_not_captured(tmp_path, tap):
+    commands = [["dump"], ["capture", tmp_path / "cap"]]
+    for command in commands if tap.startswith("app:") else commands[:1]:
         error = refused(call(*command, "--tap", tap), 3)
         assert "cannot listen to what is playing yet" in error
-    assert "cannot listen" in refused(call("capture", tmp_path / "cap"), 3)  # default: default
+    assert not (tmp_path / "cap").exists()
+
+
+@pytest.mark.parametrize("options", [[], ["--tap", "default"], ["--tap", "speakers"]])
+def test_without_a_sound_server_nothing_that_plays_is_captured(tmp_path, options):
+    env = {"PULSE_SERVER": f"unix:{tmp_path / 'none'}"}
+    done = cushion("capture", tmp_path / "cap", *options, env=env)
+    # 3 where libpulse is not even installed
+    assert "sound server" in refused(done, 4) if done.code == 4 else refused(done, 3)
     assert not (tmp_path / "cap").exists()
 
 

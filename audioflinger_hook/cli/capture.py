@@ -9,10 +9,17 @@ from audioflinger_hook.capture import CaptureWriter
 from audioflinger_hook.cli.terminal import progress_bar, warn
 from audioflinger_hook.clients import open_tap, parse_tap
 
+LIVE_TAPS = ("default", "sink")
+"""What is playing; all else is at hand."""
+
 
 def run(options: argparse.Namespace) -> int:
     """Record until the tap ends, or for so many seconds of sound, and say what is there."""
     address = parse_tap(options.tap)
+    if address.kind in LIVE_TAPS:
+        from audioflinger_hook.cli import capture_live
+
+        return capture_live.run(address, options.folder, options.seconds, debug=options.debug)
     tap = open_tap(address)
     try:
         with (
@@ -37,9 +44,14 @@ def run(options: argparse.Namespace) -> int:
         tap.close()
     for warning in getattr(tap, "warnings", ()):
         warn(warning)
+    print_summary(writer, heard_s, tap.samplerate, tap.channels)
+    return 0
+
+
+def print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, channels: int) -> None:
+    """Print what a capture holds; samplerate: of its last buffer, Hz, as the channels."""
     count = writer.buffers("tap")
     print(
-        f"{options.folder}: {heard_s:.2f} s in {count} buffer{'s' if count != 1 else ''}, "
-        f"{tap.channels} channel{'s' if tap.channels > 1 else ''} at {tap.samplerate} Hz"
+        f"{writer.folder}: {heard_s:.2f} s in {count} buffer{'s' if count != 1 else ''}, "
+        f"{channels} channel{'s' if channels > 1 else ''} at {samplerate} Hz"
     )
-    return 0

@@ -73,8 +73,12 @@ def build_parser() -> Parser:
     run = _add(commands, "run", "feel everything this computer plays", _run_daemon)
     _add_tap(run)
     run.add_argument(
-        "--device", required=True, metavar="DEVICE", help="sink:NAME or usb:VID:PID[:SERIAL]"
+        "--device",
+        required=True,
+        metavar="DEVICE",
+        help="sink:NAME, usb:VID:PID[:SERIAL], wav:FILE or twin",
     )
+    run.add_argument("--record", type=Path, metavar="DIR", help="keep it all in a new folder")
     run.add_argument("--config", type=Path, metavar="FILE", help="default: the user's own")
     run.add_argument(
         "--seconds", type=_duration, default=math.inf, metavar="S", help="of sound; default: ever"

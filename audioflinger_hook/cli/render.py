@@ -32,9 +32,12 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def chosen_settings(options: argparse.Namespace) -> Settings:
-    """Return what a config file says, if one is named, and over it what the options say."""
-    settings = config.load(options.config) if options.config else Settings()
+def chosen_settings(options: argparse.Namespace, recorded: Settings | None = None) -> Settings:
+    """Return what a config file says, if one is named, and over it what the options say.
+
+    recorded: taken where no file is named.
+    """
+    settings = config.load(options.config) if options.config else recorded or Settings()
     given = {
         name: getattr(options, name)
         for name in ("form", "channels", "profile", "damping")

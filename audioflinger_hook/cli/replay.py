@@ -10,6 +10,7 @@ from audioflinger_hook.capture.format import INDEX_NAME, STREAMS
 from audioflinger_hook.cli.render import chosen_settings, show_report
 from audioflinger_hook.cli.terminal import progress_bar
 from audioflinger_hook.clients import TapClient
+from audioflinger_hook.daemon.facts import settings_from
 from audioflinger_hook.pace import RealTimePace
 from audioflinger_hook.render import Wait, refuse_same_file, render
 from audioflinger_hook.taps import CaptureTap
@@ -22,10 +23,10 @@ def run(options: argparse.Namespace) -> int:
     """Replay a capture and say what came of it."""
     if options.speed not in SPEEDS:
         raise UsageError(f"speed {options.speed!r} is not known; allowed: {', '.join(SPEEDS)}")
-    settings = chosen_settings(options)
-    for source in (options.folder, *_files(options.folder)):
+    for source in (options.folder, *capture_files(options.folder)):
         refuse_same_file(source, options.output, options.acceleration)
     tap = CaptureTap(options.folder)
+    settings = chosen_settings(options, settings_from(tap.facts))
     client = TapClient(tap)
     with progress_bar(options.folder.name) as progress:
         report = render(
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _files(folder: Path) -> list[Path]:
+def capture_files(folder: Path) -> list[Path]:
     """Return the files that a capture in that folder would be made of."""
     segments = [path for stream in STREAMS for path in folder.glob(f"{stream}-*.wav")]
     return [folder / INDEX_NAME, *segments]

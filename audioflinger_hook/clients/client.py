@@ -24,7 +24,7 @@ class Client(Protocol):
         ...
 
     def play(self) -> int | None:
-        """Write what the next cycle mixes and return its frames, or None at the end."""
+        """Write what the next cycle mixes and return its frames; None at the end, 0: not yet."""
         ...
 
     def close(self) -> None:

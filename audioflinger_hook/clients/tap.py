@@ -48,10 +48,16 @@ class TapClient:
         self._begin(self._tap.samplerate, self._tap.channels)
 
     def play(self) -> int | None:
-        """Write the next buffer, or what is left of one, and return the frames of its cycle."""
+        """Write the next buffer, or what is left of one, and return the frames of its cycle.
+
+        0 where a tap that is pushed to has no more yet.
+        """
         while True:
-            if not len(self._pending) and not self._next_buffer():
-                return self._play_tail()
+            if not len(self._pending):
+                if getattr(self._tap, "starved", False):
+                    return 0
+                if not self._next_buffer():
+                    return self._play_tail()
             part = self._pending[: self._most_at_once]
             self._pending = self._pending[len(part) :]
             assert self._track is not None

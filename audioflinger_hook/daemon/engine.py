@@ -44,10 +44,11 @@ class Engine:
 
     client: plays into the mix, which has its samplerate (Hz) and channels. output_samplerate: of
     the device, Hz; offset_s: what the user adds to the delay; block_frames: of the streams on
-    both sides; clocks: what time it is, and what the thread has used. on_step: told of every
-    cycle, on the thread that calls `advance`; the arrays are its own. `advance` is called by the
-    capture's thread, `fill` by the output's; neither waits for the other. Any thread may read the
-    rest.
+    both sides; clocks: what time it is, and what the thread has used. bypass_late: whether an
+    effect that takes too long is passed by: for sound that plays elsewhere meanwhile. on_step:
+    told of every cycle, on the thread that calls `advance`; the arrays are its own. `advance` is
+    called by the capture's thread, `fill` by the output's; neither waits for the other. Any thread
+    may read the rest.
 
     buffers, frames: how many were mixed; last_sound_s: when they were not silent. faded: whether
     the vibration last looked at was none. sound, vibration: their levels.
@@ -68,6 +69,7 @@ class Engine:
         offset_s: float = 0.0,
         block_frames: int = 256,
         now_s: float = 0.0,
+        bypass_late: bool = True,
         on_step: OnStep | None = None,
     ) -> None:
         self._client = client
@@ -76,7 +78,12 @@ class Engine:
         self._block_frames = block_frames
         self.samplerate = client.samplerate
         self.channels = client.channels
-        self.framework = Framework(self.samplerate, self.channels, settings, clock=clocks.now_s)
+        self.framework = Framework(
+            self.samplerate,
+            self.channels,
+            settings,
+            clock=clocks.now_s if bypass_late else None,
+        )
         self.delay_line = self._line(output_samplerate, offset_s)
         self.sound = Gathered(self.samplerate, self.channels)
         self.vibration = Gathered(self.samplerate, self.framework.haptic_channels)
@@ -116,6 +123,8 @@ class Engine:
         if step is None:
             return False
         audio, vibration = step.audio, step.vibration
+        if not len(vibration):  # too little for a cycle
+            return True
         self.sound.add(audio)
         self.vibration.add(vibration)
         if self.sound.whole and self.sound.loudest > 0.0:
@@ -128,6 +137,20 @@ class Engine:
         self.frames += len(audio)
         self.buffer_times.add(self._clocks.used_s() - began_s, len(vibration) / self.samplerate)
         return True
+
+    def finish(self, now_s: float) -> Float32Array:
+        """Let the client come to its end; return the vibration still owed, for `send`.
+
+        On the thread that calls `advance`, which then has nothing left to do.
+        """
+        held = self._into_line.held = []
+        while self.advance(now_s):
+            pass
+        return np.concatenate([self._scratch[:0], *held])
+
+    def send(self, vibration: Float32Array, now_s: float) -> None:
+        """Put vibration that is in no cycle into the delay line; on the thread of `advance`."""
+        self.delay_line.write(vibration, now_s)
 
     def rest(self) -> None:
         """Forget what was to be played, and what levels were; call it while no stream runs.
@@ -153,16 +176,23 @@ class Engine:
 
 
 class _IntoLine:
-    """The delay line as an output of the chain; now_s: when the frames being treated came."""
+    """The delay line as an output of the chain; now_s: when the frames being treated came.
+
+    held: takes the blocks instead, where it is not None.
+    """
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self.now_s = 0.0
+        self.held: list[Float32Array] | None = None
         self.samplerate = engine.samplerate
         self.channels = engine.framework.haptic_channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take one block."""
+        if self.held is not None:
+            self.held.append(np.array(vibration, np.float32))
+            return
         self._engine.delay_line.write(vibration, self.now_s)
 
     def close(self) -> None:

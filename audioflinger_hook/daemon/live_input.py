@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from audioflinger_hook.clients import TapAddress, TapClient
-from audioflinger_hook.daemon.engine import Engine
+from audioflinger_hook.clients import TapAddress
+from audioflinger_hook.daemon.feed import Taker
 from audioflinger_hook.daemon.kept import KeptStream
 from audioflinger_hook.service.state import Cause, StateKeeper
-from audioflinger_hook.taps import PushTap
 from device.errors import NotFoundError
 from device.server import (
     CaptureStream,
     Pcm,
     PulseConnection,
     ServerSnapshot,
-    Sink,
     Source,
     default_monitor,
     is_ours,
@@ -24,22 +22,26 @@ from device.units import Float32Array
 
 
 class LiveInput:
-    """Sound of one sink of the server: the default one, or one by name. For the supervisor alone.
+    """Sound of one sink of the server: the default one, or one by name.
 
-    name: of the monitor that is captured, None while none is.
+    taker: who gets its buffers, on PortAudio's thread. name: of the monitor that is captured,
+    None while none is. For the supervising thread alone.
     """
 
-    def __init__(self, address: TapAddress, pcm: Pcm, states: StateKeeper) -> None:
+    needs_server = True
+    may_rest = True
+    ended = False
+
+    def __init__(self, address: TapAddress, pcm: Pcm, states: StateKeeper, taker: Taker) -> None:
         self._address = address
         self._pcm = pcm
         self._states = states
+        self._taker = taker
         self._kept: KeptStream[CaptureStream] = KeptStream(
             "the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED
         )
+        self._found: Source | None = None
         self._source: Source | None = None
-        self._tap: PushTap | None = None
-        self._client: TapClient | None = None
-        self._engine: Engine | None = None
 
     def __str__(self) -> str:
         return str(self._address)
@@ -59,59 +61,61 @@ class LiveInput:
         """What the server shows of the stream."""
         return self._kept.stream.tag if self._kept.stream else None
 
-    def locate(self, snapshot: ServerSnapshot, device: Sink | None) -> Source:
-        """Return the monitor to capture.
+    @property
+    def warnings(self) -> list[str]:
+        """None."""
+        return []
 
-        device: where the vibration goes, which is never tapped.
+    def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Source:
+        """Find the monitor to capture, and return it.
+
+        device: the sink that the vibration goes to, which is never tapped.
 
         Raises
         ------
         NotFoundError
             There is none, or it would feed back; nothing else is tapped instead.
         """
-        device_name = device.name if device else None
+        assert snapshot is not None
         if self._address.kind != "sink":
-            return default_monitor(snapshot, device_name)
-        source = monitor_of(snapshot, self._address.name)
-        if source.monitor_of == device_name:
-            raise NotFoundError(
-                f"the tap {str(self)!r} is the sink that the vibration goes to, which would feed "
-                "back; tap another sink"
-            )
+            source = default_monitor(snapshot, device)
+        else:
+            source = monitor_of(snapshot, self._address.name)
+            if source.monitor_of == device:
+                raise NotFoundError(
+                    f"the tap {str(self)!r} is the sink that the vibration goes to, which would "
+                    "feed back; tap another sink"
+                )
+        self._found = source
         return source
 
-    def players(self, snapshot: ServerSnapshot, source: Source) -> frozenset[int]:
+    def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
         """Return the applications' streams that may sound in this monitor at any moment."""
+        if snapshot is None or self._found is None:
+            return frozenset()
+        sink = self._found.monitor_of
         return frozenset(
             stream.index
             for stream in snapshot.sink_inputs
-            if stream.place_name == source.monitor_of and not stream.corked and not is_ours(stream)
+            if stream.place_name == sink and not stream.corked and not is_ours(stream)
         )
 
-    def client(self, source: Source) -> TapClient:
-        """Return what plays into the mix, which is of this source's format."""
-        self._tap = PushTap(source.samplerate, source.channels)
-        self._client = TapClient(self._tap)
-        return self._client
-
-    def keep(
-        self, connection: PulseConnection, source: Source, engine: Engine, now_s: float
-    ) -> None:
-        """Bring the capture nearer to where it should be.
+    def keep(self, connection: PulseConnection | None, now_s: float) -> None:
+        """Bring the capture nearer to what was located.
 
         Raises LostError or NotFoundError where it cannot be opened; another try follows.
         """
-        kept = self._kept
+        kept, source = self._kept, self._found
+        assert connection is not None
+        assert source is not None
         if kept.stream is not None and self._source is not None:
             if source.name != self._source.name:
                 self._lead(connection, source)
             else:
                 kept.check(now_s)
         if kept.stream is None:
-            assert self._tap is not None
-            self._engine = engine
             self._pcm.lead(source.name)
-            if self._tap.change(source.samplerate, source.channels):
+            if self._taker.opened(source.samplerate, source.channels):
                 self._states.count(Cause.FORMAT_CHANGED)
             kept.open(lambda: self._capture(source), connection, source.name, now_s)
             self._source = source
@@ -119,6 +123,10 @@ class LiveInput:
     def close(self) -> None:
         """End the capture. Again too; it raises nothing."""
         self._kept.close()
+
+    def end(self, *, keep: bool) -> None:
+        """End the capture."""
+        self.close()
 
     def _capture(self, source: Source) -> CaptureStream:
         return CaptureStream(
@@ -139,16 +147,10 @@ class LiveInput:
             self._kept.close()
             return
         guard.lead(source.name)
-        if self._engine:
-            self._engine.delay_line.expect_jump()
+        self._taker.moved()
         connection.move_source_output(served.index, source.index)
         self._source = source
 
     def _on_frames(self, frames: Float32Array, now_s: float) -> None:
         """Take captured frames; on PortAudio's thread."""
-        tap, client, engine = self._tap, self._client, self._engine
-        if tap is None or client is None or engine is None or not len(frames):
-            return
-        tap.push(frames)
-        while tap.waiting or client.pending_frames:
-            engine.advance(now_s)
+        self._taker.push(frames, now_s)

@@ -3,24 +3,38 @@
 from __future__ import annotations
 
 from audioflinger_hook.daemon.kept import KeptStream
+from audioflinger_hook.daemon.recording import RunRecording
+from audioflinger_hook.daemon.sides import Fill
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.address import DeviceAddress
 from device.server import Pcm, PlaybackStream, PulseConnection, ServerSnapshot, Sink
-from device.server.streams import Fill
+from device.units import Float32Array
 
 
 class LiveOutput:
     """A sink of the server that is the haptic device. For the supervisor alone.
 
-    name: of the sink that is played to, None while none is.
+    recording: takes what is sent. name: of the sink that is played to, None while none is.
     """
 
-    def __init__(self, address: DeviceAddress, pcm: Pcm, states: StateKeeper) -> None:
+    needs_server = True
+    may_rest = True
+    summary = ""
+
+    def __init__(
+        self,
+        address: DeviceAddress,
+        pcm: Pcm,
+        states: StateKeeper,
+        recording: RunRecording | None = None,
+    ) -> None:
         self._address = address
         self._pcm = pcm
+        self._recording = recording
         self._kept: KeptStream[PlaybackStream] = KeptStream(
             "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
         )
+        self._found: Sink | None = None
         self._sink: Sink | None = None
 
     def __str__(self) -> str:
@@ -46,16 +60,28 @@ class LiveOutput:
         """Whether a stream plays, or did until a moment ago."""
         return self._kept.stream is not None
 
-    def locate(self, snapshot: ServerSnapshot) -> Sink:
-        """Return the sink. NotFoundError: it is not there; no other is taken instead."""
-        return self._address.sink(snapshot)
+    @property
+    def warnings(self) -> list[str]:
+        """None."""
+        return []
 
-    def keep(self, connection: PulseConnection, sink: Sink, fill: Fill, now_s: float) -> None:
-        """Bring the playback nearer to where it should be.
+    def suit(self, samplerate: int, channels: int) -> None:
+        """A sink has a format of its own."""
+
+    def locate(self, snapshot: ServerSnapshot | None) -> Sink:
+        """Find the sink. NotFoundError: it is not there; no other is taken instead."""
+        assert snapshot is not None
+        self._found = self._address.sink(snapshot)
+        return self._found
+
+    def keep(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
+        """Bring the playback nearer to what was located.
 
         Raises LostError or NotFoundError where it cannot be opened; another try follows.
         """
-        kept = self._kept
+        kept, sink = self._kept, self._found
+        assert connection is not None
+        assert sink is not None
         if kept.stream is not None and self._sink is not None:
             if sink.index != self._sink.index:  # plugged in again: another sink of the same name
                 kept.close()
@@ -64,7 +90,7 @@ class LiveOutput:
         if kept.stream is None:
             self._pcm.lead(sink.name)
             kept.open(
-                lambda: PlaybackStream(self._pcm, sink.samplerate, sink.channels, fill),
+                lambda: self._playback(sink, fill),
                 connection,
                 sink.name,
                 now_s,
@@ -74,3 +100,18 @@ class LiveOutput:
     def close(self) -> None:
         """Fall silent. Again too; it raises nothing."""
         self._kept.close()
+
+    def end(self, *, keep: bool) -> None:
+        """Fall silent."""
+        self.close()
+
+    def _playback(self, sink: Sink, fill: Fill) -> PlaybackStream:
+        recording = self._recording
+        if recording is None:
+            return PlaybackStream(self._pcm, sink.samplerate, sink.channels, fill)
+        recording.reopened()
+
+        def sent(frames: Float32Array, now_s: float) -> None:
+            recording.sent(frames, sink.samplerate, now_s)
+
+        return PlaybackStream(self._pcm, sink.samplerate, sink.channels, fill, sent)

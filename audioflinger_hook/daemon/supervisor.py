@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from audioflinger_hook.clients import TapAddress
-from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.live_input import LiveInput
-from audioflinger_hook.daemon.live_output import LiveOutput
+from audioflinger_hook.daemon.engine import Clocks, Engine, OnStep
+from audioflinger_hook.daemon.order import Order, Sides
 from audioflinger_hook.daemon.rest import Rest
-from audioflinger_hook.daemon.wake import Wake
+from audioflinger_hook.daemon.sides import Place
+from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
-from audioflinger_hook.settings import Settings
-from device.address import DeviceAddress
 from device.errors import CushionError, LostError, NotFoundError
-from device.server import (
-    Listener,
-    PcmConfig,
-    PulseConnection,
-    Refuge,
-    ServerSnapshot,
-    Sink,
-    Source,
-)
+from device.server import PulseConnection, Refuge, ServerSnapshot
 from device.server.latency import output_latency_s, tap_latency_s
 from device.server.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
@@ -46,26 +33,19 @@ SLEPT_S = 0.5
 """The machine has slept if it did so for longer."""
 
 
-@dataclass(frozen=True)
-class Order:
-    """What the daemon was asked for.
-
-    offset_s: delay on top of what is needed, in seconds.
-    """
-
-    tap: TapAddress
-    device: DeviceAddress
-    settings: Settings
-    offset_s: float = 0.0
-
-
 class Supervisor:
-    """One daemon: from a tap of the sound server to one of its sinks.
+    """One daemon: from a tap to a device, each the sound server's or paced by us.
 
     `tick` is called by the thread that made it whenever `wake` rings, and `rest_s` after the last
     time anyway; times are seconds of time.monotonic(). Nothing that a server or device does makes
-    it raise: it waits, recovers and says so in `states`. `engine` is what runs at present, None
-    before the first sound.
+    it raise: it waits, recovers and says so in `states`. A file that cannot be read or written any
+    more ends it: the error is raised. `engine` is what runs at present, None before the first
+    sound.
+
+    Raises
+    ------
+    UsageError, NotFoundError
+        A file to play, or to write, cannot be used.
     """
 
     def __init__(self, order: Order, clocks: Clocks, wake: Wake) -> None:
@@ -75,14 +55,13 @@ class Supervisor:
         self._order = order
         self._clocks = clocks
         self._wake = wake
-        self._pcms = PcmConfig("cushion_tap", "cushion_output")
-        self._input = LiveInput(order.tap, self._pcms.pcms["cushion_tap"], self.states)
-        self._output = LiveOutput(order.device, self._pcms.pcms["cushion_output"], self.states)
+        self._sides = Sides(order, clocks, self.states)
+        self._input, self._output = self._sides.input, self._sides.output
         self._connection: PulseConnection | None = None
         self._refuge: Refuge | None = None
         self._server_backoff = Backoff(longest_s=LONGEST_WAIT_S)
         self._rest = Rest(now_s)
-        self._found: tuple[Source | None, Sink | None] = (None, None)
+        self._found: tuple[Place | None, Place | None] = (None, None)
         self._ticked_s = now_s
         self._slept_s = clocks.slept_s()
         self._resyncs = 0
@@ -101,6 +80,22 @@ class Supervisor:
     def heard_buffers(self) -> int:
         """Buffers that came in since the first one."""
         return self.engine.buffers if self.engine else 0
+
+    @property
+    def ended(self) -> bool:
+        """Whether the sound has come to its end, and its vibration has run out."""
+        return self._input.ended
+
+    @property
+    def summary(self) -> str:
+        """What the device has to say of all that it got, one line; mostly empty."""
+        return self._output.summary
+
+    @property
+    def trouble(self) -> str:
+        """What a user should know at once, one line; mostly empty."""
+        recording = self._order.recording
+        return recording.problem if recording else ""
 
     @property
     def endpoints(self) -> tuple[tuple[str, str | None], tuple[str, str | None]]:
@@ -122,48 +117,56 @@ class Supervisor:
         (source, sink), connection = self._found, self._connection
         if connection is None or source is None or sink is None:
             return 0.0, 0.0
-        snapshot = connection.latest
+        seen = connection.latest
+        tap, output = self._input.needs_server, self._output.needs_server
         return (
-            tap_latency_s(snapshot, BLOCK_FRAMES, source.samplerate),
-            output_latency_s(snapshot, BLOCK_FRAMES, sink.samplerate),
+            tap_latency_s(seen, BLOCK_FRAMES, source.samplerate) if tap else 0.0,
+            output_latency_s(seen, BLOCK_FRAMES, sink.samplerate) if output else 0.0,
         )
 
     @property
     def warnings(self) -> list[str]:
         """What a user should know, a line each."""
+        recording = self._order.recording
         warnings = list(self.engine.framework.warnings) if self.engine else []
+        warnings += [*self._input.warnings, *(recording.warnings if recording else ())]
         refuge, connection = self._refuge, self._connection
         if refuge and connection and not refuge.active and connection.latest.kind != "PipeWire":
             warnings.append(refuge.reason)
         return warnings
 
     def look(self) -> None:
-        """See once whether server, device and tap are there.
+        """See once whether server, device and tap are there, as far as they are needed.
 
         Raises
         ------
         LostError, NotFoundError
             The first that is not, with what would help.
         """
+        if not self._sides.needs_server:
+            return
         connection = PulseConnection()
         try:
-            self._input.locate(connection.latest, self._output.locate(connection.latest))
+            self._locate_tap(connection.latest, self._output.locate(connection.latest))
         finally:
             connection.close()
 
     def tick(self, now_s: float) -> None:
         """Bring everything nearer to where it should be."""
         self._notice_pauses(now_s)
+        connection = None
         try:
-            connection = self._connected(now_s)
-            if connection is None:
+            if self._sides.needs_server:
+                connection = self._connected(now_s)
+                if connection is None:
+                    return
+            snapshot = connection.latest if connection else None
+            device = self._there(snapshot, now_s)
+            if device is None:
                 return
-            sink = self._there(connection.latest, now_s)
-            if sink is None:
-                return
-            self._found = (None, sink)
-            source = self._input.locate(connection.latest, sink)
-            self._found = (source, sink)
+            self._found = (None, device)
+            source = self._locate_tap(snapshot, device)
+            self._found = (source, device)
         except LostError as error:
             self._lose_server(now_s, str(error))
             return
@@ -172,15 +175,15 @@ class Supervisor:
             self._rest.awake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
-        if self._rests(connection, source, now_s):
+        if self._rests(snapshot, now_s):
             return
         try:
-            engine = self._engine_for(source, sink, now_s)
+            self._prepare_engine(source, device, now_s)
             # Sound first: what comes while the output opens is not lost.
-            self._input.keep(connection, source, engine, now_s)
-            self._output.keep(connection, sink, self._fill, now_s)
+            self._input.keep(connection, now_s)
+            self._output.keep(connection, self._fill, now_s)
         except LostError as error:
-            if connection.lost:
+            if connection and connection.lost:
                 self._lose_server(now_s, str(error))
             return
         except NotFoundError:
@@ -188,15 +191,18 @@ class Supervisor:
         if self._input.name and self._output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
-    def close(self, now_s: float) -> None:
-        """Fall silent and let go of everything."""
+    def close(self, now_s: float, *, keep: bool = True) -> None:
+        """Fall silent and let go of everything; keep: a file that was written stays.
+
+        WriteError: it cannot be kept; all else is done by then.
+        """
         self.states.enter(DaemonState.STOPPING, now_s)
-        self._close_streams()
+        self._sides.close()
         if self._refuge:
             self._refuge.close()
         if self._connection:
             self._connection.close()
-        self._pcms.close()
+        self._sides.end(keep=keep)
 
     def _notice_pauses(self, now_s: float) -> None:
         """Count what made the process or the sound stand still."""
@@ -205,7 +211,7 @@ class Supervisor:
         if slept_s - before_s > SLEPT_S:
             self.states.recover(Cause.RESUMED, now_s, f"slept for {slept_s - before_s:.0f} s")
             # Devices and servers come back in their own time: begin with what is there then.
-            self._close_streams()
+            self._sides.close()
             self._rest.awake(now_s)
         elif now_s - self._ticked_s > STALLED_S + self.rest_s:
             self.states.count(Cause.STALL)
@@ -225,7 +231,7 @@ class Supervisor:
         if self._server_backoff.wait_s(now_s) > 0.0:
             return None
         try:
-            self._connection = connection = PulseConnection(_Nudge(self._wake))
+            self._connection = connection = PulseConnection(Nudge(self._wake))
             self._refuge = Refuge(connection)
         except CushionError as error:
             self._server_backoff.failed(now_s)
@@ -238,53 +244,71 @@ class Supervisor:
     def _lose_server(self, now_s: float, reason: str) -> None:
         if self._connection is not None:
             self.states.count(Cause.SERVER_LOST)
-            self._close_streams()
+            self._input.close()
+            if self._output.needs_server:  # a file goes on, with silence
+                self._output.close()
             self._connection.close()
             self._connection = self._refuge = None
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
 
-    def _there(self, snapshot: ServerSnapshot, now_s: float) -> Sink | None:
-        """Return the device's sink, or None after saying that it is awaited."""
+    def _locate_tap(self, snapshot: ServerSnapshot | None, device: Place) -> Place:
+        return self._input.locate(snapshot, device.name if self._output.needs_server else None)
+
+    def _there(self, snapshot: ServerSnapshot | None, now_s: float) -> Place | None:
+        """Return the device, or None after saying that it is awaited."""
         try:
             return self._output.locate(snapshot)
         except NotFoundError as error:
             if self._output.is_open:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
             self._output.close()
+            if not self._input.needs_server:  # a file waits for the device
+                self._input.close()
             self._found = (None, None)
             self._rest.awake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
             return None
 
-    def _rests(self, connection: PulseConnection, source: Source, now_s: float) -> bool:
+    def _rests(self, snapshot: ServerSnapshot | None, now_s: float) -> bool:
         """Rest if nothing plays; whether so."""
+        if not (self._input.may_rest and self._output.may_rest):
+            return False
         engine = self.engine
-        players = self._input.players(connection.latest, source)
+        players = self._input.players(snapshot)
         last_sound_s = engine.last_sound_s if engine and engine.faded else now_s
         if not self._rest.update(now_s, players, last_sound_s, heard=False):
             return False
-        self._close_streams()
+        self._sides.close()
         if engine:
             engine.rest()
         self.states.enter(DaemonState.IDLE, now_s, "nothing plays")
         return True
 
-    def _engine_for(self, source: Source, sink: Sink, now_s: float) -> Engine:
-        """Return the engine, made for the first source: later ones are mixed into its format."""
+    def _prepare_engine(self, source: Place, device: Place, now_s: float) -> None:
+        """Have an engine, made for the first source: later ones are mixed into its format."""
         engine = self.engine
         if engine is None:
-            engine = self.engine = Engine(
-                self._input.client(source),
-                sink.samplerate,
+            engine = self.engine = self._sides.feed.engine = Engine(
+                self._sides.feed.client(source.samplerate, source.channels),
+                device.samplerate or source.samplerate,
                 self._order.settings,
                 clocks=self._clocks,
                 offset_s=self._order.offset_s,
                 now_s=now_s,
+                bypass_late=self._input.needs_server,
+                on_step=self._recorder_of(source.samplerate),
             )
+            self._output.suit(engine.samplerate, engine.framework.haptic_channels)
         elif not self._output.is_open:
-            engine.lead_to(sink.samplerate)
-        return engine
+            engine.lead_to(device.samplerate or engine.samplerate)
+
+    def _recorder_of(self, samplerate: int) -> OnStep | None:
+        """Return what records the effect's output, at the rate of the mix."""
+        recording = self._order.recording
+        if recording is None:
+            return None
+        return lambda sound, vibration, now_s: recording.felt(vibration, samplerate, now_s)
 
     def _fill(self, out: Float32Array, now_s: float) -> None:
         engine = self.engine
@@ -292,22 +316,3 @@ class Supervisor:
             out[:] = np.float32(0.0)
         else:
             engine.fill(out, now_s)
-
-    def _close_streams(self) -> None:
-        self._output.close()
-        self._input.close()
-
-
-class _Nudge(Listener):
-    """Wakes the supervising thread whenever the server has changed."""
-
-    def __init__(self, wake: Wake) -> None:
-        self._wake = wake
-
-    def on_snapshot(self, snapshot: ServerSnapshot) -> None:
-        """Something is different."""
-        self._wake.ring()
-
-    def on_lost(self, error: LostError) -> None:
-        """The server is gone."""
-        self._wake.ring()

@@ -6,6 +6,9 @@ import os
 import select
 from types import TracebackType
 
+from device.errors import LostError
+from device.server import Listener, ServerSnapshot
+
 
 class Wake:
     """A bell: `ring` from any thread or signal handler ends the next `wait`, or the present one.
@@ -46,3 +49,18 @@ class Wake:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+class Nudge(Listener):
+    """Wakes the supervising thread whenever the server has changed."""
+
+    def __init__(self, wake: Wake) -> None:
+        self._wake = wake
+
+    def on_snapshot(self, snapshot: ServerSnapshot) -> None:
+        """Something is different."""
+        self._wake.ring()
+
+    def on_lost(self, error: LostError) -> None:
+        """The server is gone."""
+        self._wake.ring()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,11 @@ class CaptureTap:
     def warnings(self) -> list[str]:
         """What a user should know, one line each; complete once `read` has returned None."""
         return self._capture.warnings
+
+    @property
+    def facts(self) -> Mapping[str, str | int | float | bool]:
+        """What the capture's maker said about it, by name."""
+        return self._capture.facts
 
     @property
     def frames_expected(self) -> int:

@@ -32,6 +32,7 @@ _ERROR_NAMES = 16
 
 OnFrames = Callable[[Float32Array, float], None]
 Fill = Callable[[Float32Array, float], None]
+OnSent = Callable[[Float32Array, float], None]
 
 
 class _Stream:
@@ -179,6 +180,9 @@ class PlaybackStream(_Stream):
     time.monotonic(). It must neither block nor close the stream. If it raises, or leaves a sample
     that is not finite, the block becomes silence and is counted in `errors`.
 
+    on_sent(frames, now_s): called likewise with what went to PortAudio for that block, silence too;
+    the array is read only and may be kept.
+
     audible: False at first; while it is, fill is called and 0 is played.
 
     Raises
@@ -187,9 +191,17 @@ class PlaybackStream(_Stream):
         As `CaptureStream`.
     """
 
-    def __init__(self, pcm: Pcm, samplerate: int, channels: int, fill: Fill) -> None:
+    def __init__(
+        self,
+        pcm: Pcm,
+        samplerate: int,
+        channels: int,
+        fill: Fill,
+        on_sent: OnSent | None = None,
+    ) -> None:
         check_format(samplerate, channels)
         self._fill = fill
+        self._on_sent = on_sent
         self._out = np.zeros((BLOCK_FRAMES, channels), np.float32)
         self._silence = bytes(self._out.nbytes)
         self._sound: bytes | None = None
@@ -208,6 +220,16 @@ class PlaybackStream(_Stream):
         self._sound = self._out.tobytes()
 
     def _result(self, frames: int) -> bytes | None:
+        sound = self._played(frames)
+        if self._on_sent is not None:
+            try:
+                sent = np.frombuffer(sound, np.float32).reshape(-1, self.channels)
+                self._on_sent(sent, self.last_callback_s)
+            except BaseException as error:  # nothing may pass, as above
+                self._count(error)
+        return sound
+
+    def _played(self, frames: int) -> bytes:
         sound, self._sound = self._sound, None
         if sound is not None and self.audible:
             return sound

@@ -1,0 +1,47 @@
+"""`cushion capture` of what is playing: recorded until it is told to stop."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from audioflinger_hook.capture import CaptureRecorder, CaptureWriter
+from audioflinger_hook.cli.capture import print_summary
+from audioflinger_hook.cli.run import asked_to_end
+from audioflinger_hook.cli.terminal import progress_bar, warn
+from audioflinger_hook.clients import TapAddress
+from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
+from audioflinger_hook.daemon.wake import Wake
+from device.server import quiet_libraries
+
+
+def run(address: TapAddress, folder: Path, seconds: float, *, debug: bool) -> int:
+    """Record for so many seconds of sound, or until somebody ends it; what is there is kept."""
+    if not debug:
+        quiet_libraries()
+    with Wake() as wake, asked_to_end(wake) as ending:
+        live = LiveCapture(address, wake, time.monotonic())
+        try:
+            live.look()
+            writer = CaptureWriter(folder, facts={"tap": str(address)})
+            with (
+                CaptureRecorder(writer) as recorder,
+                progress_bar(str(address)) as progress,
+            ):
+                live.begin(recorder)
+                try:
+                    while live.heard_s < seconds and not ending and not recorder.error:
+                        live.tick(time.monotonic())
+                        progress(live.heard_s, seconds if seconds < float("inf") else None)
+                        wake.wait(TICK_S)
+                finally:
+                    live.close()  # nothing is offered any more when the recorder closes
+        finally:
+            live.close()
+        if ending:
+            raise KeyboardInterrupt
+    dropped, frames = recorder.dropped("tap")
+    if dropped:
+        warn(f"{dropped} buffers ({frames} frames) could not be kept: the disk was too slow")
+    print_summary(writer, live.heard_s, *live.format)
+    return 0

@@ -1,0 +1,88 @@
+"""Buffers of one tap on their way into the mix, as they are delivered."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from audioflinger_hook.clients import TapClient
+from audioflinger_hook.daemon.engine import Engine
+from audioflinger_hook.daemon.recording import RunRecording
+from audioflinger_hook.taps import PushTap
+from device.units import Float32Array
+
+
+class Taker(Protocol):
+    """Who takes the buffers of a tap: `opened`, then `push`, again and again."""
+
+    def opened(self, samplerate: int, channels: int) -> bool:
+        """Be told of a new stream, Hz, before its first buffer; whether the format is another."""
+        ...
+
+    def moved(self) -> None:
+        """Be told that the stream goes on from elsewhere in a moment. Any thread."""
+        ...
+
+    def push(self, frames: Float32Array, now_s: float) -> None:
+        """Take (frames, channels) that came at now_s; on the thread that captures."""
+        ...
+
+
+class Feed:
+    """One tap's buffers through an engine: each is recorded, if so, then mixed at once.
+
+    recording: takes them as they are. The supervising thread makes the client and sets `engine`
+    before the first buffer; `opened` is called while nobody pushes.
+    """
+
+    def __init__(self, recording: RunRecording | None = None) -> None:
+        self.engine: Engine | None = None
+        self._recording = recording
+        self._tap: PushTap | None = None
+        self._client: TapClient | None = None
+
+    def client(self, samplerate: int, channels: int) -> TapClient:
+        """Return what plays into the mix, which has this format."""
+        self._tap = PushTap(samplerate, channels)
+        self._client = TapClient(self._tap)
+        if self._recording:
+            self._recording.mix_is(samplerate, channels)
+        return self._client
+
+    def opened(self, samplerate: int, channels: int) -> bool:
+        """See `Taker`."""
+        return self.follow(samplerate, channels, discontinuity=True)
+
+    def follow(self, samplerate: int, channels: int, *, discontinuity: bool) -> bool:
+        """Be told what the next buffer is like, Hz; whether the format is another.
+
+        discontinuity: whether frames are missing before it.
+        """
+        if self._tap is None:
+            return False
+        if discontinuity:
+            self._tap.interrupt()
+        return self._tap.change(samplerate, channels)
+
+    def moved(self) -> None:
+        """See `Taker`."""
+        if self._tap is not None and self.engine is not None:
+            self._tap.interrupt()
+            self.engine.delay_line.expect_jump()
+
+    def push(self, frames: Float32Array, now_s: float) -> None:
+        """See `Taker`."""
+        tap, client, engine = self._tap, self._client, self.engine
+        if tap is None or client is None or engine is None or not len(frames):
+            return
+        broken = tap.push(frames)
+        if self._recording:
+            self._recording.delivered(frames, tap.samplerate, now_s, broken)
+        while (tap.waiting or client.pending_frames) and engine.advance(now_s):
+            pass
+
+    def finish(self, now_s: float) -> Float32Array:
+        """Let the sound end; return the vibration still owed. See `Engine.finish`."""
+        assert self._tap is not None
+        assert self.engine is not None
+        self._tap.end()
+        return self.engine.finish(now_s)

@@ -1,0 +1,147 @@
+"""`cushion capture` of what is playing: a live tap's buffers into a capture, and nothing else."""
+
+from __future__ import annotations
+
+from audioflinger_hook.capture import CaptureRecorder
+from audioflinger_hook.clients import TapAddress
+from audioflinger_hook.daemon.live_input import LiveInput
+from audioflinger_hook.daemon.wake import Nudge, Wake
+from audioflinger_hook.service.backoff import Backoff
+from audioflinger_hook.service.state import StateKeeper
+from audioflinger_hook.taps import PushTap
+from device.errors import LostError, NotFoundError
+from device.server import PcmConfig, PulseConnection
+from device.units import Float32Array
+
+TICK_S = 0.05
+"""How often the stream is looked after; events come sooner."""
+
+LOST_LIMIT_S = 10.0
+"""A server or sink that is away for longer does not come back."""
+
+LONGEST_WAIT_S = 0.5
+"""Between attempts to reach the server."""
+
+
+class LiveCapture:
+    """The buffers of one sink's monitor, or of the default one's, wherever that goes.
+
+    address: of kind default or sink. `tick` is called by the thread that made it whenever `wake`
+    rings, and TICK_S after the last time anyway; times are seconds of time.monotonic(). The tap
+    is the daemon's: guarded, so never a microphone, and opened again where it was lost. Its
+    buffers are recorded once `begin` was called; a discontinuity marks each reopening and move.
+    """
+
+    def __init__(self, address: TapAddress, wake: Wake, now_s: float) -> None:
+        self._wake = wake
+        self._writer = _Writer()
+        self._pcms = PcmConfig("cushion_tap")
+        self._input = LiveInput(
+            address, self._pcms.pcms["cushion_tap"], StateKeeper(now_s), self._writer
+        )
+        self._connection: PulseConnection | None = None
+        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._heard_s = 0.0
+        self._well_s = now_s
+        self._reason = ""
+
+    @property
+    def heard_s(self) -> float:
+        """Seconds of sound that came in."""
+        return self._writer.heard_s
+
+    @property
+    def format(self) -> tuple[int, int]:
+        """Rate in Hz and channels of the last buffer; zeros before the first."""
+        return self._writer.format
+
+    def look(self) -> None:
+        """See whether server and tap are there.
+
+        Raises
+        ------
+        LostError, NotFoundError
+            One is not, with what would help.
+        """
+        self._connection = PulseConnection(Nudge(self._wake))
+        self._input.locate(self._connection.latest, None)
+
+    def begin(self, recorder: CaptureRecorder) -> None:
+        """Record into stream `tap` from the next buffer on; call it before the first `tick`."""
+        self._writer.recorder = recorder
+
+    def tick(self, now_s: float) -> None:
+        """Bring the tap nearer to where it should be.
+
+        Raises
+        ------
+        LostError
+            No sound came for LOST_LIMIT_S, as server or tap were away.
+        """
+        if self._writer.heard_s > self._heard_s:
+            self._heard_s, self._well_s, self._reason = self._writer.heard_s, now_s, ""
+        try:
+            connection = self._connected(now_s)
+            if connection is not None:
+                self._input.locate(connection.latest, None)
+                self._input.keep(connection, now_s)
+        except (LostError, NotFoundError) as error:
+            self._input.close()
+            self._reason = f" ({error})"
+        if now_s - self._well_s > LOST_LIMIT_S:
+            raise LostError(
+                f"the tap {str(self._input)!r} was lost and did not come back within "
+                f"{LOST_LIMIT_S:g} s{self._reason}"
+            )
+
+    def close(self) -> None:
+        """End the capture's stream. Again too; it raises nothing."""
+        self._input.close()
+        if self._connection:
+            self._connection.close()
+        self._pcms.close()
+
+    def _connected(self, now_s: float) -> PulseConnection | None:
+        connection = self._connection
+        if connection is not None:
+            if connection.lost is None:
+                return connection
+            self._input.close()
+            connection.close()
+            self._connection = None
+        if self._backoff.wait_s(now_s) > 0.0:
+            return None
+        try:
+            self._connection = connection = PulseConnection(Nudge(self._wake))
+        except LostError:
+            self._backoff.failed(now_s)
+            raise
+        self._backoff.succeeded()
+        return connection
+
+
+class _Writer:
+    """Takes a tap's buffers for a capture: a `Taker`. heard_s: how much there was so far."""
+
+    def __init__(self) -> None:
+        self.recorder: CaptureRecorder | None = None
+        self.heard_s = 0.0
+        self.format = (0, 0)
+        self._tap = PushTap(0, 0)
+
+    def opened(self, samplerate: int, channels: int) -> bool:
+        self._tap.interrupt()
+        return self._tap.change(samplerate, channels)
+
+    def moved(self) -> None:
+        self._tap.interrupt()
+
+    def push(self, frames: Float32Array, now_s: float) -> None:
+        recorder, tap = self.recorder, self._tap
+        if recorder is None:
+            return
+        discontinuity = tap.push(frames)
+        tap.read()
+        self.format = (tap.samplerate, tap.channels)
+        recorder.offer("tap", frames, tap.samplerate, now_s, discontinuity=discontinuity)
+        self.heard_s += len(frames) / tap.samplerate

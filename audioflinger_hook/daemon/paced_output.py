@@ -1,0 +1,173 @@
+"""A file, or the simulated rig, in the place of a device: it takes vibration in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from audioflinger_hook.daemon.pacing import FrameTime, Pacer
+from audioflinger_hook.daemon.recording import RunRecording
+from audioflinger_hook.daemon.sides import Fill
+from device.address import DeviceAddress
+from device.atomic_file import AtomicFile
+from device.errors import InternalError
+from device.output import VibrationOutput
+from device.rig import rig_by_name
+from device.server import PulseConnection, ServerSnapshot
+from device.twin import Twin
+from device.wav_output import WavOutput
+
+BLOCK_FRAMES = 256
+"""What a sound server asks for at a time."""
+
+
+class PacedOutput:
+    """A WAV file or the twin, asked for by nobody: blocks are taken as their time comes.
+
+    address: of kind wav or twin; rig: the twin's. It has the mix's rate and the vibration's
+    channels. A file appears with `end(keep=True)`, whole, and has a silence its length. Closed,
+    it pauses. For the supervising thread alone; the pacer's thread writes.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be written there; there is no such rig.
+    """
+
+    needs_server = False
+    xruns = 0
+
+    def __init__(
+        self,
+        address: DeviceAddress,
+        pacer: Pacer,
+        rig: str = "paper",
+        recording: RunRecording | None = None,
+    ) -> None:
+        self._address = address
+        self._pacer = pacer
+        self._recording = recording
+        self._job: _Taking | None = None
+        self._make = _maker(address, rig)
+        self._format: tuple[int, int] | None = None
+
+    def __str__(self) -> str:
+        return str(self._address)
+
+    @property
+    def may_rest(self) -> bool:
+        """Only what keeps no time of its own."""
+        return self._address.kind != "wav"
+
+    @property
+    def name(self) -> str | None:
+        """What is written to, while it is."""
+        return str(self._address) if self.is_open else None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it takes vibration."""
+        return self._job is not None and self._pacer.is_doing(self._job)
+
+    @property
+    def warnings(self) -> list[str]:
+        """None."""
+        return []
+
+    @property
+    def summary(self) -> str:
+        """What the rig did, one line; empty for a file, and before the first block."""
+        output = self._job.output if self._job else None
+        if not isinstance(output, Twin):
+            return ""
+        return (
+            f"twin (predicted): peak acceleration {output.peak_acceleration_m_s2:.1f} m/s^2, "
+            f"excursion {output.peak_displacement_m * 1e3:.2f} mm, "
+            f"current {output.peak_current_a:.2f} A"
+        )
+
+    def suit(self, samplerate: int, channels: int) -> None:
+        """Be told the mix's rate, Hz, and the vibration's channels, before the first `keep`."""
+        self._format = (samplerate, channels)
+
+    def locate(self, snapshot: ServerSnapshot | None) -> _Device:
+        """It is there."""
+        return _Device(str(self._address), *(self._format or (0, 0)))
+
+    def keep(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
+        """Take vibration, or go on. Raises what has ended it, for good (WriteError: disk full)."""
+        job = self._job
+        if job is None:
+            assert self._format is not None
+            job = self._job = _Taking(self._make(*self._format), fill, self._recording)
+        if job.error is not None:
+            raise job.error
+        if not self._pacer.is_doing(job):
+            if self._recording:
+                self._recording.reopened()
+            self._pacer.begin(job, now_s)
+
+    def close(self) -> None:
+        """Pause."""
+        if self._job is not None:
+            self._pacer.end(self._job)
+
+    def end(self, *, keep: bool) -> None:
+        """Finish the file, or drop it."""
+        self.close()
+        if self._job is not None:
+            if keep and self._job.error is None:
+                self._job.output.close()
+            else:
+                self._job.output.abort()
+
+
+@dataclass(frozen=True)
+class _Device:
+    """What takes the vibration, as a place."""
+
+    name: str
+    samplerate: int
+    channels: int
+
+
+class _Taking:
+    """The job: a block is taken when its first frame is due."""
+
+    def __init__(self, output: VibrationOutput, fill: Fill, recording: RunRecording | None) -> None:
+        self.error: Exception | None = None
+        self.output = output
+        self._fill = fill
+        self._recording = recording
+        self._taken = FrameTime(output.samplerate)
+        self._block = np.zeros((BLOCK_FRAMES, output.channels), np.float32)
+
+    @property
+    def due_s(self) -> float:
+        """When what was taken has been played."""
+        return self._taken.after(0, self.output.samplerate)
+
+    def run(self, now_s: float) -> bool:
+        """Take the next block."""
+        block, output = self._block, self.output
+        self._fill(block, now_s)
+        output.write(block)
+        self._taken.add(len(block), output.samplerate)
+        if self._recording:
+            self._recording.sent(block, output.samplerate, now_s)
+        return True
+
+
+def _maker(address: DeviceAddress, rig: str) -> Callable[[int, int], VibrationOutput]:
+    """Return what opens the output for a rate in Hz and channels; what is wrong shows at once."""
+    if address.kind == "wav":
+        path = Path(address.name)
+        AtomicFile(path).abort()
+        return lambda samplerate, channels: WavOutput(path, samplerate, channels)
+    if address.kind == "twin":
+        simulated = rig_by_name(rig)
+        return lambda samplerate, channels: Twin(simulated, samplerate, channels)
+    raise InternalError(f"device {str(address)!r} is none that is paced")
