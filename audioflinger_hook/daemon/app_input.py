@@ -9,10 +9,11 @@ from audioflinger_hook.clients import VoicesClient
 from audioflinger_hook.clients.voices import Voice
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.kept import LONGEST_WAIT_S
+from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError
-from device.server import AppCapture, AppCaptures, AppRules, PulseConnection, ServerSnapshot, Sink
+from device.server import AppCapture, AppCaptures, AppRules, PulseConnection, ServerSnapshot
 from device.server.app_capture import Ended
 from device.server.applications import name_of
 from device.server.snapshot import Stream
@@ -20,6 +21,8 @@ from device.units import Float32Array
 
 CAPTURES_MAX = 32
 """More applications than anybody listens to at once; each capture costs its share of CPU."""
+
+NOBODY = "no application plays"
 
 USUAL_SAMPLERATE = 48_000
 USUAL_CHANNELS = 2
@@ -44,32 +47,70 @@ class Applications:
         return ", ".join(names) or None
 
 
-class AppInput:
-    """Sound of the applications that some rules select. For the supervisor alone.
+class AppFeed:
+    """Buffers of several applications through one engine, mixed first.
 
-    address: as the user wrote it. They may come and go: none at all is no failure.
+    recording: takes the mix for what was delivered, since that is what the effect gets. The
+    supervising thread makes the client and sets `engine` before the first buffer.
     """
 
-    hears_while_resting = False
+    records_mix = True
 
-    def __init__(self, address: str, rules: AppRules, states: StateKeeper) -> None:
+    def __init__(self, recording: RunRecording | None = None) -> None:
+        self.engine: Engine | None = None
+        self.voices: VoicesClient | None = None
+        self._recording = recording
+
+    def client(self, samplerate: int, channels: int) -> VoicesClient:
+        """Return what plays into the mix, which has this format."""
+        self.voices = VoicesClient(samplerate, channels)
+        if self._recording:
+            self._recording.mix_is(samplerate, channels)
+        return self.voices
+
+    def push(self, voice: Voice, frames: Float32Array, now_s: float) -> None:
+        """Take frames of one application; on the thread of all captures."""
+        voices, engine = self.voices, self.engine
+        if voices is None or engine is None or not len(frames):
+            return
+        voices.push(voice, frames, now_s)
+        while voices.pending_frames and engine.advance(now_s):
+            pass
+
+
+class AppInput:
+    """Sound of the applications that some rules select. For the supervising thread alone.
+
+    address: as the user wrote it. They may come and go: none at all is no failure. feed: what
+    their buffers go through, on the thread of all captures.
+    """
+
+    needs_server = True
+    ended = False
+
+    def __init__(self, address: str, rules: AppRules, states: StateKeeper, feed: AppFeed) -> None:
         self._address = address
         self._rules = rules
         self._states = states
+        self._feed = feed
         self._captures: AppCaptures | None = None
         self._open: dict[int, tuple[AppCapture, Voice]] = {}
         self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
-        self._client: VoicesClient | None = None
-        self._engine: Engine | None = None
+        self._found = Applications((), USUAL_SAMPLERATE, USUAL_CHANNELS)
         self._xruns_before = 0
 
     def __str__(self) -> str:
         return self._address
 
     @property
-    def is_open(self) -> bool:
-        """Whether it listens; there may be no application to listen to."""
-        return self._captures is not None
+    def may_rest(self) -> bool:
+        """While none of them plays; what is silent now may sound at any moment."""
+        return all(stream.corked for stream in self._found.streams)
+
+    @property
+    def name(self) -> str | None:
+        """What is listened to, None while it is not."""
+        return (self._found.name or NOBODY) if self._captures else None
 
     @property
     def xruns(self) -> int:
@@ -77,41 +118,41 @@ class AppInput:
         return self._xruns_before + sum(capture.xruns for capture, _ in self._open.values())
 
     @property
-    def sounds(self) -> bool:
-        """Whether anything is captured at present."""
-        return bool(self._open)
+    def warnings(self) -> list[str]:
+        """That some are left out, if so."""
+        if not self._found.left_out:
+            return []
+        return [
+            f"{self._found.left_out} applications are not felt: {CAPTURES_MAX} at once are; "
+            "name fewer of them"
+        ]
 
-    def locate(self, snapshot: ServerSnapshot, device: Sink | None) -> Applications:
-        """Return the applications to capture now. device: where the vibration goes.
+    def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Applications:
+        """Find the applications to capture now, and return them.
 
-        The mix has the default sink's format, so that the server need not convert much.
+        device: the sink that the vibration goes to, whose sound is never captured. The mix has
+        the default sink's format, so that the server need not convert much.
         """
-        streams = self._rules.select(snapshot, device.name if device else None)
+        assert snapshot is not None
+        streams = self._rules.select(snapshot, device)
         default = next((s for s in snapshot.sinks if s.name == snapshot.default_sink), None)
-        return Applications(
+        self._found = Applications(
             streams[:CAPTURES_MAX],
             default.samplerate if default else USUAL_SAMPLERATE,
             default.channels if default else USUAL_CHANNELS,
             max(0, len(streams) - CAPTURES_MAX),
         )
+        return self._found
 
-    def players(self, snapshot: ServerSnapshot, place: Applications) -> frozenset[int]:
+    def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
         """Return the streams that may sound at any moment."""
-        return frozenset(stream.index for stream in place.streams if not stream.corked)
+        return frozenset(stream.index for stream in self._found.streams if not stream.corked)
 
-    def client(self, place: Applications) -> VoicesClient:
-        """Return what plays into the mix."""
-        self._client = VoicesClient(place.samplerate, place.channels)
-        return self._client
-
-    def keep(
-        self, connection: PulseConnection, place: Applications, engine: Engine, now_s: float
-    ) -> None:
-        """Capture what plays, and nothing else.
+    def keep(self, connection: PulseConnection | None, now_s: float) -> None:
+        """Capture what was located, and nothing else.
 
         Raises LostError or NotFoundError where libpulse gives no second connection.
         """
-        self._engine = engine
         captures = self._captures
         if captures is not None and captures.lost is not None:
             self._states.recover(Cause.TAP_LOST, now_s, str(captures.lost))
@@ -122,7 +163,7 @@ class AppInput:
         try:
             if captures is None:
                 captures = self._captures = AppCaptures()
-            self._follow(captures, place, now_s)
+            self._follow(captures, now_s)
         except CushionError:
             self._backoff.failed(now_s)
             raise
@@ -136,8 +177,12 @@ class AppInput:
         if captures is not None:
             captures.close()
 
-    def _follow(self, captures: AppCaptures, place: Applications, now_s: float) -> None:
-        wanted = {stream.index: stream for stream in place.streams}
+    def end(self, *, keep: bool) -> None:
+        """End all captures."""
+        self.close()
+
+    def _follow(self, captures: AppCaptures, now_s: float) -> None:
+        wanted = {stream.index: stream for stream in self._found.streams}
         for index, (capture, _) in tuple(self._open.items()):
             if capture.ended is Ended.TAKEN:
                 self._states.recover(Cause.TAP_MOVED, now_s, str(capture.ended))
@@ -148,18 +193,18 @@ class AppInput:
                 self._begin(captures, stream)
 
     def _begin(self, captures: AppCaptures, stream: Stream) -> None:
-        client = self._client
-        assert client is not None
-        voice = client.add(name_of(stream) or f"stream {stream.index}")
+        voices = self._feed.voices
+        assert voices is not None
+        voice = voices.add(name_of(stream) or f"stream {stream.index}")
         try:
             capture = captures.open(
-                stream.index, client.samplerate, client.channels, partial(self._on_frames, voice)
+                stream.index, voices.samplerate, voices.channels, partial(self._feed.push, voice)
             )
         except NotFoundError:  # it has ended meanwhile
-            client.remove(voice)
+            voices.remove(voice)
             return
         except LostError:
-            client.remove(voice)
+            voices.remove(voice)
             raise
         self._open[stream.index] = capture, voice
 
@@ -167,14 +212,5 @@ class AppInput:
         capture, voice = self._open.pop(index)
         capture.close()
         self._xruns_before += capture.xruns
-        assert self._client is not None
-        self._client.remove(voice)
-
-    def _on_frames(self, voice: Voice, frames: Float32Array, now_s: float) -> None:
-        """Take captured frames; on the thread of all captures."""
-        client, engine = self._client, self._engine
-        if client is None or engine is None or not len(frames):
-            return
-        client.push(voice, frames, now_s)
-        while client.pending_frames:
-            engine.advance(now_s)
+        if self._feed.voices:
+            self._feed.voices.remove(voice)
