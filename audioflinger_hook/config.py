@@ -5,18 +5,26 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.settings import CHOICES, Settings
+from audioflinger_hook import live_settings
+from audioflinger_hook.live_settings import LiveSettings
+from audioflinger_hook.settings import CHOICES, Settings, wrong_gain
 from audioflinger_hook.transform import LIMITS, TransformParameters
+from audioflinger_hook.transform.parameters import Problem as PartProblem
 from device.errors import UsageError
 
 TOP_LEVEL = ("profile", "damping", "rig")
+GAIN = "gain_db"
 EFFECTS_FILE = "effects_file"
+LIVE = ("tap", "device", "offset_ms", "drop_in", "block_frames", "realtime")
 TRANSFORM_CHOICES = ("form", "channels")
 SECTION = "transform"
+LIVE_SECTION = "applications"
+SECTIONS = {SECTION: (*TRANSFORM_CHOICES, *LIMITS), LIVE_SECTION: live_settings.LISTS}
 SYNTAX_ERRORS_MAX = 50
 CONFIG_BYTES_MAX = 1 << 20
 SHOWN_MAX = 200
@@ -38,29 +46,43 @@ class Problem:
         return f"{where}{self.key}{value} {self.problem}; allowed: {self.allowed}"
 
 
+@dataclass(frozen=True)
+class Config:
+    """What a config file says: how vibration is made of sound, and what live sound does."""
+
+    settings: Settings = field(default_factory=Settings)
+    live: LiveSettings = field(default_factory=LiveSettings)
+
+
 def default_path() -> Path:
     """Return where the config is looked for: $XDG_CONFIG_HOME/cushion/config.toml."""
     base = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(base).expanduser() / "cushion" / "config.toml"
 
 
-def load(path: Path) -> Settings:
-    """Return the settings of a config file.
+def load(path: Path) -> Config:
+    """Return what a config file says.
 
     Raises
     ------
     UsageError
         The file cannot be read, or has mistakes; the message names the first and how many.
     """
-    settings, problems = check(path)
-    if settings is None:
+    config, problems = check(path)
+    if config is None:
         more = f" (and {len(problems) - 1} more; see `cushion check`)" if problems[1:] else ""
         raise UsageError(f"{path}: {problems[0]}{more}")
-    return settings
+    return config
 
 
-def check(path: Path) -> tuple[Settings | None, list[Problem]]:
-    """Return the settings and an empty list, or None and every mistake in order of lines."""
+def check(path: Path) -> tuple[Config | None, list[Problem]]:
+    """Return what a file says and an empty list, or None and every mistake in order of lines.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read, or is no text.
+    """
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise UsageError(f"{path} is not a regular file; give the path of a config file")
@@ -82,19 +104,49 @@ def check(path: Path) -> tuple[Settings | None, list[Problem]]:
     problems += _unknown_keys(document, lines)
     problems += _wrong_choices(document, lines)
     problems += _wrong_effects_file(document, lines, path.parent)
-    section = document.get(SECTION, {})
-    parameters = section if isinstance(section, dict) else {}
+    if GAIN in document and (wrong := wrong_gain(document[GAIN])):
+        problems.append(_problem(GAIN, lines, _shown(document[GAIN]), wrong.wrong, wrong.allowed))
+    parameters = _section(document, SECTION)
     numbers = {name: value for name, value in parameters.items() if name in LIMITS}
-    for name, found in TransformParameters.problems(numbers).items():
-        shown = _shown(numbers[name]) if name in numbers else ""
-        problems.append(_problem(f"{SECTION}.{name}", lines, shown, found.wrong, found.allowed))
+    problems += _from_part(TransformParameters.problems(numbers), numbers, f"{SECTION}.", lines)
+    live = {name: document[name] for name in LIVE if name in document}
+    rules = {
+        name: value
+        for name, value in _section(document, LIVE_SECTION).items()
+        if name in live_settings.LISTS
+    }
+    problems += _from_part(live_settings.problems(live), live, "", lines)
+    problems += _from_part(live_settings.problems(rules), rules, f"{LIVE_SECTION}.", lines)
     if problems:
         return None, sorted(problems, key=lambda problem: problem.line)
-    choices = {name: document[name] for name in TOP_LEVEL if name in document}
+    choices = {name: document[name] for name in (*TOP_LEVEL, GAIN) if name in document}
     choices |= {name: parameters[name] for name in TRANSFORM_CHOICES if name in parameters}
     effects_file = path.parent / document[EFFECTS_FILE] if EFFECTS_FILE in document else None
     transform = TransformParameters(**numbers)
-    return Settings(**choices, effects_file=effects_file, parameters=transform), []
+    settings = Settings(**choices, effects_file=effects_file, parameters=transform)
+    return Config(settings, live_settings.from_document(live | rules)), []
+
+
+def _section(document: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return a section's keys, none where it is missing or is no section."""
+    section = document.get(name, {})
+    return section if isinstance(section, dict) else {}
+
+
+def _from_part(
+    found: Mapping[str, PartProblem], values: dict[str, Any], prefix: str, lines: dict[str, int]
+) -> list[Problem]:
+    """Return what one part of the program found wrong with its share of the file."""
+    return [
+        _problem(
+            prefix + name,
+            lines,
+            _shown(values[name]) if name in values else "",
+            problem.wrong,
+            problem.allowed,
+        )
+        for name, problem in found.items()
+    ]
 
 
 def _parse(text: str) -> tuple[dict[str, Any], list[Problem]]:
@@ -169,14 +221,15 @@ def _problem(key: str, lines: dict[str, int], value: str, problem: str, allowed:
 def _unknown_keys(document: dict[str, Any], lines: dict[str, int]) -> list[Problem]:
     problems = []
     for name, value in document.items():
-        if name == SECTION and isinstance(value, dict):
-            known = (*TRANSFORM_CHOICES, *LIMITS)
-            unknown = {f"{SECTION}.{key}": value[key] for key in value if key not in known}
-        elif name == SECTION:
-            problems.append(_problem(name, lines, _shown(value), "is not a section", "[transform]"))
+        if name in SECTIONS and isinstance(value, dict):
+            known: tuple[str, ...] = SECTIONS[name]
+            unknown = {f"{name}.{key}": value[key] for key in value if key not in known}
+        elif name in SECTIONS:
+            problems.append(_problem(name, lines, _shown(value), "is not a section", f"[{name}]"))
             continue
         else:
-            known = (*TOP_LEVEL, EFFECTS_FILE, f"[{SECTION}]")
+            sections = (f"[{section}]" for section in SECTIONS)
+            known = (*TOP_LEVEL, GAIN, EFFECTS_FILE, *LIVE, *sections)
             unknown = {} if name in known else {name: value}
         for key, found in unknown.items():
             shown = "" if isinstance(found, dict) else _shown(found)
@@ -185,8 +238,7 @@ def _unknown_keys(document: dict[str, Any], lines: dict[str, int]) -> list[Probl
 
 
 def _wrong_choices(document: dict[str, Any], lines: dict[str, int]) -> list[Problem]:
-    section = document.get(SECTION)
-    inner = section if isinstance(section, dict) else {}
+    inner = _section(document, SECTION)
     chosen = {name: document[name] for name in TOP_LEVEL if name in document}
     chosen |= {f"{SECTION}.{name}": inner[name] for name in TRANSFORM_CHOICES if name in inner}
     problems = []
@@ -220,6 +272,8 @@ def _shown(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, str):
         return _printable(f'"{value}"')
+    if isinstance(value, list):
+        return _printable(f"[{', '.join(map(_shown, value))}]")
     try:
         return _printable(str(value))
     except ValueError:  # an integer of thousands of digits

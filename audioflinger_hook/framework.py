@@ -14,6 +14,7 @@ from audioflinger_hook.effect.haptic_parameters import from_settings
 from audioflinger_hook.effect.interface import OK, Command
 from audioflinger_hook.effect.library import EffectRegistry
 from audioflinger_hook.effect.module import EffectModule
+from audioflinger_hook.effect.parameters import Values
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
 from audioflinger_hook.mixer import CycleReport, Mixer, Sink, dump
 from audioflinger_hook.sessions import OUTPUT_MIX
@@ -37,7 +38,8 @@ class Framework:
     changes nothing. standby_delay_s: see `Mixer`; a file keeps its silence, a device may rest.
     `warnings`: what was left out of the effects, a line each.
 
-    Calls come from the thread that steps the chain; `dump` and the readings from any.
+    Calls come from the thread that steps the chain; `dump` and the readings from any, `change`
+    from any but that.
 
     Raises
     ------
@@ -63,9 +65,7 @@ class Framework:
             clock or _no_time, budget_share=BUDGET_SHARE if clock else float("inf")
         )
         self.haptic = self._add_effects()
-        parameters = from_settings(self.settings)
-        # What a paper published is not cut to full scale; what reaches a device always is.
-        parameters["clip"] = self.settings.form != "reference"
+        self._wanted = self._taken = self._parameters(self.settings)
         self.mixer = Mixer(
             samplerate,
             channels,
@@ -74,8 +74,8 @@ class Framework:
             effects=self._chains,
             standby_delay_s=standby_delay_s,
         )
-        if self.haptic.set_parameters(parameters) != OK or self.haptic.bypassed:
-            self._explain(samplerate, channels)
+        if self.haptic.set_parameters(self._taken) != OK or self.haptic.bypassed:
+            self._explain()
         # Sent now, not a cycle later: the first buffer counts.
         self._chains.end_of_cycle(0.0)
 
@@ -108,6 +108,26 @@ class Framework:
     def replaced_samples(self) -> int:
         """Unusable samples of sound that were taken for 0 so far."""
         return self._reading("replaced_samples")
+
+    def change(self, settings: Settings) -> None:
+        """Take other parameters and another level from the next cycle on; nothing else changes.
+
+        settings: as they are, but for `parameters` and `gain_db`. A level is reached over one
+        buffer; other parameters let the vibration fade out over one buffer and begin anew,
+        `latency_frames` later. Parameters are tried here, on the calling thread.
+
+        Raises
+        ------
+        UsageError
+            They cannot be used with this mix; nothing has changed then.
+        """
+        if settings.parameters != self.settings.parameters:
+            self._try(self.mixer.samplerate, self.mixer.channels, settings)
+        if settings == self.settings:
+            return
+        self.settings = settings
+        self._wanted = self._parameters(settings)
+        self.mixer.post(self._take_wanted)
 
     def send_to(self, *sinks: Sink) -> None:
         """Send what is mixed to these sinks from the next cycle on."""
@@ -172,9 +192,32 @@ class Framework:
             )
         return haptic
 
-    def _explain(self, samplerate: int, channels: int) -> None:
+    @staticmethod
+    def _parameters(settings: Settings) -> Values:
+        parameters = from_settings(settings)
+        # What a paper published is not cut to full scale; what reaches a device always is.
+        parameters["clip"] = settings.form != "reference"
+        return parameters
+
+    def _take_wanted(self) -> None:
+        """Tell the effect, on the thread that steps the mixer; of several changes the last one."""
+        wanted = self._wanted
+        if wanted is not self._taken:
+            self._taken = wanted
+            # It was tried: only an effect that is bypassed refuses it, and that is told.
+            self.haptic.set_parameters(wanted)
+
+    @staticmethod
+    def _try(samplerate: int, channels: int, settings: Settings) -> None:
+        """Raise UsageError where no transform can be made of these."""
+        try:
+            HapticTransform(samplerate, channels, settings.parameters, form=settings.form)
+        except ValueError as error:  # a band that a low samplerate cannot hold has no filter
+            raise UsageError(f"no transform can be made at {samplerate} Hz: {error}") from error
+
+    def _explain(self) -> None:
         """Raise what is wrong with the format or the settings."""
-        HapticTransform(samplerate, channels, self.settings.parameters, form=self.settings.form)
+        self._try(self.mixer.samplerate, self.mixer.channels, self.settings)
         raise UsageError(f"the haptic effect {self.haptic.bypassed or 'refused its parameters'}")
 
     def _reading(self, name: str) -> int:

@@ -1,4 +1,4 @@
-"""What a user may choose: profile, transform, damping, rig. Defaults are the paper's."""
+"""What a user may choose: profile, transform, level, damping, rig. Defaults are the paper's."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from audioflinger_hook.transform import Form, TransformParameters
+from audioflinger_hook.transform.parameters import Problem
 from device.errors import UsageError
 
 Channels = Literal["mono", "each"]
@@ -20,6 +21,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
 }
 """Every choice by name, with the values that exist; the first one is the default."""
 
+GAIN_MIN_DB = -60.0
+GAIN_MAX_DB = 0.0
 
 LABELS = {"form": "transform"}
 """What a choice is called on the command line, where that differs."""
@@ -31,13 +34,13 @@ class Settings:
 
     profile: a named set of parameters; form: which form of the transform; channels: `mono`
     mixes before the transform, `each` transforms every channel by itself; damping: how residual
-    vibration is reduced; rig: the simulated device; effects_file: an audio_effects.xml that says
-    which effects run, None for the bundled one.
+    vibration is reduced; rig: the simulated device; gain_db: level of the vibration, -60 to 0;
+    effects_file: an audio_effects.xml that says which effects run, None for the bundled one.
 
     Raises
     ------
     UsageError
-        Names every choice that does not exist, all at once.
+        Names every choice that does not exist or is out of range, all at once.
     """
 
     profile: str = CHOICES["profile"][0]
@@ -45,6 +48,7 @@ class Settings:
     form: Form = "live"
     channels: Channels = "mono"
     rig: str = CHOICES["rig"][0]
+    gain_db: float = GAIN_MAX_DB
     effects_file: Path | None = None
     parameters: TransformParameters = field(default_factory=TransformParameters)
 
@@ -55,5 +59,15 @@ class Settings:
             for name, allowed in CHOICES.items()
             if getattr(self, name) not in allowed
         ]
+        if wrong := wrong_gain(self.gain_db):
+            problems.append(f"gain_db={self.gain_db!r} {wrong.wrong}; allowed: {wrong.allowed}")
         if problems:
             raise UsageError("; ".join(problems))
+
+
+def wrong_gain(value: object) -> Problem | None:
+    """Return what is wrong with a `gain_db`, None where nothing is."""
+    allowed = f"{GAIN_MIN_DB:g} to {GAIN_MAX_DB:g} dB"
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return Problem("is not a number", allowed)
+    return None if GAIN_MIN_DB <= value <= GAIN_MAX_DB else Problem("is out of range", allowed)

@@ -8,8 +8,10 @@ import pytest
 from audioflinger_hook.transform import LIMITS
 from tests.commands import call, listing, noise, refused, sound
 
-TOP_LEVEL = "profile, damping, rig, effects_file, [transform]"
-TOP_LEVEL = "profile, damping, rig, effects_file, [transform]"
+TOP_LEVEL = (
+    "profile, damping, rig, gain_db, effects_file, tap, device, offset_ms, drop_in, block_frames, "
+    "realtime, [transform], [applications]"
+)
 
 FIVE_MISTAKES = """\
 # A config with five mistakes.
@@ -23,10 +25,28 @@ partials_max = 2.5  # a whole number is wanted
 band_low_hz = 50
 """
 
+TEN_LIVE_MISTAKES = """\
+tap = ["app:Game", "default"]
+device = "usb:12"
+offset_ms = -5
+block_frames = 300
+gain_db = 3
+realtime = 1
+volume = 3
+
+[applications]
+include = ["Game", ""]
+exclude = "Game"
+loud = 1
+[transform]
+window_s = 9
+"""
+
 EVERY_KEY = """\
 profile = "paper"
 damping = "off"
 rig = "paper"
+gain_db = -3
 
 [transform]
 form = "reference"
@@ -93,6 +113,79 @@ def test_five_mistakes_are_reported_at_once_with_key_line_value_and_what_is_allo
     ]
     for one, (_, what) in zip(documents, expected, strict=True):
         assert what.endswith(f"{one['problem']}; allowed: {one['allowed']}")
+
+
+def test_mistakes_of_live_keys_are_found_together_with_all_others(config):
+    found = mistakes(config(TEN_LIVE_MISTAKES))
+    assert [line for line, _ in found] == [1, 2, 3, 4, 5, 6, 7, 10, 11, 12, 14]
+    starts = (
+        'tap = ["app:Game", "default"] are several taps that are not all applications',
+        'device = "usb:12" is none: a USB device is written usb:VID:PID',
+        "offset_ms = -5 is below 0 without drop_in; allowed: 0 to 1000 ms, or drop_in = true",
+        "block_frames = 300 is no length of a block; allowed: 128, 256, 512, 1024 frames",
+        "gain_db = 3 is out of range; allowed: -60 to 0 dB",
+        "realtime = 1 is not true or false; allowed: true, false",
+        f"volume = 3 is an unknown key; allowed: {TOP_LEVEL}",
+        'applications.include = ["Game", ""] is no list of texts that are not empty',
+        'applications.exclude = "Game" is no list of texts that are not empty; allowed: ["NAME"',
+        "applications.loud = 1 is an unknown key; allowed: include, exclude",
+        "transform.window_s = 9 is out of range",
+    )
+    for (_, what), start in zip(found, starts, strict=True):
+        assert what.startswith(start)
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("tap = 3", "is no tap and no list of taps"),
+        ("tap = []", "is a list of no taps"),
+        ('tap = ["default", 3]', "is no tap and no list of taps"),
+        ('tap = ""', "is none: the name is empty"),
+        ('tap = "appp:x"', "is none: there is no kind 'appp'"),
+        ('tap = ["app:a", "app:"]', "is none: the name is empty"),
+        ("device = 3", "is no device"),
+        ('device = ""', "is none: the name is empty"),
+        ('device = "card:x"', "is none: there is no kind 'card'"),
+        ('offset_ms = "5"', "is not a number"),
+        ("offset_ms = true", "is not a number"),
+        ("offset_ms = nan", "is out of range"),
+        ("offset_ms = 1000.5", "is out of range"),
+        ('drop_in = "no"', "is not true or false"),
+        ("block_frames = 256.0", "is no length of a block"),
+        ("block_frames = true", "is no length of a block"),
+        ("gain_db = -60.5", "is out of range"),
+        ("gain_db = false", "is not a number"),
+        ("gain_db = nan", "is out of range"),
+        ("applications = 3", "is not a section"),
+        ("applications.include = 3", "is no list of texts"),
+        ('applications.exclude = [["a"]]', "is no list of texts"),
+    ],
+)
+def test_every_live_key_takes_what_it_takes_and_nothing_else(config, line, wrong):
+    ((number, what),) = mistakes(config(f"{line}\n"))
+    assert number == 1
+    assert f" {wrong}" in what
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'tap = "default"',
+        'tap = "desktop"',
+        'tap = ["app:a", "app:b"]',
+        'tap = ["sink:x"]',
+        'device = "usb:0d8c:0014:x"',
+        "drop_in = true\noffset_ms = -1000",
+        "offset_ms = 1000",
+        "block_frames = 128",
+        "gain_db = -60",
+        "realtime = false",
+        '[applications]\ninclude = ["role:game", "a"]\nexclude = []',
+    ],
+)
+def test_what_live_sound_can_be_told_passes(config, text):
+    assert call("check", "--config", config(f"{text}\n")).code == 0
 
 
 def test_rendering_with_mistakes_names_the_first_and_how_many_more(config, tmp_path):
@@ -311,7 +404,7 @@ def test_every_key_of_a_config_has_its_effect(config, tmp_path):
         path = config("\n".join(line for line in lines if not line.startswith(left_out)))
         assert call("render", source, tmp_path / "out.wav", "--config", path).code == 0
         rendered.add((tmp_path / "out.wav").read_bytes())
-    assert len(rendered) == 7
+    assert len(rendered) == 8
 
 
 @pytest.mark.parametrize(

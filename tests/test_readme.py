@@ -15,6 +15,7 @@ import soundfile
 
 from audioflinger_hook import config
 from audioflinger_hook.cli.parser import build_parser
+from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.transform import LIMITS
 
@@ -45,10 +46,11 @@ def test_the_library_example_runs_and_says_what_it_should() -> None:
 def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
     path.write_text(block("toml"))
-    settings, problems = config.check(path)
+    found, problems = config.check(path)
     assert problems == []
-    assert settings == Settings()
-    for key in (*config.TOP_LEVEL, *config.TRANSFORM_CHOICES, *LIMITS):
+    assert found == config.Config(Settings(), LiveSettings(device="sink:NAME"))
+    keys = (*config.TOP_LEVEL, config.GAIN, *config.LIVE)
+    for key in (*keys, *(key for section in config.SECTIONS.values() for key in section)):
         assert re.search(rf"^{key} = ", block("toml"), re.MULTILINE), f"{key} is missing"
 
 

@@ -11,10 +11,18 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.service.install import FORGET, START, install, own_command, remove
+from audioflinger_hook.service.install import (
+    FORGET,
+    START,
+    install,
+    own_command,
+    remove,
+    systemd_version,
+)
 from audioflinger_hook.service.udev import PATH, udev_command, udev_rule
 from audioflinger_hook.service.unit import MARK, unit_text
 from device.errors import UsageError, WriteError
+from device.server.priority import PRIORITY
 
 STATE = Path("/home/me/.local/state/cushion")
 ANALYZE = shutil.which("systemd-analyze")
@@ -72,6 +80,45 @@ def test_the_command_is_quoted_so_that_nothing_in_it_is_expanded():
     )
     assert line_of(text, "ReadWritePaths") == '"-/s %%h"'
     assert line_of(text, "ExecReload") == "/bin/kill -HUP $MAINPID"
+
+
+def test_a_newer_systemd_sends_the_signal_itself_and_waits_for_the_end_of_the_reload():
+    old, new = (unit_text(("/cushion", "run"), STATE, systemd) for systemd in (252, 253))
+    assert old == unit_text(("/cushion", "run"), STATE)
+    assert line_of(old, "Type") == "notify"
+    assert "ReloadSignal" not in old
+    assert line_of(new, "Type") == "notify-reload"
+    assert line_of(new, "ReloadSignal") == "SIGHUP"
+    assert "ExecReload" not in new
+
+
+@needs_systemd
+def test_the_unit_that_is_written_is_one_for_the_systemd_that_is_there(tmp_path, environ):
+    version = systemd_version()
+    assert version > 200
+    path = install([], [sys.executable], environ, version).path
+    assert complaints(path.read_text(), tmp_path) == ""
+
+
+def test_without_systemd_its_version_is_0(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert systemd_version() == 0
+    program = tmp_path / "systemctl"
+    for text, version in (("systemd 254 (254.1)", 254), ("something else", 0), ("", 0)):
+        program.write_text(f"#!/bin/sh\necho '{text}'\n")
+        program.chmod(0o755)
+        assert systemd_version() == version
+
+
+def test_wrong_config_stays_wrong_and_audio_threads_have_room_and_bounds():
+    text = unit_text(("/cushion", "run"), STATE)
+    assert line_of(text, "RestartPreventExitStatus") == "2 3"
+    assert line_of(text, "LimitRTPRIO") == "20"
+    assert line_of(text, "LimitRTTIME") == "200ms:2s"
+    assert int(line_of(text, "LimitRTPRIO")) >= PRIORITY
+    assert line_of(text, "RestrictAddressFamilies") == "AF_UNIX AF_NETLINK"
+    # Neither the sound cards nor real-time priority may be out of reach.
+    assert not any(line.startswith(("PrivateDevices", "RestrictRealtime")) for line in text.split())
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def _here(options: argparse.Namespace) -> Iterator[LiveRecord]:
         raise NotFoundError("no daemon plays here; start one with `cushion run`")
     place = Place(status.tap.name, status.device.name + MONITOR, environment)
     path = config.default_path()
-    settings = config.load(path) if path.exists() else Settings()
+    settings = config.load(path).settings if path.exists() else Settings()
     with _tone(place, options.hz) if options.play else nullcontext():
         name = _name(options.hz) if options.play else "whatever played"
         yield _measured(place, options, settings, None, name)

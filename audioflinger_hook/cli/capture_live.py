@@ -7,7 +7,7 @@ from pathlib import Path
 
 from audioflinger_hook.capture import CaptureRecorder, CaptureWriter
 from audioflinger_hook.cli.capture import print_summary
-from audioflinger_hook.cli.run import asked_to_end
+from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.cli.terminal import progress_bar, warn
 from audioflinger_hook.clients import TapAddress
 from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
@@ -19,7 +19,7 @@ def run(address: TapAddress, folder: Path, seconds: float, *, debug: bool) -> in
     """Record for so many seconds of sound, or until somebody ends it; what is there is kept."""
     if not debug:
         quiet_libraries()
-    with Wake() as wake, asked_to_end(wake) as ending:
+    with Wake() as wake, Signals(wake) as signals:
         live = LiveCapture(address, wake, time.monotonic())
         try:
             live.look()
@@ -30,7 +30,7 @@ def run(address: TapAddress, folder: Path, seconds: float, *, debug: bool) -> in
             ):
                 live.begin(recorder)
                 try:
-                    while live.heard_s < seconds and not ending and not recorder.error:
+                    while live.heard_s < seconds and not signals.end and not recorder.error:
                         live.tick(time.monotonic())
                         progress(live.heard_s, seconds if seconds < float("inf") else None)
                         wake.wait(TICK_S)
@@ -38,7 +38,7 @@ def run(address: TapAddress, folder: Path, seconds: float, *, debug: bool) -> in
                     live.close()  # nothing is offered any more when the recorder closes
         finally:
             live.close()
-        if ending:
+        if signals.end:
             raise KeyboardInterrupt
     dropped, frames = recorder.dropped("tap")
     if dropped:

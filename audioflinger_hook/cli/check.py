@@ -18,10 +18,10 @@ def run(path: Path | None, *, as_json: bool) -> int:
         if not path.exists():
             print("[]" if as_json else f"{path} does not exist: the defaults apply")
             return 0
-    settings, problems = config.check(path)
+    found, problems = config.check(path)
     if as_json:
         print(json.dumps([dataclasses.asdict(problem) for problem in problems], indent=2))
-    elif settings is not None:
+    elif found is not None:
         print(f"{path}: no mistakes")
     for problem in problems:
         print(f"cushion: error: {path}: {problem}", file=sys.stderr)

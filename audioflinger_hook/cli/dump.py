@@ -15,7 +15,7 @@ from audioflinger_hook.settings import Settings
 
 def run(options: argparse.Namespace) -> int:
     """Play a tap up to a moment, as fast as it goes, and print the framework as it then is."""
-    settings = config.load(options.config) if options.config else Settings()
+    settings = config.load(options.config).settings if options.config else Settings()
     client = open_client(parse_tap(options.tap))
     try:
         framework = Framework(client.samplerate, client.channels, settings, clock=time.thread_time)

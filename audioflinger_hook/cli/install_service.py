@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 
+from audioflinger_hook import config
 from audioflinger_hook.clients import parse_tap
-from audioflinger_hook.service.install import install, remove
+from audioflinger_hook.service.install import install, remove, systemd_version
 from audioflinger_hook.service.udev import udev_command, udev_rule
 from device.address import parse_device
 from device.errors import UsageError
@@ -18,12 +19,14 @@ def run(options: argparse.Namespace) -> int:
         done = remove()
         print(f"{done.path}: {'removed' if done.changed else 'was not there'}")
     else:
-        if options.device is None:
-            raise UsageError("no device given; name it with --device, see `cushion devices`")
-        arguments = ["--wait", "--device", str(parse_device(options.device))]
-        if options.tap != "default":
+        arguments = ["--wait"]
+        if options.device is not None:
+            arguments += ["--device", str(parse_device(options.device))]
+        else:
+            _refuse_without_device()
+        if options.tap is not None:
             arguments += ["--tap", str(parse_tap(options.tap))]
-        done = install(arguments)
+        done = install(arguments, systemd=systemd_version())
         print(f"{done.path}: {'written' if done.changed else 'is as it should be'}")
     print("next, type:")
     for command in done.commands:
@@ -33,3 +36,13 @@ def run(options: argparse.Namespace) -> int:
         print(udev_command(udev_rule()))
     sys.stdout.flush()
     return 0
+
+
+def _refuse_without_device() -> None:
+    """Raise UsageError where the config names no device either, or has mistakes."""
+    path = config.default_path()
+    if not path.exists() or config.load(path).live.device is None:
+        raise UsageError(
+            f"no device given; name it with --device, or with the key device in {path}; "
+            "`cushion devices` lists them"
+        )

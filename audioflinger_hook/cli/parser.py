@@ -71,19 +71,28 @@ def build_parser() -> Parser:
     dump.add_argument("--config", type=Path, metavar="FILE", help="take the settings from it")
 
     run = _add(commands, "run", "feel everything this computer plays", _run_daemon)
-    _add_tap(run)
     run.add_argument(
-        "--device",
-        required=True,
-        metavar="DEVICE",
-        help="sink:NAME, usb:VID:PID[:SERIAL], wav:FILE or twin",
+        "--tap",
+        action="append",
+        metavar="TAP",
+        help="default, sink:NAME, app:NAME (again for more), file:PATH, capture:DIR or scene:demo; "
+        "default: default",
+    )
+    run.add_argument(
+        "--device", metavar="DEVICE", help="sink:NAME, usb:VID:PID[:SERIAL], wav:FILE or twin"
     )
     run.add_argument("--record", type=Path, metavar="DIR", help="keep it all in a new folder")
+    run.add_argument(
+        "--drop-in",
+        action="store_true",
+        default=None,
+        help="stand between applications and their sink, which can delay the sound",
+    )
     run.add_argument("--config", type=Path, metavar="FILE", help="default: the user's own")
     run.add_argument(
         "--seconds", type=_duration, default=math.inf, metavar="S", help="of sound; default: ever"
     )
-    run.add_argument("--offset-ms", type=float, default=0.0, metavar="MS", help="delay it more")
+    run.add_argument("--offset-ms", type=float, metavar="MS", help="delay it more; default: 0")
     run.add_argument("--profile", metavar="NAME", help="default: paper")
     run.add_argument(
         "--wait", action="store_true", help="for a server, device or tap that is not there yet"
@@ -103,8 +112,10 @@ def build_parser() -> Parser:
     tone.add_argument("--seconds", type=float, default=2.0, metavar="S", help="default: 2")
 
     service = _add(commands, "install-service", "run from every login on", _install_service)
-    service.add_argument("--device", metavar="DEVICE", help="see `cushion devices`")
-    _add_tap(service)
+    service.add_argument(
+        "--device", metavar="DEVICE", help="see `cushion devices`; default: the config's"
+    )
+    service.add_argument("--tap", metavar="TAP", help="default: the config's")
     service.add_argument("--remove", action="store_true", help="take it away again")
     service.add_argument("--udev", action="store_true", help="print a rule for USB devices, too")
 

@@ -37,7 +37,7 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
 
     recorded: taken where no file is named.
     """
-    settings = config.load(options.config) if options.config else recorded or Settings()
+    settings = config.load(options.config).settings if options.config else recorded or Settings()
     given = {
         name: getattr(options, name)
         for name in ("form", "channels", "profile", "damping")

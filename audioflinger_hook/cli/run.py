@@ -5,17 +5,16 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
-import signal
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 
 from audioflinger_hook import config
 from audioflinger_hook.cli.replay import capture_files
-from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.signals import Signals
+from audioflinger_hook.cli.telling import Teller
 from audioflinger_hook.clients import TapAddress, parse_tap
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.order import (
@@ -32,10 +31,8 @@ from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.render import refuse_same_file
 from audioflinger_hook.service.folder import RuntimeFolder
 from audioflinger_hook.service.lock import DaemonLock, Holder
-from audioflinger_hook.service.notify import Notifier
 from audioflinger_hook.service.socket import StatusServer
 from audioflinger_hook.service.watchdog import Watchdog, watchdog_period_s
-from audioflinger_hook.settings import Settings
 from device.address import DeviceAddress, parse_device
 from device.errors import NotFoundError, UsageError
 from device.server import quiet_libraries
@@ -43,36 +40,32 @@ from device.server import quiet_libraries
 
 def run(options: argparse.Namespace) -> int:
     """Run until `--seconds` of sound are over, the sound ends or somebody ends it."""
-    tap, device = parse_tap(options.tap), parse_device(options.device)
-    if tap.kind not in LIVE_TAPS + PACED_TAPS:
-        raise NotFoundError(
-            f"tap {str(tap)!r}: `cushion run` listens to default, sink:NAME, file:PATH, "
-            "capture:DIR or scene:demo in this version"
-        )
-    if device.kind not in LIVE_DEVICES + PACED_DEVICES:
-        raise NotFoundError(
-            f"device {str(device)!r}: `cushion run` plays to sink:NAME, usb:VID:PID, wav:FILE or "
-            "twin in this version; `cushion devices` lists what the sound server has"
-        )
-    _refuse_overwriting(tap, device)
-    offset_s = options.offset_ms * 1e-3
-    if not 0.0 <= offset_s <= 1.0:
-        raise UsageError(f"offset-ms={options.offset_ms:g} is out of range; allowed: 0 to 1000 ms")
-    settings = _settings(options)
+    order = _order(options)
     if not options.debug:
         quiet_libraries()
-    holder = Holder(os.getpid(), datetime.now().isoformat(" ", "seconds"), str(device))
+    holder = Holder(os.getpid(), datetime.now().isoformat(" ", "seconds"), str(order.device))
     clocks = Clocks(time.monotonic, time.thread_time, _slept_s)
     with (
         RuntimeFolder(os.environ, create=True) as folder,
-        DaemonLock(folder, holder),
+        DaemonLock(folder, holder) as lock,
         Wake() as wake,
-        asked_to_end(wake) as ending,
+        Signals(wake) as signals,
     ):
         recording = None
         if options.record is not None:
-            recording = RunRecording(options.record, settings, str(tap), str(device))
-        supervisor = Supervisor(Order(tap, device, settings, offset_s, recording), clocks, wake)
+            addresses = str(order.tap), str(order.device)
+            recording = RunRecording(options.record, order.settings, *addresses)
+            order = dataclasses.replace(order, recording=recording)
+        supervisor = Supervisor(order, clocks, wake)
+        signals.on_spinning = supervisor.priority.give_back
+
+        def follow_config(now_s: float) -> str:
+            """Read the config again, and return what it changed."""
+            order = dataclasses.replace(_order(options), recording=recording)
+            changes = supervisor.follow(order, now_s)
+            lock.tell(dataclasses.replace(holder, device=str(order.device)))
+            return str(changes)
+
         with recording or nullcontext():
             ended_well = False
             try:
@@ -83,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
                 with StatusServer(
                     folder, lambda: status_of(supervisor, time.monotonic()), time.monotonic
                 ):
-                    _keep_on(supervisor, options.seconds, wake, ending)
+                    _keep_on(supervisor, options.seconds, wake, signals, follow_config)
                 ended_well = True
             except KeyboardInterrupt:
                 ended_well = True
@@ -91,6 +84,56 @@ def run(options: argparse.Namespace) -> int:
             finally:
                 supervisor.close(time.monotonic(), keep=ended_well)
     return 0
+
+
+def _order(options: argparse.Namespace) -> Order:
+    """Return what the config asks for, and over it what the options do.
+
+    Raises
+    ------
+    UsageError, NotFoundError
+        One of them has a mistake, or asks for what there is not.
+    """
+    path = options.config or config.default_path()
+    found = config.load(path) if options.config or path.exists() else config.Config()
+    settings, live = found.settings, found.live
+    if options.profile:
+        settings = dataclasses.replace(settings, profile=options.profile)
+    given = {
+        "tap": tuple(str(parse_tap(text)) for text in options.tap) if options.tap else None,
+        "device": options.device and str(parse_device(options.device)),
+        "offset_ms": options.offset_ms,
+        "drop_in": options.drop_in,
+    }
+    live = dataclasses.replace(
+        live, **{name: value for name, value in given.items() if value is not None}
+    )
+    if live.device is None:
+        raise UsageError(
+            "no device to play the vibration to; `cushion devices` lists them: name one with "
+            f"--device, or with the key device in {path}"
+        )
+    order = Order(parse_tap(live.tap[0]), parse_device(live.device), settings, live)
+    _refuse_what_is_not_there(order)
+    _refuse_overwriting(order.tap, order.device)
+    return order
+
+
+def _refuse_what_is_not_there(order: Order) -> None:
+    """Raise UsageError or NotFoundError for what cannot be done, or not by this version."""
+    if order.tap.kind not in LIVE_TAPS + PACED_TAPS:
+        raise NotFoundError(f"tap {str(order.tap)!r}: `cushion run` cannot listen to it")
+    if order.device.kind not in LIVE_DEVICES + PACED_DEVICES:
+        raise NotFoundError(
+            f"device {str(order.device)!r}: `cushion run` plays to sink:NAME, usb:VID:PID, "
+            "wav:FILE or twin in this version; `cushion devices` lists what the sound server has"
+        )
+    _ = order.rules
+    if order.live.drop_in and order.tap.kind not in ("default", "app"):
+        raise UsageError(
+            f"tap {str(order.tap)!r}: drop-in mode stands in front of the default sink; the tap "
+            "has to be default or app:NAME"
+        )
 
 
 def _refuse_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
@@ -101,56 +144,33 @@ def _refuse_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
             refuse_same_file(source, Path(device.name), None)
 
 
-def _settings(options: argparse.Namespace) -> Settings:
-    path = options.config or config.default_path()
-    settings = config.load(path) if options.config or path.exists() else Settings()
-    return dataclasses.replace(settings, profile=options.profile) if options.profile else settings
-
-
-@contextmanager
-def asked_to_end(wake: Wake) -> Iterator[list[int]]:
-    """Signals that ask for the end, as they come: none breaks into an opening or a closing."""
-    signals: list[int] = []
-
-    def take(number: int, _: object) -> None:
-        signals.append(number)
-        wake.ring()
-
-    before = {number: signal.signal(number, take) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield signals
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _keep_on(supervisor: Supervisor, seconds: float, wake: Wake, ending: Sequence[int]) -> None:
+def _keep_on(
+    supervisor: Supervisor,
+    seconds: float,
+    wake: Wake,
+    signals: Signals,
+    follow_config: Callable[[float], str],
+) -> None:
     """Tick until enough was heard or a signal came; tell systemd and the user what goes on."""
-    notifier = Notifier()
+    teller = Teller()
     watchdog = Watchdog(watchdog_period_s(os.getpid()))
-    told = warned = ""
-    notifier.ready()
-    while supervisor.heard_s < seconds and not supervisor.ended:
-        if ending:
-            raise KeyboardInterrupt
-        now_s = time.monotonic()
-        supervisor.tick(now_s)
-        report = supervisor.states.report(now_s)
-        text = f"{report.state.value}{': ' if report.reason else ''}{report.reason}"
-        if text != told:
-            told = text
-            notifier.status(text)
-            print(f"cushion: {text}", file=sys.stderr, flush=True)
-        if supervisor.trouble != warned:
-            warned = supervisor.trouble
-            warn(warned)
-        if watchdog.due(supervisor.heard_buffers, report.state, now_s):
-            notifier.watchdog()
-        wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
-    notifier.stopping()
-    for warning in supervisor.warnings:
-        if warning != warned:
-            warn(warning)
+    teller.begin(*(address for address, _ in supervisor.endpoints))
+    try:
+        while supervisor.heard_s < seconds and not supervisor.ended:
+            if signals.end:
+                raise KeyboardInterrupt
+            now_s = time.monotonic()
+            if signals.reload:
+                signals.reload = False
+                supervisor.trouble = teller.reload(follow_config, now_s)
+            supervisor.tick(now_s)
+            report = supervisor.states.report(now_s)
+            teller.tell(report, supervisor.states.notes(), supervisor.warnings, now_s)
+            if watchdog.due(supervisor.heard_buffers, report.state, now_s):
+                teller.notifier.watchdog()
+            wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
+    finally:
+        teller.notifier.stopping()
     if supervisor.summary:
         print(supervisor.summary)
 

@@ -41,10 +41,10 @@ class Applications:
     left_out: int = 0
 
     @property
-    def name(self) -> str | None:
-        """The applications' names, None for none."""
+    def name(self) -> str:
+        """The applications' names."""
         names = dict.fromkeys(name_of(stream) for stream in self.streams)
-        return ", ".join(names) or None
+        return ", ".join(names) or NOBODY
 
 
 class AppFeed:
@@ -110,7 +110,7 @@ class AppInput:
     @property
     def name(self) -> str | None:
         """What is listened to, None while it is not."""
-        return (self._found.name or NOBODY) if self._captures else None
+        return self._found.name if self._captures else None
 
     @property
     def xruns(self) -> int:
@@ -126,6 +126,10 @@ class AppInput:
             f"{self._found.left_out} applications are not felt: {CAPTURES_MAX} at once are; "
             "name fewer of them"
         ]
+
+    def lead(self, address: str, rules: AppRules) -> None:
+        """Listen to others from now on."""
+        self._address, self._rules = address, rules
 
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Applications:
         """Find the applications to capture now, and return them.
@@ -147,6 +151,10 @@ class AppInput:
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
         """Return the streams that may sound at any moment."""
         return frozenset(stream.index for stream in self._found.streams if not stream.corked)
+
+    def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
+        """It does not rest while there is anything to hear."""
+        return False
 
     def keep(self, connection: PulseConnection | None, now_s: float) -> None:
         """Capture what was located, and nothing else.

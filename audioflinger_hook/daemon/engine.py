@@ -14,6 +14,7 @@ from audioflinger_hook.framework import Framework
 from audioflinger_hook.service.buffer_times import BufferClock
 from audioflinger_hook.settings import Settings
 from device.clock import DelayLine
+from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
 LATENESS_LEAST_S = 0.005
@@ -107,10 +108,29 @@ class Engine:
             lateness_least_s=LATENESS_LEAST_S,
         )
 
-    def lead_to(self, samplerate: int) -> None:
-        """Go on to an output of another samplerate, Hz; call it while nobody calls `fill`."""
-        if samplerate != round(self.delay_line.samplerate_out):
+    def lead_to(self, samplerate: int, block_frames: int | None = None) -> None:
+        """Go on to an output of another samplerate, Hz, or with other blocks on both sides.
+
+        Call it while nobody calls `fill`, and for other blocks nobody `advance` either.
+        """
+        blocks = block_frames or self._block_frames
+        rate = round(self.delay_line.samplerate_out)
+        if (samplerate, blocks) != (rate, self._block_frames):
+            self._block_frames = blocks
             self.delay_line = self._line(samplerate, self.delay_line.offset_s)
+
+    def follow(self, settings: Settings, offset_s: float) -> None:
+        """Take another level, other parameters and another offset while it runs.
+
+        For the thread that made it. UsageError: they cannot be had, and nothing has changed.
+        """
+        before_s = self.delay_line.offset_s
+        self.delay_line.offset_s = offset_s
+        try:
+            self.framework.change(settings)
+        except UsageError:
+            self.delay_line.offset_s = before_s
+            raise
 
     def advance(self, now_s: float) -> bool:
         """Do one cycle with what the client has; False once it has come to its end.

@@ -34,6 +34,9 @@ class Feed:
     before the first buffer; `opened` is called while nobody pushes.
     """
 
+    records_mix = False
+    """Whether the mix is what was delivered; else the buffers are."""
+
     def __init__(self, recording: RunRecording | None = None) -> None:
         self.engine: Engine | None = None
         self._recording = recording

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
+
 from audioflinger_hook.clients import TapAddress
 from audioflinger_hook.daemon.feed import Taker
 from audioflinger_hook.daemon.kept import KeptStream
 from audioflinger_hook.service.state import Cause, StateKeeper
-from device.errors import NotFoundError
+from device.errors import LostError, NotFoundError
 from device.server import (
+    AudioPriority,
     CaptureStream,
     Pcm,
     PulseConnection,
@@ -18,26 +22,50 @@ from device.server import (
     monitor_of,
 )
 from device.server.identity import tagged
+from device.server.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
+
+LISTENING_FRAMES = 4_096
+"""A block while it only listens: 85 ms at 48 kHz, which is what sound then comes late by."""
 
 
 class LiveInput:
     """Sound of one sink of the server: the default one, or one by name.
 
     taker: who gets its buffers, on PortAudio's thread. name: of the monitor that is captured,
-    None while none is. For the supervising thread alone.
+    None while none is. block_frames: of a callback; priority: what its thread asks for; both of
+    streams that are opened from now on. on_heard: called by PortAudio's thread when there is sound
+    while it only listens. For the supervising thread alone.
     """
 
     needs_server = True
     may_rest = True
     ended = False
 
-    def __init__(self, address: TapAddress, pcm: Pcm, states: StateKeeper, taker: Taker) -> None:
+    def __init__(
+        self,
+        address: TapAddress,
+        pcm: Pcm,
+        states: StateKeeper,
+        taker: Taker,
+        *,
+        block_frames: int = BLOCK_FRAMES,
+        priority: AudioPriority | None = None,
+        on_heard: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.block_frames = block_frames
+        self._on_heard = on_heard
+        self._heard = False
+        self._priority = priority
+        self._asked = False
         self._address = address
         self._pcm = pcm
         self._states = states
         self._taker = taker
         self._kept: KeptStream[CaptureStream] = KeptStream(
+            "the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED
+        )
+        self._ear: KeptStream[CaptureStream] = KeptStream(
             "the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED
         )
         self._found: Source | None = None
@@ -65,6 +93,11 @@ class LiveInput:
     def warnings(self) -> list[str]:
         """None."""
         return []
+
+    def lead(self, address: TapAddress) -> None:
+        """Go on from another tap, on the same stream if that can be."""
+        self._address = address
+        self._asked = True
 
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Source:
         """Find the monitor to capture, and return it.
@@ -100,6 +133,27 @@ class LiveInput:
             if stream.place_name == sink and not stream.corked and not is_ours(stream)
         )
 
+    def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
+        """Return whether sound was heard; listens as long as an application may sound.
+
+        In blocks as long as possible: ten times a second costs next to nothing.
+        """
+        source = self._found
+        if connection is None or source is None or not self.players(connection.latest):
+            self._ear.close()
+            return False
+        heard, self._heard = self._heard, False
+        if self._ear.stream is not None and self._source is not source:
+            moved = self._source is None or self._source.index != source.index
+            if moved:
+                self._ear.close()
+        self._ear.check(now_s)
+        with suppress(LostError, NotFoundError):  # the next look at the server tells
+            self._pcm.lead(source.name)
+            self._source = source
+            self._ear.open(lambda: self._ear_at(source), connection, source.name, now_s)
+        return heard
+
     def keep(self, connection: PulseConnection | None, now_s: float) -> None:
         """Bring the capture nearer to what was located.
 
@@ -108,21 +162,27 @@ class LiveInput:
         kept, source = self._kept, self._found
         assert connection is not None
         assert source is not None
+        self._ear.close()
         if kept.stream is not None and self._source is not None:
             if source.name != self._source.name:
                 self._lead(connection, source)
             else:
                 kept.check(now_s)
+        self._asked = False
         if kept.stream is None:
             self._pcm.lead(source.name)
             if self._taker.opened(source.samplerate, source.channels):
-                self._states.count(Cause.FORMAT_CHANGED)
+                self._states.count(
+                    Cause.FORMAT_CHANGED,
+                    f"{source.name} has {source.samplerate} Hz, channels: {source.channels}",
+                )
             kept.open(lambda: self._capture(source), connection, source.name, now_s)
             self._source = source
 
     def close(self) -> None:
         """End the capture. Again too; it raises nothing."""
         self._kept.close()
+        self._ear.close()
 
     def end(self, *, keep: bool) -> None:
         """End the capture."""
@@ -130,15 +190,38 @@ class LiveInput:
 
     def _capture(self, source: Source) -> CaptureStream:
         return CaptureStream(
-            self._pcm, source.samplerate, source.channels, self._on_frames, audible=False
+            self._pcm,
+            source.samplerate,
+            source.channels,
+            self._on_frames,
+            audible=False,
+            block_frames=self.block_frames,
+            priority=self._priority,
         )
+
+    def _ear_at(self, source: Source) -> CaptureStream:
+        return CaptureStream(
+            self._pcm,
+            source.samplerate,
+            source.channels,
+            self._overhear,
+            audible=False,
+            block_frames=LISTENING_FRAMES,
+        )
+
+    def _overhear(self, frames: Float32Array, now_s: float) -> None:
+        """Notice sound; on PortAudio's thread."""
+        if frames.any():
+            self._heard = True
+            self._on_heard()
 
     def _lead(self, connection: PulseConnection, source: Source) -> None:
         """Let the tap go on from another monitor, on the same stream if the format is the same."""
         stream, guard = self._kept.stream, self._kept.guard
         assert stream is not None
         assert guard is not None
-        self._states.count(Cause.DEFAULT_CHANGED)
+        if not self._asked:
+            self._states.count(Cause.DEFAULT_CHANGED, f"the tap goes on from {source.name}")
         served = tagged(connection.latest.source_outputs, stream.tag)
         if served is None or (source.samplerate, source.channels) != (
             stream.samplerate,

@@ -7,7 +7,15 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Fill
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.address import DeviceAddress
-from device.server import Pcm, PlaybackStream, PulseConnection, ServerSnapshot, Sink
+from device.server import (
+    AudioPriority,
+    Pcm,
+    PlaybackStream,
+    PulseConnection,
+    ServerSnapshot,
+    Sink,
+)
+from device.server.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
 
@@ -15,6 +23,8 @@ class LiveOutput:
     """A sink of the server that is the haptic device. For the supervisor alone.
 
     recording: takes what is sent. name: of the sink that is played to, None while none is.
+    block_frames: of a callback; priority: what its thread asks for; both of streams that are
+    opened from now on.
     """
 
     needs_server = True
@@ -27,7 +37,12 @@ class LiveOutput:
         pcm: Pcm,
         states: StateKeeper,
         recording: RunRecording | None = None,
+        *,
+        block_frames: int = BLOCK_FRAMES,
+        priority: AudioPriority | None = None,
     ) -> None:
+        self.block_frames = block_frames
+        self._priority = priority
         self._address = address
         self._pcm = pcm
         self._recording = recording
@@ -64,6 +79,11 @@ class LiveOutput:
     def warnings(self) -> list[str]:
         """None."""
         return []
+
+    def lead(self, address: DeviceAddress) -> None:
+        """Fall silent, and go on at another device."""
+        self.close()
+        self._address = address
 
     def suit(self, samplerate: int, channels: int) -> None:
         """A sink has a format of its own."""
@@ -107,11 +127,19 @@ class LiveOutput:
 
     def _playback(self, sink: Sink, fill: Fill) -> PlaybackStream:
         recording = self._recording
-        if recording is None:
-            return PlaybackStream(self._pcm, sink.samplerate, sink.channels, fill)
-        recording.reopened()
+        sent = None
+        if recording is not None:
+            recording.reopened()
 
-        def sent(frames: Float32Array, now_s: float) -> None:
-            recording.sent(frames, sink.samplerate, now_s)
+            def sent(frames: Float32Array, now_s: float) -> None:
+                recording.sent(frames, sink.samplerate, now_s)
 
-        return PlaybackStream(self._pcm, sink.samplerate, sink.channels, fill, sent)
+        return PlaybackStream(
+            self._pcm,
+            sink.samplerate,
+            sink.channels,
+            fill,
+            sent,
+            block_frames=self.block_frames,
+            priority=self._priority,
+        )

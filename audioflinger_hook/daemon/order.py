@@ -1,25 +1,18 @@
-"""What the daemon was asked for, and what it takes: the two sides, and what they share."""
+"""What the daemon was asked for, and what another order changes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 
-from audioflinger_hook.clients import TapAddress
-from audioflinger_hook.daemon.engine import Clocks
-from audioflinger_hook.daemon.feed import Feed
-from audioflinger_hook.daemon.live_input import LiveInput
-from audioflinger_hook.daemon.live_output import LiveOutput
-from audioflinger_hook.daemon.paced_input import PacedInput
-from audioflinger_hook.daemon.paced_output import PacedOutput
-from audioflinger_hook.daemon.pacing import Pacer
+from audioflinger_hook.clients import TapAddress, parse_tap
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.daemon.sides import InputSide, OutputSide
-from audioflinger_hook.service.state import StateKeeper
+from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.settings import Settings
 from device.address import DeviceAddress
-from device.server import PcmConfig
+from device.errors import UsageError
+from device.server import AppRules
 
-LIVE_TAPS = ("default", "sink")
+LIVE_TAPS = ("default", "sink", "app")
 PACED_TAPS = ("file", "capture", "scene")
 LIVE_DEVICES = ("sink", "usb")
 PACED_DEVICES = ("wav", "twin")
@@ -28,63 +21,113 @@ PACED_DEVICES = ("wav", "twin")
 
 @dataclass(frozen=True)
 class Order:
-    """What the daemon was asked for.
+    """Everything that was asked for.
 
-    tap, device: of one of the kinds above. offset_s: delay on top of what is needed, in seconds.
+    tap, device: where sound comes from and vibration goes; settings: how one is made of the
+    other; live: all else, of which device does not count here, and tap if it is no application.
     recording: takes what runs; whoever made it begins and closes it.
     """
 
     tap: TapAddress
     device: DeviceAddress
     settings: Settings
-    offset_s: float = 0.0
+    live: LiveSettings
     recording: RunRecording | None = None
 
+    @property
+    def tap_is_live(self) -> bool:
+        """Whether the sound is the sound server's."""
+        return self.tap.kind in LIVE_TAPS
 
-class Sides:
-    """Both sides of an order. For the supervising thread alone.
+    @property
+    def device_is_live(self) -> bool:
+        """Whether the vibration goes through the sound server."""
+        return self.device.kind in LIVE_DEVICES
 
-    needs_server: whether one of them does; no server is asked for anything otherwise. feed: what
-    the input delivers into.
+    @property
+    def rules(self) -> AppRules | None:
+        """Return which applications are felt by themselves, None where their mix is.
 
-    Raises
-    ------
-    UsageError, NotFoundError
-        A file to play, or to write, cannot be used.
+        Raises
+        ------
+        UsageError
+            A rule cannot be read, or there are rules for a tap that knows no applications.
+        """
+        include, exclude = self.live.include, self.live.exclude
+        if self.tap.kind == "app":
+            return AppRules((*(parse_tap(tap).name for tap in self.live.tap), *include), exclude)
+        if not include and not exclude:
+            return None
+        if self.tap.kind == "default":
+            return AppRules(include, exclude)
+        raise UsageError(
+            f"tap {str(self.tap)!r} knows no single applications; for include and exclude of "
+            "[applications] the tap has to be default or app:NAME"
+        )
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What is another from one order to the next, by what it takes.
+
+    level, offset, priority: nothing is interrupted; the offset is a jump of the delay, faded over
+    5 ms; a priority that is wanted is that of streams that are opened from now on.
+    transform: the vibration fades out and begins anew after the transform's latency. tap, device:
+    the one stream is led elsewhere or opened anew. drop_in: the virtual sink comes or goes.
+    blocks: both streams are opened anew. engine: everything but the connection begins anew.
     """
 
-    def __init__(self, order: Order, clocks: Clocks, states: StateKeeper) -> None:
-        live_tap, live_device = order.tap.kind in LIVE_TAPS, order.device.kind in LIVE_DEVICES
-        self.needs_server = live_tap or live_device
-        self.feed = Feed(order.recording)
-        self.input: InputSide
-        self.output: OutputSide
-        self._pacer = Pacer(clocks.now_s, exact=not self.needs_server)
-        if not live_tap:
-            self.input = PacedInput(order.tap, self._pacer, self.feed)
-        if not live_device:
-            rig = order.settings.rig
-            self.output = PacedOutput(order.device, self._pacer, rig, order.recording)
-        self._pcms: PcmConfig | None = None
-        if self.needs_server:
-            self._pcms = PcmConfig("cushion_tap", "cushion_output")
-            pcms = self._pcms.pcms
-            if live_tap:
-                self.input = LiveInput(order.tap, pcms["cushion_tap"], states, self.feed)
-            if live_device:
-                pcm = pcms["cushion_output"]
-                self.output = LiveOutput(order.device, pcm, states, order.recording)
+    level: bool = False
+    offset: bool = False
+    priority: bool = False
+    transform: bool = False
+    tap: bool = False
+    device: bool = False
+    drop_in: bool = False
+    blocks: bool = False
+    engine: bool = False
 
-    def close(self) -> None:
-        """Let both fall silent; they go on when they are kept again. Again too."""
-        self.output.close()
-        self.input.close()
+    @classmethod
+    def between(cls, old: Order, new: Order) -> Changes:
+        """Return what `new` changes of `old`."""
+        before, after = old.settings, new.settings
+        # The effect takes another level and other parameters while it runs, and nothing else.
+        alike = replace(after, gain_db=before.gain_db, parameters=before.parameters)
+        return cls(
+            level=before.gain_db != after.gain_db,
+            offset=old.live.offset_ms != new.live.offset_ms,
+            priority=old.live.realtime != new.live.realtime,
+            transform=before.parameters != after.parameters,
+            tap=_what_is_heard(old) != _what_is_heard(new),
+            device=old.device != new.device,
+            drop_in=old.live.drop_in != new.live.drop_in,
+            blocks=old.live.block_frames != new.live.block_frames,
+            engine=before != alike,
+        )
 
-    def end(self, *, keep: bool) -> None:
-        """Let go of both; keep: a file that was written stays. WriteError: it cannot."""
-        self.close()
-        self._pacer.close()
-        if self._pcms:
-            self._pcms.close()
-        self.input.end(keep=keep)
-        self.output.end(keep=keep)
+    @property
+    def any(self) -> bool:
+        """Whether anything is another."""
+        return any(astuple(self))
+
+    def __str__(self) -> str:
+        """Return what changed, for people, in one line."""
+        words = {
+            "the level": self.level,
+            "the offset": self.offset,
+            "the audio threads' priority": self.priority,
+            "the transform, which begins anew": self.transform and not self.engine,
+            "the tap": self.tap,
+            "the device": self.device,
+            "the virtual sink": self.drop_in,
+            "the blocks, so that both streams open anew": self.blocks and not self.engine,
+            "the effects, so that everything begins anew": self.engine,
+        }
+        changed = [text for text, is_so in words.items() if is_so]
+        return ", ".join(changed) or "nothing"
+
+
+def _what_is_heard(order: Order) -> tuple[object, ...]:
+    live = order.live
+    apps = live.tap if order.tap.kind == "app" else ()
+    return order.tap, apps, live.include, live.exclude

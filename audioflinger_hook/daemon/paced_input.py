@@ -88,6 +88,10 @@ class PacedInput:
         """No application plays it."""
         return frozenset()
 
+    def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
+        """It does not rest."""
+        return False
+
     def keep(self, connection: PulseConnection | None, now_s: float) -> None:
         """Play, or go on playing. Raises what has ended it, for good."""
         player, engine = self._player, self._feed.engine

@@ -47,7 +47,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
             transform_ms=1e3 * engine.framework.latency_s,
             delay_line_ms=1e3 * (line.delay_s - offset_s),
             output_ms=1e3 * output_s,
-            offset_ms=1e3 * offset_s,
+            offset_ms=1e3 * supervisor.offset_s,
         ),
         delay_line=DelayLineFigures(
             1e3 * line.target_s,

@@ -93,6 +93,14 @@ class InputSide(Side, Protocol):
         """Return the streams that may sound in what was located at any moment."""
         ...
 
+    def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
+        """Return whether sound was heard while it is closed; it raises nothing.
+
+        Called now and then while nothing plays; where that may be wrong, it listens with as little
+        effort as possible, until `keep` or `close`.
+        """
+        ...
+
     def keep(self, connection: PulseConnection | None, now_s: float) -> None:
         """Bring it nearer to what was located.
 

@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from audioflinger_hook.daemon.engine import Clocks, Engine, OnStep
-from audioflinger_hook.daemon.order import Order, Sides
+from audioflinger_hook.daemon.order import Changes, Order
+from audioflinger_hook.daemon.pairing import Sides
 from audioflinger_hook.daemon.rest import Rest
-from audioflinger_hook.daemon.sides import Place
+from audioflinger_hook.daemon.sides import InputSide, OutputSide, Place
+from audioflinger_hook.daemon.stand_in import StandIn
 from audioflinger_hook.daemon.wake import Nudge, Wake
+from audioflinger_hook.framework import Framework
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError
-from device.server import PulseConnection, Refuge, ServerSnapshot
+from device.server import AudioPriority, PulseConnection, Refuge, ServerSnapshot
 from device.server.latency import output_latency_s, tap_latency_s
-from device.server.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
 TICK_S = 0.05
@@ -40,7 +42,8 @@ class Supervisor:
     time anyway; times are seconds of time.monotonic(). Nothing that a server or device does makes
     it raise: it waits, recovers and says so in `states`. A file that cannot be read or written any
     more ends it: the error is raised. `engine` is what runs at present, None before the first
-    sound.
+    sound. priority: of the audio threads. trouble: what is wrong with the config that should have
+    been taken, "" for nothing.
 
     Raises
     ------
@@ -55,8 +58,10 @@ class Supervisor:
         self._order = order
         self._clocks = clocks
         self._wake = wake
-        self._sides = Sides(order, clocks, self.states)
-        self._input, self._output = self._sides.input, self._sides.output
+        self.priority = AudioPriority(order.live.realtime)
+        self.trouble = ""
+        self._sides = Sides(order, clocks, self.states, self.priority, wake.ring)
+        self._stand_in = _stand_in_of(order)
         self._connection: PulseConnection | None = None
         self._refuge: Refuge | None = None
         self._server_backoff = Backoff(longest_s=LONGEST_WAIT_S)
@@ -65,6 +70,15 @@ class Supervisor:
         self._ticked_s = now_s
         self._slept_s = clocks.slept_s()
         self._resyncs = 0
+        self._heard_before_s = 0.0
+
+    @property
+    def _input(self) -> InputSide:
+        return self._sides.input
+
+    @property
+    def _output(self) -> OutputSide:
+        return self._sides.output
 
     @property
     def rest_s(self) -> float:
@@ -74,7 +88,8 @@ class Supervisor:
     @property
     def heard_s(self) -> float:
         """Seconds of sound that came in since the first buffer."""
-        return self.engine.frames / self.engine.samplerate if self.engine else 0.0
+        engine = self.engine
+        return self._heard_before_s + (engine.frames / engine.samplerate if engine else 0.0)
 
     @property
     def heard_buffers(self) -> int:
@@ -92,12 +107,6 @@ class Supervisor:
         return self._output.summary
 
     @property
-    def trouble(self) -> str:
-        """What a user should know at once, one line; mostly empty."""
-        recording = self._order.recording
-        return recording.problem if recording else ""
-
-    @property
     def endpoints(self) -> tuple[tuple[str, str | None], tuple[str, str | None]]:
         """Tap and device: the address asked for, and the name of what is there."""
         source, sink = self._found
@@ -112,16 +121,23 @@ class Supervisor:
         return self._input.xruns, self._output.xruns
 
     @property
+    def offset_s(self) -> float:
+        """What the user's offset adds to the delay of the vibration, less that of the sound."""
+        line_s = self.engine.delay_line.offset_s if self.engine else 0.0
+        return line_s - (self._stand_in.delay_s if self._stand_in else 0.0)
+
+    @property
     def latencies_s(self) -> tuple[float, float]:
         """What tap and output add to the delay, in seconds."""
         (source, sink), connection = self._found, self._connection
         if connection is None or source is None or sink is None:
             return 0.0, 0.0
         seen = connection.latest
+        frames = self._order.live.block_frames
         tap, output = self._input.needs_server, self._output.needs_server
         return (
-            tap_latency_s(seen, BLOCK_FRAMES, source.samplerate) if tap else 0.0,
-            output_latency_s(seen, BLOCK_FRAMES, sink.samplerate) if output else 0.0,
+            tap_latency_s(seen, frames, source.samplerate) if tap else 0.0,
+            output_latency_s(seen, frames, sink.samplerate) if output else 0.0,
         )
 
     @property
@@ -129,11 +145,12 @@ class Supervisor:
         """What a user should know, a line each."""
         recording = self._order.recording
         warnings = list(self.engine.framework.warnings) if self.engine else []
+        warnings += self._stand_in.warnings if self._stand_in else []
         warnings += [*self._input.warnings, *(recording.warnings if recording else ())]
         refuge, connection = self._refuge, self._connection
         if refuge and connection and not refuge.active and connection.latest.kind != "PipeWire":
             warnings.append(refuge.reason)
-        return warnings
+        return [*warnings, *filter(None, (self.priority.warning, self.trouble))]
 
     def look(self) -> None:
         """See once whether server, device and tap are there, as far as they are needed.
@@ -167,6 +184,9 @@ class Supervisor:
             self._found = (None, device)
             source = self._locate_tap(snapshot, device)
             self._found = (source, device)
+            if self._stand_in and connection:
+                haptic = device.name if self._output.needs_server else None
+                self._stand_in.keep(connection, haptic, now_s)
         except LostError as error:
             self._lose_server(now_s, str(error))
             return
@@ -175,7 +195,7 @@ class Supervisor:
             self._rest.awake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
-        if self._rests(snapshot, now_s):
+        if self._rests(connection, snapshot, now_s):
             return
         try:
             self._prepare_engine(source, device, now_s)
@@ -191,6 +211,47 @@ class Supervisor:
         if self._input.name and self._output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
+    def follow(self, order: Order, now_s: float) -> Changes:
+        """Do as another order says from now on; return what that changes.
+
+        Only what it concerns is closed, for the next `tick` to open; sound goes on meanwhile
+        where it can, see `Changes`.
+
+        Raises
+        ------
+        UsageError
+            What plays cannot be treated so; nothing has changed then.
+        """
+        changes, engine = Changes.between(self._order, order), self.engine
+        self._sides.refuse(self._order, order)
+        offset_s = max(0.0, order.live.offset_s)
+        if engine and changes.engine:
+            Framework(engine.samplerate, engine.channels, order.settings)  # whether it can be made
+        elif engine:
+            engine.follow(order.settings, offset_s)
+        self._order = order
+        self._sides.take_blocks_of(order.live.block_frames)
+        if changes.priority:
+            self.priority.want(order.live.realtime)
+        begins_anew = changes.engine
+        if changes.tap:
+            begins_anew |= self._sides.lead_input(order)
+        if changes.device:
+            self._sides.lead_output(order)
+        if changes.drop_in:
+            if self._stand_in:
+                self._stand_in.close()
+            self._stand_in = _stand_in_of(order)
+        elif changes.offset and self._stand_in:
+            self._stand_in.lead(max(0.0, -order.live.offset_s))
+        if begins_anew or changes.blocks:
+            self._sides.close()
+        if begins_anew:
+            self._heard_before_s, self.engine = self.heard_s, None
+        if changes.any:
+            self._rest.awake(now_s)
+        return changes
+
     def close(self, now_s: float, *, keep: bool = True) -> None:
         """Fall silent and let go of everything; keep: a file that was written stays.
 
@@ -198,6 +259,8 @@ class Supervisor:
         """
         self.states.enter(DaemonState.STOPPING, now_s)
         self._sides.close()
+        if self._stand_in:
+            self._stand_in.close()
         if self._refuge:
             self._refuge.close()
         if self._connection:
@@ -214,12 +277,13 @@ class Supervisor:
             self._sides.close()
             self._rest.awake(now_s)
         elif now_s - self._ticked_s > STALLED_S + self.rest_s:
-            self.states.count(Cause.STALL)
+            late_s = now_s - self._ticked_s - self.rest_s
+            self.states.count(Cause.STALL, f"everything stood still for {late_s:.1f} s")
         self._ticked_s = now_s
         if self.engine:
             resyncs = self.engine.delay_line.status.resyncs
             for _ in range(resyncs - self._resyncs):
-                self.states.count(Cause.RESYNC)
+                self.states.count(Cause.RESYNC, "the delay was set anew")
             self._resyncs = resyncs
 
     def _connected(self, now_s: float) -> PulseConnection | None:
@@ -243,10 +307,12 @@ class Supervisor:
 
     def _lose_server(self, now_s: float, reason: str) -> None:
         if self._connection is not None:
-            self.states.count(Cause.SERVER_LOST)
+            self.states.count(Cause.SERVER_LOST, reason)
             self._input.close()
             if self._output.needs_server:  # a file goes on, with silence
                 self._output.close()
+            if self._stand_in:
+                self._stand_in.close()
             self._connection.close()
             self._connection = self._refuge = None
         self._found = (None, None)
@@ -270,19 +336,23 @@ class Supervisor:
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
             return None
 
-    def _rests(self, snapshot: ServerSnapshot | None, now_s: float) -> bool:
+    def _rests(
+        self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
+    ) -> bool:
         """Rest if nothing plays; whether so."""
         if not (self._input.may_rest and self._output.may_rest):
+            self._rest.awake(now_s)
             return False
         engine = self.engine
+        heard = self._rest.resting and self._input.listen(connection, now_s)
         players = self._input.players(snapshot)
         last_sound_s = engine.last_sound_s if engine and engine.faded else now_s
-        if not self._rest.update(now_s, players, last_sound_s, heard=False):
+        if not self._rest.update(now_s, players, last_sound_s, heard=heard):
             return False
-        self._sides.close()
-        if engine:
-            engine.rest()
-        self.states.enter(DaemonState.IDLE, now_s, "nothing plays")
+        if self.states.enter(DaemonState.IDLE, now_s, "nothing plays"):
+            self._sides.close()
+            if engine:
+                engine.rest()
         return True
 
     def _prepare_engine(self, source: Place, device: Place, now_s: float) -> None:
@@ -294,21 +364,29 @@ class Supervisor:
                 device.samplerate or source.samplerate,
                 self._order.settings,
                 clocks=self._clocks,
-                offset_s=self._order.offset_s,
+                offset_s=max(0.0, self._order.live.offset_s),
+                block_frames=self._order.live.block_frames,
                 now_s=now_s,
                 bypass_late=self._input.needs_server,
                 on_step=self._recorder_of(source.samplerate),
             )
             self._output.suit(engine.samplerate, engine.framework.haptic_channels)
         elif not self._output.is_open:
-            engine.lead_to(device.samplerate or engine.samplerate)
+            engine.lead_to(device.samplerate or engine.samplerate, self._order.live.block_frames)
 
     def _recorder_of(self, samplerate: int) -> OnStep | None:
         """Return what records the effect's output, at the rate of the mix."""
         recording = self._order.recording
         if recording is None:
             return None
-        return lambda sound, vibration, now_s: recording.felt(vibration, samplerate, now_s)
+        if not self._sides.feed.records_mix:
+            return lambda sound, vibration, now_s: recording.felt(vibration, samplerate, now_s)
+
+        def keep(sound: Float32Array, vibration: Float32Array, now_s: float) -> None:
+            recording.delivered(sound, samplerate, now_s, discontinuity=False)
+            recording.felt(vibration, samplerate, now_s)
+
+        return keep
 
     def _fill(self, out: Float32Array, now_s: float) -> None:
         engine = self.engine
@@ -316,3 +394,10 @@ class Supervisor:
             out[:] = np.float32(0.0)
         else:
             engine.fill(out, now_s)
+
+
+def _stand_in_of(order: Order) -> StandIn | None:
+    """Return what stands in between, if that is asked for."""
+    if not order.live.drop_in:
+        return None
+    return StandIn(max(0.0, -order.live.offset_s))

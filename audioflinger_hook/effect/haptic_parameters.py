@@ -6,12 +6,9 @@ from dataclasses import asdict, fields
 from typing import Any
 
 from audioflinger_hook.effect.parameters import Parameter, Value, Values
-from audioflinger_hook.settings import CHOICES, Settings
+from audioflinger_hook.settings import CHOICES, GAIN_MAX_DB, GAIN_MIN_DB, Settings
 from audioflinger_hook.transform import LIMITS, TransformParameters
 from device.units import db_to_amplitude
-
-GAIN_MIN_DB = -60.0
-GAIN_MAX_DB = 0.0
 
 TRANSFORM_FIELDS = tuple(field.name for field in fields(TransformParameters))
 
@@ -89,4 +86,5 @@ def from_settings(settings: Settings) -> dict[str, Value]:
         **asdict(settings.parameters),
         "form": settings.form,
         "per_channel": settings.channels == "each",
+        "gain_db": settings.gain_db,
     }

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
+import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +16,7 @@ from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 
 UNIT_BYTES_MAX = 1 << 16
+SYSTEMCTL_S = 5.0
 START = ("systemctl --user daemon-reload", "systemctl --user enable --now cushion.service")
 STOP = ("systemctl --user disable --now cushion.service",)
 FORGET = ("systemctl --user daemon-reload",)
@@ -39,6 +42,23 @@ def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple
     return (str(Path(python).absolute()), "-m", "audioflinger_hook")
 
 
+def systemd_version() -> int:
+    """Return the version of the systemd that is installed, 0 where none answers."""
+    try:
+        told = subprocess.run(
+            ["systemctl", "--version"],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=SYSTEMCTL_S,
+        ).stdout
+    except (OSError, subprocess.TimeoutExpired):
+        return 0
+    found = re.match(r"systemd (\d{1,6})\b", told)
+    return int(found[1]) if found else 0
+
+
 def unit_path(environ: Mapping[str, str] = os.environ) -> Path:
     """Return where the unit belongs: $XDG_CONFIG_HOME/systemd/user/cushion.service."""
     return _home(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / unit.NAME
@@ -48,11 +68,13 @@ def install(
     arguments: Sequence[str] = (),
     command: Sequence[str] | None = None,
     environ: Mapping[str, str] = os.environ,
+    systemd: int = 0,
 ) -> Installed:
     """Write the unit that runs `cushion run` with these arguments.
 
-    command: of `own_command` if not given. The folders it needs are made. The file appears
-    whole, and only if its text is another. systemd is told nothing: the commands do that.
+    command: of `own_command` if not given; systemd: of `systemd_version`. The folders it needs
+    are made. The file appears whole, and only if its text is another. systemd is told nothing:
+    the commands do that.
 
     Raises
     ------
@@ -64,7 +86,7 @@ def install(
     """
     path = unit_path(environ)
     state = _home(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
-    text = unit.unit_text([*(command or own_command()), "run", *arguments], state)
+    text = unit.unit_text([*(command or own_command()), "run", *arguments], state, systemd)
     before = _written_before(path)
     for folder in (path.parent, state):
         try:

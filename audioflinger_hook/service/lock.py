@@ -46,14 +46,22 @@ class DaemonLock:
     """
 
     def __init__(self, folder: RuntimeFolder, holder: Holder) -> None:
+        self._path = folder.path / NAME
         self._fd = _open_locked(folder)
+        try:
+            self.tell(holder)
+        except WriteError:
+            self.release()
+            raise
+
+    def tell(self, holder: Holder) -> None:
+        """Let others read that this one holds it; WriteError as above."""
         try:
             os.ftruncate(self._fd, 0)
             os.pwrite(self._fd, to_json(holder).encode() + b"\n", 0)
         except OSError as error:
-            self.release()
             raise WriteError(
-                f"cannot write {folder.path / NAME}: {error.strerror}; free some space"
+                f"cannot write {self._path}: {error.strerror}; free some space"
             ) from error
 
     def release(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -75,6 +76,18 @@ ALLOWED: Mapping[DaemonState, frozenset[DaemonState]] = MappingProxyType(
 """The states that may follow each one. Only what played recovers, and nothing follows the end."""
 
 
+NOTES_MAX = 32
+"""Notes kept until somebody asks for them; older ones go."""
+
+
+@dataclass(frozen=True)
+class Note:
+    """One recovery. text: what happened, one line."""
+
+    cause: Cause
+    text: str
+
+
 @dataclass(frozen=True)
 class StateReport:
     """One consistent picture.
@@ -93,13 +106,15 @@ class StateReport:
 class StateKeeper:
     """The state of one daemon, from STARTING at `now_s` on.
 
-    One thread calls `enter`, `recover` and `count`; any thread may call `report` at any time.
+    One thread calls `enter`, `recover`, `count` and `notes`; any thread may call `report` at any
+    time.
     Times are seconds of one clock; one that runs backwards counts as standing still. The memory
     used does not grow.
     """
 
     def __init__(self, now_s: float) -> None:
         self._counts = dict.fromkeys(Cause, 0)
+        self._notes: deque[Note] = deque(maxlen=NOTES_MAX)
         # State, reason, start, time spent in earlier states: replaced as one, so that who reads
         # meanwhile sees one picture or the other. Never changed in place.
         self._current = (DaemonState.STARTING, "", now_s, dict.fromkeys(DaemonState, 0.0))
@@ -128,14 +143,21 @@ class StateKeeper:
 
         What has not begun to play, or is ending, has nothing to recover: it is only counted.
         """
-        self.count(cause)
+        self.count(cause, reason)
         if self.state not in PLAYING | {DaemonState.RECOVERING}:
             return False
         return self._enter(DaemonState.RECOVERING, now_s, reason or cause.value)
 
-    def count(self, cause: Cause) -> None:
-        """Count a recovery that was over at once."""
+    def count(self, cause: Cause, text: str = "") -> None:
+        """Count a recovery that was over at once; text: what happened."""
         self._counts[cause] += 1
+        self._notes.append(Note(cause, one_line(text) or cause.value))
+
+    def notes(self) -> list[Note]:
+        """Return what was counted since the last call, NOTES_MAX of it at most."""
+        notes = list(self._notes)
+        self._notes.clear()
+        return notes
 
     def report(self, now_s: float) -> StateReport:
         """Return the picture at `now_s`."""

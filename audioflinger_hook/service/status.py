@@ -32,8 +32,8 @@ class Levels:
 class LatencyBudget:
     """Where the time goes between a sound and its vibration, in ms.
 
-    offset_ms: what the user added (negative: took away). total_ms: what the vibration comes later
-    than the sound was tapped.
+    offset_ms: what the user added, less what drop-in mode delays the sound by. total_ms: by how
+    much the vibration comes later than the sound is played.
     """
 
     tap_ms: float = 0.0

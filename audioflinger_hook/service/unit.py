@@ -24,17 +24,18 @@ StartLimitIntervalSec=300
 StartLimitBurst=10
 
 [Service]
-Type=notify
+Type=$type
 NotifyAccess=main
 ExecStart=$command
-ExecReload=/bin/kill -HUP $$MAINPID
+$reload
 TimeoutStartSec=30
 TimeoutStopSec=10
 WatchdogSec=10
 Restart=on-failure
 RestartSec=2
-# wrong config or usage stays wrong; interrupted is a way to end
-RestartPreventExitStatus=2
+# wrong config or usage stays wrong, what is not installed stays missing (devices are waited for);
+# interrupted is a way to end
+RestartPreventExitStatus=2 3
 SuccessExitStatus=130
 
 # its folder; kept, for a daemon that was started by hand may be using it
@@ -43,9 +44,10 @@ RuntimeDirectoryMode=0700
 RuntimeDirectoryPreserve=yes
 UMask=0077
 
-# the audio thread may ask for real-time priority, and is stopped if it spins
+# the audio threads may ask for real-time priority, as far as the user may have it; one that spins
+# loses it, or ends the daemon
 LimitRTPRIO=20
-LimitRTTIME=200000
+LimitRTTIME=200ms:2s
 LimitCORE=0
 MemoryMax=512M
 OOMPolicy=stop
@@ -70,10 +72,15 @@ WantedBy=default.target
 """)
 
 
-def unit_text(command: Sequence[str], state_folder: Path) -> str:
+NOTIFY_RELOAD = 253
+"""The first version of systemd that sends SIGHUP by itself and waits for the reload to end."""
+
+
+def unit_text(command: Sequence[str], state_folder: Path, systemd: int = 0) -> str:
     """Return the unit that runs a command, its program's absolute path first.
 
-    state_folder: the one folder besides the runtime folder that the daemon may write.
+    state_folder: the one folder besides the runtime folder that the daemon may write; systemd: its
+    version, 0 for any.
 
     Raises
     ------
@@ -82,8 +89,13 @@ def unit_text(command: Sequence[str], state_folder: Path) -> str:
     """
     program, *arguments = command
     words = [_program(program), *(_quoted(argument) for argument in arguments)]
+    reloads = systemd >= NOTIFY_RELOAD
     return _TEMPLATE.substitute(
-        mark=MARK, command=" ".join(words), writable=f"ReadWritePaths={_optional(state_folder)}"
+        mark=MARK,
+        type="notify-reload" if reloads else "notify",
+        command=" ".join(words),
+        reload="ReloadSignal=SIGHUP" if reloads else "ExecReload=/bin/kill -HUP $MAINPID",
+        writable=f"ReadWritePaths={_optional(state_folder)}",
     )
 
 

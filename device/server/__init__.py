@@ -2,7 +2,7 @@
 
     pcms.py       names that PortAudio knows, led to sinks and monitors
     portaudio.py  the one PyAudio instance; opening and closing within a time limit
-    streams.py    CaptureStream, PlaybackStream: 256 frames a callback
+    streams.py    CaptureStream, PlaybackStream: a block a callback
     pulse.py      PulseConnection: what the server holds (snapshot.py) and what changes (events.py)
     identity.py   sinks by exact name, monitors, our own streams, real devices
     guard.py      a stream is where it belongs, or silent
@@ -11,6 +11,8 @@
     pulse_thread.py  their connection and thread; libpulse.py: the library that they call
     drop_in.py    DropIn: the sound passes a virtual sink, which the server forwards
                   (forwarding.py, default_sink.py, guests.py)
+    priority.py   real-time priority for the callbacks' threads
+    folders.py    where the private ALSA configuration lies, and what others left behind
     quiet.py      what the libraries print; statistics.py: how long callbacks take
 
 pulsectl and PyAudio are loaded when they are first needed: both need libraries of the system.
@@ -31,6 +33,7 @@ from device.server.identity import (
     monitor_of,
 )
 from device.server.pcms import Pcm, PcmConfig
+from device.server.priority import AudioPriority
 from device.server.pulse import PulseConnection
 from device.server.quiet import quiet_libraries
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
@@ -40,6 +43,7 @@ __all__ = [
     "AppCapture",
     "AppCaptures",
     "AppRules",
+    "AudioPriority",
     "CaptureStream",
     "DropIn",
     "Ended",

@@ -12,13 +12,12 @@ aborts the process if it finds no `default`.)
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from device.errors import InternalError, UsageError
+from device.server.folders import OwnFolder
 
 ROLE = "haptic"
 """media.role of all our streams; the server's other programs have no such role."""
@@ -80,7 +79,9 @@ class PcmConfig:
     JACK server is never started. PULSE_PROP of the user is kept, ours come after it. `close`
     removes the folder and restores the environment.
 
-    folder: made if missing; None for a temporary one. One thread at a time calls the methods.
+    folder: holds ours, made if missing; None for $XDG_RUNTIME_DIR/cushion, or the one for
+    temporary files where that cannot be had. What processes that were killed have left there is
+    removed. One thread at a time calls the methods.
 
     Raises
     ------
@@ -93,15 +94,7 @@ class PcmConfig:
         if wrong or len(set(names)) != len(names) or not names:
             raise InternalError(f"PCMs cannot be called {', '.join(names)}: one word each")
         self.pcms: Mapping[str, Pcm] = {name: Pcm(self, name) for name in names}
-        try:
-            if folder is not None:
-                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            self._folder = Path(tempfile.mkdtemp(prefix="alsa-", dir=folder))
-        except OSError as error:
-            raise UsageError(
-                f"the ALSA configuration cannot be written to {folder or tempfile.gettempdir()} "
-                f"({error.strerror}); set XDG_RUNTIME_DIR or TMPDIR to a folder that can be written"
-            ) from None
+        self._folder = OwnFolder(folder)
         self._version = 0
         self._before = {
             name: os.environ.get(name)
@@ -137,7 +130,7 @@ class PcmConfig:
 
     def close(self) -> None:
         """Remove the folder and restore the environment, once PortAudio has ended."""
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._folder.close()
         for name, value in self._before.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -146,9 +139,9 @@ class PcmConfig:
 
     def _write(self) -> None:
         """Write the configuration under a new name: ALSA could take a changed file for the old."""
-        old = self._folder / f"{self._version}.conf"
+        old = self._folder.path / f"{self._version}.conf"
         self._version += 1
-        new = self._folder / f"{self._version}.conf"
+        new = self._folder.path / f"{self._version}.conf"
         text = [_definition(pcm) for pcm in self.pcms.values()]
         try:
             new.write_text("\n".join([*text, "pcm.default { type null }", ""]))

@@ -18,7 +18,8 @@ from device.errors import InternalError, LostError, NotFoundError
 from device.server.pcms import Pcm
 
 BLOCK_FRAMES = 256
-"""Frames a callback. Fewer are unstable through ALSA's pulse plugin, more add 30 ms and above."""
+"""Frames a callback, usually. Fewer are unstable through ALSA's pulse plugin, more add 30 ms and
+above."""
 
 OPEN_LIMIT_S = 5.0
 START_LIMIT_S = 1.5
@@ -56,11 +57,18 @@ class OpenStream:
 
 
 def open_stream(
-    pcm: Pcm, *, output: bool, samplerate: int, channels: int, callback: Callback
+    pcm: Pcm,
+    *,
+    output: bool,
+    samplerate: int,
+    channels: int,
+    callback: Callback,
+    block_frames: int = BLOCK_FRAMES,
 ) -> OpenStream:
     """A running float32 stream of the PCM's device; `callback` is called by a thread of PortAudio.
 
-    samplerate: Hz. Any thread but a callback's may call this; openings go one after another.
+    samplerate: Hz; block_frames: how many a callback. Any thread but a callback's may call this;
+    openings go one after another.
 
     Raises
     ------
@@ -76,7 +84,7 @@ def open_stream(
             opened = _within(
                 OPEN_LIMIT_S,
                 f"open {what}",
-                lambda: _open_still(pcm, output, samplerate, channels, callback),
+                lambda: _open_still(pcm, output, samplerate, channels, callback, block_frames),
                 close_stream,
             )
             try:
@@ -100,7 +108,12 @@ def open_stream(
 
 
 def _open_still(
-    pcm: Pcm, output: bool, samplerate: int, channels: int, callback: Callback
+    pcm: Pcm,
+    output: bool,
+    samplerate: int,
+    channels: int,
+    callback: Callback,
+    block_frames: int,
 ) -> OpenStream:
     """The stream, opened and not started yet."""
     if not _lock.acquire(timeout=OPEN_LIMIT_S):
@@ -117,7 +130,7 @@ def _open_still(
                 rate=samplerate,
                 channels=channels,
                 format=pyaudio.paFloat32,
-                frames_per_buffer=BLOCK_FRAMES,
+                frames_per_buffer=block_frames,
                 stream_callback=callback,
                 start=False,
                 **{side: True, f"{side}_device_index": index},

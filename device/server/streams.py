@@ -1,4 +1,4 @@
-"""Sound from and to the server, 256 frames at a time, by callbacks on threads of PortAudio.
+"""Sound from and to the server, a block at a time, by callbacks on threads of PortAudio.
 
 Two separate streams: one that captures and plays at once would poll. A callback never raises and
 always delivers its full length, since an exception or a short block would end the stream without a
@@ -20,6 +20,7 @@ import numpy as np
 from device.errors import UsageError
 from device.server.pcms import Pcm
 from device.server.portaudio import BLOCK_FRAMES, OpenStream, close_stream, open_stream
+from device.server.priority import AudioPriority
 from device.server.statistics import Durations
 from device.units import Float32Array
 
@@ -51,8 +52,17 @@ class _Stream:
     """
 
     def __init__(
-        self, pcm: Pcm, samplerate: int, channels: int, output: bool, audible: bool
+        self,
+        pcm: Pcm,
+        samplerate: int,
+        channels: int,
+        *,
+        output: bool,
+        audible: bool,
+        block_frames: int,
+        priority: AudioPriority | None,
     ) -> None:
+        self._priority = priority
         self.audible = audible
         self.silenced = 0
         self.pcm = pcm
@@ -68,7 +78,12 @@ class _Stream:
         self._close_lock = threading.Lock()
         self._open: OpenStream | None = None
         self._open = open_stream(
-            pcm, output=output, samplerate=samplerate, channels=channels, callback=self._callback
+            pcm,
+            output=output,
+            samplerate=samplerate,
+            channels=channels,
+            callback=self._callback,
+            block_frames=block_frames,
         )
         self.tag = self._open.tag
 
@@ -106,6 +121,8 @@ class _Stream:
         try:
             if self.callbacks:
                 self.gaps.add(int((now_s - self.last_callback_s) * 1e9))
+            elif self._priority is not None:
+                self._priority.claim()
             self.last_callback_s = now_s
             self.callbacks += 1
             self.frames += frames
@@ -138,6 +155,7 @@ class CaptureStream(_Stream):
     neither block nor close the stream; what it raises is counted in `errors`.
 
     audible: True from the start, unless given otherwise; while False the frames are all 0.
+    block_frames: of a callback. priority: what its thread asks for, None for nothing.
 
     Raises
     ------
@@ -156,10 +174,20 @@ class CaptureStream(_Stream):
         on_frames: OnFrames,
         *,
         audible: bool = True,
+        block_frames: int = BLOCK_FRAMES,
+        priority: AudioPriority | None = None,
     ) -> None:
         check_format(samplerate, channels)
         self._on_frames = on_frames
-        super().__init__(pcm, samplerate, channels, output=False, audible=audible)
+        super().__init__(
+            pcm,
+            samplerate,
+            channels,
+            output=False,
+            audible=audible,
+            block_frames=block_frames,
+            priority=priority,
+        )
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         if not self.audible:
@@ -183,7 +211,8 @@ class PlaybackStream(_Stream):
     on_sent(frames, now_s): called likewise with what went to PortAudio for that block, silence too;
     the array is read only and may be kept.
 
-    audible: False at first; while it is, fill is called and 0 is played.
+    audible: False at first; while it is, fill is called and 0 is played. block_frames: of a
+    callback. priority: what its thread asks for, None for nothing.
 
     Raises
     ------
@@ -198,14 +227,25 @@ class PlaybackStream(_Stream):
         channels: int,
         fill: Fill,
         on_sent: OnSent | None = None,
+        *,
+        block_frames: int = BLOCK_FRAMES,
+        priority: AudioPriority | None = None,
     ) -> None:
         check_format(samplerate, channels)
         self._fill = fill
         self._on_sent = on_sent
-        self._out = np.zeros((BLOCK_FRAMES, channels), np.float32)
+        self._out = np.zeros((block_frames, channels), np.float32)
         self._silence = bytes(self._out.nbytes)
         self._sound: bytes | None = None
-        super().__init__(pcm, samplerate, channels, output=True, audible=False)
+        super().__init__(
+            pcm,
+            samplerate,
+            channels,
+            output=True,
+            audible=False,
+            block_frames=block_frames,
+            priority=priority,
+        )
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         if len(self._out) != frames:

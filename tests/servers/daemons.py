@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -107,12 +107,21 @@ class Daemon:
 
 @contextmanager
 def running(
-    server: SoundServer, *arguments: str, device: str = "haptic", ready: bool = True
+    server: SoundServer,
+    *arguments: str,
+    device: str | None = "haptic",
+    ready: bool = True,
+    within: Sequence[str] = (),
+    variables: Mapping[str, str] = {},
 ) -> Iterator[Daemon]:
-    """`cushion run` on this server, once it plays (unless not `ready`)."""
+    """`cushion run` on this server, once it plays (unless not `ready`).
+
+    device: None for the config's; within: a command that runs it; variables: of its environment.
+    """
+    named = () if device is None else ("--device", device)
     process = subprocess.Popen(
-        [*CUSHION, "run", "--device", device, *arguments],
-        env=environment(server),
+        [*within, *CUSHION, "run", *named, *arguments],
+        env=environment(server) | dict(variables),
         cwd=ROOT,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,

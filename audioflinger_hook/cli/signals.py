@@ -1,0 +1,69 @@
+"""The signals that a running daemon takes: none breaks into an opening or a closing."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from types import TracebackType
+
+from audioflinger_hook.daemon.wake import Wake
+
+
+class Signals:
+    """What signals asked for, for the main thread to look at; each one rings `wake`.
+
+    end: whether to end: SIGINT, SIGTERM, or a terminal that was closed. reload: whether to read
+    the config again: SIGHUP. on_spinning: called, at once, when a real-time thread has run for too
+    long: SIGXCPU. A context; leaving it gives the signals back to who had them.
+    """
+
+    def __init__(self, wake: Wake) -> None:
+        self.end = False
+        self.reload = False
+        self.on_spinning: Callable[[], None] = _nothing
+        self._wake = wake
+        self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
+        # `nohup` lets a program go on without its terminal.
+        self._goes_on = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        self._before = {
+            number: signal.signal(number, take)
+            for number, take in (
+                (signal.SIGINT, self._end),
+                (signal.SIGTERM, self._end),
+                (signal.SIGHUP, self._hang_up),
+                (signal.SIGXCPU, self._spinning),
+            )
+        }
+
+    def __enter__(self) -> Signals:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _end(self, _number: int, _frame: object) -> None:
+        self.end = True
+        self._wake.ring()
+
+    def _hang_up(self, _number: int, _frame: object) -> None:
+        closed = [terminal for terminal in self._terminals if not os.isatty(terminal)]
+        if closed and not self._goes_on:
+            self.end = True
+        else:
+            self.reload = True
+        self._wake.ring()
+
+    def _spinning(self, _number: int, _frame: object) -> None:
+        self.on_spinning()
+        self._wake.ring()
+
+
+def _nothing() -> None:
+    """Do nothing: nobody minds yet."""

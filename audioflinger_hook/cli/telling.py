@@ -1,0 +1,71 @@
+"""What a running daemon tells: its user on stderr, a line each, and systemd."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.service.notify import Notifier
+from audioflinger_hook.service.rationing import Rationing
+from audioflinger_hook.service.state import Note, StateReport
+from device.errors import CushionError
+
+
+class Teller:
+    """Says what is new, once. Held by the main thread; times are seconds of time.monotonic().
+
+    notifier: systemd's side.
+    """
+
+    def __init__(self) -> None:
+        self.notifier = Notifier()
+        self._state = ""
+        self._warnings: tuple[str, ...] = ()
+        self._rationing = Rationing()
+
+    def begin(self, tap: str, device: str) -> None:
+        """Say what is tapped and where it plays, and that the start is over."""
+        self._say(f"what plays at {tap} is felt at {device}; Ctrl+C ends it")
+        self.notifier.ready()
+
+    def tell(
+        self, report: StateReport, notes: list[Note], warnings: list[str], now_s: float
+    ) -> None:
+        """Say what has happened since the last call, and what state that led to."""
+        state = f"{report.state.value}{': ' if report.reason else ''}{report.reason}"
+        news = state != self._state
+        for note in notes:
+            if news and note.text == report.reason:
+                continue  # the state says it
+            left_out = self._rationing.left_out(note.cause, now_s)
+            if left_out is not None:
+                more = f" (and {left_out} more like it before)" if left_out else ""
+                self._say(f"{note.cause.value}: {note.text}{more}")
+        if news:
+            self._state = state
+            self.notifier.status(state)
+            self._say(state)
+        for warning in warnings:
+            if warning not in self._warnings:
+                warn(warning)
+        self._warnings = tuple(warnings)
+
+    def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
+        """Let the config be read again and say what that changed, or why it changed nothing.
+
+        Returns the latter, for the warnings, "" where all is well.
+        """
+        self.notifier.reloading(now_s)
+        trouble = ""
+        try:
+            self._say(f"config read again; changed: {follow_config(now_s)}")
+        except CushionError as error:
+            trouble = f"the config was not taken: {error}"
+            # Told as one of the warnings; again, even if it was one before.
+            self._warnings = tuple(warning for warning in self._warnings if warning != trouble)
+        self.notifier.ready(self._state)
+        return trouble
+
+    def _say(self, text: str) -> None:
+        print(f"cushion: {text}", file=sys.stderr, flush=True)

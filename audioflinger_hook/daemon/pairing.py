@@ -1,0 +1,153 @@
+"""Both sides of an order, and what they share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from audioflinger_hook.daemon.app_input import AppFeed, AppInput
+from audioflinger_hook.daemon.engine import Clocks
+from audioflinger_hook.daemon.feed import Feed
+from audioflinger_hook.daemon.live_input import LiveInput
+from audioflinger_hook.daemon.live_output import LiveOutput
+from audioflinger_hook.daemon.order import Order
+from audioflinger_hook.daemon.paced_input import PacedInput
+from audioflinger_hook.daemon.paced_output import PacedOutput
+from audioflinger_hook.daemon.pacing import Pacer
+from audioflinger_hook.daemon.sides import InputSide, OutputSide
+from audioflinger_hook.service.state import StateKeeper
+from device.errors import UsageError
+from device.server import AudioPriority, PcmConfig
+
+
+class Sides:
+    """Both sides of an order. For the supervising thread alone.
+
+    needs_server: whether one of them does; no server is asked for anything otherwise. feed: what
+    the input delivers into. priority: of the audio threads.
+
+    Raises
+    ------
+    UsageError, NotFoundError
+        A file to play, or to write, cannot be used; a rule for applications has a mistake.
+    """
+
+    def __init__(
+        self,
+        order: Order,
+        clocks: Clocks,
+        states: StateKeeper,
+        priority: AudioPriority,
+        on_heard: Callable[[], None],
+    ) -> None:
+        self.needs_server = order.tap_is_live or order.device_is_live
+        self._states = states
+        self._priority = priority
+        self._on_heard = on_heard
+        self._pacer = Pacer(clocks.now_s, exact=not self.needs_server)
+        self._pcms: PcmConfig | None = None
+        self.output: OutputSide
+        if not order.device_is_live:
+            rig = order.settings.rig
+            self.output = PacedOutput(order.device, self._pacer, rig, order.recording)
+        self.feed: Feed | AppFeed
+        self.input: InputSide
+        if not order.tap_is_live:
+            feed = self.feed = Feed(order.recording)
+            self.input = PacedInput(order.tap, self._pacer, feed)
+            if order.live.include or order.live.exclude:
+                _ = order.rules  # raises: a file has no applications
+        if self.needs_server:
+            self._pcms = PcmConfig("cushion_tap", "cushion_output")
+            if order.tap_is_live:
+                self.input = self._live_input(order)
+            if order.device_is_live:
+                self.output = LiveOutput(
+                    order.device,
+                    self._pcms.pcms["cushion_output"],
+                    states,
+                    order.recording,
+                    block_frames=order.live.block_frames,
+                    priority=priority,
+                )
+
+    def _live_input(self, order: Order) -> LiveInput | AppInput:
+        rules = order.rules
+        if rules is not None:
+            apps = self.feed = AppFeed(order.recording)
+            return AppInput(_address(order), rules, self._states, apps)
+        feed = self.feed = Feed(order.recording)
+        assert self._pcms is not None
+        return LiveInput(
+            order.tap,
+            self._pcms.pcms["cushion_tap"],
+            self._states,
+            feed,
+            block_frames=order.live.block_frames,
+            priority=self._priority,
+            on_heard=self._on_heard,
+        )
+
+    def refuse(self, old: Order, new: Order) -> None:
+        """Raise UsageError if what runs cannot go over from one order to the other."""
+        for what, before, after, live in (
+            ("tap", old.tap, new.tap, old.tap_is_live and new.tap_is_live),
+            ("device", old.device, new.device, old.device_is_live and new.device_is_live),
+        ):
+            if before != after and not live:
+                raise UsageError(
+                    f"the {what} {str(before)!r} cannot become {str(after)!r} while it runs; start "
+                    "it anew"
+                )
+        if old.recording and old.settings != new.settings:
+            raise UsageError(
+                "settings cannot change while --record keeps what they make; start it anew"
+            )
+        _ = new.rules
+
+    def lead_input(self, order: Order) -> bool:
+        """Listen elsewhere; whether that takes another engine."""
+        rules = order.rules
+        if isinstance(self.input, LiveInput) and rules is None:
+            self.input.lead(order.tap)
+            return False
+        if isinstance(self.input, AppInput) and rules is not None:
+            self.input.lead(_address(order), rules)
+            return False
+        self.input.close()
+        self.input = self._live_input(order)
+        return True
+
+    def lead_output(self, order: Order) -> None:
+        """Play elsewhere."""
+        assert isinstance(self.output, LiveOutput)
+        self.output.lead(order.device)
+
+    def take_blocks_of(self, frames: int) -> None:
+        """Open streams with so many frames a callback from now on."""
+        for side in (self.input, self.output):
+            if isinstance(side, LiveInput | LiveOutput):
+                side.block_frames = frames
+
+    def close(self) -> None:
+        """Let both fall silent; they go on when they are kept again. Again too."""
+        self.output.close()
+        self.input.close()
+
+    def end(self, *, keep: bool) -> None:
+        """Let go of both; keep: a file that was written stays. WriteError: it cannot."""
+        self.close()
+        self._pacer.close()
+        if self._pcms:
+            self._pcms.close()
+        self.input.end(keep=keep)
+        self.output.end(keep=keep)
+
+
+def _address(order: Order) -> str:
+    """What the user asked to hear, for people."""
+    live = order.live
+    if order.tap.kind == "app":
+        return ", ".join(live.tap)
+    words = [f"only {', '.join(live.include)}"] if live.include else []
+    words += [f"not {', '.join(live.exclude)}"] if live.exclude else []
+    return f"{order.tap} ({'; '.join(words)})"

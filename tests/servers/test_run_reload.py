@@ -1,0 +1,520 @@
+"""`cushion run` and its config: what SIGHUP changes, and what it leaves alone."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import socket
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.service.state import Cause, DaemonState
+from device.units import Float32Array
+from tests.servers.daemons import (
+    SOUNDING,
+    Daemon,
+    best_lag,
+    cushion,
+    envelope,
+    felt_now,
+    pitch_hz,
+    recovered,
+    running,
+    tone,
+)
+from tests.servers.listening import RATE_HZ, noise, playing, recording, wait_for
+from tools.sound_server import SoundServer
+
+ATTEMPTS = 30
+WANTED = 3
+"""So many have to be as they should; what disturbs the others is a shared machine, which holds up
+whoever it likes now and then. A mistake would disturb all of them."""
+
+TONE_HZ = 110.0
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Callable[..., Path]:
+    """Writes the config that the daemon reads, and returns its path."""
+
+    def write(*lines: str) -> Path:
+        path = tmp_path / "config.toml"
+        path.write_text("\n".join(('device = "haptic"', *lines, "")))
+        return path
+
+    return write
+
+
+def reload(daemon: Daemon) -> str:
+    """Let it read its config again; what it says to that."""
+    before = len(daemon.stderr)
+    daemon.process.send_signal(signal.SIGHUP)
+
+    def said() -> str:
+        lines = daemon.stderr[before:].splitlines()
+        return next((line for line in lines if "config " in line), "")
+
+    return wait_for(said, "an answer to SIGHUP", 5.0)
+
+
+def level_db(frames: Float32Array) -> float:
+    return 10.0 * float(np.log10(np.mean(np.square(frames, dtype=np.float64)) + 1e-12))
+
+
+def longest_silence(frames: Float32Array) -> int:
+    """Frames of the longest run of exact zeros."""
+    heard = np.flatnonzero(frames.any(axis=1))
+    if not len(heard):
+        return len(frames)
+    return int(np.diff(np.concatenate([[-1], heard, [len(frames)]])).max()) - 1
+
+
+def more(felt: Callable[[], Float32Array], seconds: float) -> Float32Array:
+    """So many seconds of a recording from now on."""
+    began = len(felt())
+    enough = began + int(seconds * RATE_HZ)
+    wait_for(lambda: len(felt()) >= enough, f"{seconds} s of sound", 10.0 + seconds)
+    return felt()[began:enough]
+
+
+def test_another_level_is_felt_within_0_3_s_and_without_a_gap(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config("gain_db = 0")
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 120.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        took: list[float] = []
+        for turn in range(ATTEMPTS):
+            if len(took) == WANTED:
+                break
+            daemon.wait_state(DaemonState.RUNNING)
+            was_db = level_db(more(felt, 0.3))
+            steady = longest_silence(more(felt, 0.3))
+            began = len(felt())
+            config(f"gain_db = {0 if turn % 2 else -20}")
+            assert "changed: the level" in reload(daemon)
+            more(felt, 0.6)
+            change = felt()[began:]
+            wanted_db = was_db + (20.0 if turn % 2 else -20.0)
+            starts = range(0, len(change) - RATE_HZ // 20, RATE_HZ // 100)
+            there = [
+                abs(level_db(change[start : start + RATE_HZ // 20]) - wanted_db) < 3.0
+                for start in starts
+            ]
+            if there[-1] and longest_silence(change) <= max(steady, 2):
+                took.append(0.01 * (len(there) - [*reversed(there), False].index(False)))
+    print(f"{server.kind}: felt after {took} s without a gap, {turn} attempts")
+    assert len(took) == WANTED
+    assert sorted(took)[(len(took) - 1) // 2] < 0.3
+
+
+def test_another_parameter_of_the_transform_takes_effect_while_the_streams_stay(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config()
+    with (
+        playing(server, "desktop", tone(400.0, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        before = pitch_hz(more(felt, 0.5))
+        streams = server.pactl("list", "short", "sink-inputs")
+        config("[transform]", "vibration_top_hz = 120")
+        assert "the transform, which begins anew" in reload(daemon)
+        wait_for(
+            lambda: 1.0 < pitch_hz(felt()[-RATE_HZ // 4 :]) < before - 10.0, "a lower pitch", 3.0
+        )
+        assert server.pactl("list", "short", "sink-inputs") == streams
+    after = pitch_hz(felt()[-RATE_HZ // 4 :])
+    print(f"{server.kind}: {before:.0f} then {after:.0f} Hz")
+
+
+def test_a_config_with_mistakes_changes_nothing_and_is_told(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config("gain_db = 0")
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        loud = level_db(more(felt, 0.5))
+        for _ in range(2):  # told each time
+            config("gain_db = -20", "offset_ms = 5000", "block_frames = 3")
+            said = reload(daemon)
+            assert "line 3: offset_ms = 5000 is out of range" in said
+            assert "and 1 more" in said
+        status = daemon.wait(lambda s: any("offset_ms" in w for w in s.warnings), "a warning")
+        assert status.state is DaemonState.RUNNING
+        assert abs(level_db(more(felt, 0.5)) - loud) < 3.0
+        path.unlink()
+        assert "cannot be read" in reload(daemon)
+        config("gain_db = 0")
+        assert "changed: nothing" in reload(daemon)
+        daemon.wait(lambda s: not any("config" in w for w in s.warnings), "no warning")
+        config('tap = "app:Player"')
+        assert "app:Player" in reload(daemon)
+        assert daemon.process.poll() is None
+
+
+def test_another_device_has_the_vibration_and_the_first_one_no_more(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    server.add_sink("seat")
+    path = config()
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "first") as first,
+        recording(server, "seat.monitor", tmp_path / "second") as second,
+        recording(server, "desktop.monitor", tmp_path / "sound") as sound,
+    ):
+        wait_for(lambda: felt_now(first), "vibration")
+        assert not second().any()
+        taps = server.pactl("list", "short", "source-outputs")
+        path.write_text('device = "seat"\n')
+        began_s = time.monotonic()
+        assert "changed: the device" in reload(daemon)
+        wait_for(lambda: felt_now(second), "vibration on the other", 10.0)
+        took_s = time.monotonic() - began_s
+        wait_for(lambda: not first()[-RATE_HZ // 10 :].any(), "silence on the first", 5.0)
+        assert not more(first, 0.5).any()
+        assert server.pactl("list", "short", "source-outputs") == taps
+        assert abs(pitch_hz(more(sound, 0.5)) - TONE_HZ) < 2.0
+        status = daemon.wait_state(DaemonState.RUNNING)
+        assert status.device.name == "seat"
+        assert status.device.address == "sink:seat"
+        holder = cushion(server, "run", "--device", "haptic").stderr
+        assert "device sink:seat" in holder
+    print(f"{server.kind}: felt on the other device after {took_s:.2f} s")
+
+
+def test_another_tap_is_felt_and_the_output_goes_on(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    server.add_sink("speakers")
+    path = config()
+    with (
+        playing(server, "desktop", tone(110.0, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        playing(server, "speakers", tone(400.0, 60.0)),
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        before = pitch_hz(more(felt, 0.5))
+        streams = server.pactl("list", "short", "sink-inputs")
+        config('tap = "sink:speakers"')
+        assert "changed: the tap" in reload(daemon)
+        status = daemon.wait(lambda s: s.tap.name == "speakers.monitor", "the other tap")
+        assert status.tap.address == "sink:speakers"
+        wait_for(lambda: pitch_hz(felt()[-RATE_HZ // 4 :]) > before + 20.0, "its tone", 3.0)
+        assert server.pactl("list", "short", "sink-inputs") == streams
+        assert not recovered(daemon.wait_state(DaemonState.RUNNING), Cause.DEFAULT_CHANGED)
+
+
+def bursts(seconds: float) -> Float32Array:
+    """Noise that comes and goes without a period: a delay has one place where it fits."""
+    generator = np.random.default_rng(5)
+    sound = noise(seconds, 3) - np.float32(0.275)
+    pieces = generator.uniform(0.1, 0.4, int(seconds * 10))
+    edges = (np.cumsum(pieces) * RATE_HZ).astype(int)
+    for start, end in zip(edges[::2], edges[1::2], strict=False):
+        sound[start:end] = 0.0
+    return sound
+
+
+def test_another_offset_moves_the_delay_by_that_much(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config()
+    with (
+        playing(server, "desktop", bursts(120.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "desktop.monitor", tmp_path / "sound") as sound,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+
+        def lag_ms() -> float:
+            """By how much the vibration follows the sound, give or take the recordings' start."""
+            ends = len(sound()), len(felt())
+            more(felt, 4.0)
+            wait_for(lambda: len(sound()) >= ends[0] + 4 * RATE_HZ, "as much sound")
+            heard = envelope(sound()[ends[0] : ends[0] + 3 * RATE_HZ, 0])
+            whole = envelope(felt()[: ends[1] + 4 * RATE_HZ, 0])
+            near = max(0, ends[0] // 48 - 1_000)
+            return near + best_lag(whole[near:], heard - heard.mean()) - ends[0] / 48.0
+
+        wait_for(lambda: felt_now(felt), "vibration")
+        daemon.wait(lambda s: s.delay_line.state == "locked", "a lock", 30.0)
+        lags, targets = [], []
+        for turn in range(5):
+            if turn:
+                config(f"offset_ms = {150 if turn % 2 else 0}")
+                assert "changed: the offset" in reload(daemon)
+            lags.append(lag_ms())
+            targets.append(daemon.wait_state(DaemonState.RUNNING).delay_line.target_ms)
+    moved = np.diff(lags) * (1, -1, 1, -1)
+    provided = np.diff(targets) * (1, -1, 1, -1)
+    print(f"{server.kind}: the lag moved by {moved}, the target by {np.round(provided, 1)} ms")
+    # lateness that is provided for may change meanwhile, and what is recorded may have holes
+    assert abs(np.mean(moved) - 150.0) < 40.0
+    assert abs(np.median(provided) - 150.0) < 20.0
+
+
+def test_another_offset_makes_no_gap(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config()
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 120.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        daemon.wait(lambda s: s.delay_line.state == "locked", "a lock", 30.0)
+        whole = 0
+        for turn in range(ATTEMPTS):
+            if whole == WANTED:
+                break
+            daemon.wait_state(DaemonState.RUNNING)
+            steady = longest_silence(more(felt, 0.3))
+            began = len(felt())
+            config(f"offset_ms = {0 if turn % 2 else 120}")
+            assert "changed: the offset" in reload(daemon)
+            more(felt, 0.6)
+            whole += longest_silence(felt()[began:]) <= max(steady, 2)
+        print(f"{server.kind}: {whole} changes without a gap, {turn} attempts")
+        assert whole == WANTED
+
+
+@pytest.mark.parametrize("frames", [128, 512, 1024])
+def test_blocks_of_other_lengths_carry_the_vibration(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path, frames: int
+) -> None:
+    path = config(f"block_frames = {frames}")
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        status = daemon.wait_ready()
+        # one and a half of the tap's, and one of the output's
+        assert status.delay_line.target_ms > 2.5e3 * frames / RATE_HZ
+        felt_before = level_db(more(felt, 0.5))
+        config("block_frames = 256")
+        assert "both streams open anew" in reload(daemon)
+        daemon.wait(
+            lambda s: (
+                s.state is DaemonState.RUNNING
+                and s.delay_line.delay_ms > 0.0
+                and s.delay_line.target_ms != status.delay_line.target_ms
+            ),
+            "another delay",
+        )
+        wait_for(
+            lambda: abs(level_db(felt()[-RATE_HZ // 4 :]) - felt_before) < 3.0, "the same level"
+        )
+    assert "Traceback" not in daemon.stderr
+
+
+def test_the_form_of_the_transform_can_be_changed_too(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config()
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        config("[transform]", 'channels = "each"')
+        assert "everything begins anew" in reload(daemon)
+        wait_for(lambda: not felt_now(felt), "an end")
+        wait_for(lambda: felt_now(felt), "vibration again", 15.0)
+        assert daemon.wait_state(DaemonState.RUNNING).warnings == ()
+
+
+def test_fifty_signals_in_a_row_do_no_harm(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config("gain_db = 0")
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        loud = level_db(more(felt, 0.5))
+        threads = len(list(Path(f"/proc/{daemon.process.pid}/task").iterdir()))
+        streams = server.pactl("list", "short", "sink-inputs")
+        for turn in range(50):
+            config(
+                f"gain_db = {-20 if turn % 2 else 0}", "[transform]", f"partials_max = {turn + 1}"
+            )
+            daemon.process.send_signal(signal.SIGHUP)
+        config("gain_db = -10")
+        assert "config read again" in reload(daemon)
+        wait_for(
+            lambda: abs(level_db(felt()[-RATE_HZ // 4 :]) - loud + 10.0) < 3.0,
+            "the last level",
+            5.0,
+        )
+        daemon.wait_state(DaemonState.RUNNING)
+        assert server.pactl("list", "short", "sink-inputs") == streams
+        assert len(list(Path(f"/proc/{daemon.process.pid}/task").iterdir())) <= threads + 1
+        assert daemon.end(signal.SIGINT) == 130
+    assert "Traceback" not in daemon.stderr
+
+
+def test_systemd_is_told_of_the_start_and_of_every_reload(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        address = str(server.folder / "notify")
+        manager.bind(address)
+        manager.settimeout(5.0)
+        variables = {"NOTIFY_SOCKET": address}
+
+        def messages(last: str) -> list[str]:
+            """What came until a message that begins so."""
+            found = [""]
+            while not found[-1].startswith(last):
+                found.append(manager.recv(4096).decode())
+            return found[1:]
+
+        with running(
+            server, "--config", str(path), device=None, ready=False, variables=variables
+        ) as daemon:
+            messages("READY=1")
+            before_us = time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1_000
+            for text in ("gain_db = -3", "gain_db = 3"):  # the second one is a mistake
+                config(text)
+                reload(daemon)
+                (began,) = messages("RELOADING=1")[-1:]
+                found = re.fullmatch(r"RELOADING=1\nMONOTONIC_USEC=(\d+)", began)
+                assert found
+                assert (
+                    before_us <= int(found[1]) <= time.clock_gettime_ns(time.CLOCK_MONOTONIC) / 1e3
+                )
+                messages("READY=1")
+            daemon.process.terminate()
+            messages("STOPPING=1")
+
+
+def test_what_a_killed_daemon_left_is_swept_by_the_next(server: SoundServer) -> None:
+    folder = server.folder / "cushion"
+
+    def left() -> list[Path]:
+        return sorted(folder.glob("cushion-alsa-*"))
+
+    with running(server, ready=False) as daemon:
+        daemon.wait(lambda status: status.state in SOUNDING, "its start")
+        (first,) = left()
+        assert first.stat().st_mode & 0o777 == 0o700
+        daemon.end(signal.SIGKILL)
+    assert left() == [first]
+    with running(server, ready=False) as daemon:
+        daemon.wait(lambda status: status.state in SOUNDING, "its start")
+        (second,) = left()
+        assert second != first
+        assert daemon.end() == 130
+    assert left() == []
+
+
+def schedulers(daemon: Daemon) -> list[int]:
+    """How each of its threads is scheduled."""
+    found = []
+    for thread in Path(f"/proc/{daemon.process.pid}/task").iterdir():
+        with suppress(OSError):
+            found.append(os.sched_getscheduler(int(thread.name)) & ~os.SCHED_RESET_ON_FORK)
+    return found
+
+
+def test_the_audio_threads_are_real_time_where_that_is_granted_until_the_config_says_no(
+    server: SoundServer, config: Callable[..., Path]
+) -> None:
+    path = config()
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+    ):
+        status = daemon.wait_state(DaemonState.RUNNING)
+        if any("real-time" in warning for warning in status.warnings):
+            pytest.skip("this machine grants no real-time priority")
+        assert schedulers(daemon).count(os.SCHED_RR) == 2
+        config("realtime = false")
+        reload(daemon)
+        wait_for(lambda: os.SCHED_RR not in schedulers(daemon), "threads like others")
+        config()
+        path.write_text('device = "haptic"\nblock_frames = 512\n')
+        reload(daemon)
+        wait_for(lambda: schedulers(daemon).count(os.SCHED_RR) == 2, "priority again")
+
+
+@pytest.mark.skipif(
+    shutil.which("setpriv") is None or os.geteuid() != 0, reason="no privileges to give up"
+)
+def test_without_priority_it_plays_all_the_same_and_says_once_what_to_do(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config()
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(
+            server,
+            "--config",
+            str(path),
+            device=None,
+            within=("setpriv", "--bounding-set=-sys_nice", "--inh-caps=-sys_nice"),
+        ) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        (warning,) = daemon.wait(lambda s: s.warnings, "a warning").warnings
+        assert "/etc/security/limits.d/cushion.conf" in warning
+        assert os.SCHED_RR not in schedulers(daemon)
+        wait_for(lambda: warning in daemon.stderr, "the same on stderr")
+        config("realtime = false")
+        reload(daemon)
+        daemon.wait(lambda s: not s.warnings, "no warning")
+    assert daemon.stderr.count("real-time") == 1
+
+
+def test_without_a_device_the_error_says_how_to_name_one(server: SoundServer) -> None:
+    alone = cushion(server, "run")
+    assert alone.returncode == 2
+    assert len(alone.stderr.splitlines()) == 1
+    for hint in ("cushion devices", "--device", "key device", "config.toml"):
+        assert hint in alone.stderr
+
+
+def test_options_win_over_the_config_also_after_it_is_read_again(
+    server: SoundServer, config: Callable[..., Path]
+) -> None:
+    path = config("offset_ms = 20")
+    path.write_text('device = "nowhere"\noffset_ms = 20\n')
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(server, "--config", str(path), "--offset-ms", "50") as daemon,
+    ):
+        assert daemon.wait_ready().latency.offset_ms == 50.0
+        path.write_text('device = "elsewhere"\noffset_ms = 30\ngain_db = -1\n')
+        assert "changed: the level" in reload(daemon)
+        status = daemon.wait_ready()
+    assert status.latency.offset_ms == 50.0
+    assert status.device.name == "haptic"
