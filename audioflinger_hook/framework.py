@@ -19,7 +19,7 @@ from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, rea
 from audioflinger_hook.mixer import CycleReport, Mixer, Sink, dump
 from audioflinger_hook.sessions import OUTPUT_MIX
 from audioflinger_hook.settings import Settings
-from audioflinger_hook.transform import HapticTransform
+from audioflinger_hook.transform import HapticTransform, kernel_warning
 from device.errors import CushionError, InternalError, UsageError
 
 HAL_FRAMES = 240
@@ -36,7 +36,7 @@ class Framework:
     `settings.channels` = "each" as many as there are channels. clock: seconds, by which an effect
     that takes too long is bypassed; None for sound that is not played as it is made: then time
     changes nothing. standby_delay_s: see `Mixer`; a file keeps its silence, a device may rest.
-    `warnings`: what was left out of the effects, a line each.
+    `warnings`: what was left out of the effects, or is slower than it could be, a line each.
 
     Calls come from the thread that steps the chain; `dump` and the readings from any, `change`
     from any but that.
@@ -66,6 +66,9 @@ class Framework:
         )
         self.haptic = self._add_effects()
         self._wanted = self._taken = self._parameters(self.settings)
+        uncompiled = kernel_warning()
+        if uncompiled and self.settings.form == "live":
+            self.warnings.append(uncompiled)
         self.mixer = Mixer(
             samplerate,
             channels,

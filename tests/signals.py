@@ -24,6 +24,13 @@ FIVE_TONES_HZ = (100.0, 350.0, 950.0, 1_350.0, 4_200.0)
 
 FORMS = ("live", "reference")
 
+WAYS: dict[str, dict[str, Any]] = {
+    "live": {"form": "live"},
+    "live in NumPy": {"form": "live", "implementation": "numpy"},
+    "reference": {"form": "reference"},
+}
+"""Every way in which vibration is computed, by the name under which `made` takes it as a form."""
+
 
 def times(seconds: float, samplerate: int) -> FloatArray:
     """Return the time of each frame, in seconds from the first."""
@@ -108,9 +115,14 @@ def columns(*channels: FloatArray) -> FloatArray:
     return np.stack([channel[:frames] for channel in channels], axis=1)
 
 
+def opened(samplerate: int, channels: int, form: str = "live", **options: Any) -> HapticTransform:
+    """Return a new transform; form: one of `WAYS`."""
+    return HapticTransform(samplerate, channels, **WAYS[form], **options)
+
+
 def made(sound: NDArray[Any], samplerate: int, **options: Any) -> HapticTransform:
-    """Return a new transform that fits the sound."""
-    return HapticTransform(samplerate, 1 if sound.ndim == 1 else sound.shape[1], **options)
+    """Return a new transform that fits the sound; form: one of `WAYS`."""
+    return opened(samplerate, 1 if sound.ndim == 1 else sound.shape[1], **options)
 
 
 def played(sound: NDArray[Any], samplerate: int, **options: Any) -> FloatArray:

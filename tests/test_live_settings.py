@@ -66,10 +66,11 @@ def test_options_are_checked_as_the_config_is(config: Path) -> None:
 
 
 def test_options_win_over_the_config(config: Path) -> None:
-    config.write_text('device = "usb:1234:5678"\ntap = "file:a"\noffset_ms = 20\n')
-    assert "tap 'file:a'" in refused(call("run"), 3)
-    assert "tap 'scene:demo'" in refused(call("run", "--tap", "scene:demo"), 3)
-    assert "device 'hw:1'" in refused(call("run", "--tap", "default", "--device", "hw:1"), 3)
+    config.write_text('device = "hw:2"\ntap = "sink:a"\ndrop_in = true\n')
+    assert "device 'hw:2'" in refused(call("run"), 3)
+    assert "device 'hw:1'" in refused(call("run", "--device", "hw:1"), 3)
+    assert "tap 'sink:a'" in refused(call("run", "--device", "haptic"))
+    assert "tap 'scene:demo'" in refused(call("run", "--device", "b", "--tap", "scene:demo"))
 
 
 def test_a_config_with_mistakes_starts_no_daemon(config: Path) -> None:

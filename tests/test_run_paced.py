@@ -64,12 +64,19 @@ def error_db(got: Float32Array, wanted: Float32Array) -> float:
     return float(10.0 * np.log10(np.sum(np.square(got - wanted)) / np.sum(np.square(wanted))))
 
 
+def told(stderr: str) -> list[str]:
+    """What it says of itself, but for the first line and what a busy machine makes of the delay."""
+    lines = [line.removeprefix("cushion: ") for line in stderr.splitlines()]
+    assert lines[0].startswith("what plays at ")
+    return [line for line in lines[1:] if not line.startswith("resync: ")]
+
+
 def test_the_scene_into_a_file_is_the_vibration_that_a_file_of_it_gives(tmp_path, folder):
     out, seconds = tmp_path / "out.wav", 4.0
     scene = mixdown(demo_scene())[: int((seconds + 0.2) * RATE)]
     assert call("render", sound(tmp_path / "in.wav", scene), tmp_path / "wanted.wav").code == 0
     done = run(folder, "--tap", "scene:demo", "--device", f"wav:{out}", "--seconds", seconds)
-    assert (done.code, done.stdout, done.stderr) == (0, "", "cushion: running\n")
+    assert (done.code, done.stdout, told(done.stderr)) == (0, "", ["running"])
     felt, wanted = vibration(out), vibration(tmp_path / "wanted.wav")
     # the end lies in the transform and the delay line yet
     wanted = wanted[: int((seconds - 0.2) * RATE)]
@@ -83,7 +90,7 @@ def test_a_file_ends_by_itself_when_its_vibration_has_run_out(tmp_path, folder):
     source = sound(tmp_path / "in.wav", noise(44_100, 2), 44_100)
     assert call("render", source, tmp_path / "wanted.wav").code == 0
     done = run(folder, "--tap", f"file:{source}", "--device", f"wav:{tmp_path / 'out.wav'}")
-    assert (done.code, done.stderr) == (0, "cushion: running\n")
+    assert (done.code, told(done.stderr)) == (0, ["running"])
     felt, wanted = vibration(tmp_path / "out.wav"), vibration(tmp_path / "wanted.wav")
     assert len(aligned(felt, wanted)) == len(wanted)
     # the delay line may stand between two frames: half of one is 0.8 degrees of 200 Hz
@@ -109,7 +116,7 @@ def test_what_was_recorded_of_a_capture_with_many_formats_is_the_same_again(
             writer.write_buffer("tap", content, samplerate, number * 1.0, discontinuity=gap)
     record, config = ["--record", tmp_path / "rec"], ["--config", tmp_path / "c.toml"]
     done = run(folder, "--tap", f"capture:{tmp_path / 'in'}", "--device", "twin", *record, *config)
-    assert (done.code, done.stderr) == (0, "cushion: running\n")
+    assert (done.code, told(done.stderr)) == (0, ["running"])
     assert done.stdout.startswith("twin (predicted): peak acceleration ")
     one, two = (list(Capture(tmp_path / name).buffers("tap")) for name in ("in", "rec"))
     assert [(b.frames.tobytes(), b.format, b.discontinuity) for b in one] == [
@@ -125,7 +132,7 @@ def test_the_device_stream_is_what_went_into_the_file(tmp_path, folder):
     source = sound(tmp_path / "in.wav", noise(RATE, 2))
     out, record = tmp_path / "out.wav", tmp_path / "rec"
     done = run(folder, "--tap", f"file:{source}", "--device", f"wav:{out}", "--record", record)
-    assert (done.code, done.stderr) == (0, "cushion: running\n")
+    assert (done.code, told(done.stderr)) == (0, ["running"])
     assert np.array_equal(recorded(record, "device"), vibration(out))
     facts = Capture(record).facts
     assert (facts["tap"], facts["device"]) == (f"file:{source}", f"wav:{out}")
@@ -144,7 +151,7 @@ def test_an_interrupted_run_leaves_whole_files(tmp_path, folder, number):
         process.send_signal(number)
         stdout, stderr = process.communicate(timeout=20)
     assert (process.returncode, stdout) == (130, "")
-    assert stderr == "cushion: running\ncushion: interrupted\n"
+    assert told(stderr) == ["running", "interrupted"]
     assert np.array_equal(recorded(record, "device"), vibration(out))
     done = call("replay", record, tmp_path / "again.wav")
     assert (done.code, done.stderr) == (0, "")
@@ -174,11 +181,11 @@ def test_a_full_disk_ends_the_recording_with_one_warning_and_the_run_goes_on(tmp
     done = run(folder, *options, preexec_fn=limited)
     assert done.code == 5
     assert done.stdout.startswith("twin (predicted)")  # it came to its end
-    said = done.stderr.splitlines()
+    said = told(done.stderr)
     assert len(said) == 3
-    assert said[0] == "cushion: running"
-    assert said[1].startswith("cushion: warning: the recording has ended: cannot write to")
-    assert said[2].startswith("cushion: error: cannot write to the capture")
+    assert said[0] == "running"
+    assert said[1].startswith("warning: the recording has ended: cannot write to")
+    assert said[2].startswith("error: cannot write to the capture")
     again = call("replay", record, tmp_path / "again.wav")
     assert again.code == 0
     assert overlap(recorded(record, "effect"), vibration(tmp_path / "again.wav")) > 10_000

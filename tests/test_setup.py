@@ -17,7 +17,8 @@ import pytest
 from tests.recordings import ROOT, WHY_NONE, recordings
 
 PACKAGES = ["audioflinger_hook", "device"]
-SCRIPTS = ["tools/setup.sh", "tools/fetch_recordings.sh", ".ci/run"]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SCRIPTS = ["tools/setup.sh", "tools/fetch_recordings.sh", "tools/check_kernel.sh", ".ci/run"]
 SET_UP = ROOT / "tools/setup.sh"
 FETCH = ROOT / "tools/fetch_recordings.sh"
 IN_CI = os.environ.get("CI") == "true"
@@ -81,22 +82,43 @@ def test_the_wheel_holds_the_packages_type_markers_and_data(wheel_names):
     assert markers | {"device/probe/probe.toml", "device/probe/probe.xml"} <= set(wheel_names)
 
 
-def test_the_wheel_holds_the_compiled_analysis_and_no_source_of_it(wheel_names):
-    name = f"audioflinger_hook/transform/_analysis{sysconfig.get_config_var('EXT_SUFFIX')}"
-    assert {name, "audioflinger_hook/transform/_analysis.pyi"} <= set(wheel_names)
+def test_the_wheel_holds_the_compiled_transform_and_no_source_of_it(wheel_names):
+    name = f"audioflinger_hook/transform/_kernel{sysconfig.get_config_var('EXT_SUFFIX')}"
+    assert {name, "audioflinger_hook/transform/_kernel.pyi"} <= set(wheel_names)
     suffixes = {Path(name).suffix for name in wheel_names if ".dist-info/" not in name}
     assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml"}
 
 
-def test_the_analysis_compiles_without_a_warning(wheel):
-    assert not [line for line in wheel[1].splitlines() if "_analysis.c:" in line]
+def test_the_transform_compiles_without_a_warning(wheel):
+    assert not [line for line in wheel[1].splitlines() if "warning:" in line and "native/" in line]
 
 
-def test_the_sdist_holds_the_source_of_the_analysis(project_copy):
+def test_every_source_of_the_kernel_is_built_and_every_header_rebuilds_it():
+    (extension,) = PROJECT["tool"]["setuptools"]["ext-modules"]
+    native = ROOT / "audioflinger_hook/transform/native"
+    for pattern, names in (("*.c", extension["sources"]), ("*.h", extension["depends"][:-1])):
+        assert names == sorted(path.relative_to(ROOT).as_posix() for path in native.glob(pattern))
+
+
+def test_the_sdist_holds_the_sources_of_the_kernel(project_copy):
     with tarfile.open(built(project_copy, "sdist")[0]) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
-    assert "audioflinger_hook/transform/_analysis.c" in names
+    native = set((ROOT / "audioflinger_hook/transform/native").iterdir())
+    assert {path.relative_to(ROOT).as_posix() for path in native} <= names
     assert not [name for name in names if name.endswith((".so", ".o"))]
+
+
+def test_a_kernel_that_does_not_compile_is_left_out_of_a_wheel_that_is_built_all_the_same(
+    project_copy, tmp_path
+):
+    broken = shutil.copytree(project_copy, tmp_path / "broken")
+    for name in ("build", "haptic_cushion.egg-info"):
+        shutil.rmtree(broken / name, ignore_errors=True)
+    (broken / "audioflinger_hook/transform/native/fft.c").write_text("no C at all")
+    with zipfile.ZipFile(built(broken, "wheel")[0]) as archive:
+        names = archive.namelist()
+    assert "audioflinger_hook/transform/kernel.py" in names
+    assert not [name for name in names if name.endswith(".so")]
 
 
 def test_the_wheel_holds_the_licence(wheel_names):
@@ -104,7 +126,7 @@ def test_the_wheel_holds_the_licence(wheel_names):
 
 
 def test_the_version_is_in_the_changelog():
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    version = PROJECT["project"]["version"]
     assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text()
 
 

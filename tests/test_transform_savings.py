@@ -14,6 +14,7 @@ from scipy.signal import butter, sosfilt
 from audioflinger_hook.transform import (
     TransformParameters,
     bandpass,
+    kernel_warning,
     live,
     partials,
     reference,
@@ -22,6 +23,7 @@ from audioflinger_hook.transform.analysis import LiveAnalysis
 from audioflinger_hook.transform.bandpass import BandPass
 from audioflinger_hook.transform.grid import LiveGrid
 from audioflinger_hook.transform.intake import mono, replace_unusable
+from audioflinger_hook.transform.kernel import KernelStream
 from audioflinger_hook.transform.live import LiveTransform
 from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.partials import Glides
@@ -29,10 +31,11 @@ from audioflinger_hook.transform.principal import PrincipalFinder, parabola
 from audioflinger_hook.transform.scaling import vibration_hz
 from audioflinger_hook.transform.smoothing import Smoother
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.voices import VoiceStream
 from audioflinger_hook.transform.windows import strided_windows
 from tests.recordings import require_recordings
 from tests.signals import (
-    FORMS,
+    WAYS,
     best_sinusoid,
     burst,
     chirp,
@@ -64,24 +67,33 @@ def leave_out_no_side_lobe(form):
     form._analysis._side_lobe = 0.0
 
 
-def without_silence_skip(sound, samplerate):
+each_way = pytest.mark.parametrize("way", ["numpy"] if kernel_warning() else ["compiled", "numpy"])
+
+
+def vibration_of(form, sound, way):
+    """Return all vibration of a sound by a live form as it stands, or by a kernel made of it."""
+    stream = KernelStream(form, 1, False) if way == "compiled" else VoiceStream([form], 1)
+    return np.concatenate((stream.process(sound[:, None]), stream.finish()))[:, 0]
+
+
+def without_silence_skip(sound, samplerate, way):
     """Return what the live form plays where every hop is analysed, however quiet."""
     form = LiveTransform(PARAMETERS, samplerate)
     form._silence = 0.0
-    return np.concatenate((form.process(sound), form.finish()))
+    return vibration_of(form, sound, way)
 
 
-def with_silence_skip(sound, samplerate):
-    form = LiveTransform(PARAMETERS, samplerate)
-    return np.concatenate((form.process(sound), form.finish()))
+def with_silence_skip(sound, samplerate, way):
+    return vibration_of(LiveTransform(PARAMETERS, samplerate), sound, way)
 
 
 # --- silence ------------------------------------------------------------------------------------
 
 
+@each_way
 @pytest.mark.parametrize("samplerate", [1_000, 8_000, 44_100, 48_000])
 @pytest.mark.parametrize("factor", [0.3, 0.9, 1.0, 1.1, 3.0, 30.0])
-def test_leaving_out_quiet_hops_changes_no_byte_around_the_threshold(samplerate, factor):
+def test_leaving_out_quiet_hops_changes_no_byte_around_the_threshold(samplerate, factor, way):
     threshold = factor * PARAMETERS.threshold_hz / samplerate
     sound = joined(
         white_noise(0.3, samplerate, threshold),
@@ -93,17 +105,21 @@ def test_leaving_out_quiet_hops_changes_no_byte_around_the_threshold(samplerate,
         low_noise(0.2, samplerate, threshold) if samplerate > 1_000 else silence(0.1, samplerate),
         one_sample(0.2, samplerate, 0.1, 1.0),
     )
-    assert identical(with_silence_skip(sound, samplerate), without_silence_skip(sound, samplerate))
+    assert identical(
+        with_silence_skip(sound, samplerate, way), without_silence_skip(sound, samplerate, way)
+    )
 
 
-def test_leaving_out_quiet_hops_changes_no_byte_of_a_recording():
+@each_way
+def test_leaving_out_quiet_hops_changes_no_byte_of_a_recording(way):
     for path in require_recordings()[::4]:
         sound, samplerate = soundfile.read(path, always_2d=True)
         # Quiet enough that its pauses fall under the threshold.
         quiet = 0.05 * sound.mean(axis=1)
         for channel in (quiet, 20 * quiet):
             assert identical(
-                with_silence_skip(channel, samplerate), without_silence_skip(channel, samplerate)
+                with_silence_skip(channel, samplerate, way),
+                without_silence_skip(channel, samplerate, way),
             ), path.name
 
 
@@ -140,12 +156,13 @@ def test_silence_is_not_analysed_at_all(monkeypatch):
     assert not form.process(silence(1.0, 48_000)).any()
 
 
-def test_cutting_the_ringing_off_changes_less_than_1e_8(monkeypatch):
+@each_way
+def test_cutting_the_ringing_off_changes_less_than_1e_8(monkeypatch, way):
     # The low-pass rings longest at its edge, to which the top of the band is mapped.
     sound = joined(tone(11_900, 0.3, 48_000), silence(1.5, 48_000), tone(60, 0.2, 48_000))
-    cut = with_silence_skip(sound, 48_000)
+    cut = with_silence_skip(sound, 48_000, way)
     monkeypatch.setattr(live, "RING_OUT_CYCLES", 440.0)
-    uncut = with_silence_skip(sound, 48_000)
+    uncut = with_silence_skip(sound, 48_000, way)
     # -160 dB; the last step of 24-bit sound is at -138 dB.
     assert np.abs(cut - uncut).max() < 1e-8
 
@@ -161,10 +178,11 @@ def test_how_many_windows_are_analysed_at_once_changes_no_byte(monkeypatch, at_o
         five_tones(0.3, 48_000),
         white_noise(0.3, 48_000),
     )
-    usual = {form: played(sound, 48_000, form=form) for form in FORMS}
+    forms = ("live in NumPy", "reference")
+    usual = {form: played(sound, 48_000, form=form) for form in forms}
     monkeypatch.setattr(live, "HOPS_AT_ONCE", at_once)
     monkeypatch.setattr(reference, "UNITS_AT_ONCE", at_once)
-    for form in FORMS:
+    for form in forms:
         assert identical(played(sound, 48_000, form=form), usual[form])
 
 
@@ -229,9 +247,9 @@ def test_one_recursion_rounds_almost_as_little_as_second_order_sections(samplera
 
 def test_the_guard_against_denormal_numbers_is_not_felt(monkeypatch):
     sound = joined(silence(0.2, 48_000), white_noise(0.5, 48_000), tone(300, 0.3, 48_000, 0.02))
-    guarded = {form: played(sound, 48_000, form=form) for form in FORMS}
+    guarded = {form: played(sound, 48_000, form=form) for form in WAYS}
     monkeypatch.setattr(bandpass, "DENORMAL_GUARD", 0.0)
-    for form in FORMS:
+    for form in WAYS:
         assert np.abs(played(sound, 48_000, form=form) - guarded[form]).max() < 1e-12
 
 
@@ -437,14 +455,16 @@ def test_clearing_images_leaves_high_tones_as_they_are(samplerate):
         assert identical(ours, theirs)
 
 
+@each_way
 @pytest.mark.parametrize(("hz", "samplerate"), [(350.0, 44_100), (1_566.6, 44_100)])
-def test_leaving_out_side_lobes_makes_a_loud_tone_pure(hz, samplerate):
+def test_leaving_out_side_lobes_makes_a_loud_tone_pure(hz, samplerate, way):
     residuals = []
     for kept in (True, False):
         form = LiveTransform(PARAMETERS, samplerate)
         if kept:
             leave_out_no_side_lobe(form)
-        vibration = form.process(tone(hz, 3.0, samplerate, 1.0))[samplerate:]
+        vibration = vibration_of(form, tone(hz, 3.0, samplerate, 1.0), way)
+        vibration = vibration[samplerate : 3 * samplerate]
         felt_hz = float(vibration_hz(np.array([hz]), PARAMETERS)[0])
         residuals.append(best_sinusoid(*thinned(vibration, samplerate), felt_hz)[2])
     assert residuals[1] <= -60.0 < residuals[0]
@@ -464,26 +484,27 @@ def test_what_the_side_lobe_rule_leaves_out_of_recordings_carries_under_a_hundre
         assert (kept.r**2).sum() >= 0.99 * (found.r**2).sum(), path.name
 
 
+@each_way
 @pytest.mark.parametrize("hz", [200.0, 1_000.0, 4_000.0])
-def test_averaging_small_changes_takes_6_db_of_jitter_from_a_tone_in_noise(monkeypatch, hz):
+def test_averaging_small_changes_takes_6_db_of_jitter_from_a_tone_in_noise(monkeypatch, hz, way):
     sound = tone(hz, 3.0, 48_000, 0.3) + white_noise(3.0, 48_000, 0.003)
     felt_hz = float(vibration_hz(np.array([hz]), PARAMETERS)[0])
     residuals = []
     for share in (1.0, partials.STEADY_GAIN):
         monkeypatch.setattr(partials, "STEADY_GAIN", share)
-        vibration = with_silence_skip(sound, 48_000)[48_000:-12_000]
+        vibration = with_silence_skip(sound, 48_000, way)[48_000:-12_000]
         residuals.append(best_sinusoid(*thinned(vibration, 48_000), felt_hz)[2])
     # A share of 0.15 leaves 0.08 of white jitter's energy, 11 dB less; neighbouring windows
     # overlap, so that theirs is not quite white.
     assert residuals[1] < residuals[0] - 6.0
 
 
-def test_a_clear_change_of_loudness_is_not_averaged_but_followed_at_once():
+@each_way
+def test_a_clear_change_of_loudness_is_not_averaged_but_followed_at_once(way):
     quiet, loud = tone(300, 0.5, 48_000, 0.1), tone(300, 1.0, 48_000, 0.4)[24_000:]
     # Without a seam: both are the same wave, so that one partial goes on through the change.
     form = LiveTransform(PARAMETERS, 48_000)
-    vibration = np.concatenate((form.process(joined(quiet, loud)), form.finish()))
-    vibration = vibration[form.latency_frames :]
+    vibration = vibration_of(form, joined(quiet, loud), way)[form.latency_frames :]
     strength = envelope(*thinned(vibration, 48_000))
     steady = strength[2_800:2_900].mean()
     # 30 ms (a window's half, a hop) after the change it stands within 5 % of its new level.

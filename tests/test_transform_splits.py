@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.recordings import require_recordings
 from tests.signals import (
-    FORMS,
+    WAYS,
     burst,
     chirp,
     columns,
@@ -66,7 +66,7 @@ def every(frames, total):
     return [frames] * (total // frames)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 @pytest.mark.parametrize("frames", BLOCKSIZES)
 def test_blocks_of_any_one_size_give_the_bytes_of_one_block(form, samplerate, frames):
@@ -77,7 +77,7 @@ def test_blocks_of_any_one_size_give_the_bytes_of_one_block(form, samplerate, fr
     assert identical(cut, whole)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 def test_a_second_in_blocks_of_one_frame_gives_the_bytes_of_one_block(form, samplerate):
     sound = busy(samplerate, 2.8)[round(0.6 * samplerate) : round(1.6 * samplerate)]
@@ -86,7 +86,7 @@ def test_a_second_in_blocks_of_one_frame_gives_the_bytes_of_one_block(form, samp
     assert identical(cut, whole)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize("frames", [7, 256, 960, 4_096])
 def test_stereo_in_blocks_gives_the_bytes_of_one_block(form, per_channel, frames):
@@ -97,7 +97,7 @@ def test_stereo_in_blocks_gives_the_bytes_of_one_block(form, per_channel, frames
     assert identical(cut, whole)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 def test_a_second_of_stereo_in_blocks_of_one_frame_gives_the_bytes_of_one_block(form):
     sound = stereo(44_100, 1.0)
     whole = played(sound, 44_100, form=form, per_channel=True)
@@ -105,7 +105,7 @@ def test_a_second_of_stereo_in_blocks_of_one_frame_gives_the_bytes_of_one_block(
     assert identical(cut, whole)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 @given(seed=st.integers(0, 2**32 - 1), typical=st.sampled_from([3, 40, 700, 5_000, 60_000]))
 @settings(max_examples=8)
@@ -122,7 +122,7 @@ def whole_of_busy(form, samplerate):
     return played(busy(samplerate, 2.8), samplerate, form=form)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 @given(
     kinds=st.lists(st.sampled_from(["silence", "noise", "low", "tone", "tones"]), min_size=1),
     level=st.sampled_from([0.005, 0.02, 0.1, 1.0]),
@@ -143,7 +143,7 @@ def test_any_split_of_any_mix_gives_the_bytes_of_one_block(form, kinds, level, l
     assert identical(in_blocks(sound, lengths, 16_000, form=form), whole)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 def test_recordings_in_blocks_give_the_bytes_of_one_block(form):
     for path in require_recordings()[::3]:
         sound, samplerate = soundfile.read(path, always_2d=True)
@@ -153,7 +153,7 @@ def test_recordings_in_blocks_give_the_bytes_of_one_block(form):
             assert identical(cut, whole), path.name
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 def test_noise_of_any_level_in_blocks_gives_the_bytes_of_one_block(form):
     # Levels at which hops with and without a strong low peak stand side by side in one batch.
     for rms in (0.01, 0.02, 0.04, 0.1):
@@ -164,7 +164,7 @@ def test_noise_of_any_level_in_blocks_gives_the_bytes_of_one_block(form):
                 assert identical(cut, whole), f"rms {rms}, blocks of {frames}"
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 def test_empty_blocks_change_nothing(form):
     sound = stereo(48_000, 0.6)
     transform = made(sound, 48_000, form=form)
@@ -177,7 +177,7 @@ def test_empty_blocks_change_nothing(form):
     assert identical(np.concatenate(parts), played(sound, 48_000, form=form))
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
     samplerate = 44_100
     nap = silence(1.3, samplerate)
@@ -194,7 +194,7 @@ def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
         assert identical(cut, whole), f"blocks of {frames}"
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("frames", [1, 7, 256, 4_096])
 def test_each_block_gives_as_many_frames_as_it_takes(form, frames):
     sound = busy(48_000, 0.5)[:8_192]
@@ -204,7 +204,7 @@ def test_each_block_gives_as_many_frames_as_it_takes(form, frames):
     assert transform.finish().shape == (transform.latency_frames, 1)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("per_channel", [False, True])
 def test_the_layout_of_a_block_in_memory_changes_nothing(form, per_channel):
     sound = stereo(48_000, 1.2).astype(np.float32)
@@ -219,7 +219,7 @@ def test_the_layout_of_a_block_in_memory_changes_nothing(form, per_channel):
     assert identical(played(sound.astype(np.float64), 48_000, **options), whole)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", WAYS)
 def test_a_block_is_not_written_to_and_may_be_reused_by_its_owner(form):
     sound = stereo(48_000, 1.0)
     whole = played(sound, 48_000, form=form)

@@ -4,9 +4,10 @@
 #   run    a .venv with the program and the extra `figures`
 #   test   the extra `dev` as well
 #
-# PyAudio and a part of the program (audioflinger_hook/transform/_analysis.c) are compiled during the
-# installation. Where the compiler or a header for that is missing, the system's package manager installs
-# it (Debian, Ubuntu; as root or where sudo asks for no password), else the command to run is printed.
+# PyAudio and a part of the program (audioflinger_hook/transform/native) are compiled during the installation.
+# Where the compiler or a header for that is missing, the system's package manager installs it (Debian,
+# Ubuntu; as root or where sudo asks for no password), else the command to run is printed. Where the
+# compiler is there but fails on that part, the program does without it, slower, and a warning says so.
 # Sound servers are left alone: nothing is ever removed or reconfigured.
 #
 # Environment: PYTHON (which Python to use), CC, CPPFLAGS, CFLAGS (as for every build), and pip's own.
@@ -27,9 +28,10 @@ unset CDPATH PYTHONPATH PYTHONHOME
 cd "$(dirname "$0")/.."
 root=$(pwd -P)
 venv_python=.venv/bin/python
-extension_folder=audioflinger_hook/transform
+transform=audioflinger_hook/transform
 stamp=.venv/setup-stamp
 unfinished=.venv/setup-unfinished # there while .venv is being changed: it survives a kill
+uncompiled=.venv/setup-uncompiled # there where the transform could not be compiled
 
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
@@ -275,7 +277,7 @@ require_system() {
 # What the stamp says of a finished set-up; the extras follow on a line of their own.
 stamp_head() {
     echo "$root"
-    cksum pyproject.toml tools/setup.sh "$extension_folder/_analysis.c"
+    cksum pyproject.toml tools/setup.sh "$transform"/native/*
 }
 
 # Whether PYTHON, where it is given, is the Python that .venv was made from.
@@ -291,15 +293,20 @@ up_to_date() {
         "$wanted" | "$wanted",*) ;;
         *) return 1 ;;
     esac
-    right_python && compiled_modules_load
+    right_python && pyaudio_loads && { [ -e "$uncompiled" ] || kernel_loads; }
 }
 
-# Whether what was compiled is there and loads; the extension by itself, without the package around it.
-compiled_modules_load() {
+pyaudio_loads() {
+    "$venv_python" -c 'import pyaudio' 2>"$scratch/load-errors"
+}
+
+# Whether the compiled transform is there and loads, by itself, without the package around it.
+kernel_loads() {
     "$venv_python" -c "
 import sys
-sys.path.append('$extension_folder')
-import _analysis, pyaudio" 2>"$scratch/load-errors"
+sys.path.append('$transform')
+import _kernel
+_kernel.LiveKernel" 2>"$scratch/load-errors"
 }
 
 # Prints why .venv cannot be kept; nothing where it can.
@@ -334,6 +341,7 @@ pip_install() {
 
 install_project() {
     say "installing the Python packages (the first time takes a minute or two)"
+    rm -f "$transform"/*.so # what was built of other sources must not stand in
     pip_install ".[$wanted]" && return
     if ! lost_network; then
         without_figures=${wanted#figures}
@@ -370,9 +378,15 @@ else
     make_venv
 fi
 install_project
-compiled_modules_load || {
+pyaudio_loads || {
     tail -n 3 "$scratch/load-errors" >&2
     die "what was compiled does not load; remove .venv and run make $goal again"
+}
+rm -f "$uncompiled"
+kernel_loads || {
+    say "warning: the transform could not be compiled. Everything works, for about ten times the processor" \
+        "time. To see why: .venv/bin/python -m pip install --verbose --no-deps --editable ."
+    : >"$uncompiled"
 }
 {
     stamp_head

@@ -67,7 +67,7 @@ class Supervisor:
         self._server_backoff = Backoff(longest_s=LONGEST_WAIT_S)
         self._rest = Rest(now_s)
         self._found: tuple[Place | None, Place | None] = (None, None)
-        self._ticked_s = now_s
+        self._ticked_s: float | None = None
         self._slept_s = clocks.slept_s()
         self._resyncs = 0
         self._heard_before_s = 0.0
@@ -276,7 +276,7 @@ class Supervisor:
             # Devices and servers come back in their own time: begin with what is there then.
             self._sides.close()
             self._rest.awake(now_s)
-        elif now_s - self._ticked_s > STALLED_S + self.rest_s:
+        elif self._ticked_s and now_s - self._ticked_s > STALLED_S + self.rest_s:
             late_s = now_s - self._ticked_s - self.rest_s
             self.states.count(Cause.STALL, f"everything stood still for {late_s:.1f} s")
         self._ticked_s = now_s

@@ -5,12 +5,21 @@
                               '---> analysis, scaling -> partials -> oscillators -> smoothing
                                                          limiter  '-> live (overlapped, early)
 
-`analysis` is compiled, as `_analysis`.
+    haptic (what users hold) -> voices (NumPy: intake, then one transform a channel)
+                             -> kernel (live, compiled: all of it in one call a block)
 
 Pure: samples in, samples out; no clock, no I/O, no mixer.
 """
 
-from audioflinger_hook.transform.haptic import Form, HapticTransform
+from audioflinger_hook.transform.haptic import Form, HapticTransform, Implementation
+from audioflinger_hook.transform.kernel import kernel_warning
 from audioflinger_hook.transform.parameters import LIMITS, TransformParameters
 
-__all__ = ["LIMITS", "Form", "HapticTransform", "TransformParameters"]
+__all__ = [
+    "LIMITS",
+    "Form",
+    "HapticTransform",
+    "Implementation",
+    "TransformParameters",
+    "kernel_warning",
+]

@@ -1,4 +1,4 @@
-"""The live form's analysis: spectra to principal frequencies, in one compiled call.
+"""The live form's analysis: spectra to principal frequencies.
 
 It goes the reference form's way (`principal.py`) with three additions:
 
@@ -19,29 +19,53 @@ import numpy as np
 from scipy.signal import zoom_fft
 from scipy.signal.windows import hamming
 
-from audioflinger_hook.transform._analysis import (
-    NEIGHBOURS,
-    SCRATCH_A_BIN,
-    TABLE_BINS_A_BIN,
-    find,
-)
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.arrays import FloatArray, IntArray
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.principal import Principals, bins_in_band, peak_span_min
-from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum
+from audioflinger_hook.transform.principal import (
+    HALF_POWER,
+    Principals,
+    able_peaks,
+    bins_in_band,
+    parabola,
+    peak_span_min,
+    strongest,
+)
+from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum, magnitude
 
 IMAGE_REACH_WINDOWS = 75.0
 """Peaks below this many times 1/T (1.6 kHz) are cleared; from there the image is about -70 dB."""
 
+NEIGHBOURS = 7
+"""Bins to either side of a peak that are cleared: its main lobe, and the half-power walk on it."""
+
+TABLE_BINS_A_BIN = 32
+"""Entries of the window's table a bin: a line between them is within 0.2 % of a side lobe."""
+
 SIDE_LOBE = 10 ** (-40 / 20)
 """Side lobes of a Hamming window stand 42.7 dB under their peak."""
+
+PEAK_FLOOR = 1e-6
+"""The bins beside a peak count as this share of it at least. Where the window's spectrum has a
+zero, A^0.2 would make 1e-3 of a rounding of 1e-16, and ln A even more."""
+
+PEAK_CURVED = 1e-6
+"""The three A^0.2 around a top are curved at least by this share of it ..."""
+
+APART_FROM = 1.0 + 1e-9
+"""... and two amplitudes are told apart from this ratio on, so that rounding decides nothing
+between equals: the spectrum of a single sample is flat."""
+
+LOWER_FIRST = 1e-10
+"""Of two peaks with the same r the lower is the stronger: a bin up takes this share of r."""
+
+TINY = float(np.finfo(np.float64).tiny)
 
 
 class LiveAnalysis:
     """Finds the principal frequencies in spectra of one resolution, as the live form wants them.
 
     spectrum: what the spectra come from; bins: how many of their columns are looked at. Each
-    row's result depends on that row alone. Held by one thread at a time: it owns scratch memory.
+    row's result depends on that row alone. Pure: holds no state beyond its settings.
     """
 
     def __init__(self, parameters: TransformParameters, spectrum: Spectrum, bins: int) -> None:
@@ -57,11 +81,29 @@ class LiveAnalysis:
         self._side_lobe = SIDE_LOBE
         self._partials_max = parameters.partials_max
         self._turn, self._table = _window_tables(spectrum, bins)
-        self._scratch = np.zeros(SCRATCH_A_BIN * bins)
 
     def all_principal(self, spectra: ComplexArray) -> Principals:
         """Return everything with r > C_th in each row of (rows, columns), nothing left out."""
-        return self._find(spectra, 0.0, max(1, self._bins // 2))
+        spectra = spectra[:, : self._bins]
+        amplitude = magnitude(spectra)
+        self._clear_images(spectra, amplitude)
+        peaks = able_peaks(amplitude, self._peak_span_min, self._first, self._last, APART_FROM)
+        if not peaks.row.size:
+            return Principals(peaks.row, *np.zeros((4, 0)))
+        flat, peak = amplitude.reshape(-1), peaks.peak
+        offset, height = _refined(flat, peak)
+        sides = _half_power_on_bells(
+            flat,
+            np.concatenate((peak, peak)),
+            np.concatenate((peaks.valley_left, peaks.valley_right)),
+            np.concatenate((offset, offset)),
+            np.concatenate((height, height)) * HALF_POWER,
+        )
+        bandwidth_hz = (sides[: peak.size] + sides[peak.size :]) * self._bin_hz
+        r = height * bandwidth_hz
+        audio_hz = (peaks.bin + offset) * self._bin_hz
+        found = Principals(peaks.row, audio_hz, height, bandwidth_hz, r)
+        return found.take(r > self._threshold_hz)
 
     def strongest(self, spectra: ComplexArray) -> Principals:
         """Return what the live form plays of each row of (rows, columns), at most n a row.
@@ -70,35 +112,79 @@ class LiveAnalysis:
         down, but each takes its share of P_k from the tone, which then flutters by a percent: so
         what stands 40 dB under a row's highest is left out. Of more than n then the n with the
         largest r are kept; of equals the lower frequency. Called on the audio thread.
-
-        Raises
-        ------
-        TypeError, ValueError
-            spectra is no contiguous complex128 array of two dimensions and `bins` columns or more.
         """
-        return self._find(spectra, self._side_lobe, self._partials_max)
+        found = self.all_principal(spectra)
+        highest = np.zeros(len(spectra))
+        np.maximum.at(highest, found.row, found.amplitude)
+        lobes = found.amplitude <= self._side_lobe * highest.take(found.row)
+        if lobes.any():
+            found = found.take(~lobes)
+        bins = np.rint(found.audio_hz / self._bin_hz)
+        return strongest(found, found.r - found.r * (LOWER_FIRST * bins), self._partials_max)
 
-    def _find(self, spectra: ComplexArray, side_lobe: float, most: int) -> Principals:
-        room = len(spectra) * most
-        row, found = np.empty(room, dtype=np.intp), np.empty((4, room))
-        count = find(
-            spectra,
-            self._table,
-            self._turn,
-            self._bins,
-            self._first,
-            self._last,
-            self._bin_hz,
-            self._threshold_hz,
-            self._peak_span_min,
-            self._weakest_image,
-            side_lobe,
-            most,
-            self._scratch,
-            row,
-            found,
-        )
-        return Principals(row[:count], *found[:, :count])
+    def _clear_images(self, spectra: ComplexArray, amplitude: FloatArray) -> None:
+        """Rewrite the low amplitudes (rows, bins) without what images of strong peaks add."""
+        cosine, sine = self._turn
+        low = amplitude[:, : max(0, cosine.size - NEIGHBOURS) + 1]
+        middle = low[:, 1:-1]
+        row, before_peak = (
+            (middle > APART_FROM * low[:, :-2])
+            & ~(low[:, 2:] > APART_FROM * middle)
+            & (middle > self._weakest_image)
+        ).nonzero()
+        if not row.size:
+            return
+        peak = before_peak + 1
+        offset, _ = _refined(amplitude.reshape(-1), row * amplitude.shape[1] + peak)
+        # With phases counted from the window's centre its spectrum is real. There the image is
+        # the tone's conjugate, on the window's spectrum around minus the tone's frequency.
+        turned = spectra[row, peak] * (cosine[peak] + 1j * sine[peak])
+        tone = (turned / self._window_at(np.abs(offset)))[:, None]
+        # Where neighbourhoods of peaks overlap, in the valley between, the upper one's stands.
+        bins = np.maximum(peak[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0)
+        turned = spectra[row[:, None], bins] * (cosine[bins] + 1j * sine[bins])
+        image = self._window_at(bins + (peak + offset)[:, None])
+        amplitude[row[:, None], bins] = np.abs(turned - np.conj(tone) * image)
+
+    def _window_at(self, distance_bins: FloatArray) -> FloatArray:
+        """Return the window's real spectrum, 1 at 0, on lines between the entries of its table."""
+        position = distance_bins * TABLE_BINS_A_BIN
+        below = position.astype(np.intp)
+        here = self._table.take(below)
+        value: FloatArray = here + (position - below) * (self._table.take(below + 1) - here)
+        return value
+
+
+def _refined(flat: FloatArray, peak: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return offset in bins and height of each peak's refined top."""
+    top = flat.take(peak)
+    floor = PEAK_FLOOR * top
+    left, right = np.maximum(flat.take(peak - 1), floor), np.maximum(flat.take(peak + 1), floor)
+    return parabola(left, top, right, PEAK_CURVED)
+
+
+def _half_power_on_bells(
+    flat: FloatArray, peak: IntArray, valley: IntArray, offset: FloatArray, level: FloatArray
+) -> FloatArray:
+    """Return bins from each refined top to half power, on the side of its valley.
+
+    A window's main lobe is nearly a Gaussian: ln A is linear in the squared distance from its
+    top. A side that never falls under half power ends at its valley.
+    """
+    inside, outside = peak, valley
+    # Between a peak and its valley no amplitude is above the one before: bisection.
+    for _ in range(int(np.abs(valley - peak).max()).bit_length()):
+        middle = (inside + outside) >> 1
+        below = flat.take(middle) < level
+        outside = np.where(below, middle, outside)
+        inside = np.where(below, inside, middle)
+    above = np.maximum(flat.take(inside), level)
+    under = np.maximum(np.minimum(flat.take(outside), level), PEAK_FLOOR * level)
+    near, far = ((inside - peak) - offset) ** 2, ((outside - peak) - offset) ** 2
+    above = np.log(above / level)
+    fraction = above / np.maximum(above - np.log(under / level), TINY)
+    edge: FloatArray = np.sqrt(near + fraction * (far - near))
+    return edge
 
 
 def _window_tables(spectrum: Spectrum, bins: int) -> tuple[FloatArray, FloatArray]:

@@ -32,6 +32,7 @@ class BandPass:
             self._b, self._a = butter(2, low, "highpass", fs=samplerate)
         else:
             self._b, self._a = butter(2, (low, high), "bandpass", fs=samplerate)
+        self._guard = DENORMAL_GUARD
         self.reset()
 
     def reset(self) -> None:
@@ -42,5 +43,5 @@ class BandPass:
         """Return the filtered block, (frames,) float64. Called on the audio thread."""
         if not mono.size:
             return mono
-        filtered, self._state = lfilter(self._b, self._a, mono + DENORMAL_GUARD, zi=self._state)
+        filtered, self._state = lfilter(self._b, self._a, mono + self._guard, zi=self._state)
         return np.asarray(filtered)

@@ -4,26 +4,45 @@ from __future__ import annotations
 
 from typing import Literal, Protocol
 
-import numpy as np
-
 from audioflinger_hook.transform.arrays import FloatArray, Frames
-from audioflinger_hook.transform.intake import mono, replace_unusable
+from audioflinger_hook.transform.kernel import KernelStream, kernel_warning
 from audioflinger_hook.transform.live import LiveTransform
 from audioflinger_hook.transform.parameters import TransformParameters, check_format
 from audioflinger_hook.transform.reference import ReferenceTransform
+from audioflinger_hook.transform.voices import VoiceStream
 from device.errors import UsageError
 
 Form = Literal["live", "reference"]
+Implementation = Literal["compiled", "numpy"]
+
+FORMS: dict[Form, type[LiveTransform] | type[ReferenceTransform]] = {
+    "live": LiveTransform,
+    "reference": ReferenceTransform,
+}
 
 
-class MonoTransform(Protocol):
-    """One channel of either form."""
+class Stream(Protocol):
+    """One stream of either form, in NumPy or compiled."""
 
     latency_frames: int
-    limited_frames: int
 
-    def process(self, mono: FloatArray) -> FloatArray:
-        """Return as many frames as come in, `latency_frames` behind them."""
+    @property
+    def delivered_frames(self) -> int:
+        """Frames of vibration given so far."""
+        ...
+
+    @property
+    def replaced_samples(self) -> int:
+        """Unusable samples that were taken for 0 so far."""
+        ...
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples of vibration that the limiter has changed in all hops computed so far."""
+        ...
+
+    def process(self, frames: Frames) -> FloatArray:
+        """Return (frames, channels_out) of vibration for sound as `HapticTransform` takes it."""
         ...
 
     def finish(self) -> FloatArray:
@@ -31,14 +50,8 @@ class MonoTransform(Protocol):
         ...
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Begin anew; the counters go on."""
         ...
-
-
-FORMS: dict[Form, type[LiveTransform] | type[ReferenceTransform]] = {
-    "live": LiveTransform,
-    "reference": ReferenceTransform,
-}
 
 
 class HapticTransform:
@@ -49,10 +62,14 @@ class HapticTransform:
     per_channel: each channel is transformed by itself instead of their mean. Any split of the
     stream into blocks gives the same bytes. Held by one thread at a time.
 
+    implementation: how the live form is computed. Where it is not given, `compiled`, or `numpy`
+    where the kernel is not there (`kernel_warning` says so): the same within 1e-6 of full scale,
+    at about ten times the cost. The reference form is `numpy` always.
+
     Raises
     ------
     UsageError
-        The format or the form is not supported.
+        The format, the form or its implementation is not supported.
     """
 
     def __init__(
@@ -63,6 +80,7 @@ class HapticTransform:
         *,
         form: Form = "live",
         per_channel: bool = False,
+        implementation: Implementation | None = None,
     ) -> None:
         check_format(samplerate, channels)
         if form not in FORMS:
@@ -72,16 +90,22 @@ class HapticTransform:
         self.parameters = parameters or TransformParameters()
         self.form = form
         self.channels_out = channels if per_channel else 1
-        self._voices: list[MonoTransform] = [
-            FORMS[form](self.parameters, samplerate) for _ in range(self.channels_out)
-        ]
-        self.replaced_samples = 0
-        self._delivered_frames = 0
+        self.implementation = _implementation(form, implementation)
+        self._stream = self._begun(per_channel)
+
+    def _begun(self, per_channel: bool) -> Stream:
+        """Return a new stream."""
+        if self.implementation == "compiled":
+            settings = LiveTransform(self.parameters, self.samplerate)
+            return KernelStream(settings, self.channels, per_channel)
+        form = FORMS[self.form]
+        voices = [form(self.parameters, self.samplerate) for _ in range(self.channels_out)]
+        return VoiceStream(voices, self.channels)
 
     @property
     def latency_frames(self) -> int:
         """Frames by which the vibration comes after its sound; exact and constant."""
-        return self._voices[0].latency_frames
+        return self._stream.latency_frames
 
     @property
     def latency_s(self) -> float:
@@ -94,8 +118,12 @@ class HapticTransform:
 
         A hop is counted when it is computed, which is up to one hop before it is delivered.
         """
-        counted = sum(voice.limited_frames for voice in self._voices)
-        return min(counted, self._delivered_frames * self.channels_out)
+        return min(self._stream.limited_samples, self._stream.delivered_frames * self.channels_out)
+
+    @property
+    def replaced_samples(self) -> int:
+        """Samples of sound that were unusable and counted as 0 so far."""
+        return self._stream.replaced_samples
 
     def process(self, frames: Frames) -> FloatArray:
         """Return the vibration due, (frames, channels_out) float64, full scale +-1.
@@ -103,37 +131,28 @@ class HapticTransform:
         frames: (frames, channels), or (frames,) for one channel; float32 or float64, 0 frames
         upwards. Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
         """
-        if frames.dtype.kind != "f":
-            raise UsageError(
-                f"a block of {frames.dtype} is not sound in full scale; allowed: float32, float64; "
-                "divide integers by their own full scale first"
-            )
-        if frames.ndim == 1:
-            frames = frames[:, None]
-        if frames.ndim != 2 or frames.shape[1] != self.channels:
-            raise UsageError(
-                f"a block of shape {frames.shape} does not fit this stream; "
-                f"allowed: (frames, {self.channels})"
-            )
-        usable, replaced = replace_unusable(frames)
-        self.replaced_samples += replaced
-        self._delivered_frames += len(frames)
-        if self.channels_out == 1:
-            return self._voices[0].process(mono(usable))[:, None]
-        return np.stack(
-            [
-                voice.process(usable[:, channel].astype(np.float64))
-                for channel, voice in enumerate(self._voices)
-            ],
-            axis=1,
-        )
+        return self._stream.process(frames)
 
     def finish(self) -> FloatArray:
         """Return the last `latency_frames` of vibration, (frames, channels_out), and begin anew."""
-        self._delivered_frames += self.latency_frames
-        return np.stack([voice.finish() for voice in self._voices], axis=1)
+        return self._stream.finish()
 
     def reset(self) -> None:
         """Begin a new stream; the counters go on."""
-        for voice in self._voices:
-            voice.reset()
+        self._stream.reset()
+
+
+def _implementation(form: Form, wanted: Implementation | None) -> Implementation:
+    """Return how a form is computed, the faster way where there is a choice."""
+    missing = kernel_warning()
+    if wanted not in (None, "compiled", "numpy"):
+        raise UsageError(
+            f"implementation {wanted!r} of the transform is not known; allowed: compiled, numpy"
+        )
+    if wanted == "compiled" and form == "reference":
+        raise UsageError("the reference form is not compiled; allowed for it: numpy")
+    if wanted == "compiled" and missing:
+        raise UsageError(missing)
+    if wanted:
+        return wanted
+    return "numpy" if missing or form == "reference" else "compiled"

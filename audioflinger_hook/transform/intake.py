@@ -5,6 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames
+from device.errors import UsageError
+
+SAMPLES = (np.dtype(np.float32), np.dtype(np.float64))
+"""The types of a sample, in the machine's own byte order."""
 
 MAGNITUDE_MAX = 1e3
 """Samples above this (60 dB over full scale) are taken for damage, as NaN and Inf are."""
@@ -12,6 +16,31 @@ MAGNITUDE_MAX = 1e3
 DENORMAL_GUARD = 1e-25
 """Added to every sample: too small for any result, large enough that no filter state, however
 long the silence, decays into denormal numbers, whose arithmetic is many times slower."""
+
+
+def fitting(frames: Frames, channels: int) -> Frames:
+    """Return a block as (frames, channels) of one of `SAMPLES`.
+
+    frames: (frames, channels) or, of one channel, (frames,); any type with a decimal point.
+
+    Raises
+    ------
+    UsageError
+        It is of another type or shape.
+    """
+    if frames.dtype.kind != "f":
+        raise UsageError(
+            f"a block of {frames.dtype} is not sound in full scale; allowed: float32, float64; "
+            "divide integers by their own full scale first"
+        )
+    if frames.ndim == 1:
+        frames = frames[:, None]
+    if frames.ndim != 2 or frames.shape[1] != channels:
+        raise UsageError(
+            f"a block of shape {frames.shape} does not fit this stream; "
+            f"allowed: (frames, {channels})"
+        )
+    return frames if frames.dtype in SAMPLES else frames.astype(np.float64)
 
 
 def replace_unusable(frames: Frames) -> tuple[Frames, int]:

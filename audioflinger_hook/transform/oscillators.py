@@ -13,6 +13,10 @@ than with a whole one, and the low-pass still keeps what leaks above 250 Hz unde
 the sum falls they take the whole hop."""
 
 
+STILL = 1e-9
+"""A sum of amplitudes rises from here on: rounding must not choose between the two shapes."""
+
+
 class OscillatorBank:
     """Samples of gliding partials; pure, holds only the shape of a glide.
 
@@ -53,7 +57,7 @@ class OscillatorBank:
         partials = np.cos(phase, out=phase)
         # One shape for all slots of a hop: then their sum never exceeds both its ends, which is
         # what keeps the wave under full scale.
-        rising = np.add.reduce(rise, axis=1) > 0.0
+        rising = np.add.reduce(rise, axis=1) > STILL
         shape = np.where(rising[:, None], self._attack, self._glide)
         level = of_slots(rise) * shape
         level += of_slots(glides.start_amplitude)

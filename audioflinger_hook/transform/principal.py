@@ -76,46 +76,40 @@ class PrincipalFinder:
 
     def all_principal(self, amplitude: FloatArray) -> Principals:
         """Return everything with r > C_th in each row of (rows, bins), not cut to n."""
-        valley_left, peak, valley_right = _extrema(amplitude)
-        pitch = amplitude.shape[1] + 1
-        row = peak // pitch if len(amplitude) > 1 else np.zeros(peak.size, dtype=np.intp)
-        bin_in_row = peak - row * pitch
-        peak = peak - row
-        flat = amplitude.reshape(-1)
-        # What cannot pass the threshold is left out before anything costly.
-        able = (flat.take(peak) * (valley_right - valley_left) > self._peak_span_min).nonzero()[0]
-        bin_in_row = bin_in_row.take(able)
-        able = able[(bin_in_row >= self._first) & (bin_in_row <= self._last)]
-        row, peak = row.take(able), peak.take(able)
-        if not row.size:
-            return Principals(row, *np.zeros((4, 0)))
-
+        peaks = able_peaks(amplitude, self._peak_span_min, self._first, self._last)
+        if not peaks.row.size:
+            return Principals(peaks.row, *np.zeros((4, 0)))
+        flat, peak = amplitude.reshape(-1), peaks.peak
         offset, height = parabola(flat.take(peak - 1), flat.take(peak), flat.take(peak + 1))
         sides = _half_power_sides(
             flat,
             np.concatenate((peak, peak)),
-            np.concatenate((valley_left.take(able) - row, valley_right.take(able) - row)),
+            np.concatenate((peaks.valley_left, peaks.valley_right)),
             np.concatenate((height, height)) * HALF_POWER,
         )
-        bandwidth_hz = (sides[: row.size] + sides[row.size :]) * self._bin_hz
+        bandwidth_hz = (sides[: peak.size] + sides[peak.size :]) * self._bin_hz
         r = height * bandwidth_hz
-        audio_hz = (peak - row * (pitch - 1) + offset) * self._bin_hz
-        found = Principals(row, audio_hz, height, bandwidth_hz, r)
+        audio_hz = (peaks.bin + offset) * self._bin_hz
+        found = Principals(peaks.row, audio_hz, height, bandwidth_hz, r)
         principal = r > self._threshold
         return found if principal.all() else found.take(principal)
 
     def strongest(self, found: Principals) -> Principals:
         """Return at most n of each row: the largest r, of equals the lower frequency."""
-        n = self._partials_max
-        # Entry i has more than n in its row exactly if the entry n places on is in that row too.
-        if len(found) <= n or not (found.row[n:] == found.row[:-n]).any():
-            return found
-        if found.row[0] == found.row[-1]:
-            return found.take(np.sort((-found.r).argsort(kind="stable")[:n]))
-        order = np.lexsort((-found.r, found.row))
-        row_sorted = found.row[order]
-        rank = np.arange(len(found)) - np.searchsorted(row_sorted, row_sorted)
-        return found.take(np.sort(order[rank < n]))
+        return strongest(found, found.r, self._partials_max)
+
+
+def strongest(found: Principals, rank: FloatArray, n: int) -> Principals:
+    """Return at most n of each row: the largest by rank, of equals the lower frequency."""
+    # Entry i has more than n in its row exactly if the entry n places on is in that row too.
+    if len(found) <= n or not (found.row[n:] == found.row[:-n]).any():
+        return found
+    if found.row[0] == found.row[-1]:
+        return found.take(np.sort((-rank).argsort(kind="stable")[:n]))
+    order = np.lexsort((-rank, found.row))
+    row_sorted = found.row[order]
+    place = np.arange(len(found)) - np.searchsorted(row_sorted, row_sorted)
+    return found.take(np.sort(order[place < n]))
 
 
 def bins_in_band(parameters: TransformParameters, bin_hz: float, bins: int) -> tuple[int, int]:
@@ -138,7 +132,48 @@ def peak_span_min(parameters: TransformParameters, bin_hz: float) -> float:
     return parameters.threshold_hz / (raised_at_most * bin_hz)
 
 
-def _extrema(amplitude: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
+@dataclass(frozen=True)
+class AblePeaks:
+    """Peaks that can be principal, ascending: parallel arrays.
+
+    row, bin: where in (rows, bins); peak, valley_left, valley_right: indices of the flat array.
+    """
+
+    row: IntArray
+    bin: IntArray
+    peak: IntArray
+    valley_left: IntArray
+    valley_right: IntArray
+
+
+def able_peaks(
+    amplitude: FloatArray, peak_span_min: float, first: int, last: int, apart_from: float = 1.0
+) -> AblePeaks:
+    """Return the peaks of each row of (rows, bins) on bins first to last, but for the smallest.
+
+    What cannot pass the threshold is left out, before anything costly: see `peak_span_min`.
+    apart_from: the ratio from which on one amplitude is higher than another.
+    """
+    valley_left, peak, valley_right = _extrema(amplitude, apart_from)
+    pitch = amplitude.shape[1] + 1
+    row = peak // pitch if len(amplitude) > 1 else np.zeros(peak.size, dtype=np.intp)
+    bin_in_row = peak - row * pitch
+    peak = peak - row
+    span = valley_right - valley_left
+    able = (amplitude.reshape(-1).take(peak) * span > peak_span_min).nonzero()[0]
+    bins = bin_in_row.take(able)
+    able = able[(bins >= first) & (bins <= last)]
+    row = row.take(able)
+    return AblePeaks(
+        row,
+        bin_in_row.take(able),
+        peak.take(able),
+        valley_left.take(able) - row,
+        valley_right.take(able) - row,
+    )
+
+
+def _extrema(amplitude: FloatArray, apart_from: float = 1.0) -> tuple[IntArray, IntArray, IntArray]:
     """Return each peak with the valleys to its left and right, as indices at a pitch of bins + 1.
 
     A peak is higher than the bin to its left and not lower than that to its right; the walk
@@ -150,20 +185,27 @@ def _extrema(amplitude: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
     rising = np.empty((rows, bins + 1), dtype=bool)
     rising[:, 0] = False
     rising[:, bins] = True
-    np.greater(amplitude[:, 1:], amplitude[:, :-1], out=rising[:, 1:bins])
+    before = amplitude[:, :-1] if apart_from == 1.0 else apart_from * amplitude[:, :-1]
+    np.greater(amplitude[:, 1:], before, out=rising[:, 1:bins])
     direction = rising.reshape(-1)
     changes = (direction[1:] != direction[:-1]).nonzero()[0]
     return changes[:-1:2], changes[1::2], changes[2::2]
 
 
 def parabola(
-    left: FloatArray, middle: FloatArray, right: FloatArray
+    left: FloatArray, middle: FloatArray, right: FloatArray, curved: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the peak's offset in bins and its height, from three bins around a maximum."""
+    """Return the peak's offset in bins and its height, from three bins around a maximum.
+
+    curved: the three A^0.2 are taken to be curved at least by this share of the middle one.
+    """
     left, middle, right = left**PEAK_EXPONENT, middle**PEAK_EXPONENT, right**PEAK_EXPONENT
     curvature = left - 2.0 * middle + right
-    # Rounding in the power can flatten the three into a line: its peak is the middle bin.
-    curvature = np.where(curvature < 0.0, curvature, -np.inf)
+    if curved:
+        curvature = np.minimum(curvature, -curved * middle)
+    else:
+        # Rounding in the power can flatten the three into a line: its peak is the middle bin.
+        curvature = np.where(curvature < 0.0, curvature, -np.inf)
     offset = (left - right) / (2.0 * curvature)
     height: FloatArray = (middle - (left - right) * offset / 4.0) ** (1.0 / PEAK_EXPONENT)
     return offset, height

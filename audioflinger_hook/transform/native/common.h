@@ -1,0 +1,39 @@
+/* What all parts of the live form's kernel share. */
+
+#ifndef CUSHION_COMMON_H
+#define CUSHION_COMMON_H
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#define PI 3.14159265358979323846
+
+/* The smallest normal number: keeps a divisor and a logarithm's argument off 0. */
+#define TINY 2.2250738585072014e-308
+
+/* A function of plain loops over arrays, compiled once for every processor and once for those with
+ * registers of 32 bytes; the right one is chosen when the module is loaded. Both do the same
+ * operations on each number, so both give the same bits. */
+#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(ONE_MACHINE)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
+
+/* Before a loop: what it writes is not what it reads a step later. */
+#ifdef __GNUC__
+#define APART _Pragma("GCC ivdep")
+#else
+#define APART
+#endif
+
+/* Part of the function that calls it, and compiled for that function's processor. */
+#define INLINED static inline __attribute__((always_inline))
+
+INLINED double larger(double one, double other) { return one > other ? one : other; }
+
+INLINED double smaller(double one, double other) { return one < other ? one : other; }
+
+#endif

@@ -1,0 +1,371 @@
+/* A fast Fourier transform of real samples, in double precision, for lengths of 2, 3 and 5.
+ *
+ * Half of the samples are zeros, as the window is padded to twice its length. So:
+ *
+ * - Pairs of samples are taken for complex numbers, half as many, and their spectrum is taken apart
+ *   again at the end.
+ * - The upper half of those is 0 too: the first division by two costs one turn for each, and leaves
+ *   two transforms of the same length, for even and for odd bins. They run side by side.
+ *
+ * Each of these is written as a grid. Columns are transformed (all at once, so that every loop is
+ * long and over neighbours in memory), turned, exchanged with rows and transformed again. What comes
+ * out is in its natural order.
+ */
+
+#include "fft.h"
+
+#include <stdlib.h>
+
+#include "common.h"
+
+/* --------------------------------------------------------------------------------------- tables */
+
+/* The cosine and the sine of part/whole of a turn; exact where one of them is 0 or 1. */
+static void turn_of(size_t part, size_t whole, double *cosine, double *sine)
+{
+    const size_t eighths = 8 * (part % whole);
+    const size_t octant = eighths / whole;
+    /* Within an eighth of a turn of the nearest quarter. */
+    const size_t quarter = (octant + 1) / 2;
+    const double rest = ((double)eighths - 2.0 * (double)quarter * (double)whole) / (double)whole;
+    const double c = cos(PI / 4 * rest), s = sin(PI / 4 * rest);
+    switch (quarter % 4) {
+    case 0: *cosine = c, *sine = s; break;
+    case 1: *cosine = -s, *sine = c; break;
+    case 2: *cosine = -c, *sine = -s; break;
+    default: *cosine = s, *sine = -c; break;
+    }
+}
+
+/* Write count pairs: turns of 0, 1, 2 ... times step/whole. */
+static double *write_turns(double *table, size_t count, size_t step, size_t whole)
+{
+    for (size_t one = 0; one < count; one++, table += 2)
+        turn_of(one * step, whole, table, table + 1);
+    return table;
+}
+
+/* Divide size into factors of 5, 3, 4 and 2; return whether that leaves nothing. */
+static int factorised(Passes *passes, size_t size)
+{
+    static const size_t PRIMES[] = {5, 3, 4, 2};
+    passes->size = size;
+    passes->count = 0;
+    for (size_t which = 0; which < sizeof PRIMES / sizeof *PRIMES; which++)
+        for (; size % PRIMES[which] == 0; size /= PRIMES[which])
+            passes->factors[passes->count++] = PRIMES[which];
+    return size == 1;
+}
+
+/* Doubles in the table of turns of one transform. */
+static size_t turns_of(const Passes *passes)
+{
+    size_t total = 0, size = passes->size;
+    for (size_t which = 0; which < passes->count; which++) {
+        total += 2 * (size - size / passes->factors[which]);
+        size /= passes->factors[which];
+    }
+    return total;
+}
+
+static double *write_passes(Passes *passes, double *table)
+{
+    passes->turns = table;
+    size_t size = passes->size;
+    for (size_t which = 0; which < passes->count; which++) {
+        const size_t factor = passes->factors[which], rest = size / factor;
+        for (size_t place = 0; place < rest; place++)
+            for (size_t output = 1; output < factor; output++, table += 2)
+                turn_of(place * output, size, table, table + 1);
+        size = rest;
+    }
+    return table;
+}
+
+/* Divide so many points into a grid that is as square as can be; return whether it can be done. */
+static int gridded(Fft *fft)
+{
+    Passes all;
+    if (!factorised(&all, fft->points))
+        return 0;
+    size_t best = 1;
+    for (size_t columns = 1; columns <= fft->points; columns++)
+        if (fft->points % columns == 0 && columns * columns <= fft->points)
+            best = columns;
+    factorised(&fft->columns, fft->points / best);
+    factorised(&fft->rows, best);
+    fft->columns.run = best * fft->lanes;
+    fft->rows.run = fft->points / best * fft->lanes;
+    return 1;
+}
+
+int fft_open(Fft *fft, size_t length)
+{
+    memset(fft, 0, sizeof *fft);
+    fft->length = length;
+    fft->halved = length % 2 == 0 ? length / 2 : 0;
+    fft->lanes = length % 4 == 0 ? 2 : 1;
+    fft->points = fft->halved ? fft->halved / fft->lanes : length;
+    fft->frames = fft->lanes == 2 ? length / 2 : length;
+    if (length == 0 || !gridded(fft))
+        return -2;
+    const size_t lane_turns = fft->lanes == 2 ? 2 * fft->points : 0;
+    const size_t bins = fft->halved ? fft->halved + 1 : 0;
+    const size_t total = turns_of(&fft->columns) + turns_of(&fft->rows) + lane_turns +
+                         2 * fft->points + 2 * bins;
+    fft->tables = malloc(total * sizeof(double));
+    if (!fft->tables)
+        return -1;
+    double *table = write_passes(&fft->columns, fft->tables);
+    table = write_passes(&fft->rows, table);
+    fft->lane_turn = table;
+    table = write_turns(table, lane_turns / 2, 1, fft->halved ? fft->halved : 1);
+    fft->grid_turn = table;
+    for (size_t column = 0; column < fft->rows.size; column++)
+        table = write_turns(table, fft->columns.size, column, fft->points);
+    fft->bin_cos = table;
+    fft->bin_sin = table + bins;
+    for (size_t bin = 0; bin < bins; bin++)
+        turn_of(bin, length, table + bin, table + bins + bin);
+    return 0;
+}
+
+void fft_close(Fft *fft)
+{
+    free(fft->tables);
+    fft->tables = NULL;
+}
+
+size_t fft_work(const Fft *fft) { return 4 * fft->points * fft->lanes; }
+
+/* --------------------------------------------------------------------------------------- passes */
+
+/* Turned back by an angle: (real, imaginary) times (cosine, -sine). */
+#define TURNED(out, which, re, im)                                                                  \
+    do {                                                                                           \
+        const double one_re = (re), one_im = (im);                                                 \
+        if (turned) {                                                                              \
+            const double c = turn[2 * (which) - 2], s = turn[2 * (which) - 1];                     \
+            out_re[(which) * (out) + at] = one_re * c + one_im * s;                                \
+            out_im[(which) * (out) + at] = one_im * c - one_re * s;                                \
+        } else {                                                                                   \
+            out_re[(which) * (out) + at] = one_re;                                                 \
+            out_im[(which) * (out) + at] = one_im;                                                 \
+        }                                                                                          \
+    } while (0)
+
+/* Where one butterfly's numbers stand: inputs `in` apart, outputs `out` apart, `run` of each. */
+typedef struct {
+    size_t in, out, run;
+} Places;
+
+INLINED void by_two(const double *restrict re, const double *restrict im, double *restrict out_re,
+                    double *restrict out_im, Places places, const double *turn, int turned)
+{
+    const size_t in = places.in;
+    APART
+    for (size_t at = 0; at < places.run; at++) {
+        const double a_re = re[at], a_im = im[at], b_re = re[in + at], b_im = im[in + at];
+        out_re[at] = a_re + b_re;
+        out_im[at] = a_im + b_im;
+        TURNED(places.out, 1, a_re - b_re, a_im - b_im);
+    }
+}
+
+INLINED void by_three(const double *restrict re, const double *restrict im, double *restrict out_re,
+                      double *restrict out_im, Places places, const double *turn, int turned)
+{
+    static const double SIN = 0.86602540378443864676;
+    const size_t in = places.in;
+    APART
+    for (size_t at = 0; at < places.run; at++) {
+        const double sum_re = re[in + at] + re[2 * in + at], sum_im = im[in + at] + im[2 * in + at];
+        const double dif_re = SIN * (re[in + at] - re[2 * in + at]);
+        const double dif_im = SIN * (im[in + at] - im[2 * in + at]);
+        const double mid_re = re[at] - 0.5 * sum_re, mid_im = im[at] - 0.5 * sum_im;
+        out_re[at] = re[at] + sum_re;
+        out_im[at] = im[at] + sum_im;
+        TURNED(places.out, 1, mid_re + dif_im, mid_im - dif_re);
+        TURNED(places.out, 2, mid_re - dif_im, mid_im + dif_re);
+    }
+}
+
+INLINED void by_four(const double *restrict re, const double *restrict im, double *restrict out_re,
+                     double *restrict out_im, Places places, const double *turn, int turned)
+{
+    const size_t in = places.in;
+    APART
+    for (size_t at = 0; at < places.run; at++) {
+        const double even_re = re[at] + re[2 * in + at], even_im = im[at] + im[2 * in + at];
+        const double odd_re = re[at] - re[2 * in + at], odd_im = im[at] - im[2 * in + at];
+        const double sum_re = re[in + at] + re[3 * in + at], sum_im = im[in + at] + im[3 * in + at];
+        const double dif_re = re[in + at] - re[3 * in + at], dif_im = im[in + at] - im[3 * in + at];
+        out_re[at] = even_re + sum_re;
+        out_im[at] = even_im + sum_im;
+        TURNED(places.out, 1, odd_re + dif_im, odd_im - dif_re);
+        TURNED(places.out, 2, even_re - sum_re, even_im - sum_im);
+        TURNED(places.out, 3, odd_re - dif_im, odd_im + dif_re);
+    }
+}
+
+INLINED void by_five(const double *restrict re, const double *restrict im, double *restrict out_re,
+                     double *restrict out_im, Places places, const double *turn, int turned)
+{
+    static const double C1 = 0.30901699437494742410, S1 = 0.95105651629515357212;
+    static const double C2 = -0.80901699437494742410, S2 = 0.58778525229247312917;
+    const size_t in = places.in;
+    APART
+    for (size_t at = 0; at < places.run; at++) {
+        const double r0 = re[at], i0 = im[at];
+        const double sr1 = re[in + at] + re[4 * in + at], si1 = im[in + at] + im[4 * in + at];
+        const double dr1 = re[in + at] - re[4 * in + at], di1 = im[in + at] - im[4 * in + at];
+        const double sr2 = re[2 * in + at] + re[3 * in + at];
+        const double si2 = im[2 * in + at] + im[3 * in + at];
+        const double dr2 = re[2 * in + at] - re[3 * in + at];
+        const double di2 = im[2 * in + at] - im[3 * in + at];
+        const double mr1 = r0 + C1 * sr1 + C2 * sr2, mi1 = i0 + C1 * si1 + C2 * si2;
+        const double mr2 = r0 + C2 * sr1 + C1 * sr2, mi2 = i0 + C2 * si1 + C1 * si2;
+        const double ar = S1 * dr1 + S2 * dr2, ai = S1 * di1 + S2 * di2;
+        const double br = S2 * dr1 - S1 * dr2, bi = S2 * di1 - S1 * di2;
+        out_re[at] = r0 + sr1 + sr2;
+        out_im[at] = i0 + si1 + si2;
+        TURNED(places.out, 1, mr1 + ai, mi1 - ar);
+        TURNED(places.out, 2, mr2 + bi, mi2 - br);
+        TURNED(places.out, 3, mr2 - bi, mi2 + br);
+        TURNED(places.out, 4, mr1 - ai, mi1 + ar);
+    }
+}
+
+INLINED void butterfly(size_t factor, const double *re, const double *im, double *out_re,
+                       double *out_im, Places places, const double *turn, int turned)
+{
+    switch (factor) {
+    case 2: by_two(re, im, out_re, out_im, places, turn, turned); break;
+    case 3: by_three(re, im, out_re, out_im, places, turn, turned); break;
+    case 4: by_four(re, im, out_re, out_im, places, turn, turned); break;
+    default: by_five(re, im, out_re, out_im, places, turn, turned); break;
+    }
+}
+
+/* A transform of complex numbers: after each pass they are in the other one of the two places. */
+typedef struct {
+    double *re, *im;
+} Complexes;
+
+/* Do all passes of one transform (Stockham's: nothing has to be put in order afterwards). */
+WIDE static void pass_through(const Passes *passes, Complexes *from, Complexes *to)
+{
+    const double *turn = passes->turns;
+    size_t size = passes->size, run = passes->run;
+    for (size_t which = 0; which < passes->count; which++) {
+        const size_t factor = passes->factors[which], rest = size / factor;
+        const Places places = {rest * run, run, run};
+        butterfly(factor, from->re, from->im, to->re, to->im, places, turn, 0);
+        turn += 2 * (factor - 1);
+        for (size_t place = 1; place < rest; place++, turn += 2 * (factor - 1))
+            butterfly(factor, from->re + run * place, from->im + run * place,
+                      to->re + run * factor * place, to->im + run * factor * place, places, turn,
+                      1);
+        size = rest;
+        run *= factor;
+        const Complexes done = *to;
+        *to = *from;
+        *from = done;
+    }
+}
+
+/* Turn each number of the grid and write rows as columns. */
+INLINED void exchanged_lanes(const Fft *fft, Complexes from, Complexes to, size_t lanes)
+{
+    const size_t rows = fft->columns.size, columns = fft->rows.size;
+    const double *turn = fft->grid_turn;
+    for (size_t column = 0; column < columns; column++) {
+        const double *restrict re = from.re + column * lanes, *restrict im = from.im + column * lanes;
+        double *restrict to_re = to.re + column * rows * lanes;
+        double *restrict to_im = to.im + column * rows * lanes;
+        APART
+        for (size_t row = 0; row < rows; row++) {
+            const double c = turn[2 * row], s = turn[2 * row + 1];
+            for (size_t lane = 0; lane < lanes; lane++) {
+                const size_t here = row * columns * lanes + lane, there = row * lanes + lane;
+                to_re[there] = re[here] * c + im[here] * s;
+                to_im[there] = im[here] * c - re[here] * s;
+            }
+        }
+        turn += 2 * rows;
+    }
+}
+
+WIDE static void exchanged(const Fft *fft, Complexes from, Complexes to)
+{
+    if (fft->lanes == 2)
+        exchanged_lanes(fft, from, to, 2);
+    else
+        exchanged_lanes(fft, from, to, 1);
+}
+
+/* ------------------------------------------------------------------------------ real to complex */
+
+/* Take samples for complex numbers, those of the second lane turned. */
+WIDE static void paired(const Fft *fft, const double *restrict samples, Complexes to)
+{
+    double *restrict re = to.re, *restrict im = to.im;
+    if (fft->lanes == 1) {
+        for (size_t at = 0; at < fft->points; at++) {
+            re[at] = fft->halved ? samples[2 * at] : samples[at];
+            im[at] = fft->halved ? samples[2 * at + 1] : 0.0;
+        }
+        return;
+    }
+    const double *restrict turn = fft->lane_turn;
+    APART
+    for (size_t at = 0; at < fft->points; at++) {
+        const double x = samples[2 * at], y = samples[2 * at + 1];
+        const double c = turn[2 * at], s = turn[2 * at + 1];
+        re[2 * at] = x;
+        re[2 * at + 1] = x * c + y * s;
+        im[2 * at] = y;
+        im[2 * at + 1] = y * c - x * s;
+    }
+}
+
+/* Take the spectrum of pairs apart into that of the even and of the odd samples, and join them. */
+WIDE static void joined(const Fft *fft, Complexes from, size_t bins, double *restrict real,
+                        double *restrict imaginary)
+{
+    const size_t half = fft->halved;
+    const double *restrict re = from.re, *restrict im = from.im;
+    const double *restrict bin_cos = fft->bin_cos, *restrict bin_sin = fft->bin_sin;
+    real[0] = re[0] + im[0];
+    imaginary[0] = 0.0;
+    const size_t inner = bins < half ? bins : half;
+    for (size_t bin = 1; bin < inner; bin++) {
+        const double a_re = re[bin], a_im = im[bin], b_re = re[half - bin], b_im = im[half - bin];
+        const double c = bin_cos[bin], s = bin_sin[bin];
+        const double dif_re = a_re - b_re, sum_im = a_im + b_im;
+        real[bin] = 0.5 * (a_re + b_re + c * sum_im - s * dif_re);
+        imaginary[bin] = 0.5 * (a_im - b_im - c * dif_re - s * sum_im);
+    }
+    if (bins > half) {
+        real[half] = re[0] - im[0];
+        imaginary[half] = 0.0;
+    }
+}
+
+void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *real,
+                  double *imaginary, double *work)
+{
+    const size_t size = fft->points * fft->lanes;
+    Complexes one = {work, work + size}, other = {work + 2 * size, work + 3 * size};
+    paired(fft, samples, one);
+    pass_through(&fft->columns, &one, &other);
+    exchanged(fft, one, other);
+    pass_through(&fft->rows, &other, &one);
+    if (fft->halved)
+        joined(fft, other, bins, real, imaginary);
+    else
+        for (size_t bin = 0; bin < bins; bin++) {
+            real[bin] = other.re[bin];
+            imaginary[bin] = other.im[bin];
+        }
+}

@@ -1,0 +1,45 @@
+/* The spectrum of a window of real samples, padded with as many zeros or more. */
+
+#ifndef CUSHION_FFT_H
+#define CUSHION_FFT_H
+
+#include <stddef.h>
+
+#define FACTORS_MAX 24
+
+/* One transform of `size` complex numbers that stand `run` apart, for `run` of them side by side. */
+typedef struct {
+    size_t size, run;
+    size_t factors[FACTORS_MAX], count;
+    const double *turns; /* for each factor what its outputs are turned by, cosine and sine */
+} Passes;
+
+/* How spectra of one length are made. Everything that it points to belongs to it. */
+typedef struct {
+    size_t length; /* of the spectrum's grid: bins are samplerate / length apart */
+    size_t frames; /* samples that are read; those past the window are 0 */
+    size_t points; /* complex numbers in one small transform */
+    size_t lanes;  /* small transforms side by side */
+    size_t halved; /* complex numbers that hold the samples in pairs; 0 where they are not paired */
+    Passes columns, rows;
+    const double *lane_turn;        /* halved / 2 pairs: even samples' lane to odd samples' lane */
+    const double *grid_turn;        /* points pairs, between columns and rows */
+    const double *bin_cos, *bin_sin; /* turn of each bin: from a transform of pairs to one of samples */
+    double *tables;                 /* all of the above */
+} Fft;
+
+/* Return 0 and a plan, -1 where memory is lacking, -2 where the length has other factors than
+ * 2, 3 and 5. */
+int fft_open(Fft *fft, size_t length);
+
+void fft_close(Fft *fft);
+
+/* Doubles of work space that `fft_spectrum` needs. */
+size_t fft_work(const Fft *fft);
+
+/* Write the first `bins` bins, real and imaginary parts. samples: `frames` of them, no more than
+ * length / 2 other than 0. bins: length / 2 + 1 at most. */
+void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *real,
+                  double *imaginary, double *work);
+
+#endif

@@ -1,0 +1,100 @@
+/* What arrives, made safe: unusable samples become 0 and are counted, channels become one, and the
+ * band of the analysis is all that is left. */
+
+#include "intake.h"
+
+#include "common.h"
+#include "filter.h"
+
+INLINED double sample_at(const char *place, int is_float)
+{
+    if (is_float) {
+        float sample;
+        memcpy(&sample, place, sizeof sample);
+        return (double)sample;
+    }
+    double sample;
+    memcpy(&sample, place, sizeof sample);
+    return sample;
+}
+
+/* Channels are added one by one, then divided by their number: whatever the block, in that order. */
+INLINED size_t mean(const char *at, ptrdiff_t frame_bytes, ptrdiff_t channel_bytes, size_t channels,
+                    int is_float, double limit, size_t frames, double *restrict mono)
+{
+    size_t unusable = 0;
+    for (size_t frame = 0; frame < frames; frame++) {
+        const char *place = at + (ptrdiff_t)frame * frame_bytes;
+        double total = 0.0;
+        for (size_t channel = 0; channel < channels; channel++, place += channel_bytes) {
+            const double sample = sample_at(place, is_float);
+            const int usable = fabs(sample) <= limit;
+            unusable += (size_t)!usable;
+            total += usable ? sample : 0.0;
+        }
+        mono[frame] = channels == 1 ? total : total / (double)channels;
+    }
+    return unusable;
+}
+
+WIDE static int32_t unusable_floats(const float *restrict samples, size_t count, float limit)
+{
+    int32_t unusable = 0;
+    for (size_t one = 0; one < count; one++)
+        unusable += !(fabsf(samples[one]) <= limit);
+    return unusable;
+}
+
+WIDE static void mean_of_pairs(const float *restrict pairs, size_t frames, double *restrict mono)
+{
+    for (size_t frame = 0; frame < frames; frame++)
+        mono[frame] = ((double)pairs[2 * frame] + (double)pairs[2 * frame + 1]) / 2.0;
+}
+
+/* Whether sound is what a sound server delivers, pairs of 32-bit samples, and all of it usable. */
+static int is_usable_stereo(Sound sound, size_t frames, double limit)
+{
+    const float as_float = (float)limit;
+    return sound.is_float && sound.channels == 2 && sound.frame_bytes == 8 &&
+           sound.channel_bytes == 4 && (uintptr_t)sound.at % sizeof(float) == 0 &&
+           (double)as_float == limit &&
+           !unusable_floats((const float *)sound.at, 2 * frames, as_float);
+}
+
+size_t intake_mono(const Settings *settings, Sound sound, size_t frames, double *mono)
+{
+    const double limit = settings->magnitude_max;
+    const ptrdiff_t frame = sound.frame_bytes, channel = sound.channel_bytes;
+    if (is_usable_stereo(sound, frames, limit)) {
+        mean_of_pairs((const float *)sound.at, frames, mono);
+        return 0;
+    }
+    if (sound.is_float)
+        return mean(sound.at, frame, channel, sound.channels, 1, limit, frames, mono);
+    return mean(sound.at, frame, channel, sound.channels, 0, limit, frames, mono);
+}
+
+INLINED double band_passed(const Settings *settings, double *state, size_t order, double *mono,
+                           size_t frames)
+{
+    double b[ORDER_MAX + 1], a[ORDER_MAX + 1], held[ORDER_MAX], loudest = 0.0;
+    memcpy(b, settings->band_b.at, (order + 1) * sizeof(double));
+    memcpy(a, settings->band_a.at, (order + 1) * sizeof(double));
+    memcpy(held, state, order * sizeof(double));
+    for (size_t frame = 0; frame < frames; frame++) {
+        mono[frame] = filter_step(b, a, held, order, mono[frame] + settings->denormal_guard);
+        loudest = larger(fabs(mono[frame]), loudest);
+    }
+    memcpy(state, held, order * sizeof(double));
+    return loudest;
+}
+
+double intake_band_pass(const Settings *settings, double *state, double *mono, size_t frames)
+{
+    const size_t order = settings->band_b.length - 1;
+    if (order == 4)
+        return band_passed(settings, state, 4, mono, frames);
+    if (order == 2)
+        return band_passed(settings, state, 2, mono, frames);
+    return band_passed(settings, state, order, mono, frames);
+}

@@ -1,0 +1,314 @@
+/* The live form's hop: what `live.py` does, once for every hop and without anything else.
+ *
+ * Frames are band-passed as they come, into a ring that holds one window. When a hop is full, its
+ * vibration is computed and then delivered frame by frame as the next hop comes in. A block only
+ * decides when that happens, so any split of a stream gives the same bytes.
+ */
+
+#include "live.h"
+
+#include <stdlib.h>
+
+#include "common.h"
+
+#define SLOT_NUMBERS 4
+#define GLIDE_NUMBERS 5
+#define FOUND_NUMBERS 4
+
+/* ---------------------------------------------------------------------------------------- memory */
+
+/* Memory that is handed out piece by piece; without a base it is only counted. */
+typedef struct {
+    double *base;
+    size_t used;
+} Space;
+
+static double *taken(Space *space, size_t count)
+{
+    double *here = space->base ? space->base + space->used : NULL;
+    space->used += count;
+    return here;
+}
+
+static size_t doubles(size_t bytes) { return (bytes + sizeof(double) - 1) / sizeof(double); }
+
+static size_t voice_numbers(const Settings *s)
+{
+    return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->hop_frames +
+           SLOT_NUMBERS * 2 * s->partials_max + smoothing_states(s) + smoothing_tail(s) + 1;
+}
+
+static void lay_out_voice(const Settings *s, Voice *voice, Space *space)
+{
+    const size_t slots = 2 * s->partials_max;
+    voice->band = taken(space, s->band_b.length - 1);
+    voice->past = taken(space, s->window_frames);
+    voice->peaks = taken(space, s->hops_in_window);
+    voice->played = taken(space, s->hop_frames);
+    voice->slots.hz = taken(space, slots);
+    voice->slots.amplitude = taken(space, slots);
+    voice->slots.phase = taken(space, slots);
+    voice->slots.alive = taken(space, slots);
+    voice->smoothing.state = taken(space, smoothing_states(s));
+    voice->smoothing.tail = taken(space, smoothing_tail(s));
+    voice->ringing = taken(space, 1);
+}
+
+/* Give every part its place in the work space, or count how much that is where there is none. */
+static size_t lay_out_work(Live *live, double *numbers)
+{
+    const Settings *s = &live->settings;
+    const size_t slots = 2 * s->partials_max;
+    Space space = {numbers, 0};
+    live->mono = taken(&space, s->hop_frames);
+    live->windowed = taken(&space, live->fft.frames);
+    live->real = taken(&space, s->bins);
+    live->imaginary = taken(&space, s->bins);
+    live->fft_space = taken(&space, fft_work(&live->fft));
+    live->tracking_space = taken(&space, tracking_work(s->partials_max));
+    live->synthesis_space = taken(&space, synthesis_work(s));
+    live->analysis_space = taken(&space, doubles(analysis_work(s->bins)));
+    double **found[FOUND_NUMBERS] = {&live->found.audio_hz, &live->found.amplitude,
+                                     &live->found.bandwidth_hz, &live->found.r};
+    for (size_t which = 0; which < FOUND_NUMBERS; which++)
+        *found[which] = taken(&space, s->partials_max);
+    live->hz = taken(&space, s->partials_max);
+    live->amplitude = taken(&space, s->partials_max);
+    double **glides[GLIDE_NUMBERS] = {&live->glides.start_hz, &live->glides.end_hz,
+                                      &live->glides.start_amplitude, &live->glides.end_amplitude,
+                                      &live->glides.start_phase};
+    for (size_t which = 0; which < GLIDE_NUMBERS; which++)
+        *glides[which] = taken(&space, slots);
+    return space.used;
+}
+
+int live_open(Live *live, const Settings *settings, size_t channels, int each)
+{
+    memset(live, 0, sizeof *live);
+    live->settings = *settings;
+    live->channels = channels;
+    live->each = each;
+    live->voices_count = each ? channels : 1;
+    const int failed = fft_open(&live->fft, settings->fft_length);
+    if (failed)
+        return failed;
+    live->state_length = live->voices_count * voice_numbers(settings);
+    live->voices = calloc(live->voices_count, sizeof(Voice));
+    live->state = calloc(live->state_length, sizeof(double));
+    live->numbers = calloc(lay_out_work(live, NULL), sizeof(double));
+    if (!live->voices || !live->state || !live->numbers) {
+        live_close(live);
+        return -1;
+    }
+    lay_out_work(live, live->numbers);
+    Space space = {live->state, 0};
+    for (size_t voice = 0; voice < live->voices_count; voice++)
+        lay_out_voice(settings, &live->voices[voice], &space);
+    return 0;
+}
+
+void live_close(Live *live)
+{
+    fft_close(&live->fft);
+    free(live->voices);
+    free(live->state);
+    free(live->numbers);
+    live->voices = NULL;
+    live->state = live->numbers = NULL;
+}
+
+void live_reset(Live *live)
+{
+    memset(live->state, 0, live->state_length * sizeof(double));
+    live->filled = live->oldest = 0;
+}
+
+int live_is_sound(const Live *live)
+{
+    const Settings *s = &live->settings;
+    if (live->filled >= s->hop_frames || live->oldest >= s->window_frames)
+        return 0;
+    for (size_t which = 0; which < live->voices_count; which++) {
+        const Voice *voice = &live->voices[which];
+        size_t alive = 0;
+        for (size_t slot = 0; slot < 2 * s->partials_max; slot++)
+            alive += voice->slots.alive[slot] != 0.0;
+        if (alive > s->partials_max)
+            return 0;
+        if (!(*voice->ringing >= 0.0 && *voice->ringing <= (double)s->ring_hops))
+            return 0;
+    }
+    return 1;
+}
+
+/* ------------------------------------------------------------------------------------- analysis */
+
+/* Put the window in order, the oldest frame first, and take it through the window function. */
+WIDE static void windowed(const Live *live, const Voice *voice, double *restrict samples)
+{
+    const size_t frames = live->settings.window_frames, first = frames - live->oldest;
+    const double *restrict window = live->settings.window.at;
+    const double *restrict past = voice->past + live->oldest;
+    for (size_t frame = 0; frame < first; frame++)
+        samples[frame] = past[frame] * window[frame];
+    past = voice->past;
+    window += first;
+    samples += first;
+    for (size_t frame = 0; frame < frames - first; frame++)
+        samples[frame] = past[frame] * window[frame];
+}
+
+static size_t analysed(Live *live, const Voice *voice)
+{
+    const Settings *s = &live->settings;
+    const Rule rule = {
+        .bins = (int32_t)s->bins,
+        .first = (int32_t)s->first_bin,
+        .last = (int32_t)s->last_bin,
+        .bin_hz = s->bin_hz,
+        .threshold_hz = s->threshold_hz,
+        .peak_span_min = s->peak_span_min,
+        .side_lobe = s->side_lobe,
+        .most = (int32_t)s->partials_max,
+    };
+    const size_t turned = s->image_turn.length / 2;
+    const Window window = {
+        .table = s->image_table.at,
+        .entries = (int32_t)s->image_table.length,
+        .cosine = s->image_turn.at,
+        .sine = s->image_turn.at + turned,
+        .low_bins = turned > NEIGHBOURS ? (int32_t)turned - NEIGHBOURS : 0,
+        .weakest = s->weakest_image,
+    };
+    const Spectrum spectrum = {live->real, live->imaginary, 1};
+    windowed(live, voice, live->windowed);
+    fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary,
+                 live->fft_space);
+    return (size_t)principal(&rule, &window, spectrum, live->found, live->analysis_space);
+}
+
+/* -------------------------------------------------------------------------------------- one hop */
+
+/* Set the amplitudes of what was found: P_k r_k over a full-scale tone's r, scaled down where their
+ * sum would pass the ceiling; return whether it would. */
+static int levelled(Live *live, size_t count)
+{
+    const Settings *s = &live->settings;
+    double sum_r = 0.0, total = 0.0;
+    for (size_t one = 0; one < count; one++)
+        sum_r += live->found.r[one];
+    for (size_t one = 0; one < count; one++) {
+        const double r = live->found.r[one];
+        live->amplitude[one] = r * r / (sum_r * s->full_scale_r);
+        total += live->amplitude[one];
+    }
+    const int limited = !(total <= s->ceiling);
+    if (limited)
+        for (size_t one = 0; one < count; one++)
+            live->amplitude[one] *= s->ceiling / total;
+    return limited;
+}
+
+static void follow(Live *live, Voice *voice, size_t count)
+{
+    const Settings *s = &live->settings;
+    if (levelled(live, count))
+        live->limited += s->hop_frames;
+    for (size_t one = 0; one < count; one++) {
+        const double ratio = live->found.audio_hz[one] / s->band_low_hz;
+        live->hz[one] = s->scale_hz * log(ratio) + s->bottom_hz;
+        live->amplitude[one] *= smoothing_gain(s, live->hz[one]);
+    }
+    const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};
+    tracking_follow(s, &voice->slots, &live->glides, partials, live->tracking_space);
+}
+
+/* Compute the vibration of the hop that is full now. */
+static void advance(Live *live, Voice *voice)
+{
+    const Settings *s = &live->settings;
+    double loudest = 0.0;
+    for (size_t hop = 0; hop < s->hops_in_window; hop++)
+        loudest = larger(voice->peaks[hop], loudest);
+    memmove(voice->peaks, voice->peaks + 1, (s->hops_in_window - 1) * sizeof(double));
+    voice->peaks[s->hops_in_window - 1] = 0.0;
+
+    const size_t count = loudest >= s->silence ? analysed(live, voice) : 0;
+    if (count) {
+        follow(live, voice, count);
+        *voice->ringing = (double)s->ring_hops;
+    } else if (tracking_sounds(s, &voice->slots)) {
+        tracking_fade(s, &voice->slots, &live->glides);
+    } else {
+        tracking_rest(s, &live->glides);
+        if (*voice->ringing > 0.0)
+            *voice->ringing -= 1.0;
+    }
+    if (*voice->ringing > 0.0) {
+        synthesis_play(s, &live->glides, &voice->smoothing, voice->played, live->synthesis_space);
+        live->limited += synthesis_keep_below_full_scale(s, voice->played);
+    } else {
+        /* What sleeps is exactly 0 and forgets its ringing. */
+        smoothing_reset(s, &voice->smoothing);
+        memset(voice->played, 0, s->hop_frames * sizeof(double));
+    }
+}
+
+/* --------------------------------------------------------------------------------------- a block */
+
+static void collect(Live *live, Voice *voice, Sound sound, size_t frames)
+{
+    const Settings *s = &live->settings;
+    live->replaced += intake_mono(s, sound, frames, live->mono);
+    double *peak = &voice->peaks[s->hops_in_window - 1];
+    *peak = larger(intake_band_pass(s, voice->band, live->mono, frames), *peak);
+    /* Blocks may be longer than the window: only its last frames stay. */
+    const double *from = live->mono;
+    size_t at = live->oldest;
+    while (frames) {
+        const size_t room = s->window_frames - at, part = frames < room ? frames : room;
+        memcpy(voice->past + at, from, part * sizeof(double));
+        from += part;
+        frames -= part;
+        at = at + part == s->window_frames ? 0 : at + part;
+    }
+}
+
+static void deliver(const Voice *voice, size_t from, size_t frames, double *vibration, size_t apart)
+{
+    const double *played = voice->played + from;
+    if (apart == 1)
+        memcpy(vibration, played, frames * sizeof(double));
+    else
+        for (size_t frame = 0; frame < frames; frame++)
+            vibration[frame * apart] = played[frame];
+}
+
+void live_process(Live *live, Sound sound, size_t frames, double *vibration)
+{
+    const Settings *s = &live->settings;
+    live->delivered += frames;
+    while (frames) {
+        const size_t room = s->hop_frames - live->filled, part = frames < room ? frames : room;
+        for (size_t which = 0; which < live->voices_count; which++) {
+            Sound heard = sound;
+            if (live->each) {
+                heard.at += (ptrdiff_t)which * sound.channel_bytes;
+                heard.channels = 1;
+            }
+            Voice *voice = &live->voices[which];
+            collect(live, voice, heard, part);
+            deliver(voice, live->filled, part, vibration + which, live->voices_count);
+        }
+        sound.at += (ptrdiff_t)part * sound.frame_bytes;
+        vibration += part * live->voices_count;
+        frames -= part;
+        live->filled += part;
+        live->oldest = (live->oldest + part) % s->window_frames;
+        if (live->filled == s->hop_frames) {
+            live->filled = 0;
+            for (size_t which = 0; which < live->voices_count; which++)
+                advance(live, &live->voices[which]);
+        }
+    }
+}

@@ -1,0 +1,64 @@
+/* The live form of one stream: sound in, vibration out, a hop behind. */
+
+#ifndef CUSHION_LIVE_H
+#define CUSHION_LIVE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "analysis.h"
+#include "fft.h"
+#include "intake.h"
+#include "settings.h"
+#include "synthesis.h"
+#include "tracking.h"
+
+/* One channel of vibration. Everything in it is state, and lies in Live's `state`. */
+typedef struct {
+    double *band;   /* of the band-pass */
+    double *past;   /* the last window_frames, a ring that begins at Live's `oldest` */
+    double *peaks;  /* of the last hops_in_window, the one under way the last */
+    double *played; /* the hop that is being delivered */
+    Slots slots;
+    Smoothing smoothing;
+    double *ringing; /* hops that the low-pass still rings */
+} Voice;
+
+/* A kernel: settings, work space, and the state of every voice. Nothing is allocated after
+ * `live_open`. */
+typedef struct {
+    Settings settings;
+    size_t channels, voices_count;
+    int each; /* one voice a channel, else one for their mean */
+    Fft fft;
+    Voice *voices;
+    double *state;
+    size_t state_length; /* doubles */
+    size_t filled;       /* frames of the hop under way */
+    size_t oldest;       /* of the ring */
+    uint64_t replaced, limited, delivered;
+
+    double *mono, *windowed, *real, *imaginary, *fft_space, *tracking_space, *synthesis_space;
+    void *analysis_space;
+    Principals found;
+    double *hz, *amplitude;
+    Glides glides;
+    double *numbers; /* all doubles of the work space */
+} Live;
+
+/* Make a kernel of settings that fit, which it takes over; return 0, -1 where memory is lacking, -2
+ * where fft_length has other factors than 2, 3 and 5. On failure the settings stay the caller's. */
+int live_open(Live *live, const Settings *settings, size_t channels, int each);
+
+void live_close(Live *live);
+
+/* Return to the state of a new stream; the counters go on. */
+void live_reset(Live *live);
+
+/* Take so many frames of sound and write as many of vibration, (frames, voices). */
+void live_process(Live *live, Sound sound, size_t frames, double *vibration);
+
+/* Whether what stands in `state`, `filled` and `oldest` can be gone on with. */
+int live_is_sound(const Live *live);
+
+#endif

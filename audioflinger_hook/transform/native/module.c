@@ -1,0 +1,361 @@
+/* The kernel as Python sees it: `_kernel.LiveKernel`, and its parts for tests (probes.c). */
+
+#include "module.h"
+
+#include <structmember.h>
+
+#include "live.h"
+
+/* -------------------------------------------------------------------------------------- arrays */
+
+/* Whether a format is one of the letters, or the one type of two letters. */
+static int is_one_of(const char *types, const char *format)
+{
+    if (*types == 'Z')
+        return strcmp(types, format) == 0;
+    return *format && !format[1] && strchr(types, *format);
+}
+
+int array_opened(PyObject *array, const char *name, Expected expected, Py_buffer *view)
+{
+    const int flags = PyBUF_FORMAT | (expected.strided ? PyBUF_STRIDES : PyBUF_ND) |
+                      (expected.writable ? PyBUF_WRITABLE : 0);
+    if (PyObject_GetBuffer(array, view, flags) < 0)
+        return 0;
+    const char *format = view->format ? view->format : "B";
+    if (expected.strided && *format == '=')
+        format++; /* of the machine's byte order, but where its type would not stand */
+    if (view->ndim < expected.dimensions || view->ndim > expected.dimensions_max)
+        PyErr_Format(PyExc_ValueError, "%s: %d dimensions, not %d", name, view->ndim,
+                     expected.dimensions);
+    else if (!is_one_of(expected.types, format))
+        PyErr_Format(PyExc_TypeError, "%s: of type %s, not %s", name, format, expected.types);
+    else
+        return 1;
+    PyBuffer_Release(view);
+    return 0;
+}
+
+/* -------------------------------------------------------------------------------------- settings */
+
+static int count_from(PyObject *settings, const char *name, size_t *count)
+{
+    PyObject *value = PyDict_GetItemString(settings, name);
+    if (!value) {
+        PyErr_Format(PyExc_ValueError, "%s: missing", name);
+        return 0;
+    }
+    *count = PyLong_AsSize_t(value);
+    return !(*count == (size_t)-1 && PyErr_Occurred());
+}
+
+static int number_from(PyObject *settings, const char *name, double *number)
+{
+    PyObject *value = PyDict_GetItemString(settings, name);
+    if (!value) {
+        PyErr_Format(PyExc_ValueError, "%s: missing", name);
+        return 0;
+    }
+    *number = PyFloat_AsDouble(value);
+    return !(*number == -1.0 && PyErr_Occurred());
+}
+
+static int table_from(PyObject *settings, const char *name, Table *table)
+{
+    PyObject *value = PyDict_GetItemString(settings, name);
+    if (!value) {
+        PyErr_Format(PyExc_ValueError, "%s: missing", name);
+        return 0;
+    }
+    Py_buffer view;
+    if (!array_opened(value, name, (Expected){"d", 1, 2, 0, 0}, &view))
+        return 0;
+    table->at = PyMem_RawMalloc(view.len ? (size_t)view.len : 1);
+    if (table->at) {
+        memcpy(table->at, view.buf, (size_t)view.len);
+        table->length = (size_t)view.len / sizeof(double);
+    } else {
+        PyErr_NoMemory();
+    }
+    PyBuffer_Release(&view);
+    return table->at != NULL;
+}
+
+static void settings_close(Settings *settings)
+{
+#define ENTRY(name)                                                                                \
+    PyMem_RawFree(settings->name.at);                                                              \
+    settings->name.at = NULL;
+    TABLES(ENTRY)
+#undef ENTRY
+}
+
+/* Read all settings from a dict; 0 and an exception where one is missing or does not fit. */
+static int settings_opened(PyObject *given, Settings *settings)
+{
+    memset(settings, 0, sizeof *settings);
+    int read = 1;
+#define ENTRY(name) read = read && count_from(given, #name, &settings->name);
+    COUNTS(ENTRY)
+#undef ENTRY
+#define ENTRY(name) read = read && number_from(given, #name, &settings->name);
+    NUMBERS(ENTRY)
+#undef ENTRY
+#define ENTRY(name) read = read && table_from(given, #name, &settings->name);
+    TABLES(ENTRY)
+#undef ENTRY
+    const char *misfit = read ? settings_misfit(settings) : NULL;
+    if (misfit)
+        PyErr_SetString(PyExc_ValueError, misfit);
+    if (read && !misfit)
+        return 1;
+    settings_close(settings);
+    return 0;
+}
+
+/* --------------------------------------------------------------------------------------- the type */
+
+typedef struct {
+    PyObject_HEAD
+    Live live;
+    int open;
+} LiveKernel;
+
+#define CHANNELS_MAX 1024
+
+static PyObject *kernel_new(PyTypeObject *type, PyObject *arguments, PyObject *keywords)
+{
+    static char *names[] = {"settings", "channels", "each", NULL};
+    PyObject *given;
+    Py_ssize_t channels;
+    int each;
+    if (!PyArg_ParseTupleAndKeywords(arguments, keywords, "O!np:LiveKernel", names, &PyDict_Type,
+                                     &given, &channels, &each))
+        return NULL;
+    if (channels < 1 || channels > CHANNELS_MAX) {
+        PyErr_SetString(PyExc_ValueError, "channels: not 1 to 1024");
+        return NULL;
+    }
+    Settings settings;
+    if (!settings_opened(given, &settings))
+        return NULL;
+    LiveKernel *self = (LiveKernel *)type->tp_alloc(type, 0);
+    const int failed = self ? live_open(&self->live, &settings, (size_t)channels, each) : -1;
+    if (failed) {
+        settings_close(&settings);
+        Py_XDECREF(self);
+        if (failed == -1)
+            return PyErr_NoMemory();
+        PyErr_SetString(PyExc_ValueError, "fft_length: has other factors than 2, 3 and 5");
+        return NULL;
+    }
+    self->open = 1;
+    return (PyObject *)self;
+}
+
+static void kernel_dealloc(LiveKernel *self)
+{
+    PyTypeObject *type = Py_TYPE(self);
+    if (self->open) {
+        settings_close(&self->live.settings);
+        live_close(&self->live);
+    }
+    type->tp_free((PyObject *)self);
+    Py_DECREF(type);
+}
+
+PyDoc_STRVAR(process_doc, "Take a block of sound and write as much vibration; see _kernel.pyi.");
+
+static PyObject *kernel_process(LiveKernel *self, PyObject *const *arguments, Py_ssize_t count)
+{
+    if (count != 2) {
+        PyErr_SetString(PyExc_TypeError, "process: takes frames and vibration");
+        return NULL;
+    }
+    Live *live = &self->live;
+    Py_buffer frames, vibration;
+    if (!array_opened(arguments[0], "frames", (Expected){"fd", 1, 2, 0, 1}, &frames))
+        return NULL;
+    if (!array_opened(arguments[1], "vibration", (Expected){"d", 2, 2, 1, 0}, &vibration)) {
+        PyBuffer_Release(&frames);
+        return NULL;
+    }
+    const int flat = frames.ndim == 1;
+    const size_t channels = flat ? 1 : (size_t)frames.shape[1];
+    const char *misfit = NULL;
+    if (channels != live->channels)
+        misfit = "frames: not as many channels as the stream has";
+    else if (vibration.shape[0] != frames.shape[0])
+        misfit = "vibration: not as many frames as there are of sound";
+    else if ((size_t)vibration.shape[1] != live->voices_count)
+        misfit = "vibration: not as many channels as the stream has of vibration";
+    if (misfit) {
+        PyErr_SetString(PyExc_ValueError, misfit);
+    } else {
+        const Sound sound = {
+            .at = frames.buf,
+            .frame_bytes = frames.strides[0],
+            .channel_bytes = flat ? 0 : frames.strides[1],
+            .channels = channels,
+            .is_float = frames.itemsize == sizeof(float),
+        };
+        live_process(live, sound, (size_t)frames.shape[0], vibration.buf);
+    }
+    PyBuffer_Release(&frames);
+    PyBuffer_Release(&vibration);
+    if (misfit)
+        return NULL;
+    Py_RETURN_NONE;
+}
+
+PyDoc_STRVAR(reset_doc, "Begin a new stream; the counters go on.");
+
+static PyObject *kernel_reset(LiveKernel *self, PyObject *Py_UNUSED(none))
+{
+    live_reset(&self->live);
+    Py_RETURN_NONE;
+}
+
+/* What of a kernel changes as a stream goes on, beside the numbers of its voices. */
+typedef struct {
+    uint64_t filled, oldest, replaced, limited, delivered;
+} Counters;
+
+static PyObject *kernel_get_state(LiveKernel *self, void *Py_UNUSED(closure))
+{
+    const Live *live = &self->live;
+    const Counters counters = {live->filled, live->oldest, live->replaced, live->limited,
+                               live->delivered};
+    const size_t numbers = live->state_length * sizeof(double);
+    PyObject *state = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)(sizeof counters + numbers));
+    if (!state)
+        return NULL;
+    char *bytes = PyBytes_AS_STRING(state);
+    memcpy(bytes, &counters, sizeof counters);
+    memcpy(bytes + sizeof counters, live->state, numbers);
+    return state;
+}
+
+static int kernel_set_state(LiveKernel *self, PyObject *state, void *Py_UNUSED(closure))
+{
+    Live *live = &self->live;
+    Counters counters;
+    const size_t numbers = live->state_length * sizeof(double);
+    if (!state || !PyBytes_Check(state) ||
+        (size_t)PyBytes_GET_SIZE(state) != sizeof counters + numbers) {
+        PyErr_SetString(PyExc_ValueError, "state: not bytes of this kernel's size");
+        return -1;
+    }
+    const char *bytes = PyBytes_AS_STRING(state);
+    memcpy(&counters, bytes, sizeof counters);
+    memcpy(live->state, bytes + sizeof counters, numbers);
+    live->filled = (size_t)counters.filled;
+    live->oldest = (size_t)counters.oldest;
+    live->replaced = counters.replaced;
+    live->limited = counters.limited;
+    live->delivered = counters.delivered;
+    if (live_is_sound(live))
+        return 0;
+    live_reset(live);
+    PyErr_SetString(PyExc_ValueError, "state: no kernel stands like that");
+    return -1;
+}
+
+static PyObject *partials_of(const Live *live, const Slots *slots)
+{
+    PyObject *partials = PyList_New(0);
+    for (size_t slot = 0; partials && slot < 2 * live->settings.partials_max; slot++) {
+        if (slots->alive[slot] == 0.0)
+            continue;
+        PyObject *partial =
+            Py_BuildValue("ddd", slots->hz[slot], slots->amplitude[slot], slots->phase[slot]);
+        if (!partial || PyList_Append(partials, partial) < 0)
+            Py_CLEAR(partials);
+        Py_XDECREF(partial);
+    }
+    return partials;
+}
+
+static PyObject *kernel_get_partials(LiveKernel *self, void *Py_UNUSED(closure))
+{
+    const Live *live = &self->live;
+    PyObject *voices = PyList_New((Py_ssize_t)live->voices_count);
+    for (size_t voice = 0; voices && voice < live->voices_count; voice++) {
+        PyObject *partials = partials_of(live, &live->voices[voice].slots);
+        if (partials)
+            PyList_SET_ITEM(voices, (Py_ssize_t)voice, partials);
+        else
+            Py_CLEAR(voices);
+    }
+    return voices;
+}
+
+static PyMethodDef KERNEL_METHODS[] = {
+    {"process", (PyCFunction)(void (*)(void))kernel_process, METH_FASTCALL, process_doc},
+    {"reset", (PyCFunction)kernel_reset, METH_NOARGS, reset_doc},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyGetSetDef KERNEL_PROPERTIES[] = {
+    {"state", (getter)kernel_get_state, (setter)kernel_set_state,
+     "All that changes as a stream goes on, as bytes.", NULL},
+    {"partials", (getter)kernel_get_partials, NULL, "What sounds in each voice.", NULL},
+    {NULL, NULL, NULL, NULL, NULL},
+};
+
+#define COUNTER(name, doc)                                                                         \
+    {#name, T_ULONGLONG, offsetof(LiveKernel, live) + offsetof(Live, name), READONLY, doc}
+
+static PyMemberDef KERNEL_MEMBERS[] = {
+    COUNTER(replaced, "Unusable samples so far."),
+    COUNTER(limited, "Samples of vibration that the limiter has changed, of the hops computed."),
+    COUNTER(delivered, "Frames so far."),
+    {NULL, 0, 0, 0, NULL},
+};
+
+static PyType_Slot KERNEL_SLOTS[] = {
+    {Py_tp_doc, "The live form of one stream, compiled; see _kernel.pyi."},
+    {Py_tp_new, kernel_new},
+    {Py_tp_dealloc, kernel_dealloc},
+    {Py_tp_methods, KERNEL_METHODS},
+    {Py_tp_getset, KERNEL_PROPERTIES},
+    {Py_tp_members, KERNEL_MEMBERS},
+    {0, NULL},
+};
+
+static PyType_Spec KERNEL_SPEC = {
+    .name = "audioflinger_hook.transform._kernel.LiveKernel",
+    .basicsize = sizeof(LiveKernel),
+    .flags = Py_TPFLAGS_DEFAULT,
+    .slots = KERNEL_SLOTS,
+};
+
+/* ------------------------------------------------------------------------------------- the module */
+
+static int filled(PyObject *module)
+{
+    PyObject *type = PyType_FromModuleAndSpec(module, &KERNEL_SPEC, NULL);
+    if (!type)
+        return -1;
+    const int added = PyModule_AddType(module, (PyTypeObject *)type);
+    Py_DECREF(type);
+    if (added < 0 || PyModule_AddIntMacro(module, NEIGHBOURS) < 0 ||
+        PyModule_AddIntMacro(module, TABLE_BINS_A_BIN) < 0)
+        return -1;
+    return 0;
+}
+
+static PyModuleDef_Slot SLOTS[] = {
+    {Py_mod_exec, filled},
+    {0, NULL},
+};
+
+static struct PyModuleDef MODULE = {
+    PyModuleDef_HEAD_INIT,
+    .m_name = "_kernel",
+    .m_doc = "The live form, compiled.",
+    .m_methods = PROBES,
+    .m_slots = SLOTS,
+};
+
+PyMODINIT_FUNC PyInit__kernel(void) { return PyModuleDef_Init(&MODULE); }

@@ -1,0 +1,202 @@
+/* Parts of the kernel, each by itself, so that tests can hold them against others' results. */
+
+#include "module.h"
+
+#include "analysis.h"
+#include "fft.h"
+#include "functions.h"
+
+enum { SPECTRA, TABLE, TURN, ROW, FOUND, ARRAYS };
+
+static const struct {
+    const char *name;
+    Expected expected;
+} ARRAY[ARRAYS] = {
+    [SPECTRA] = {"spectra", {"Zd", 2, 2, 0, 0}}, [TABLE] = {"table", {"d", 1, 1, 0, 0}},
+    [TURN] = {"turn", {"d", 2, 2, 0, 0}},        [ROW] = {"row", {"lq", 1, 1, 1, 0}},
+    [FOUND] = {"found", {"d", 2, 2, 1, 0}},
+};
+
+#define BINS_MAX (1 << 24)
+#define TABLE_MAX (1 << 28)
+
+/* What of the sizes does not fit the others; NULL where all do. */
+static const char *misfit(const Py_buffer *views, Py_ssize_t bins, Py_ssize_t first,
+                          Py_ssize_t last, Py_ssize_t most)
+{
+    if (bins < 2 || bins > views[SPECTRA].shape[1] || bins > BINS_MAX)
+        return "bins: not within the spectra";
+    if (first < 1 || (last >= first && last > bins - 2))
+        return "first, last: without a bin to either side";
+    if (most < 1)
+        return "most: under 1";
+    if (views[TABLE].shape[0] < 1 || views[TABLE].shape[0] > TABLE_MAX)
+        return "table: empty, or too long";
+    if (views[TURN].shape[0] != 2 || views[TURN].shape[1] > bins)
+        return "turn: not two rows within the bins";
+    const Py_ssize_t room = views[SPECTRA].shape[0] * (most < bins / 2 ? most : bins / 2);
+    if (views[ROW].itemsize != (Py_ssize_t)sizeof(int64_t))
+        return "row: not of 64 bits";
+    if (views[ROW].shape[0] < room)
+        return "row: too short for what may be found";
+    if (views[FOUND].shape[0] != 4 || views[FOUND].shape[1] < room)
+        return "found: not four rows, or too short for what may be found";
+    return NULL;
+}
+
+static Py_ssize_t found_in_rows(const Py_buffer *views, const Rule *rule, double weakest,
+                                void *work)
+{
+    const double *turn = views[TURN].buf;
+    const Py_ssize_t turned = views[TURN].shape[1], pitch = views[FOUND].shape[1];
+    const Window window = {
+        .table = views[TABLE].buf,
+        .entries = (int32_t)views[TABLE].shape[0],
+        .cosine = turn,
+        .sine = turn + turned,
+        .low_bins = turned > NEIGHBOURS ? (int32_t)turned - NEIGHBOURS : 0,
+        .weakest = weakest,
+    };
+    int64_t *row_of = views[ROW].buf;
+    Py_ssize_t total = 0;
+    for (Py_ssize_t row = 0; row < views[SPECTRA].shape[0]; row++) {
+        const double *real = (double *)views[SPECTRA].buf + 2 * views[SPECTRA].shape[1] * row;
+        const Spectrum spectrum = {real, real + 1, 2};
+        double *numbers = (double *)views[FOUND].buf + total;
+        const Principals found = {numbers, numbers + pitch, numbers + 2 * pitch,
+                                  numbers + 3 * pitch};
+        const int32_t count = principal(rule, &window, spectrum, found, work);
+        for (int32_t one = 0; one < count; one++)
+            row_of[total++] = row;
+    }
+    return total;
+}
+
+PyDoc_STRVAR(find_doc, "Find the principal frequencies of each row; see _kernel.pyi.");
+
+static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
+{
+    PyObject *arrays[ARRAYS];
+    Py_ssize_t bins, first, last, most;
+    double bin_hz, threshold_hz, peak_span_min, weakest, side_lobe;
+    if (!PyArg_ParseTuple(arguments, "OOOnnndddddnOO:find", &arrays[SPECTRA], &arrays[TABLE],
+                          &arrays[TURN], &bins, &first, &last, &bin_hz, &threshold_hz,
+                          &peak_span_min, &weakest, &side_lobe, &most, &arrays[ROW],
+                          &arrays[FOUND]))
+        return NULL;
+    Py_buffer views[ARRAYS];
+    int open = 0;
+    while (open < ARRAYS &&
+           array_opened(arrays[open], ARRAY[open].name, ARRAY[open].expected, &views[open]))
+        open++;
+    Py_ssize_t count = -1;
+    if (open == ARRAYS) {
+        const char *wrong = misfit(views, bins, first, last, most);
+        void *work = wrong ? NULL : PyMem_Malloc(analysis_work((size_t)bins));
+        const Rule rule = {
+            .bins = (int32_t)bins,
+            .first = (int32_t)first,
+            .last = last < first ? 0 : (int32_t)last,
+            .bin_hz = bin_hz,
+            .threshold_hz = threshold_hz,
+            .peak_span_min = peak_span_min,
+            .side_lobe = side_lobe,
+            .most = (int32_t)(most < bins ? most : bins),
+        };
+        if (wrong)
+            PyErr_SetString(PyExc_ValueError, wrong);
+        else if (!work)
+            PyErr_NoMemory();
+        else
+            count = found_in_rows(views, &rule, weakest, work);
+        PyMem_Free(work);
+    }
+    while (open-- > 0)
+        PyBuffer_Release(&views[open]);
+    return count < 0 ? NULL : PyLong_FromSsize_t(count);
+}
+
+/* --------------------------------------------------------------------------------- other parts */
+
+PyDoc_STRVAR(spectrum_doc, "Write the spectrum of samples, as scipy.fft.rfft; see _kernel.pyi.");
+
+static PyObject *spectrum(PyObject *Py_UNUSED(module), PyObject *arguments)
+{
+    PyObject *given[2];
+    Py_ssize_t length;
+    if (!PyArg_ParseTuple(arguments, "OnO:spectrum", &given[0], &length, &given[1]))
+        return NULL;
+    Py_buffer samples, bins;
+    if (!array_opened(given[0], "samples", (Expected){"d", 1, 1, 0, 0}, &samples))
+        return NULL;
+    if (!array_opened(given[1], "bins", (Expected){"d", 2, 2, 1, 0}, &bins)) {
+        PyBuffer_Release(&samples);
+        return NULL;
+    }
+    Fft fft = {0};
+    double *work = NULL;
+    const char *wrong = NULL;
+    if (length < 2 || length > 1 << 24 || samples.shape[0] > length / 2)
+        wrong = "length: not at least twice the samples";
+    else if (bins.shape[0] != 2 || bins.shape[1] < 1 || bins.shape[1] > length / 2 + 1)
+        wrong = "bins: not two rows of as many as there are at most";
+    else if (fft_open(&fft, (size_t)length))
+        wrong = "length: has other factors than 2, 3 and 5";
+    else if (!(work = PyMem_Calloc(fft_work(&fft) + fft.frames, sizeof(double))))
+        wrong = "no memory";
+    if (wrong) {
+        PyErr_SetString(PyExc_ValueError, wrong);
+    } else {
+        memcpy(work, samples.buf, (size_t)samples.len);
+        double *real = bins.buf;
+        fft_spectrum(&fft, work, (size_t)bins.shape[1], real, real + bins.shape[1],
+                     work + fft.frames);
+    }
+    PyMem_Free(work);
+    fft_close(&fft);
+    PyBuffer_Release(&samples);
+    PyBuffer_Release(&bins);
+    if (wrong)
+        return NULL;
+    Py_RETURN_NONE;
+}
+
+WIDE static void fifth_roots_of(double *numbers, Py_ssize_t count)
+{
+    for (Py_ssize_t one = 0; one < count; one++)
+        numbers[one] = fifth_root(numbers[one]);
+}
+
+WIDE static void cosines_of(double *numbers, Py_ssize_t count)
+{
+    for (Py_ssize_t one = 0; one < count; one++)
+        numbers[one] = cosine_of_turns(numbers[one]);
+}
+
+static PyObject *in_place(PyObject *array, void (*function)(double *, Py_ssize_t))
+{
+    Py_buffer numbers;
+    if (!array_opened(array, "numbers", (Expected){"d", 1, 1, 1, 0}, &numbers))
+        return NULL;
+    function(numbers.buf, numbers.shape[0]);
+    PyBuffer_Release(&numbers);
+    Py_RETURN_NONE;
+}
+
+static PyObject *fifth_roots(PyObject *Py_UNUSED(module), PyObject *numbers)
+{
+    return in_place(numbers, fifth_roots_of);
+}
+
+static PyObject *cosines(PyObject *Py_UNUSED(module), PyObject *numbers)
+{
+    return in_place(numbers, cosines_of);
+}
+
+PyMethodDef PROBES[] = {
+    {"find", find, METH_VARARGS, find_doc},
+    {"spectrum", spectrum, METH_VARARGS, spectrum_doc},
+    {"fifth_roots", fifth_roots, METH_O, "Replace numbers by their fifth roots."},
+    {"cosines", cosines, METH_O, "Replace numbers of turns by their cosines."},
+    {NULL, NULL, 0, NULL},
+};

@@ -1,0 +1,152 @@
+/* Oscillators at the low rate, the low-pass behind them, and interpolation to the stream's rate. */
+
+#include "synthesis.h"
+
+#include "common.h"
+#include "filter.h"
+#include "functions.h"
+
+size_t smoothing_states(const Settings *settings) { return settings->low_b.length - 1; }
+
+size_t smoothing_tail(const Settings *settings)
+{
+    return settings->phases.length / settings->decimation - 1;
+}
+
+void smoothing_reset(const Settings *settings, Smoothing *smoothing)
+{
+    memset(smoothing->state, 0, smoothing_states(settings) * sizeof(double));
+    memset(smoothing->tail, 0, smoothing_tail(settings) * sizeof(double));
+}
+
+double smoothing_gain(const Settings *settings, double hz)
+{
+    const double *gains = settings->gain_table.at;
+    const size_t last = settings->gain_table.length - 1;
+    const double position = hz / settings->gain_step_hz;
+    if (!(position > 0.0))
+        return gains[0];
+    if (!(position < (double)last))
+        return gains[last];
+    const size_t below = (size_t)position;
+    const double slope = (gains[below + 1] - gains[below]) / settings->gain_step_hz;
+    return slope * (hz - (double)below * settings->gain_step_hz) + gains[below];
+}
+
+size_t synthesis_work(const Settings *settings)
+{
+    return smoothing_tail(settings) + settings->steps;
+}
+
+/* ----------------------------------------------------------------------------------- oscillators */
+
+/* A partial in one hop: frequency and amplitude glide, phase is the integral of frequency. */
+typedef struct {
+    double hz, rise_hz, amplitude, rise, phase;
+} Glide;
+
+WIDE static void add_partial(Glide glide, const double *restrict seconds,
+                             const double *restrict glide_s, const double *restrict shape,
+                             size_t steps, double *restrict low_rate)
+{
+    for (size_t step = 0; step < steps; step++) {
+        const double turns =
+            glide.hz * seconds[step] + glide.rise_hz * glide_s[step] + glide.phase;
+        low_rate[step] += cosine_of_turns(turns) * (glide.rise * shape[step] + glide.amplitude);
+    }
+}
+
+/* Write one hop at the low rate.
+ *
+ * One shape for all slots: then their sum never exceeds both its ends, which is what keeps the wave
+ * under full scale. Slots are added in their order; those at amplitude 0 add nothing.
+ */
+static void oscillate(const Settings *settings, const Glides *glides, double *low_rate)
+{
+    const size_t count = 2 * settings->partials_max;
+    double rise = 0.0;
+    for (size_t slot = 0; slot < count; slot++)
+        rise += glides->end_amplitude[slot] - glides->start_amplitude[slot];
+    const Table shape = rise > settings->still ? settings->attack : settings->glide;
+    memset(low_rate, 0, settings->steps * sizeof(double));
+    for (size_t slot = 0; slot < count; slot++) {
+        const double start = glides->start_amplitude[slot], end = glides->end_amplitude[slot];
+        if (start == 0.0 && end == 0.0)
+            continue;
+        const double hz = glides->start_hz[slot];
+        const Glide glide = {hz, glides->end_hz[slot] - hz, start, end - start,
+                             glides->start_phase[slot]};
+        add_partial(glide, settings->seconds.at, settings->glide_s.at, shape.at, settings->steps,
+                    low_rate);
+    }
+}
+
+/* ------------------------------------------------------------------------------------- smoothing */
+
+INLINED void low_passed(Table b, Table a, double *state, size_t order, double *samples,
+                        size_t count)
+{
+    double held[ORDER_MAX];
+    memcpy(held, state, order * sizeof(double));
+    for (size_t one = 0; one < count; one++)
+        samples[one] = filter_step(b.at, a.at, held, order, samples[one]);
+    memcpy(state, held, order * sizeof(double));
+}
+
+/* Each step of the low rate becomes `decimation` frames: a matrix, by which the last `taps` samples
+ * are multiplied. */
+WIDE static void interpolated(const double *restrict low_rate, size_t steps, Table phases,
+                              size_t decimation, double *restrict vibration)
+{
+    const size_t taps = phases.length / decimation;
+    memset(vibration, 0, steps * decimation * sizeof(double));
+    for (size_t step = 0; step < steps; step++)
+        for (size_t tap = 0; tap < taps; tap++) {
+            const double sample = low_rate[step + tap];
+            const double *restrict phase = phases.at + tap * decimation;
+            for (size_t frame = 0; frame < decimation; frame++)
+                vibration[step * decimation + frame] += sample * phase[frame];
+        }
+}
+
+void synthesis_play(const Settings *settings, const Glides *glides, Smoothing *smoothing,
+                    double *vibration, double *work)
+{
+    const size_t tail = smoothing_tail(settings), order = smoothing_states(settings);
+    double *low_rate = work + tail;
+    oscillate(settings, glides, low_rate);
+    if (order == 6)
+        low_passed(settings->low_b, settings->low_a, smoothing->state, 6, low_rate,
+                   settings->steps);
+    else
+        low_passed(settings->low_b, settings->low_a, smoothing->state, order, low_rate,
+                   settings->steps);
+    memcpy(work, smoothing->tail, tail * sizeof(double));
+    interpolated(work, settings->steps, settings->phases, settings->decimation, vibration);
+    memcpy(smoothing->tail, work + settings->steps, tail * sizeof(double));
+}
+
+/* ----------------------------------------------------------------------------------------- knee */
+
+WIDE static int64_t beyond(const double *restrict samples, size_t count, double limit)
+{
+    int64_t total = 0;
+    for (size_t one = 0; one < count; one++)
+        total += fabs(samples[one]) > limit;
+    return total;
+}
+
+size_t synthesis_keep_below_full_scale(const Settings *settings, double *vibration)
+{
+    const double knee = settings->knee, room = 1.0 - knee;
+    const int64_t rounded = beyond(vibration, settings->hop_frames, knee);
+    if (!rounded)
+        return 0;
+    for (size_t frame = 0; frame < settings->hop_frames; frame++) {
+        const double size = fabs(vibration[frame]);
+        const double lower = knee + room * tanh((size - knee) / room) * (1.0 - 1e-6);
+        if (size > knee)
+            vibration[frame] = copysign(lower, vibration[frame]);
+    }
+    return (size_t)rounded;
+}

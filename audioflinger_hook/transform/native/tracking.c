@@ -1,0 +1,155 @@
+/* Partials followed from hop to hop: matching, births, deaths, and small changes averaged.
+ *
+ * A slot is a partial's own where they are nearest to one another and within reach. The operations
+ * are those of `partials.py`, in the same order.
+ */
+
+#include "tracking.h"
+
+#include "common.h"
+
+/* Where a partial goes. */
+typedef struct {
+    size_t nearest; /* slot that sounds; any where none does */
+    size_t slot;    /* its own, or the number of slots where it has none yet */
+    double gap_hz;  /* to the nearest; infinite where none sounds */
+} Match;
+
+size_t tracking_work(size_t partials_max)
+{
+    return partials_max * (sizeof(Match) + 2 * sizeof(size_t) + 2 * sizeof(double)) / sizeof(double);
+}
+
+int tracking_sounds(const Settings *settings, const Slots *slots)
+{
+    for (size_t slot = 0; slot < 2 * settings->partials_max; slot++)
+        if (slots->alive[slot] != 0.0)
+            return 1;
+    return 0;
+}
+
+/* The share of a change that is followed: all of a clear one, little of a jitter. */
+static double followed(const Settings *settings, double relative_change)
+{
+    return smaller(1.0, settings->steady_gain + relative_change * relative_change);
+}
+
+/* Find the slot nearest to each partial, and whether it is its own. */
+static void match(const Settings *settings, const Slots *slots, Partials partials, Match *matches,
+                  void *work)
+{
+    const size_t none = 2 * settings->partials_max;
+    size_t *alive = work, *nearest_partial = alive + settings->partials_max;
+    double *slot_gap_hz = (double *)(nearest_partial + settings->partials_max);
+    double *alive_hz = slot_gap_hz + settings->partials_max;
+    size_t count = 0;
+    for (size_t slot = 0; slot < none && count < settings->partials_max; slot++)
+        if (slots->alive[slot] != 0.0) {
+            slot_gap_hz[count] = INFINITY;
+            alive_hz[count] = slots->hz[slot];
+            nearest_partial[count] = 0;
+            alive[count++] = slot;
+        }
+    for (size_t one = 0; one < partials.count; one++) {
+        size_t nearest = 0;
+        double gap_hz = INFINITY;
+        for (size_t other = 0; other < count; other++) {
+            /* Written so that nothing branches: in noise nobody could foresee which way. */
+            const double distance_hz = fabs(partials.hz[one] - alive_hz[other]);
+            const int nearer = distance_hz < gap_hz, to_slot = distance_hz < slot_gap_hz[other];
+            nearest = nearer ? other : nearest;
+            gap_hz = nearer ? distance_hz : gap_hz;
+            nearest_partial[other] = to_slot ? one : nearest_partial[other];
+            slot_gap_hz[other] = to_slot ? distance_hz : slot_gap_hz[other];
+        }
+        matches[one].nearest = nearest;
+        matches[one].gap_hz = gap_hz;
+    }
+    for (size_t one = 0; one < partials.count; one++) {
+        const double ratio = settings->match_audio_hz / partials.audio_hz[one];
+        const double reach_hz = settings->scale_hz * larger(settings->match_ratio, ratio);
+        const size_t nearest = matches[one].nearest;
+        const int mutual = count && nearest_partial[nearest] == one;
+        matches[one].nearest = count ? alive[nearest] : 0;
+        matches[one].slot =
+            mutual && matches[one].gap_hz <= reach_hz ? matches[one].nearest : none;
+    }
+}
+
+/* Give those without a slot the lowest free ones.
+ *
+ * One peak that wavers between one and two, as a fast chirp's does, would otherwise be in and out
+ * of step with itself: so what splits off a partial begins at its phase.
+ */
+static void bear(const Settings *settings, Slots *slots, Partials partials, Match *matches)
+{
+    const size_t none = 2 * settings->partials_max;
+    size_t free_slot = 0;
+    for (size_t one = 0; one < partials.count; one++) {
+        if (matches[one].slot < none)
+            continue;
+        while (slots->alive[free_slot] != 0.0)
+            free_slot++;
+        const int split = matches[one].gap_hz < settings->split_hz;
+        slots->phase[free_slot] = split ? slots->phase[matches[one].nearest] : 0.0;
+        slots->hz[free_slot] = partials.hz[one];
+        matches[one].slot = free_slot++;
+    }
+}
+
+static void start_hop(const Settings *settings, const Slots *slots, Glides *glides)
+{
+    const size_t bytes = 2 * settings->partials_max * sizeof(double);
+    memcpy(glides->start_hz, slots->hz, bytes);
+    memcpy(glides->start_amplitude, slots->amplitude, bytes);
+    memcpy(glides->start_phase, slots->phase, bytes);
+    memset(slots->amplitude, 0, bytes);
+    memset(slots->alive, 0, bytes);
+}
+
+WIDE static void finish_hop(const Settings *settings, Slots *slots, Glides *glides)
+{
+    const size_t count = 2 * settings->partials_max;
+    memcpy(glides->end_hz, slots->hz, count * sizeof(double));
+    memcpy(glides->end_amplitude, slots->amplitude, count * sizeof(double));
+    /* The mean frequency of a symmetric glide is that of its ends. */
+    const double half_hop_s = 0.5 * settings->hop_s;
+    for (size_t slot = 0; slot < count; slot++) {
+        const double phase =
+            slots->phase[slot] + half_hop_s * (glides->start_hz[slot] + slots->hz[slot]);
+        slots->phase[slot] = phase - floor(phase);
+    }
+}
+
+void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Partials partials,
+                     void *work)
+{
+    Match *matches = work;
+    match(settings, slots, partials, matches, matches + settings->partials_max);
+    bear(settings, slots, partials, matches);
+    start_hop(settings, slots, glides);
+    for (size_t one = 0; one < partials.count; one++) {
+        const size_t slot = matches[one].slot;
+        const double hz = slots->hz[slot], change_hz = partials.hz[one] - hz;
+        slots->hz[slot] = hz + change_hz * followed(settings, change_hz / settings->steady_hz);
+        const double level = glides->start_amplitude[slot];
+        const double change = partials.amplitude[one] - level;
+        const double steady = settings->steady_ratio * partials.amplitude[one];
+        slots->amplitude[slot] = level + change * followed(settings, change / steady);
+        slots->alive[slot] = 1.0;
+    }
+    finish_hop(settings, slots, glides);
+}
+
+void tracking_fade(const Settings *settings, Slots *slots, Glides *glides)
+{
+    start_hop(settings, slots, glides);
+    finish_hop(settings, slots, glides);
+}
+
+void tracking_rest(const Settings *settings, Glides *glides)
+{
+    const size_t bytes = 2 * settings->partials_max * sizeof(double);
+    memset(glides->start_amplitude, 0, bytes);
+    memset(glides->end_amplitude, 0, bytes);
+}

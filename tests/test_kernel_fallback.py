@@ -1,0 +1,104 @@
+"""Where the kernel is not there: everything works, and one warning says what that costs."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import soundfile
+
+from audioflinger_hook.framework import Framework
+from audioflinger_hook.settings import Settings
+from audioflinger_hook.transform import HapticTransform, kernel, kernel_warning
+from device.errors import UsageError
+from tests.recordings import ROOT
+from tests.signals import identical, made, tone, white_noise
+
+
+@pytest.fixture
+def no_kernel(monkeypatch):
+    monkeypatch.setattr(kernel, "_kernel", None)
+    monkeypatch.setattr(kernel, "_why_missing", "it was never built", raising=False)
+
+
+def test_the_transform_is_the_twin_in_numpy_without_anybody_asking(no_kernel):
+    sound = white_noise(0.5, 16_000, 0.5)
+    transform = made(sound, 16_000)
+    assert transform.implementation == "numpy"
+    vibration = transform.process(sound)
+    assert identical(vibration, made(sound, 16_000, implementation="numpy").process(sound))
+
+
+def test_what_was_kept_of_a_compiled_stream_says_why_it_cannot_go_on(monkeypatch):
+    if kernel_warning():
+        pytest.skip("there is no compiled stream to keep")
+    usual = made(white_noise(0.1, 16_000), 16_000)._stream
+    assert isinstance(usual, kernel.KernelStream)
+    kept = usual.__getstate__()
+    monkeypatch.setattr(kernel, "_kernel", None)
+    monkeypatch.setattr(kernel, "_why_missing", "it was never built", raising=False)
+    stream = object.__new__(kernel.KernelStream)
+    with pytest.raises(RuntimeError, match="it was never built"):
+        stream.__setstate__(kept)
+
+
+def test_to_ask_for_the_kernel_is_refused_with_the_reason(no_kernel):
+    with pytest.raises(UsageError, match=r"it was never built.*make run"):
+        HapticTransform(48_000, implementation="compiled")
+
+
+def test_the_framework_warns_once_of_a_slow_live_form_and_of_no_reference_form(no_kernel):
+    warnings = [
+        Framework(48_000, 2, Settings(form=form)).warnings for form in ("live", "reference")
+    ]
+    assert len(warnings[0]) == len(warnings[1]) + 1
+    assert "ten times the processor time" in warnings[0][-1]
+    assert "it was never built" in warnings[0][-1]
+
+
+@pytest.mark.skipif(kernel_warning() is not None, reason=str(kernel_warning()))
+def test_with_the_kernel_nobody_is_warned():
+    assert not Framework(48_000, 2).warnings
+
+
+@pytest.mark.parametrize("wanted", ["fast", "", 1])
+def test_an_implementation_that_is_not_known_is_refused(wanted):
+    with pytest.raises(UsageError, match="allowed: compiled, numpy"):
+        HapticTransform(48_000, implementation=wanted)
+
+
+def test_the_reference_form_is_not_compiled():
+    assert HapticTransform(48_000, form="reference").implementation == "numpy"
+    with pytest.raises(UsageError, match="not compiled"):
+        HapticTransform(48_000, form="reference", implementation="compiled")
+
+
+WITHOUT_KERNEL = """
+import sys
+sys.modules["audioflinger_hook.transform._kernel"] = None  # importing it raises ImportError
+from audioflinger_hook.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_rendering_without_the_kernel_warns_in_one_line_and_makes_the_same_vibration(tmp_path):
+    source = tmp_path / "sound.wav"
+    soundfile.write(source, 0.5 * tone(300, 1.0, 8_000), 8_000, subtype="FLOAT")
+    made_by = {}
+    for name, program in (("usual", ["-m", "audioflinger_hook"]), ("bare", ["-c", WITHOUT_KERNEL])):
+        out = tmp_path / f"{name}.wav"
+        done = subprocess.run(
+            [sys.executable, *program, "render", str(source), str(out)],
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        made_by[name] = (soundfile.read(out)[0], done.stderr)
+    warned = [line for line in made_by["bare"][1].splitlines() if "warning" in line]
+    assert len(warned) == 1
+    assert "ten times the processor time" in warned[0]
+    assert "ten times" not in made_by["usual"][1] or kernel_warning()
+    np.testing.assert_allclose(made_by["bare"][0], made_by["usual"][0], rtol=0, atol=1e-6)

@@ -1,0 +1,78 @@
+#!/bin/sh
+# The compiled live form under hostile input, with every read, write and operation watched.
+#
+# usage: tools/check_kernel.sh [ROUNDS]    after tools/setup.sh test; needs gcc with its sanitizers
+#
+# 1. In a copy, the kernel is built with AddressSanitizer and UndefinedBehaviorSanitizer, and all tests that
+#    reach it run ROUNDS times (3 where not given), each with other random examples.
+# 2. It is built once with and once without the loops for wide registers: both must give the same bytes.
+# Nothing of the project is changed.
+set -eu
+
+cd "$(dirname "$0")/.."
+root=$(pwd -P)
+rounds=${1-3}
+python=$root/.venv/bin/python
+compiler=${CC-gcc}
+scratch=$(mktemp -d)
+trap 'rm -rf "$scratch"' EXIT
+trap 'exit 130' INT
+trap 'exit 143' TERM
+
+say() { printf 'check_kernel: %s\n' "$*" >&2; }
+
+# Makes a copy of the sources in the folder $1 and builds the kernel there with the further flags $2.
+build() {
+    mkdir -p "$1"
+    cp -R audioflinger_hook device tests tools pyproject.toml README.md LICENSE "$1"
+    find "$1" -name '*.so' -exec rm {} +
+    (
+        cd "$1"
+        CC=$compiler CFLAGS=$2 LDFLAGS=$2 "$python" -c 'from setuptools import setup; setup()' \
+            -q build_ext --inplace >"$scratch/log" 2>&1
+        ls audioflinger_hook/transform/_kernel*.so >/dev/null
+    ) || {
+        cat "$scratch/log" >&2
+        exit 1
+    }
+}
+
+say "building with sanitizers"
+build "$scratch/watched" '-g -fno-omit-frame-pointer -fsanitize=address,undefined -fsanitize=float-cast-overflow
+-fno-sanitize-recover=all -DONE_MACHINE'
+watch=$("$compiler" -print-file-name=libasan.so):$("$compiler" -print-file-name=libubsan.so)
+round=0
+while [ "$round" -lt "$rounds" ]; do
+    round=$((round + 1))
+    say "round $round of $rounds"
+    (
+        cd "$scratch/watched"
+        # Python itself gives back at its end what it never gave back before.
+        LD_PRELOAD=$watch ASAN_OPTIONS=detect_leaks=0 CUSHION_RECORDINGS=$root/.cache/recordings \
+            "$python" -m pytest -q -p no:cacheprovider --hypothesis-seed="$round" \
+            -k 'not no_more_memory and not memory_back' \
+            tests/test_kernel_parts.py tests/test_transform_kernel.py tests/test_transform_analysis.py \
+            tests/test_transform_parameters.py
+    )
+done
+
+say "comparing processors with wide registers and without"
+build "$scratch/narrow" -DONE_MACHINE
+build "$scratch/wide" ''
+for way in narrow wide; do
+    (
+        cd "$scratch/$way"
+        "$python" -c '
+import hashlib
+from tests.signals import made
+from tests.test_transform_kernel import SOUNDS
+digest = hashlib.sha256()
+for samplerate in (1_000, 8_000, 44_100, 48_000, 96_000):
+    for name, sound in SOUNDS.items():
+        if samplerate > 1_000 or name not in {"low noise", "tones"}:
+            digest.update(made(sound(samplerate), samplerate).process(sound(samplerate)).tobytes())
+print(digest.hexdigest())' >"$scratch/$way.digest"
+    )
+done
+cmp "$scratch/narrow.digest" "$scratch/wide.digest"
+say "all well"
