@@ -65,6 +65,7 @@ class LiveTransform:
             + self._smoother.delay_s(LATENCY_AT_HZ) * samplerate
         )
         self.limited_frames = 0
+        self.onset_after_frames = self._grid.window_frames
         self.reset()
 
     def reset(self) -> None:
@@ -79,6 +80,16 @@ class LiveTransform:
         self._bandpass.reset()
         self._tracker.reset()
         self._smoother.reset()
+
+    @property
+    def asleep(self) -> bool:
+        """Whether nothing is played, and what was heard has no effect any more."""
+        return self._tracker.idle and not self._ringing
+
+    def begin_hop(self) -> None:
+        """Let the next frame be the first of a hop; while it is asleep only."""
+        self._pending_frames = 0
+        self._ready = np.zeros(self._grid.hop_frames)
 
     def process(self, mono: FloatArray) -> FloatArray:
         """Return the next (frames,) of vibration, `latency_frames` behind the sound."""

@@ -26,6 +26,11 @@ class ReferenceTransform:
     one thread at a time.
     """
 
+    onset_after_frames = 0
+    """Its units are cut from the stream's beginning on, as the paper's are."""
+
+    asleep = False
+
     def __init__(self, parameters: TransformParameters, samplerate: int) -> None:
         self._parameters = parameters
         self._samplerate = samplerate
@@ -43,6 +48,9 @@ class ReferenceTransform:
         self._bandpass.reset()
         self._pending = np.zeros(0)
         self._ready = np.zeros(self.latency_frames)
+
+    def begin_hop(self) -> None:
+        """It never does."""
 
     def process(self, mono: FloatArray) -> FloatArray:
         """Return the next (frames,) of vibration, `latency_frames` behind the sound."""

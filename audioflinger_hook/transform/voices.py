@@ -1,4 +1,8 @@
-"""A stream in NumPy: intake, then one transform for each channel of vibration."""
+"""A stream in NumPy: intake, then one transform for each channel of vibration.
+
+Hops begin with the sound: where it comes after silence, its first frame is the first of a hop. The
+same sound so gives the same vibration however long the silence before it was.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +20,17 @@ class MonoTransform(Protocol):
 
     latency_frames: int
     limited_frames: int
+    onset_after_frames: int
+    """Frames of silence after which sound is an onset; 0 where hops never move."""
+
+    @property
+    def asleep(self) -> bool:
+        """Whether nothing is played, and what was heard has no effect any more."""
+        ...
+
+    def begin_hop(self) -> None:
+        """Let the next frame be the first of a hop; while it is asleep only."""
+        ...
 
     def process(self, mono: FloatArray) -> FloatArray:
         """Return as many frames as come in, `latency_frames` behind them."""
@@ -43,6 +58,8 @@ class VoiceStream:
         self.delivered_frames = 0
         self.replaced_samples = 0
         self._channels = channels
+        self._onset_after = voices[0].onset_after_frames
+        self._silent_frames = self._onset_after
 
     @property
     def limited_samples(self) -> int:
@@ -51,9 +68,23 @@ class VoiceStream:
 
     def process(self, frames: Frames) -> FloatArray:
         """Return (frames, voices) of vibration for sound that `fitting` takes, or raise as it."""
-        usable, replaced = replace_unusable(fitting(frames, self._channels))
+        frames = fitting(frames, self._channels)
+        usable, replaced = replace_unusable(frames)
         self.replaced_samples += replaced
         self.delivered_frames += len(frames)
+        if not self._onset_after:
+            return self._through(usable)
+        parts, first = [], 0
+        for onset in self._onsets(frames):
+            parts.append(self._through(usable[first:onset]))
+            first = onset
+            if all(voice.asleep for voice in self.voices):
+                for voice in self.voices:
+                    voice.begin_hop()
+        parts.append(self._through(usable[first:]))
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+    def _through(self, usable: Frames) -> FloatArray:
         if len(self.voices) == 1:
             return self.voices[0].process(mono(usable))[:, None]
         return np.stack(
@@ -64,12 +95,25 @@ class VoiceStream:
             axis=1,
         )
 
+    def _onsets(self, frames: Frames) -> list[int]:
+        """Return the frames that are the first not to be exactly 0 after silence; count that."""
+        loud = (frames != 0.0).any(axis=1).nonzero()[0]
+        if not loud.size:
+            self._silent_frames = min(self._onset_after, self._silent_frames + len(frames))
+            return []
+        silent = np.diff(loud, prepend=-1) - 1
+        silent[0] += self._silent_frames
+        self._silent_frames = min(self._onset_after, len(frames) - 1 - int(loud[-1]))
+        return [int(onset) for onset in loud[silent >= self._onset_after]]
+
     def finish(self) -> FloatArray:
         """Return the last `latency_frames` of vibration, (frames, voices), and begin anew."""
         self.delivered_frames += self.latency_frames
+        self._silent_frames = self._onset_after
         return np.stack([voice.finish() for voice in self.voices], axis=1)
 
     def reset(self) -> None:
         """Begin a new stream; the counters go on."""
+        self._silent_frames = self._onset_after
         for voice in self.voices:
             voice.reset()

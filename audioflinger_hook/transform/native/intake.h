@@ -15,6 +15,9 @@ typedef struct {
     int is_float; /* 32 bits a sample, else 64 */
 } Sound;
 
+/* Whether the sample at this place is exactly 0. */
+int intake_is_silent(const char *place, int is_float);
+
 /* Write the mean of the channels of so many frames; return how many samples were unusable and count
  * as 0: not finite, or above magnitude_max. */
 size_t intake_mono(const Settings *settings, Sound sound, size_t frames, double *mono);

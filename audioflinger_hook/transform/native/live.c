@@ -101,6 +101,7 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
         return -1;
     }
     lay_out_work(live, live->numbers);
+    live->silent = settings->window_frames; /* before the beginning there was nothing */
     Space space = {live->state, 0};
     for (size_t voice = 0; voice < live->voices_count; voice++)
         lay_out_voice(settings, &live->voices[voice], &space);
@@ -121,12 +122,14 @@ void live_reset(Live *live)
 {
     memset(live->state, 0, live->state_length * sizeof(double));
     live->filled = live->oldest = 0;
+    live->silent = live->settings.window_frames;
 }
 
 int live_is_sound(const Live *live)
 {
     const Settings *s = &live->settings;
-    if (live->filled >= s->hop_frames || live->oldest >= s->window_frames)
+    if (live->filled >= s->hop_frames || live->oldest >= s->window_frames ||
+        live->silent > s->window_frames)
         return 0;
     for (size_t which = 0; which < live->voices_count; which++) {
         const Voice *voice = &live->voices[which];
@@ -284,12 +287,62 @@ static void deliver(const Voice *voice, size_t from, size_t frames, double *vibr
             vibration[frame * apart] = played[frame];
 }
 
+/* Whether a frame is exactly 0 in all its channels. */
+static int is_silent(Sound sound, size_t frame)
+{
+    const char *place = sound.at + (ptrdiff_t)frame * sound.frame_bytes;
+    for (size_t channel = 0; channel < sound.channels; channel++, place += sound.channel_bytes)
+        if (!intake_is_silent(place, sound.is_float))
+            return 0;
+    return 1;
+}
+
+/* Count the silence that these frames end with. */
+static void note_silence(Live *live, Sound sound, size_t frames)
+{
+    size_t silent = 0;
+    while (silent < frames && is_silent(sound, frames - 1 - silent))
+        silent++;
+    if (silent == frames)
+        silent += live->silent;
+    live->silent = silent < live->settings.window_frames ? silent : live->settings.window_frames;
+}
+
+/* Whether nothing is played, and what was heard has no effect any more. */
+static int asleep(const Live *live)
+{
+    for (size_t which = 0; which < live->voices_count; which++) {
+        const Voice *voice = &live->voices[which];
+        if (*voice->ringing > 0.0 || tracking_sounds(&live->settings, &voice->slots))
+            return 0;
+    }
+    return 1;
+}
+
+/* Return how many frames go on as they are. A hop begins with the first that follows silence: the
+ * same sound so gives the same vibration however long the silence before it was. */
+static size_t up_to_onset(Live *live, Sound sound, size_t frames)
+{
+    if (live->silent < live->settings.window_frames)
+        return frames;
+    size_t silent = 0;
+    while (silent < frames && is_silent(sound, silent))
+        silent++;
+    if (silent)
+        return silent;
+    if (asleep(live))
+        live->filled = 0;
+    return frames;
+}
+
 void live_process(Live *live, Sound sound, size_t frames, double *vibration)
 {
     const Settings *s = &live->settings;
     live->delivered += frames;
     while (frames) {
-        const size_t room = s->hop_frames - live->filled, part = frames < room ? frames : room;
+        const size_t same = up_to_onset(live, sound, frames);
+        const size_t room = s->hop_frames - live->filled, part = same < room ? same : room;
+        note_silence(live, sound, part);
         for (size_t which = 0; which < live->voices_count; which++) {
             Sound heard = sound;
             if (live->each) {

@@ -36,6 +36,7 @@ typedef struct {
     size_t state_length; /* doubles */
     size_t filled;       /* frames of the hop under way */
     size_t oldest;       /* of the ring */
+    size_t silent;       /* frames that were exactly 0 of late, up to window_frames */
     uint64_t replaced, limited, delivered;
 
     double *mono, *windowed, *real, *imaginary, *fft_space, *tracking_space, *synthesis_space;
@@ -58,7 +59,7 @@ void live_reset(Live *live);
 /* Take so many frames of sound and write as many of vibration, (frames, voices). */
 void live_process(Live *live, Sound sound, size_t frames, double *vibration);
 
-/* Whether what stands in `state`, `filled` and `oldest` can be gone on with. */
+/* Whether what stands in `state`, `filled`, `oldest` and `silent` can be gone on with. */
 int live_is_sound(const Live *live);
 
 #endif

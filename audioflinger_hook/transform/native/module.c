@@ -218,14 +218,14 @@ static PyObject *kernel_reset(LiveKernel *self, PyObject *Py_UNUSED(none))
 
 /* What of a kernel changes as a stream goes on, beside the numbers of its voices. */
 typedef struct {
-    uint64_t filled, oldest, replaced, limited, delivered;
+    uint64_t filled, oldest, silent, replaced, limited, delivered;
 } Counters;
 
 static PyObject *kernel_get_state(LiveKernel *self, void *Py_UNUSED(closure))
 {
     const Live *live = &self->live;
-    const Counters counters = {live->filled, live->oldest, live->replaced, live->limited,
-                               live->delivered};
+    const Counters counters = {live->filled,   live->oldest,  live->silent,
+                               live->replaced, live->limited, live->delivered};
     const size_t numbers = live->state_length * sizeof(double);
     PyObject *state = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)(sizeof counters + numbers));
     if (!state)
@@ -251,6 +251,7 @@ static int kernel_set_state(LiveKernel *self, PyObject *state, void *Py_UNUSED(c
     memcpy(live->state, bytes + sizeof counters, numbers);
     live->filled = (size_t)counters.filled;
     live->oldest = (size_t)counters.oldest;
+    live->silent = (size_t)counters.silent;
     live->replaced = counters.replaced;
     live->limited = counters.limited;
     live->delivered = counters.delivered;
