@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 from pathlib import Path
 
@@ -10,15 +11,19 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.capture import Capture, segment
+from audioflinger_hook.daemon.app_input import AppFeed
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.facts import facts_of, settings_from
 from audioflinger_hook.daemon.feed import Feed
 from audioflinger_hook.daemon.recording import RunRecording
+from audioflinger_hook.effect.haptic import HAPTIC_CUSHION
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.transform import TransformParameters
 from device.errors import UsageError, WriteError
 from device.units import Float32Array
 from tests.commands import call, noise, refused, vibration
+from tests.test_effect_library import HALVER, HALVER_UUID, entry
+from tests.test_framework_effects import effects_xml
 
 STILL = Clocks(lambda: 0.0, lambda: 0.0)
 OTHER = Settings(
@@ -42,7 +47,7 @@ class Run:
             48_000,
             settings,
             clocks=STILL,
-            on_step=lambda _, felt, now_s: self.recording.felt(felt, samplerate, now_s),
+            on_step=self.recording.hooks(samplerate, of_mix=False)[0],
         )
         self.now_s = 0.0
 
@@ -72,19 +77,24 @@ def recorded(folder: Path, stream: str) -> Float32Array:
 
 def same_again(folder: Path, out: Path) -> int:
     """Replay; every frame of vibration that was recorded has to come again. How many there are."""
-    done = call("replay", folder, out)
+    done = call("replay", folder, out, "--json")
     assert (done.code, done.stderr) == (0, "")
-    effect, again = recorded(folder, "effect"), vibration(out)
-    return overlap(effect, again)
+    return overlap(folder, out, done.stdout)
 
 
-def overlap(effect: Float32Array, again: Float32Array) -> int:
-    """How many frames a recording and its replay, which has no latency, have in common: all."""
-    loud = int(np.argmax(np.abs(effect[:, 0])))
-    latency = loud - int(np.flatnonzero(again[:, 0] == effect[loud, 0])[0])
-    common = effect[latency:][: len(again)]
-    assert common.tobytes() == again[: len(common)].tobytes()
-    return len(common)
+def overlap(folder: Path, out: Path, report: str) -> int:
+    """How many frames the recorded effect and its replay have in common, bit for bit: all.
+
+    report: what `cushion replay --json` said of it. The replay has no latency.
+    """
+    told = json.loads(report)
+    latency = round(told["latency_s"] * told["samplerate"])
+    effect, again = recorded(folder, "effect")[latency:], vibration(out)
+    common = min(len(effect), len(again))
+    assert effect[:common].tobytes() == again[:common].tobytes()
+    # what is sound on one side only is what the effect still owed
+    assert len(again) - common <= latency + 4 * 2_048
+    return common
 
 
 @pytest.mark.parametrize("settings", [Settings(), OTHER, Settings(form="reference")])
@@ -208,9 +218,9 @@ def test_a_disk_that_is_full_ends_the_recording_and_not_the_run(tmp_path, monkey
     assert run.engine.buffers == 200
     assert run.recording.warnings == [run.recording.problem]
     assert "the recording has ended" in run.recording.problem
-    done = call("replay", tmp_path / "cap", tmp_path / "out.wav")
+    done = call("replay", tmp_path / "cap", tmp_path / "out.wav", "--json")
     assert done.code == 0
-    overlap(recorded(tmp_path / "cap", "effect"), vibration(tmp_path / "out.wav"))
+    assert overlap(tmp_path / "cap", tmp_path / "out.wav", done.stdout) > 10_000
 
 
 def recorded_so_far(folder: Path) -> int:
@@ -228,3 +238,32 @@ def test_a_recording_that_is_ended_holds_what_came_before(tmp_path):
     assert len(list(Capture(tmp_path / "cap").buffers("tap"))) == 40
     same_again(tmp_path / "cap", tmp_path / "out.wav")
     assert "not empty" in refused(call("capture", tmp_path / "cap", "--tap", "scene:demo"))
+
+
+def test_of_several_sounds_the_mix_is_recorded_as_no_effect_has_changed_it(tmp_path, site):
+    site("halver_package", HALVER, entry("halver_package:LIBRARY"))
+    xml = tmp_path / "effects.xml"
+    ours = HAPTIC_CUSHION.uuid
+    effects = [("halver", "halving", HALVER_UUID), ("haptic", "cushion", ours)]
+    applied = ["halver", "haptic"]
+    xml.write_text(effects_xml("halving", "cushion", effects=effects, applied=applied))
+    settings = Settings(effects_file=xml)
+    recording = RunRecording(tmp_path / "cap", settings, "app:a", "twin")
+    recording.begin()
+    feed = AppFeed(recording)
+    on_step, on_mix = recording.hooks(48_000, of_mix=True)
+    client = feed.client(48_000, 2)
+    engine = feed.engine = Engine(
+        client, 48_000, settings, clocks=STILL, on_step=on_step, on_mix=on_mix
+    )
+    one, other = client.add("one"), client.add("other")
+    sounds = [noise(480 * 256, 2, seed).astype(np.float32) for seed in (1, 2)]
+    for number in range(480):
+        part = slice(256 * number, 256 * (number + 1))
+        feed.push(other, sounds[1][part], number * 256 / 48_000)
+        feed.push(one, sounds[0][part], number * 256 / 48_000)
+    recording.close()
+    assert "Halver" in engine.framework.dump()
+    tap = recorded(tmp_path / "cap", "tap")
+    assert np.abs(tap[2_560:]).mean() > 1.2 * np.abs(sounds[0]).mean()  # both, and not halved
+    assert same_again(tmp_path / "cap", tmp_path / "out.wav") > 100_000

@@ -39,6 +39,9 @@ class Clocks:
 OnStep = Callable[[Float32Array, Float32Array, float], None]
 """(sound as mixed, vibration as sent, when): what one cycle of the chain moved."""
 
+OnMix = Callable[[Float32Array, float], None]
+"""(sound before all effects, when)."""
+
 
 class Engine:
     """One mix of sound on its way to one device.
@@ -46,8 +49,9 @@ class Engine:
     client: plays into the mix, which has its samplerate (Hz) and channels. output_samplerate: of
     the device, Hz; offset_s: what the user adds to the delay; block_frames: of the streams on
     both sides; clocks: what time it is, and what the thread has used. bypass_late: whether an
-    effect that takes too long is passed by: for sound that plays elsewhere meanwhile. on_step:
-    told of every cycle, on the thread that calls `advance`; the arrays are its own. `advance` is
+    effect that uses too much time is passed by: for sound that plays elsewhere meanwhile. on_step:
+    told of every cycle, on the thread that calls `advance`; the arrays are its own. on_mix: told
+    the sound before that, as no effect has changed it yet; the array is the mixer's. `advance` is
     called by the capture's thread, `fill` by the output's; neither waits for the other. Any thread
     may read the rest.
 
@@ -72,6 +76,7 @@ class Engine:
         now_s: float = 0.0,
         bypass_late: bool = True,
         on_step: OnStep | None = None,
+        on_mix: OnMix | None = None,
     ) -> None:
         self._client = client
         self._clocks = clocks
@@ -83,7 +88,8 @@ class Engine:
             self.samplerate,
             self.channels,
             settings,
-            clock=clocks.now_s if bypass_late else None,
+            # Its own time: what the machine spends on others is no fault of an effect.
+            clock=clocks.used_s if bypass_late else None,
         )
         self.delay_line = self._line(output_samplerate, offset_s)
         self.sound = Gathered(self.samplerate, self.channels)
@@ -95,6 +101,8 @@ class Engine:
         self.last_sound_s = now_s
         self._into_line = _IntoLine(self)
         self._chain = Chain(client, self.framework, [self._into_line])
+        if on_mix is not None:
+            self.framework.mixer.on_mix = lambda sound: on_mix(sound, self._into_line.now_s)
         self._scratch = np.zeros((0, self.framework.haptic_channels), np.float32)
 
     def _line(self, samplerate: int, offset_s: float) -> DelayLine:

@@ -9,6 +9,7 @@ from types import TracebackType
 import numpy as np
 
 from audioflinger_hook.capture import STREAMS, CaptureRecorder, CaptureWriter
+from audioflinger_hook.daemon.engine import OnMix, OnStep
 from audioflinger_hook.daemon.facts import facts_of
 from audioflinger_hook.settings import Settings
 from device.errors import CushionError
@@ -67,6 +68,21 @@ class RunRecording:
     def mix_is(self, samplerate: int, channels: int) -> None:
         """Be told the format of the mix, Hz, before the first buffer."""
         self._mix = (samplerate, channels)
+
+    def hooks(self, samplerate: int, *, of_mix: bool) -> tuple[OnStep, OnMix | None]:
+        """Return what an engine has to call, for a mix of this rate, Hz.
+
+        of_mix: whether the mix is what was delivered: of many sounds, which no replay could mix
+        again as they came.
+        """
+
+        def felt(_: Float32Array, vibration: Float32Array, now_s: float) -> None:
+            self.felt(vibration, samplerate, now_s)
+
+        def mixed(sound: Float32Array, now_s: float) -> None:
+            self.delivered(sound, samplerate, now_s, discontinuity=False)
+
+        return felt, mixed if of_mix else None
 
     def delivered(
         self, frames: Float32Array, samplerate: int, now_s: float, discontinuity: bool

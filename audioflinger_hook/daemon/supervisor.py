@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from audioflinger_hook.daemon.engine import Clocks, Engine, OnStep
+from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.order import Changes, Order
 from audioflinger_hook.daemon.pairing import Sides
 from audioflinger_hook.daemon.rest import Rest
@@ -146,7 +146,11 @@ class Supervisor:
         recording = self._order.recording
         warnings = list(self.engine.framework.warnings) if self.engine else []
         warnings += self._stand_in.warnings if self._stand_in else []
-        warnings += [*self._input.warnings, *(recording.warnings if recording else ())]
+        warnings += self._input.warnings
+        if recording:
+            warnings += recording.warnings
+            if self.engine and self.engine.framework.bypassed():
+                warnings.append("an effect was bypassed: a replay will not be what was recorded")
         refuge, connection = self._refuge, self._connection
         if refuge and connection and not refuge.active and connection.latest.kind != "PipeWire":
             warnings.append(refuge.reason)
@@ -246,6 +250,8 @@ class Supervisor:
             self._stand_in.lead(max(0.0, -order.live.offset_s))
         if begins_anew or changes.blocks:
             self._sides.close()
+        if begins_anew and order.recording:
+            order.recording.end("what is tapped now is mixed anew, which no replay does")
         if begins_anew:
             self._heard_before_s, self.engine = self.heard_s, None
         if changes.any:
@@ -359,8 +365,12 @@ class Supervisor:
         """Have an engine, made for the first source: later ones are mixed into its format."""
         engine = self.engine
         if engine is None:
-            engine = self.engine = self._sides.feed.engine = Engine(
-                self._sides.feed.client(source.samplerate, source.channels),
+            recording, feed = self._order.recording, self._sides.feed
+            on_step, on_mix = None, None
+            if recording:
+                on_step, on_mix = recording.hooks(source.samplerate, of_mix=feed.records_mix)
+            engine = self.engine = feed.engine = Engine(
+                feed.client(source.samplerate, source.channels),
                 device.samplerate or source.samplerate,
                 self._order.settings,
                 clocks=self._clocks,
@@ -368,25 +378,12 @@ class Supervisor:
                 block_frames=self._order.live.block_frames,
                 now_s=now_s,
                 bypass_late=self._input.needs_server,
-                on_step=self._recorder_of(source.samplerate),
+                on_step=on_step,
+                on_mix=on_mix,
             )
             self._output.suit(engine.samplerate, engine.framework.haptic_channels)
         elif not self._output.is_open:
             engine.lead_to(device.samplerate or engine.samplerate, self._order.live.block_frames)
-
-    def _recorder_of(self, samplerate: int) -> OnStep | None:
-        """Return what records the effect's output, at the rate of the mix."""
-        recording = self._order.recording
-        if recording is None:
-            return None
-        if not self._sides.feed.records_mix:
-            return lambda sound, vibration, now_s: recording.felt(vibration, samplerate, now_s)
-
-        def keep(sound: Float32Array, vibration: Float32Array, now_s: float) -> None:
-            recording.delivered(sound, samplerate, now_s, discontinuity=False)
-            recording.felt(vibration, samplerate, now_s)
-
-        return keep
 
     def _fill(self, out: Float32Array, now_s: float) -> None:
         engine = self.engine

@@ -23,6 +23,7 @@ from audioflinger_hook.mixer.states import Request
 from audioflinger_hook.mixer.track import SAMPLERATE_MAX, SAMPLERATE_MIN, Track, out_of_range
 from audioflinger_hook.sessions import DEVICE, OUTPUT_MIX, OUTPUT_STAGE
 from device.errors import UsageError
+from device.units import Float32Array
 
 STANDBY_DELAY_S = 3.0
 """From the last mix with a track in it to standby, if no track is active."""
@@ -64,7 +65,8 @@ class Mixer:
     samplerate: Hz; channels, haptic_channels: of the mix; hal_frames: what the output takes at
     once, from which `frames`, those of a whole cycle, follow; standby_delay_s: how long without an
     active track until nothing is written any more (inf: silence is written for ever, also before
-    the first track). Whoever calls `cycle` sets the pace.
+    the first track). Whoever calls `cycle` sets the pace. on_mix: if set, told the sound of every
+    cycle before the effects of the whole mix, (frames, channels); the array is the mixer's own.
 
     Threads: one thread calls `cycle`. Tracks are made and used by their clients' threads, one
     each; `post` and everything that only reads may be called from anywhere. Nothing waits.
@@ -89,6 +91,7 @@ class Mixer:
         self.hal_frames = hal_frames
         self.sinks = tuple(sinks)
         self.effects: EffectsPort = NoEffects() if effects is None else effects
+        self.on_mix: Callable[[Float32Array], None] | None = None
         self._events: deque[Callable[[], None]] = deque()
         self._lanes: tuple[Lane, ...] = ()
         self._sessions: dict[int, SessionMix] = {}
@@ -292,6 +295,8 @@ class Mixer:
                 buffer.samples += session_mix.buffer.samples
         if self._empty:
             buffer.audio[...] = 0.0
+        if self.on_mix is not None:
+            self.on_mix(buffer.audio)
         for session in (OUTPUT_MIX, OUTPUT_STAGE, DEVICE):
             if session in self._chains:
                 self.effects.process(session, buffer, now_s)
