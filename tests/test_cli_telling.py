@@ -106,6 +106,18 @@ def test_a_warning_is_told_when_it_comes_and_not_again_while_it_lasts(told: Told
     assert told.lines(0.0, "a", "b") == ["cushion: warning: a"]
 
 
+def test_a_warning_that_counts_is_told_when_it_begins_and_with_its_sum_at_the_end(
+    told: Told, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told.keeper.enter(DaemonState.RUNNING, 0.0)
+    told.lines()
+    said = [line for count in range(1, 100) for line in told.lines(0.0, f"{count} lost", "a")]
+    assert said == ["cushion: warning: 1 lost", "cushion: warning: a"]
+    told.teller.end(["99 lost", "a", "b"])
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == ["cushion: warning: 99 lost", "cushion: warning: b"]
+
+
 def test_a_config_that_is_not_taken_is_told_at_every_attempt(told: Told) -> None:
     told.keeper.enter(DaemonState.RUNNING, 0.0)
     told.lines()

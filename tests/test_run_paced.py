@@ -244,3 +244,39 @@ def test_what_cannot_be_is_refused_and_nothing_is_touched(
     done = call("run", "--tap", texts[0], "--device", texts[1], *texts[2:])
     assert words in refused(done, code)
     assert (listing(tmp_path), listing(tmp_path / "cap")) == before
+
+
+def test_while_a_file_plays_its_level_may_change_and_what_begins_anew_may_not(tmp_path, folder):
+    config, new = tmp_path / "c.toml", tmp_path / "new.toml"
+    source, out = sound(tmp_path / "in.wav", noise(20 * RATE, 2)), tmp_path / "out.wav"
+    config.write_text(f'tap = "file:{source}"\ndevice = "wav:{out}"\n')
+
+    def reload(process, text, answer):
+        new.write_text(config.read_text() + text)
+        new.replace(config)
+        process.send_signal(signal.SIGHUP)
+        for line in process.stderr:
+            if line.startswith("cushion: resync"):
+                continue
+            assert answer in line
+            return
+
+    with start("run", "--config", config, prelude=NO_SERVER, env=folder) as process:
+        try:
+            assert process.stderr is not None
+            for line in process.stderr:
+                if line == "cushion: running\n":
+                    break
+            reload(process, "gain_db = -6\n", "config read again; changed: the level")
+            reload(process, 'tap = "default"\n', "is not TOML")  # twice in one file
+            config.write_text(f'tap = "default"\ndevice = "wav:{out}"\n')
+            reload(process, "", f"the tap 'file:{source}' cannot become 'default'")
+            config.write_text(f'tap = "file:{source}"\ndevice = "wav:{out}"\ngain_db = -6\n')
+            reload(process, "", "changed: nothing")
+            reload(process, '[transform]\nchannels = "each"\n', "stay as they are while 'file:")
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=20)
+        finally:
+            process.kill()
+    assert process.returncode == 130
+    assert len(vibration(out)) > 0

@@ -170,7 +170,7 @@ def _keep_on(
                 teller.notifier.watchdog()
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:
-        teller.notifier.stopping()
+        teller.end(supervisor.warnings)
     if supervisor.summary:
         print(supervisor.summary)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 
@@ -21,7 +22,7 @@ class Teller:
     def __init__(self) -> None:
         self.notifier = Notifier()
         self._state = ""
-        self._warnings: tuple[str, ...] = ()
+        self._warnings: dict[str, str] = {}
         self._rationing = Rationing()
 
     def begin(self, tap: str, device: str) -> None:
@@ -46,10 +47,13 @@ class Teller:
             self._state = state
             self.notifier.status(state)
             self._say(state)
+        # One that counts is told when it begins, and by `end` with what it came to.
+        told, self._warnings = self._warnings, {}
         for warning in warnings:
-            if warning not in self._warnings:
+            kind = re.sub(r"\d+", "0", warning)
+            if kind not in told:
                 warn(warning)
-        self._warnings = tuple(warnings)
+            self._warnings[kind] = told.get(kind, warning)
 
     def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
         """Let the config be read again and say what that changed, or why it changed nothing.
@@ -63,9 +67,16 @@ class Teller:
         except CushionError as error:
             trouble = f"the config was not taken: {error}"
             # Told as one of the warnings; again, even if it was one before.
-            self._warnings = tuple(warning for warning in self._warnings if warning != trouble)
+            self._warnings = {k: text for k, text in self._warnings.items() if text != trouble}
         self.notifier.ready(self._state)
         return trouble
+
+    def end(self, warnings: list[str]) -> None:
+        """Say what is new among the warnings, and tell systemd that it ends."""
+        self.notifier.stopping()
+        for warning in warnings:
+            if warning not in self._warnings.values():
+                warn(warning)
 
     def _say(self, text: str) -> None:
         print(f"cushion: {text}", file=sys.stderr, flush=True)

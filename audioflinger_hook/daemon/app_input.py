@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from functools import partial
 
@@ -13,7 +14,14 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError
-from device.server import AppCapture, AppCaptures, AppRules, PulseConnection, ServerSnapshot
+from device.server import (
+    AppCapture,
+    AppCaptures,
+    AppRules,
+    AudioPriority,
+    PulseConnection,
+    ServerSnapshot,
+)
 from device.server.app_capture import Ended
 from device.server.applications import name_of
 from device.server.snapshot import Stream
@@ -50,13 +58,18 @@ class Applications:
 class AppFeed:
     """Buffers of several applications through one engine, mixed first.
 
-    recording: takes the mix for what was delivered, since that is what the effect gets. The
-    supervising thread makes the client and sets `engine` before the first buffer.
+    recording: takes the mix for what was delivered, since that is what the effect gets. priority:
+    what the thread of all captures asks for. The supervising thread makes the client and sets
+    `engine` before the first buffer.
     """
 
     records_mix = True
 
-    def __init__(self, recording: RunRecording | None = None) -> None:
+    def __init__(
+        self, recording: RunRecording | None = None, priority: AudioPriority | None = None
+    ) -> None:
+        self._priority = priority
+        self._thread: int | None = None
         self.engine: Engine | None = None
         self.voices: VoicesClient | None = None
         self._recording = recording
@@ -70,6 +83,10 @@ class AppFeed:
 
     def push(self, voice: Voice, frames: Float32Array, now_s: float) -> None:
         """Take frames of one application; on the thread of all captures."""
+        thread = threading.get_ident()
+        if self._priority is not None and thread != self._thread:
+            self._thread = thread  # another one with every connection
+            self._priority.claim()
         voices, engine = self.voices, self.engine
         if voices is None or engine is None or not len(frames):
             return

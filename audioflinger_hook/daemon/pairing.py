@@ -9,7 +9,7 @@ from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.feed import Feed
 from audioflinger_hook.daemon.live_input import LiveInput
 from audioflinger_hook.daemon.live_output import LiveOutput
-from audioflinger_hook.daemon.order import Order
+from audioflinger_hook.daemon.order import Changes, Order
 from audioflinger_hook.daemon.paced_input import PacedInput
 from audioflinger_hook.daemon.paced_output import PacedOutput
 from audioflinger_hook.daemon.pacing import Pacer
@@ -73,7 +73,7 @@ class Sides:
     def _live_input(self, order: Order) -> LiveInput | AppInput:
         rules = order.rules
         if rules is not None:
-            apps = self.feed = AppFeed(order.recording)
+            apps = self.feed = AppFeed(order.recording, self._priority)
             return AppInput(_address(order), rules, self._states, apps)
         feed = self.feed = Feed(order.recording)
         assert self._pcms is not None
@@ -98,6 +98,12 @@ class Sides:
                     f"the {what} {str(before)!r} cannot become {str(after)!r} while it runs; start "
                     "it anew"
                 )
+        paced = [old.tap] * (not old.tap_is_live) + [old.device] * (not old.device_is_live)
+        if paced and Changes.between(old, new).engine:
+            raise UsageError(
+                f"form, channels and effects_file stay as they are while {str(paced[0])!r} is in "
+                "use; start it anew"
+            )
         if old.recording and old.settings != new.settings:
             raise UsageError(
                 "settings cannot change while --record keeps what they make; start it anew"

@@ -45,9 +45,9 @@ def config(tmp_path: Path) -> Callable[..., Path]:
     """Writes the config that the daemon reads, and returns its path."""
 
     def write(*lines: str) -> Path:
-        path = tmp_path / "config.toml"
-        path.write_text("\n".join(('device = "haptic"', *lines, "")))
-        return path
+        path, new = tmp_path / "config.toml", tmp_path / "config.new"
+        new.write_text("\n".join(('device = "haptic"', *lines, "")))
+        return new.replace(path)  # whole, whenever it is read
 
     return write
 
@@ -165,9 +165,9 @@ def test_a_config_with_mistakes_changes_nothing_and_is_told(
         config("gain_db = 0")
         assert "changed: nothing" in reload(daemon)
         daemon.wait(lambda s: not any("config" in w for w in s.warnings), "no warning")
-        config('tap = "app:Player"')
-        assert "app:Player" in reload(daemon)
-        assert daemon.process.poll() is None
+        config('tap = "scene:demo"')
+        assert "cannot become 'scene:demo'" in reload(daemon)
+        assert daemon.wait_state(DaemonState.RUNNING).tap.name == "desktop.monitor"
 
 
 def test_another_device_has_the_vibration_and_the_first_one_no_more(
@@ -464,6 +464,31 @@ def test_the_audio_threads_are_real_time_where_that_is_granted_until_the_config_
         path.write_text('device = "haptic"\nblock_frames = 512\n')
         reload(daemon)
         wait_for(lambda: schedulers(daemon).count(os.SCHED_RR) == 2, "priority again")
+
+
+def test_the_thread_that_captures_applications_is_an_audio_thread_too(
+    server: SoundServer, config: Callable[..., Path], tmp_path: Path
+) -> None:
+    path = config()
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        config('tap = "app:Player"')
+        assert "changed: the tap" in reload(daemon)
+        status = daemon.wait(
+            lambda s: s.tap.address == "app:Player" and s.levels.vibration.peak_dbfs > -60.0,
+            "the application",
+        )
+        if any("real-time" in warning for warning in status.warnings):
+            pytest.skip("this machine grants no real-time priority")
+        wait_for(lambda: schedulers(daemon).count(os.SCHED_RR) == 2, "two audio threads")
+        config()
+        assert "changed: the tap" in reload(daemon)
+        daemon.wait(lambda s: s.tap.name == "desktop.monitor", "the monitor")
+        wait_for(lambda: felt_now(felt), "vibration again")
 
 
 @pytest.mark.skipif(
