@@ -40,6 +40,7 @@ LEAST = Effort(
     split_s=0.05,
     cost_repeats=1,
     cost_s=0.2,
+    cold_s=0.1,
     saving_repeats=1,
     mix_rounds=2,
     mix_repeats=1,

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.bandpass import BandPass
 from audioflinger_hook.transform.grid import LiveGrid
 from audioflinger_hook.transform.kernel import KernelStream
@@ -549,9 +549,10 @@ def test_after_24_hours_of_sound_a_tone_is_as_pure_as_in_the_first_minute(form):
 
 
 @pytest.mark.soak
-def test_a_million_hops_take_no_more_memory_than_a_thousand():
+@pytest.mark.parametrize("form", ["live", "live in NumPy"])
+def test_a_million_hops_take_no_more_memory_than_a_thousand(form):
     samplerate = 1_000
-    transform = HapticTransform(samplerate, 1)
+    transform = opened(samplerate, 1, form)
     hop = LiveGrid.at(PARAMETERS, samplerate).hop_frames
     sound = joined(tone(200, 8.0, samplerate, 0.5), white_noise(4.0, samplerate))
     sound = np.resize(sound, 1_000 * hop)

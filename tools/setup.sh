@@ -384,8 +384,8 @@ pyaudio_loads || {
 }
 rm -f "$uncompiled"
 kernel_loads || {
-    say "warning: the transform could not be compiled. Everything works, for about ten times the processor" \
-        "time. To see why: .venv/bin/python -m pip install --verbose --no-deps --editable ."
+    say "warning: the transform could not be compiled. Everything works, for about fifteen times the" \
+        "processor time. To see why: .venv/bin/python -m pip install --verbose --no-deps --editable ."
     : >"$uncompiled"
 }
 {

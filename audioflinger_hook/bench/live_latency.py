@@ -250,7 +250,7 @@ def _growth_ms(starts_s: FloatArray, values_ms: Sequence[float | None]) -> float
     known = [
         (at, value) for at, value in zip(starts_s, values_ms, strict=True) if value is not None
     ]
-    if not known:
+    if len(known) < 3:
         return None
     times_s, found_ms = np.array(known).T
     return growth(times_s, found_ms)

@@ -151,8 +151,9 @@ def savings(bench: Workbench) -> Section:
         "What each saving saves",
         "The live form leaves out what a scene does not need. First the cost of a second with "
         f"all of its savings, then without one at a time (one channel, blocks of {BLOCKSIZE} "
-        "frames); the most that this one saves on any scene, and the most that it changes any "
-        "sample, full scale being 1, with the bound that it states.",
+        "frames, in NumPy; the kernel leaves out the same). Then the most that this one saves on "
+        "any scene, and the most that it changes any sample, full scale being 1, with the bound "
+        "that it states.",
         tuple(rows),
         tuple(missing),
     )

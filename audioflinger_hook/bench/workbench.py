@@ -12,7 +12,7 @@ from audioflinger_hook.bench.signals import RECORDINGS_COMMAND, SAMPLERATE, Reco
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 
-LIVE, REFERENCE = "live", "reference"
+LIVE, TWIN, REFERENCE = "live", "live in NumPy", "reference"
 
 
 class Stream(Protocol):
@@ -42,11 +42,27 @@ class Subject:
         frames = sound if sound.ndim == 2 else sound[:, None]
         return self.start(samplerate, frames.shape[1]).process(frames)[:, 0]
 
-    def run_through(self, sound: Frames, blocksize: int, samplerate: int = SAMPLERATE) -> None:
-        """Pass a sound (frames, channels) through a new stream, block by block."""
-        stream = self.start(samplerate, sound.shape[1])
-        for first in range(0, len(sound), blocksize):
-            stream.process(sound[first : first + blocksize])
+
+class Playback:
+    """A sound for a subject, again and again: `open` a new stream, then `play` it, block by block.
+
+    sound: (frames, channels). So what it costs to open a stream is no part of what is timed.
+    """
+
+    def __init__(self, subject: Subject, sound: Frames, blocksize: int) -> None:
+        self._subject = subject
+        self._sound = sound
+        self._blocksize = blocksize
+        self.open()
+
+    def open(self) -> None:
+        """Begin a new stream."""
+        self._stream = self._subject.start(SAMPLERATE, self._sound.shape[1])
+
+    def play(self) -> None:
+        """Pass the whole sound through the stream."""
+        for first in range(0, len(self._sound), self._blocksize):
+            self._stream.process(self._sound[first : first + self._blocksize])
 
 
 SUBJECTS: tuple[Subject, ...] = (
@@ -54,6 +70,13 @@ SUBJECTS: tuple[Subject, ...] = (
     Subject(REFERENCE, partial(HapticTransform, form="reference")),
 )
 """What is compared, side by side; the first is what the limits are asked of."""
+
+SPEED_SUBJECTS: tuple[Subject, ...] = (
+    SUBJECTS[0],
+    Subject(TWIN, partial(HapticTransform, form="live", implementation="numpy")),
+    SUBJECTS[1],
+)
+"""What is compared in speed: the live form compiled, what stands in for it, and the reference."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +92,7 @@ class Effort:
     split_s: float
     cost_repeats: int
     cost_s: float
+    cold_s: float
     saving_repeats: int
     mix_rounds: int
     mix_repeats: int
@@ -90,6 +114,7 @@ QUICK = Effort(
     split_s=0.5,
     cost_repeats=5,
     cost_s=3.0,
+    cold_s=1.0,
     saving_repeats=2,
     mix_rounds=60,
     mix_repeats=3,
@@ -110,6 +135,7 @@ FULL = Effort(
     split_s=4.0,
     cost_repeats=15,
     cost_s=10.0,
+    cold_s=4.0,
     saving_repeats=7,
     mix_rounds=400,
     mix_repeats=9,

@@ -64,7 +64,7 @@ class HapticTransform:
 
     implementation: how the live form is computed. Where it is not given, `compiled`, or `numpy`
     where the kernel is not there (`kernel_warning` says so): the same within 1e-6 of full scale,
-    at about ten times the cost. The reference form is `numpy` always.
+    at about fifteen times the cost. The reference form is `numpy` always.
 
     Raises
     ------

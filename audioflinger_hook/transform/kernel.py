@@ -1,13 +1,14 @@
 """The live form compiled: `_kernel` does in one call a block what `live.py` does in NumPy.
 
-    native/intake.c -> live.c -> fft.c, analysis.c -> tracking.c -> synthesis.c
+    native/live.c: intake.c -> fft.c -> peaks.c, analysis.c -> tracking.c -> synthesis.c
 
-`live.py` says what is to come out, the kernel makes it at a tenth of the cost. Where it could not
-be built or does not load, `live.py` itself is what plays.
+`live.py` says what is to come out, the kernel makes it for a fifteenth of the cost. Where it could
+not be built or does not load, `live.py` itself is what plays.
 """
 
 from __future__ import annotations
 
+import importlib
 from types import ModuleType
 from typing import Any
 
@@ -21,7 +22,7 @@ from audioflinger_hook.transform.smoothing import TABLE_STEP_HZ
 
 _kernel: ModuleType | None
 try:
-    from audioflinger_hook.transform import _kernel
+    _kernel = importlib.import_module("audioflinger_hook.transform._kernel")
 except ImportError as error:
     _kernel = None
     _why_missing = str(error)
@@ -32,7 +33,7 @@ def kernel_warning() -> str | None:
     if _kernel is not None:
         return None
     return (
-        f"the transform runs uncompiled, the same vibration for about ten times the processor "
+        f"the transform runs uncompiled, the same vibration for about fifteen times the processor "
         f"time ({_why_missing}); to build it: `rm -rf .venv`, then `make run`, with a C compiler"
     )
 

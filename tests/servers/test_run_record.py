@@ -156,6 +156,24 @@ def test_a_replay_gives_what_was_felt_through_other_formats_and_a_new_server(
     assert (record / "tap-0003.wav").exists()
 
 
+def test_a_replay_gives_what_was_felt_of_single_applications(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    record = tmp_path / "rec"
+    with (
+        playing(server, "desktop", noise(60.0)),
+        running(server, "--tap", "app:Player", "--record", str(record)) as daemon,
+    ):
+        with playing(server, "desktop", tone(110.0, 60.0)):
+            wait_for(lambda: len(recorded(record, "effect")) > 3 * RATE_HZ, "three seconds", 30.0)
+        pause(1.0)
+        assert daemon.end() == 130
+    frames, warnings = replayed(server, record, tmp_path / "out.wav")
+    assert warnings == ""
+    assert frames > 2 * RATE_HZ
+    assert np.abs(vibration(tmp_path / "out.wav")).max() > 0.01
+
+
 def test_a_killed_daemon_leaves_a_recording_that_is_the_same_again_up_to_there(
     server: SoundServer, tmp_path: Path
 ) -> None:
@@ -174,22 +192,40 @@ def test_a_killed_daemon_leaves_a_recording_that_is_the_same_again_up_to_there(
     assert 0 <= len(tap) - len(effect) <= 4 * 256
 
 
-def test_the_device_stream_is_what_reached_the_device(server: SoundServer, tmp_path: Path) -> None:
-    def same(attempt: int) -> bool:
-        record = tmp_path / f"rec{attempt}"
-        with recording(server, "haptic.monitor", tmp_path / f"felt{attempt}") as felt:
-            with running(server, "--record", str(record)) as daemon:
-                with playing(server, "desktop", tone(60.0, 4.0)):
-                    wait_for(lambda: felt_now(felt), "vibration")
-                    wait_for(lambda: not felt_now(felt, 0.5), "its end", 20.0)
-                assert daemon.end() == 130
-            heard = sounding(felt())
-        sent = sounding(recorded(record, "device"))
-        print(f"{server.kind}: {len(sent)} frames sent, {len(heard)} heard")
-        assert len(sent) > 3 * RATE_HZ
-        return bool(np.array_equal(sent, heard))
+def lost(sent: Float32Array, heard: Float32Array) -> int:
+    """How many frames of `sent` are missing in `heard`, which has to hold nothing else."""
+    at = missing = 0
+    while at < len(heard):
+        ahead = sent[at + missing :][: len(heard) - at]
+        wrong = np.flatnonzero((ahead != heard[at : at + len(ahead)]).any(axis=1))
+        if not len(wrong):
+            assert len(ahead) == len(heard) - at, "more was heard than sent"
+            break
+        at += int(wrong[0])
+        # the same again, some blocks later
+        again = np.flatnonzero((sent[at + missing :] == heard[at]).all(axis=1))
+        tail = heard[at : at + 32]
+        found = [n for n in again if np.array_equal(sent[at + missing + n :][: len(tail)], tail)]
+        assert found, f"frame {at} of {len(heard)} was never sent"
+        missing += int(found[0])
+    return len(sent) - len(heard)
 
-    assert any(same(attempt) for attempt in range(ATTEMPTS))
+
+def test_the_device_stream_is_what_reached_the_device(server: SoundServer, tmp_path: Path) -> None:
+    record = tmp_path / "rec"
+    with recording(server, "haptic.monitor", tmp_path / "felt") as felt:
+        with running(server, "--record", str(record)) as daemon:
+            with playing(server, "desktop", noise(4.0)):
+                wait_for(lambda: felt_now(felt), "vibration")
+                wait_for(lambda: not felt_now(felt, 0.5), "its end", 20.0)
+            assert daemon.end() == 130
+        heard = sounding(felt())
+    sent = sounding(recorded(record, "device"))
+    missing = lost(sent, heard)
+    print(f"{server.kind}: {len(sent)} frames sent, {missing} of them not heard")
+    assert len(sent) > 2 * RATE_HZ
+    # a busy server leaves out blocks now and then
+    assert missing < 0.05 * len(sent)
 
 
 def test_a_full_disk_ends_the_recording_and_the_vibration_goes_on(
@@ -204,7 +240,7 @@ def test_a_full_disk_ends_the_recording_and_the_vibration_goes_on(
         status = daemon.wait(lambda s: s.warnings, "a warning", 30.0)
         assert any("the recording has ended" in warning for warning in status.warnings)
         pause(1.0)
-        assert felt_now(felt)
+        wait_for(lambda: felt_now(felt), "vibration without a recording")
         daemon.wait_state(DaemonState.RUNNING)
         assert daemon.end() == 5
     lines = [line for line in daemon.stderr.splitlines() if "cannot write" in line]

@@ -46,7 +46,7 @@ typedef struct {
 /* Bytes of work space for so many bins. */
 size_t analysis_work(size_t bins);
 
-/* Find what is principal in a spectrum; return how many there are, `rule->most` or bins / 2 at most.
+/* Find what is principal in a spectrum; return how many, at most `rule->most` or bins / 2.
  * found: room for as many. work: aligned as malloc does. */
 int32_t principal(const Rule *rule, const Window *window, Spectrum spectrum, Principals found,
                   void *work);

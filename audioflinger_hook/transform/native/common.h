@@ -16,14 +16,16 @@
 /* A function of plain loops over arrays, compiled once for every processor and once for those with
  * registers of 32 bytes; the right one is chosen when the module is loaded. Both do the same
  * operations on each number, so both give the same bits. */
-#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(ONE_MACHINE)
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(ONE_MACHINE)
 #define WIDE __attribute__((target_clones("avx2", "default")))
 #else
 #define WIDE
 #endif
 
 /* Before a loop: what it writes is not what it reads a step later. */
-#ifdef __GNUC__
+#if defined(__clang__)
+#define APART _Pragma("clang loop vectorize(assume_safety)")
+#elif defined(__GNUC__)
 #define APART _Pragma("GCC ivdep")
 #else
 #define APART

@@ -7,7 +7,7 @@
 
 #define FACTORS_MAX 24
 
-/* One transform of `size` complex numbers that stand `run` apart, for `run` of them side by side. */
+/* A transform of `size` complex numbers that stand `run` apart, for `run` of them side by side. */
 typedef struct {
     size_t size, run;
     size_t factors[FACTORS_MAX], count;
@@ -22,10 +22,11 @@ typedef struct {
     size_t lanes;  /* small transforms side by side */
     size_t halved; /* complex numbers that hold the samples in pairs; 0 where they are not paired */
     Passes columns, rows;
-    const double *lane_turn;        /* halved / 2 pairs: even samples' lane to odd samples' lane */
-    const double *grid_turn;        /* points pairs, between columns and rows */
-    const double *bin_cos, *bin_sin; /* turn of each bin: from a transform of pairs to one of samples */
-    double *tables;                 /* all of the above */
+    const double *lane_turn; /* of each number on its way to the odd bins; cosine and sine */
+    const double *grid_turn; /* of each number between columns and rows */
+    const double *bin_cos;   /* of each bin, by which the odd samples' spectrum is turned */
+    const double *bin_sin;
+    double *tables; /* all turns */
 } Fft;
 
 /* Return 0 and a plan, -1 where memory is lacking, -2 where the length has other factors than

@@ -20,7 +20,7 @@ INLINED double sample_at(const char *place, int is_float)
 
 int intake_is_silent(const char *place, int is_float) { return sample_at(place, is_float) == 0.0; }
 
-/* Channels are added one by one, then divided by their number: whatever the block, in that order. */
+/* Channels are added one by one, then divided by their number: the same order for any block. */
 INLINED size_t mean(const char *at, ptrdiff_t frame_bytes, ptrdiff_t channel_bytes, size_t channels,
                     int is_float, double limit, size_t frames, double *restrict mono)
 {

@@ -10,27 +10,23 @@
 #include <stdlib.h>
 
 #include "common.h"
+#include "space.h"
 
 #define SLOT_NUMBERS 4
 #define GLIDE_NUMBERS 5
 #define FOUND_NUMBERS 4
 
-/* ---------------------------------------------------------------------------------------- memory */
+/* --------------------------------------------------------------------------------------- memory */
 
-/* Memory that is handed out piece by piece; without a base it is only counted. */
-typedef struct {
-    double *base;
-    size_t used;
-} Space;
-
-static double *taken(Space *space, size_t count)
+/* The state of all voices is one piece, so that it can be kept and returned to. */
+static double *placed(double **next, size_t count)
 {
-    double *here = space->base ? space->base + space->used : NULL;
-    space->used += count;
+    double *here = *next;
+    *next += count;
     return here;
 }
 
-static size_t doubles(size_t bytes) { return (bytes + sizeof(double) - 1) / sizeof(double); }
+static double *numbers(Space *space, size_t count) { return taken(space, count, sizeof(double)); }
 
 static size_t voice_numbers(const Settings *s)
 {
@@ -38,47 +34,47 @@ static size_t voice_numbers(const Settings *s)
            SLOT_NUMBERS * 2 * s->partials_max + smoothing_states(s) + smoothing_tail(s) + 1;
 }
 
-static void lay_out_voice(const Settings *s, Voice *voice, Space *space)
+static void lay_out_voice(const Settings *s, Voice *voice, double **next)
 {
     const size_t slots = 2 * s->partials_max;
-    voice->band = taken(space, s->band_b.length - 1);
-    voice->past = taken(space, s->window_frames);
-    voice->peaks = taken(space, s->hops_in_window);
-    voice->played = taken(space, s->hop_frames);
-    voice->slots.hz = taken(space, slots);
-    voice->slots.amplitude = taken(space, slots);
-    voice->slots.phase = taken(space, slots);
-    voice->slots.alive = taken(space, slots);
-    voice->smoothing.state = taken(space, smoothing_states(s));
-    voice->smoothing.tail = taken(space, smoothing_tail(s));
-    voice->ringing = taken(space, 1);
+    voice->band = placed(next, s->band_b.length - 1);
+    voice->past = placed(next, s->window_frames);
+    voice->peaks = placed(next, s->hops_in_window);
+    voice->played = placed(next, s->hop_frames);
+    voice->slots.hz = placed(next, slots);
+    voice->slots.amplitude = placed(next, slots);
+    voice->slots.phase = placed(next, slots);
+    voice->slots.alive = placed(next, slots);
+    voice->smoothing.state = placed(next, smoothing_states(s));
+    voice->smoothing.tail = placed(next, smoothing_tail(s));
+    voice->ringing = placed(next, 1);
 }
 
 /* Give every part its place in the work space, or count how much that is where there is none. */
-static size_t lay_out_work(Live *live, double *numbers)
+static size_t lay_out_work(Live *live, void *memory)
 {
     const Settings *s = &live->settings;
     const size_t slots = 2 * s->partials_max;
-    Space space = {numbers, 0};
-    live->mono = taken(&space, s->hop_frames);
-    live->windowed = taken(&space, live->fft.frames);
-    live->real = taken(&space, s->bins);
-    live->imaginary = taken(&space, s->bins);
-    live->fft_space = taken(&space, fft_work(&live->fft));
-    live->tracking_space = taken(&space, tracking_work(s->partials_max));
-    live->synthesis_space = taken(&space, synthesis_work(s));
-    live->analysis_space = taken(&space, doubles(analysis_work(s->bins)));
+    Space space = {memory, 0};
+    live->mono = numbers(&space, s->hop_frames);
+    live->windowed = numbers(&space, live->fft.frames);
+    live->real = numbers(&space, s->bins);
+    live->imaginary = numbers(&space, s->bins);
+    live->fft_space = numbers(&space, fft_work(&live->fft));
+    live->tracking_space = taken(&space, tracking_work(s->partials_max), 1);
+    live->synthesis_space = numbers(&space, synthesis_work(s));
+    live->analysis_space = taken(&space, analysis_work(s->bins), 1);
     double **found[FOUND_NUMBERS] = {&live->found.audio_hz, &live->found.amplitude,
                                      &live->found.bandwidth_hz, &live->found.r};
     for (size_t which = 0; which < FOUND_NUMBERS; which++)
-        *found[which] = taken(&space, s->partials_max);
-    live->hz = taken(&space, s->partials_max);
-    live->amplitude = taken(&space, s->partials_max);
+        *found[which] = numbers(&space, s->partials_max);
+    live->hz = numbers(&space, s->partials_max);
+    live->amplitude = numbers(&space, s->partials_max);
     double **glides[GLIDE_NUMBERS] = {&live->glides.start_hz, &live->glides.end_hz,
                                       &live->glides.start_amplitude, &live->glides.end_amplitude,
                                       &live->glides.start_phase};
     for (size_t which = 0; which < GLIDE_NUMBERS; which++)
-        *glides[which] = taken(&space, slots);
+        *glides[which] = numbers(&space, slots);
     return space.used;
 }
 
@@ -92,19 +88,23 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
     const int failed = fft_open(&live->fft, settings->fft_length);
     if (failed)
         return failed;
-    live->state_length = live->voices_count * voice_numbers(settings);
-    live->voices = calloc(live->voices_count, sizeof(Voice));
-    live->state = calloc(live->state_length, sizeof(double));
-    live->numbers = calloc(lay_out_work(live, NULL), sizeof(double));
-    if (!live->voices || !live->state || !live->numbers) {
+    if (live->voices_count > SIZE_MAX / sizeof(double) / voice_numbers(settings)) {
         live_close(live);
         return -1;
     }
-    lay_out_work(live, live->numbers);
+    live->state_length = live->voices_count * voice_numbers(settings);
+    live->voices = calloc(live->voices_count, sizeof(Voice));
+    live->state = calloc(live->state_length, sizeof(double));
+    live->work = calloc(lay_out_work(live, NULL), 1);
+    if (!live->voices || !live->state || !live->work) {
+        live_close(live);
+        return -1;
+    }
+    lay_out_work(live, live->work);
     live->silent = settings->window_frames; /* before the beginning there was nothing */
-    Space space = {live->state, 0};
+    double *next = live->state;
     for (size_t voice = 0; voice < live->voices_count; voice++)
-        lay_out_voice(settings, &live->voices[voice], &space);
+        lay_out_voice(settings, &live->voices[voice], &next);
     return 0;
 }
 
@@ -113,9 +113,10 @@ void live_close(Live *live)
     fft_close(&live->fft);
     free(live->voices);
     free(live->state);
-    free(live->numbers);
+    free(live->work);
     live->voices = NULL;
-    live->state = live->numbers = NULL;
+    live->state = NULL;
+    live->work = NULL;
 }
 
 void live_reset(Live *live)
@@ -125,7 +126,7 @@ void live_reset(Live *live)
     live->silent = live->settings.window_frames;
 }
 
-int live_is_sound(const Live *live)
+int live_is_possible(const Live *live)
 {
     const Settings *s = &live->settings;
     if (live->filled >= s->hop_frames || live->oldest >= s->window_frames ||
@@ -185,8 +186,7 @@ static size_t analysed(Live *live, const Voice *voice)
     };
     const Spectrum spectrum = {live->real, live->imaginary, 1};
     windowed(live, voice, live->windowed);
-    fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary,
-                 live->fft_space);
+    fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
     return (size_t)principal(&rule, &window, spectrum, live->found, live->analysis_space);
 }
 
@@ -257,7 +257,7 @@ static void advance(Live *live, Voice *voice)
     }
 }
 
-/* --------------------------------------------------------------------------------------- a block */
+/* -------------------------------------------------------------------------------------- a block */
 
 static void collect(Live *live, Voice *voice, Sound sound, size_t frames)
 {
@@ -265,7 +265,7 @@ static void collect(Live *live, Voice *voice, Sound sound, size_t frames)
     live->replaced += intake_mono(s, sound, frames, live->mono);
     double *peak = &voice->peaks[s->hops_in_window - 1];
     *peak = larger(intake_band_pass(s, voice->band, live->mono, frames), *peak);
-    /* Blocks may be longer than the window: only its last frames stay. */
+    /* A hop may be longer than the window, of which only the last frames stay. */
     const double *from = live->mono;
     size_t at = live->oldest;
     while (frames) {

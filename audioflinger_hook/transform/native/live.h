@@ -39,12 +39,12 @@ typedef struct {
     size_t silent;       /* frames that were exactly 0 of late, up to window_frames */
     uint64_t replaced, limited, delivered;
 
-    double *mono, *windowed, *real, *imaginary, *fft_space, *tracking_space, *synthesis_space;
-    void *analysis_space;
+    double *mono, *windowed, *real, *imaginary, *fft_space, *synthesis_space;
+    void *analysis_space, *tracking_space;
     Principals found;
     double *hz, *amplitude;
     Glides glides;
-    double *numbers; /* all doubles of the work space */
+    void *work; /* all of the work space */
 } Live;
 
 /* Make a kernel of settings that fit, which it takes over; return 0, -1 where memory is lacking, -2
@@ -60,6 +60,6 @@ void live_reset(Live *live);
 void live_process(Live *live, Sound sound, size_t frames, double *vibration);
 
 /* Whether what stands in `state`, `filled`, `oldest` and `silent` can be gone on with. */
-int live_is_sound(const Live *live);
+int live_is_possible(const Live *live);
 
 #endif

@@ -6,118 +6,10 @@
 
 #include "live.h"
 
-/* -------------------------------------------------------------------------------------- arrays */
-
-/* Whether a format is one of the letters, or the one type of two letters. */
-static int is_one_of(const char *types, const char *format)
-{
-    if (*types == 'Z')
-        return strcmp(types, format) == 0;
-    return *format && !format[1] && strchr(types, *format);
-}
-
-int array_opened(PyObject *array, const char *name, Expected expected, Py_buffer *view)
-{
-    const int flags = PyBUF_FORMAT | (expected.strided ? PyBUF_STRIDES : PyBUF_ND) |
-                      (expected.writable ? PyBUF_WRITABLE : 0);
-    if (PyObject_GetBuffer(array, view, flags) < 0)
-        return 0;
-    const char *format = view->format ? view->format : "B";
-    if (expected.strided && *format == '=')
-        format++; /* of the machine's byte order, but where its type would not stand */
-    if (view->ndim < expected.dimensions || view->ndim > expected.dimensions_max)
-        PyErr_Format(PyExc_ValueError, "%s: %d dimensions, not %d", name, view->ndim,
-                     expected.dimensions);
-    else if (!is_one_of(expected.types, format))
-        PyErr_Format(PyExc_TypeError, "%s: of type %s, not %s", name, format, expected.types);
-    else
-        return 1;
-    PyBuffer_Release(view);
-    return 0;
-}
-
-/* -------------------------------------------------------------------------------------- settings */
-
-static int count_from(PyObject *settings, const char *name, size_t *count)
-{
-    PyObject *value = PyDict_GetItemString(settings, name);
-    if (!value) {
-        PyErr_Format(PyExc_ValueError, "%s: missing", name);
-        return 0;
-    }
-    *count = PyLong_AsSize_t(value);
-    return !(*count == (size_t)-1 && PyErr_Occurred());
-}
-
-static int number_from(PyObject *settings, const char *name, double *number)
-{
-    PyObject *value = PyDict_GetItemString(settings, name);
-    if (!value) {
-        PyErr_Format(PyExc_ValueError, "%s: missing", name);
-        return 0;
-    }
-    *number = PyFloat_AsDouble(value);
-    return !(*number == -1.0 && PyErr_Occurred());
-}
-
-static int table_from(PyObject *settings, const char *name, Table *table)
-{
-    PyObject *value = PyDict_GetItemString(settings, name);
-    if (!value) {
-        PyErr_Format(PyExc_ValueError, "%s: missing", name);
-        return 0;
-    }
-    Py_buffer view;
-    if (!array_opened(value, name, (Expected){"d", 1, 2, 0, 0}, &view))
-        return 0;
-    table->at = PyMem_RawMalloc(view.len ? (size_t)view.len : 1);
-    if (table->at) {
-        memcpy(table->at, view.buf, (size_t)view.len);
-        table->length = (size_t)view.len / sizeof(double);
-    } else {
-        PyErr_NoMemory();
-    }
-    PyBuffer_Release(&view);
-    return table->at != NULL;
-}
-
-static void settings_close(Settings *settings)
-{
-#define ENTRY(name)                                                                                \
-    PyMem_RawFree(settings->name.at);                                                              \
-    settings->name.at = NULL;
-    TABLES(ENTRY)
-#undef ENTRY
-}
-
-/* Read all settings from a dict; 0 and an exception where one is missing or does not fit. */
-static int settings_opened(PyObject *given, Settings *settings)
-{
-    memset(settings, 0, sizeof *settings);
-    int read = 1;
-#define ENTRY(name) read = read && count_from(given, #name, &settings->name);
-    COUNTS(ENTRY)
-#undef ENTRY
-#define ENTRY(name) read = read && number_from(given, #name, &settings->name);
-    NUMBERS(ENTRY)
-#undef ENTRY
-#define ENTRY(name) read = read && table_from(given, #name, &settings->name);
-    TABLES(ENTRY)
-#undef ENTRY
-    const char *misfit = read ? settings_misfit(settings) : NULL;
-    if (misfit)
-        PyErr_SetString(PyExc_ValueError, misfit);
-    if (read && !misfit)
-        return 1;
-    settings_close(settings);
-    return 0;
-}
-
-/* --------------------------------------------------------------------------------------- the type */
+/* ------------------------------------------------------------------------------------- the type */
 
 typedef struct {
-    PyObject_HEAD
-    Live live;
+    PyObject_HEAD Live live;
     int open;
 } LiveKernel;
 
@@ -255,7 +147,7 @@ static int kernel_set_state(LiveKernel *self, PyObject *state, void *Py_UNUSED(c
     live->replaced = counters.replaced;
     live->limited = counters.limited;
     live->delivered = counters.delivered;
-    if (live_is_sound(live))
+    if (live_is_possible(live))
         return 0;
     live_reset(live);
     PyErr_SetString(PyExc_ValueError, "state: no kernel stands like that");
@@ -331,7 +223,7 @@ static PyType_Spec KERNEL_SPEC = {
     .slots = KERNEL_SLOTS,
 };
 
-/* ------------------------------------------------------------------------------------- the module */
+/* ----------------------------------------------------------------------------------- the module */
 
 static int filled(PyObject *module)
 {
@@ -352,11 +244,8 @@ static PyModuleDef_Slot SLOTS[] = {
 };
 
 static struct PyModuleDef MODULE = {
-    PyModuleDef_HEAD_INIT,
-    .m_name = "_kernel",
-    .m_doc = "The live form, compiled.",
-    .m_methods = PROBES,
-    .m_slots = SLOTS,
+    PyModuleDef_HEAD_INIT, .m_name = "_kernel", .m_doc = "The live form, compiled.",
+    .m_methods = PROBES,   .m_slots = SLOTS,
 };
 
 PyMODINIT_FUNC PyInit__kernel(void) { return PyModuleDef_Init(&MODULE); }

@@ -1,10 +1,12 @@
-/* What the two parts of the Python module share. */
+/* What the parts of the Python module share. */
 
 #ifndef CUSHION_MODULE_H
 #define CUSHION_MODULE_H
 
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
+
+#include "settings.h"
 
 /* What is asked of an array that comes from Python. */
 typedef struct {
@@ -16,6 +18,11 @@ typedef struct {
 
 /* Open an array; 0 and an exception where it is not what is expected. */
 int array_opened(PyObject *array, const char *name, Expected expected, Py_buffer *view);
+
+/* Copy all settings from a dict; 0 and an exception where one is missing or does not fit. */
+int settings_opened(PyObject *given, Settings *settings);
+
+void settings_close(Settings *settings);
 
 /* Parts of the kernel, each by itself, for tests. */
 extern PyMethodDef PROBES[];

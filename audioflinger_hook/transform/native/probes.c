@@ -116,7 +116,7 @@ static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
     return count < 0 ? NULL : PyLong_FromSsize_t(count);
 }
 
-/* --------------------------------------------------------------------------------- other parts */
+/* ---------------------------------------------------------------------------------- other parts */
 
 PyDoc_STRVAR(spectrum_doc, "Write the spectrum of samples, as scipy.fft.rfft; see _kernel.pyi.");
 

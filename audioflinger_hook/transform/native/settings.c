@@ -6,8 +6,8 @@
 
 #include "analysis.h"
 
-/* Sizes under this cannot overflow in any sum or product here. */
-#define COUNT_MAX ((size_t)1 << 24)
+/* Three times the longest spectrum that there is: no sum or product of such sizes overflows. */
+#define COUNT_MAX ((size_t)1 << 20)
 
 static int finite_table(Table table)
 {

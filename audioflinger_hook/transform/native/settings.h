@@ -13,41 +13,41 @@
     ENTRY(steps)          /* of the low rate in a hop */                                           \
     ENTRY(hops_in_window) /* hops that together cover one window */                                \
     ENTRY(fft_length)                                                                              \
-    ENTRY(bins)           /* that are looked at */                                                 \
-    ENTRY(first_bin)      /* on which a peak counts, */                                            \
-    ENTRY(last_bin)       /* and the last; under the first for none */                             \
-    ENTRY(partials_max)   /* at a time */                                                          \
-    ENTRY(ring_hops)      /* that the low-pass rings after the last partial */
+    ENTRY(bins)         /* that are looked at */                                                   \
+    ENTRY(first_bin)    /* on which a peak counts, */                                              \
+    ENTRY(last_bin)     /* and the last; under the first for none */                               \
+    ENTRY(partials_max) /* at a time */                                                            \
+    ENTRY(ring_hops)    /* that the low-pass rings after the last partial */
 
 #define NUMBERS(ENTRY)                                                                             \
-    ENTRY(magnitude_max)   /* of a sample; above it is damage */                                   \
-    ENTRY(denormal_guard)  /* added to every sample */                                             \
-    ENTRY(silence)         /* a window whose peak is under this holds nothing */                   \
-    ENTRY(bin_hz)          /* from bin to bin */                                                   \
-    ENTRY(threshold_hz)    /* r of what is principal is above */                                   \
-    ENTRY(peak_span_min)   /* amplitude times bins between valleys from which it can be */         \
-    ENTRY(weakest_image)   /* amplitude up to which a peak keeps its image */                      \
-    ENTRY(side_lobe)       /* share of the highest amplitude up to which a peak is left out */     \
-    ENTRY(full_scale_r)    /* r of a tone at full scale, Hz */                                     \
-    ENTRY(scale_hz)        /* equation (4): Hz of vibration for each factor e, */                  \
-    ENTRY(band_low_hz)     /* from this frequency of audio, */                                     \
-    ENTRY(bottom_hz)       /* which is felt at this one */                                         \
-    ENTRY(ceiling)         /* of a hop's sum of amplitudes */                                      \
-    ENTRY(knee)            /* of samples */                                                        \
+    ENTRY(magnitude_max)  /* of a sample; above it is damage */                                    \
+    ENTRY(denormal_guard) /* added to every sample */                                              \
+    ENTRY(silence)        /* a window whose peak is under this holds nothing */                    \
+    ENTRY(bin_hz)         /* from bin to bin */                                                    \
+    ENTRY(threshold_hz)   /* r of what is principal is above */                                    \
+    ENTRY(peak_span_min)  /* amplitude times bins between valleys from which it can be */          \
+    ENTRY(weakest_image)  /* amplitude up to which a peak keeps its image */                       \
+    ENTRY(side_lobe)      /* share of the highest amplitude up to which a peak is left out */      \
+    ENTRY(full_scale_r)   /* r of a tone at full scale, Hz */                                      \
+    ENTRY(scale_hz)       /* equation (4): Hz of vibration for each factor e, */                   \
+    ENTRY(band_low_hz)    /* from this frequency of audio, */                                      \
+    ENTRY(bottom_hz)      /* which is felt at this one */                                          \
+    ENTRY(ceiling)        /* of a hop's sum of amplitudes */                                       \
+    ENTRY(knee)           /* of samples */                                                         \
     ENTRY(hop_s)                                                                                   \
-    ENTRY(match_audio_hz)  /* by which a partial may move in a hop, */                             \
-    ENTRY(match_ratio)     /* or by this share */                                                  \
-    ENTRY(split_hz)        /* a birth this near to a partial is in phase with it */                \
-    ENTRY(steady_hz)       /* changes well under these are averaged */                             \
+    ENTRY(match_audio_hz) /* by which a partial may move in a hop, */                              \
+    ENTRY(match_ratio)    /* or by this share */                                                   \
+    ENTRY(split_hz)       /* a birth this near to a partial is in phase with it */                 \
+    ENTRY(steady_hz)      /* changes well under these are averaged */                              \
     ENTRY(steady_ratio)                                                                            \
-    ENTRY(steady_gain)     /* share of the smallest changes that is followed */                    \
-    ENTRY(still)           /* up to which a sum of amplitudes does not rise */                     \
-    ENTRY(gain_step_hz)    /* between entries of gain_table */
+    ENTRY(steady_gain)  /* share of the smallest changes that is followed */                       \
+    ENTRY(still)        /* up to which a sum of amplitudes does not rise */                        \
+    ENTRY(gain_step_hz) /* between entries of gain_table */
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
-    ENTRY(window)      /* of the analysis */                                                       \
-    ENTRY(band_b)      /* the band-pass as one recursion */                                        \
+    ENTRY(window) /* of the analysis */                                                            \
+    ENTRY(band_b) /* the band-pass as one recursion */                                             \
     ENTRY(band_a)                                                                                  \
     ENTRY(image_table) /* the window's spectrum */                                                 \
     ENTRY(image_turn)  /* cosines, then sines, of each bin's turn to the window's centre */        \
@@ -57,8 +57,8 @@
     ENTRY(glide_s)     /* the integral of a glide of frequency */                                  \
     ENTRY(low_b)       /* the low-pass as one recursion */                                         \
     ENTRY(low_a)                                                                                   \
-    ENTRY(phases)      /* of the interpolation: taps rows of decimation */                         \
-    ENTRY(gain_table)  /* that undoes the low-pass's ripple, by vibration frequency */
+    ENTRY(phases)     /* of the interpolation: taps rows of decimation */                          \
+    ENTRY(gain_table) /* that undoes the low-pass's ripple, by vibration frequency */
 
 typedef struct {
     double *at;

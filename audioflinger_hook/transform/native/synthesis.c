@@ -38,7 +38,7 @@ size_t synthesis_work(const Settings *settings)
     return smoothing_tail(settings) + settings->steps;
 }
 
-/* ----------------------------------------------------------------------------------- oscillators */
+/* ---------------------------------------------------------------------------------- oscillators */
 
 /* A partial in one hop: frequency and amplitude glide, phase is the integral of frequency. */
 typedef struct {
@@ -50,8 +50,7 @@ WIDE static void add_partial(Glide glide, const double *restrict seconds,
                              size_t steps, double *restrict low_rate)
 {
     for (size_t step = 0; step < steps; step++) {
-        const double turns =
-            glide.hz * seconds[step] + glide.rise_hz * glide_s[step] + glide.phase;
+        const double turns = glide.hz * seconds[step] + glide.rise_hz * glide_s[step] + glide.phase;
         low_rate[step] += cosine_of_turns(turns) * (glide.rise * shape[step] + glide.amplitude);
     }
 }
@@ -81,7 +80,7 @@ static void oscillate(const Settings *settings, const Glides *glides, double *lo
     }
 }
 
-/* ------------------------------------------------------------------------------------- smoothing */
+/* ------------------------------------------------------------------------------------ smoothing */
 
 INLINED void low_passed(Table b, Table a, double *state, size_t order, double *samples,
                         size_t count)

@@ -7,6 +7,7 @@
 #include "tracking.h"
 
 #include "common.h"
+#include "space.h"
 
 /* Where a partial goes. */
 typedef struct {
@@ -15,9 +16,29 @@ typedef struct {
     double gap_hz;  /* to the nearest; infinite where none sounds */
 } Match;
 
+/* The slots that sound, by their place among them. */
+typedef struct {
+    size_t *slot, *nearest_partial;
+    double *hz, *gap_hz;
+} Alive;
+
+/* Give every part its place in the memory, or count how much that is where there is none. */
+static size_t lay_out(void *memory, size_t partials_max, Match **matches, Alive *alive)
+{
+    Space space = {memory, 0};
+    *matches = taken(&space, partials_max, sizeof(Match));
+    alive->slot = taken(&space, partials_max, sizeof(size_t));
+    alive->nearest_partial = taken(&space, partials_max, sizeof(size_t));
+    alive->hz = taken(&space, partials_max, sizeof(double));
+    alive->gap_hz = taken(&space, partials_max, sizeof(double));
+    return space.used;
+}
+
 size_t tracking_work(size_t partials_max)
 {
-    return partials_max * (sizeof(Match) + 2 * sizeof(size_t) + 2 * sizeof(double)) / sizeof(double);
+    Match *matches;
+    Alive alive;
+    return lay_out(NULL, partials_max, &matches, &alive);
 }
 
 int tracking_sounds(const Settings *settings, const Slots *slots)
@@ -36,31 +57,28 @@ static double followed(const Settings *settings, double relative_change)
 
 /* Find the slot nearest to each partial, and whether it is its own. */
 static void match(const Settings *settings, const Slots *slots, Partials partials, Match *matches,
-                  void *work)
+                  Alive alive)
 {
     const size_t none = 2 * settings->partials_max;
-    size_t *alive = work, *nearest_partial = alive + settings->partials_max;
-    double *slot_gap_hz = (double *)(nearest_partial + settings->partials_max);
-    double *alive_hz = slot_gap_hz + settings->partials_max;
     size_t count = 0;
     for (size_t slot = 0; slot < none && count < settings->partials_max; slot++)
         if (slots->alive[slot] != 0.0) {
-            slot_gap_hz[count] = INFINITY;
-            alive_hz[count] = slots->hz[slot];
-            nearest_partial[count] = 0;
-            alive[count++] = slot;
+            alive.slot[count] = slot;
+            alive.nearest_partial[count] = 0;
+            alive.hz[count] = slots->hz[slot];
+            alive.gap_hz[count++] = INFINITY;
         }
     for (size_t one = 0; one < partials.count; one++) {
         size_t nearest = 0;
         double gap_hz = INFINITY;
         for (size_t other = 0; other < count; other++) {
             /* Written so that nothing branches: in noise nobody could foresee which way. */
-            const double distance_hz = fabs(partials.hz[one] - alive_hz[other]);
-            const int nearer = distance_hz < gap_hz, to_slot = distance_hz < slot_gap_hz[other];
+            const double distance_hz = fabs(partials.hz[one] - alive.hz[other]);
+            const int nearer = distance_hz < gap_hz, to_slot = distance_hz < alive.gap_hz[other];
             nearest = nearer ? other : nearest;
             gap_hz = nearer ? distance_hz : gap_hz;
-            nearest_partial[other] = to_slot ? one : nearest_partial[other];
-            slot_gap_hz[other] = to_slot ? distance_hz : slot_gap_hz[other];
+            alive.nearest_partial[other] = to_slot ? one : alive.nearest_partial[other];
+            alive.gap_hz[other] = to_slot ? distance_hz : alive.gap_hz[other];
         }
         matches[one].nearest = nearest;
         matches[one].gap_hz = gap_hz;
@@ -69,10 +87,9 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
         const double ratio = settings->match_audio_hz / partials.audio_hz[one];
         const double reach_hz = settings->scale_hz * larger(settings->match_ratio, ratio);
         const size_t nearest = matches[one].nearest;
-        const int mutual = count && nearest_partial[nearest] == one;
-        matches[one].nearest = count ? alive[nearest] : 0;
-        matches[one].slot =
-            mutual && matches[one].gap_hz <= reach_hz ? matches[one].nearest : none;
+        const int mutual = count && alive.nearest_partial[nearest] == one;
+        matches[one].nearest = count ? alive.slot[nearest] : 0;
+        matches[one].slot = mutual && matches[one].gap_hz <= reach_hz ? matches[one].nearest : none;
     }
 }
 
@@ -124,8 +141,10 @@ WIDE static void finish_hop(const Settings *settings, Slots *slots, Glides *glid
 void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Partials partials,
                      void *work)
 {
-    Match *matches = work;
-    match(settings, slots, partials, matches, matches + settings->partials_max);
+    Match *matches;
+    Alive alive;
+    lay_out(work, settings->partials_max, &matches, &alive);
+    match(settings, slots, partials, matches, alive);
     bear(settings, slots, partials, matches);
     start_hop(settings, slots, glides);
     for (size_t one = 0; one < partials.count; one++) {

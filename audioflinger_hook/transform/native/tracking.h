@@ -23,7 +23,7 @@ typedef struct {
     size_t count;
 } Partials;
 
-/* Doubles of work space that `tracking_follow` needs. */
+/* Bytes of work space that `tracking_follow` needs. */
 size_t tracking_work(size_t partials_max);
 
 /* Whether any slot sounds after the last hop. */

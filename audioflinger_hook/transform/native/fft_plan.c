@@ -1,0 +1,124 @@
+/* How a spectrum of one length is made: its division into factors, and the tables of turns. */
+
+#include <stdlib.h>
+
+#include "common.h"
+#include "fft.h"
+
+/* The cosine and the sine of part/whole of a turn; exact where one of them is 0 or 1. */
+static void turn_of(size_t part, size_t whole, double *cosine, double *sine)
+{
+    const size_t eighths = 8 * (part % whole);
+    const size_t octant = eighths / whole;
+    /* Within an eighth of a turn of the nearest quarter. */
+    const size_t quarter = (octant + 1) / 2;
+    const double rest = ((double)eighths - 2.0 * (double)quarter * (double)whole) / (double)whole;
+    const double c = cos(PI / 4 * rest), s = sin(PI / 4 * rest);
+    switch (quarter % 4) {
+    case 0: *cosine = c, *sine = s; break;
+    case 1: *cosine = -s, *sine = c; break;
+    case 2: *cosine = -c, *sine = -s; break;
+    default: *cosine = s, *sine = -c; break;
+    }
+}
+
+/* Write count pairs: turns of 0, 1, 2 ... times step/whole. */
+static double *write_turns(double *table, size_t count, size_t step, size_t whole)
+{
+    for (size_t one = 0; one < count; one++, table += 2)
+        turn_of(one * step, whole, table, table + 1);
+    return table;
+}
+
+/* Divide size into factors of 5, 3, 4 and 2; return whether that leaves nothing. */
+static int factorised(Passes *passes, size_t size)
+{
+    static const size_t PRIMES[] = {5, 3, 4, 2};
+    passes->size = size;
+    passes->count = 0;
+    for (size_t which = 0; which < sizeof PRIMES / sizeof *PRIMES; which++)
+        for (; size % PRIMES[which] == 0; size /= PRIMES[which])
+            passes->factors[passes->count++] = PRIMES[which];
+    return size == 1;
+}
+
+/* Doubles in the table of turns of one transform. */
+static size_t turns_of(const Passes *passes)
+{
+    size_t total = 0, size = passes->size;
+    for (size_t which = 0; which < passes->count; which++) {
+        total += 2 * (size - size / passes->factors[which]);
+        size /= passes->factors[which];
+    }
+    return total;
+}
+
+static double *write_passes(Passes *passes, double *table)
+{
+    passes->turns = table;
+    size_t size = passes->size;
+    for (size_t which = 0; which < passes->count; which++) {
+        const size_t factor = passes->factors[which], rest = size / factor;
+        for (size_t place = 0; place < rest; place++)
+            for (size_t output = 1; output < factor; output++, table += 2)
+                turn_of(place * output, size, table, table + 1);
+        size = rest;
+    }
+    return table;
+}
+
+/* Divide so many points into a grid that is as square as can be; return whether it can be done. */
+static int gridded(Fft *fft)
+{
+    Passes all;
+    if (!factorised(&all, fft->points))
+        return 0;
+    size_t best = 1;
+    for (size_t columns = 1; columns <= fft->points; columns++)
+        if (fft->points % columns == 0 && columns * columns <= fft->points)
+            best = columns;
+    factorised(&fft->columns, fft->points / best);
+    factorised(&fft->rows, best);
+    fft->columns.run = best * fft->lanes;
+    fft->rows.run = fft->points / best * fft->lanes;
+    return 1;
+}
+
+int fft_open(Fft *fft, size_t length)
+{
+    memset(fft, 0, sizeof *fft);
+    fft->length = length;
+    fft->halved = length % 2 == 0 ? length / 2 : 0;
+    fft->lanes = length % 4 == 0 ? 2 : 1;
+    fft->points = fft->halved ? fft->halved / fft->lanes : length;
+    fft->frames = fft->lanes == 2 ? length / 2 : length;
+    if (length == 0 || !gridded(fft))
+        return -2;
+    const size_t lane_turns = fft->lanes == 2 ? 2 * fft->points : 0;
+    const size_t bins = fft->halved ? fft->halved + 1 : 0;
+    const size_t total =
+        turns_of(&fft->columns) + turns_of(&fft->rows) + lane_turns + 2 * fft->points + 2 * bins;
+    fft->tables = malloc(total * sizeof(double));
+    if (!fft->tables)
+        return -1;
+    double *table = write_passes(&fft->columns, fft->tables);
+    table = write_passes(&fft->rows, table);
+    fft->lane_turn = table;
+    table = write_turns(table, lane_turns / 2, 1, fft->halved ? fft->halved : 1);
+    fft->grid_turn = table;
+    for (size_t column = 0; column < fft->rows.size; column++)
+        table = write_turns(table, fft->columns.size, column, fft->points);
+    fft->bin_cos = table;
+    fft->bin_sin = table + bins;
+    for (size_t bin = 0; bin < bins; bin++)
+        turn_of(bin, length, table + bin, table + bins + bin);
+    return 0;
+}
+
+void fft_close(Fft *fft)
+{
+    free(fft->tables);
+    fft->tables = NULL;
+}
+
+size_t fft_work(const Fft *fft) { return 4 * fft->points * fft->lanes; }

@@ -1,0 +1,173 @@
+/* The peaks of a spectrum: its amplitudes, cleared of images, and where they rise and fall. */
+
+#include "peaks.h"
+
+#include "common.h"
+#include "functions.h"
+
+/* Two amplitudes are told apart from this ratio on, so that rounding decides nothing between
+ * equals: the spectrum of a single sample is flat. */
+#define APART_FROM (1.0 + 1e-9)
+
+/* The same for a top: the three fifth roots around it are curved at least by this share of it. */
+#define CURVED 1e-6
+
+/* ----------------------------------------------------------------------------------- amplitudes */
+
+/* |X|, without the overflow guard of hypot: no sound comes near. */
+WIDE void peaks_amplitudes(Spectrum spectrum, double *restrict amplitude, int32_t bins)
+{
+    const double *restrict real = spectrum.real, *restrict imaginary = spectrum.imaginary;
+    if (spectrum.step == 1)
+        for (int32_t bin = 0; bin < bins; bin++)
+            amplitude[bin] = sqrt(real[bin] * real[bin] + imaginary[bin] * imaginary[bin]);
+    else
+        for (int32_t bin = 0; bin < bins; bin++) {
+            const double re = real[bin * spectrum.step], im = imaginary[bin * spectrum.step];
+            amplitude[bin] = sqrt(re * re + im * im);
+        }
+}
+
+/* Refine the tops of all peaks: the parabola in A^0.2, in which a Hamming main lobe is nearest to
+ * one, through each peak and the bins beside it. */
+WIDE void peaks_refine(const double *amplitude, Peaks *peaks)
+{
+    const int32_t count = peaks->count;
+    double *restrict before = peaks->before, *restrict top = peaks->top;
+    double *restrict after = peaks->after;
+    double *restrict offsets = peaks->offset, *restrict heights = peaks->height;
+    double *restrict levels = peaks->level;
+    for (int32_t one = 0; one < count; one++) {
+        const double *here = amplitude + peaks->bin[one];
+        before[one] = larger(here[-1], FLOOR * here[0]);
+        top[one] = here[0];
+        after[one] = larger(here[1], FLOOR * here[0]);
+    }
+    APART
+    for (int32_t one = 0; one < count; one++) {
+        const double l = fifth_root(before[one]), m = fifth_root(top[one]);
+        const double r = fifth_root(after[one]);
+        const double curvature = smaller(l - 2.0 * m + r, -CURVED * m);
+        const double ratio = (l - r) / (2.0 * curvature);
+        /* True half a bin at most; infinite amplitudes give no number. */
+        const double offset = fabs(ratio) <= 1.0 ? ratio : 0.0;
+        const double root = m - (l - r) * offset / 4.0;
+        const double square = root * root, height = square * square * root;
+        offsets[one] = offset;
+        heights[one] = height;
+        levels[one] = HALF_POWER * height;
+    }
+}
+
+/* --------------------------------------------------------------------------------------- images */
+
+/* The window's spectrum this many bins from its middle, on a line between the table's entries. */
+INLINED double window_at(const Window *window, double distance_bins)
+{
+    const double position = distance_bins * TABLE_BINS_A_BIN;
+    if (!(position < (double)(window->entries - 1)))
+        return window->table[window->entries - 1];
+    const int32_t below = (int32_t)position;
+    const double here = window->table[below];
+    return here + (position - (double)below) * (window->table[below + 1] - here);
+}
+
+/* List the peaks whose images are worth clearing. */
+static void strong_low_peaks(const Window *window, const double *amplitude, Peaks *peaks)
+{
+    int32_t count = 0;
+    for (int32_t bin = 1; bin < window->low_bins; bin++) {
+        const double here = amplitude[bin];
+        peaks->bin[count] = bin;
+        count += (here > window->weakest) & (here > APART_FROM * amplitude[bin - 1]) &
+                 !(amplitude[bin + 1] > APART_FROM * here);
+    }
+    peaks->count = count;
+}
+
+/* Rewrite amplitudes of bins from `first` up to `end` without the image of the tone whose peak this
+ * is.
+ *
+ * With phases counted from the window's centre its spectrum is real. There the image is the
+ * tone's conjugate, on the window's spectrum around minus the tone's frequency.
+ */
+static void without_image(const Window *window, Spectrum spectrum, double *amplitude, int32_t peak,
+                          double offset, int32_t first, int32_t end)
+{
+    const double height = window_at(window, fabs(offset));
+    const double re = spectrum.real[peak * spectrum.step];
+    const double im = spectrum.imaginary[peak * spectrum.step];
+    const double cosine = window->cosine[peak], sine = window->sine[peak];
+    const double tone_real = (re * cosine - im * sine) / height;
+    const double tone_imaginary = (re * sine + im * cosine) / height;
+    for (int32_t bin = first; bin < end; bin++) {
+        const double image = window_at(window, (double)(bin + peak) + offset);
+        const double x = spectrum.real[bin * spectrum.step];
+        const double y = spectrum.imaginary[bin * spectrum.step];
+        const double c = window->cosine[bin], s = window->sine[bin];
+        const double real = x * c - y * s - tone_real * image;
+        const double imaginary = x * s + y * c + tone_imaginary * image;
+        amplitude[bin] = sqrt(real * real + imaginary * imaginary);
+    }
+}
+
+/* Clear the low amplitudes of what the images of strong peaks add.
+ *
+ * Where the neighbourhoods of two peaks overlap, in the valley between, the upper one's stands. All
+ * peaks are those of the amplitudes as they were.
+ */
+void peaks_clear_images(const Window *window, Spectrum spectrum, double *amplitude, Peaks *peaks)
+{
+    strong_low_peaks(window, amplitude, peaks);
+    peaks_refine(amplitude, peaks);
+    for (int32_t one = 0; one < peaks->count; one++) {
+        const int32_t peak = peaks->bin[one];
+        const int32_t first = peak > NEIGHBOURS ? peak - NEIGHBOURS : 0;
+        int32_t end = peak + NEIGHBOURS + 1;
+        if (one + 1 < peaks->count && end > peaks->bin[one + 1] - NEIGHBOURS)
+            end = peaks->bin[one + 1] - NEIGHBOURS;
+        without_image(window, spectrum, amplitude, peak, peaks->offset[one], first, end);
+    }
+}
+
+/* ---------------------------------------------------------------------------------------- peaks */
+
+/* Note for each bin but the last whether the amplitude rises from it to the next. */
+WIDE static void rises(const double *restrict amplitude, uint8_t *restrict rising, int32_t bins)
+{
+    for (int32_t bin = 0; bin < bins; bin++)
+        rising[bin] = amplitude[bin + 1] > APART_FROM * amplitude[bin];
+}
+
+/* List the peaks of the band that can be principal.
+ *
+ * A peak is higher than the bin to its left and not lower than that to its right; the walk down
+ * from it goes on while the amplitude does not rise. A spectrum that ends rising has no peak there.
+ * No bandwidth exceeds the span between the valleys, and refinement raises a peak by a bounded
+ * factor: what stays under the threshold at that bound is left out before anything costly.
+ */
+void peaks_list(const Rule *rule, const double *amplitude, Turns turns, Peaks *peaks)
+{
+    const int32_t top_bin = rule->bins - 1;
+    int32_t count = 0;
+    uint8_t was = 0;
+    rises(amplitude, turns.rising, top_bin);
+    for (int32_t bin = 0; bin < top_bin; bin++) {
+        turns.bin[count] = bin;
+        count += turns.rising[bin] ^ was;
+        was = turns.rising[bin];
+    }
+    /* A valley, a peak, a valley ... */
+    turns.bin[count] = top_bin;
+    int32_t able = 0;
+    for (int32_t turn = 0; turn + 1 < count; turn += 2) {
+        const int32_t left = turns.bin[turn], bin = turns.bin[turn + 1];
+        const int32_t right = turns.bin[turn + 2];
+        peaks->left[able] = left;
+        peaks->bin[able] = bin;
+        peaks->right[able] = right;
+        able += (bin >= rule->first) & (bin <= rule->last) &
+                (amplitude[bin] * (double)(right - left) > rule->peak_span_min);
+    }
+    peaks->count = able;
+}
