@@ -352,7 +352,9 @@ class Supervisor:
         engine = self.engine
         heard = self._rest.resting and self._input.listen(connection, now_s)
         players = self._input.players(snapshot)
-        last_sound_s = engine.last_sound_s if engine and engine.faded else now_s
+        # Where nobody plays, nothing may come any more that would let the vibration fade.
+        over = engine is not None and (engine.faded or not players)
+        last_sound_s = engine.last_sound_s if engine and over else now_s
         if not self._rest.update(now_s, players, last_sound_s, heard=heard):
             return False
         if self.states.enter(DaemonState.IDLE, now_s, "nothing plays"):

@@ -88,10 +88,12 @@ def sounding(frames: Float32Array) -> Float32Array:
 
 
 @contextmanager
-def playing(server: SoundServer, sink: str, samples: Float32Array) -> Iterator[int]:
+def playing(
+    server: SoundServer, sink: str, samples: Float32Array, *, name: str = "Player"
+) -> Iterator[int]:
     """Another program that plays these samples to a sink; its process id."""
     command = [
-        *("pacat", "--playback", "--client-name=Player", "--property=media.role=music"),
+        *("pacat", "--playback", f"--client-name={name}", "--property=media.role=music"),
         *_format(sink, 200),
     ]
     with _process(server, command, stdin=subprocess.PIPE) as process:
