@@ -76,6 +76,7 @@ class LiveTransform:
         self._ready = np.zeros(grid.hop_frames)
         self._past = np.zeros(grid.window_frames - 1)
         self._past_peaks = np.zeros(grid.hops_in_window - 1)
+        self._peak_before = 0.0
         self._ringing = 0
         self._bandpass.reset()
         self._tracker.reset()
@@ -88,6 +89,13 @@ class LiveTransform:
 
     def begin_hop(self) -> None:
         """Let the next frame be the first of a hop; while it is asleep only."""
+        if not self._pending_frames:
+            return
+        # What came of the hop under way is silence, but the band-pass may still ring.
+        filtered = self._bandpass.process(self._pending[: self._pending_frames])
+        joined = np.concatenate((self._past, filtered))
+        self._past = joined[joined.size - self._past.size :]
+        self._peak_before = float(np.abs(filtered).max())
         self._pending_frames = 0
         self._ready = np.zeros(self._grid.hop_frames)
 
@@ -145,6 +153,8 @@ class LiveTransform:
     def _loudest(self, filtered: FloatArray, hops: int) -> FloatArray:
         """Return a bound on each window's magnitude: the peak of the hops that it touches."""
         peaks = np.abs(filtered).reshape(hops, -1).max(axis=1)
+        peaks[0] = max(peaks[0], self._peak_before)
+        self._peak_before = 0.0
         peaks = np.concatenate((self._past_peaks, peaks))
         self._past_peaks = peaks[hops:]
         bound: FloatArray = strided_windows(peaks, peaks.size - hops + 1, 1).max(axis=1)

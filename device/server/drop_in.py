@@ -91,7 +91,8 @@ class DropIn(Listener):
         self._default = DefaultSink(connection, snapshot.default_sink)
         self._guests = Guests(connection)
         self._wake = threading.Event()
-        self._stopping = self._closed = False
+        self._stop = threading.Event()
+        self._closed = False
         self._thread = threading.Thread(target=self._run, name="drop-in", daemon=True)
         try:
             self._follow(snapshot)
@@ -141,7 +142,8 @@ class DropIn(Listener):
         """
         if self._closed:
             return
-        self._closed = self._stopping = True
+        self._closed = True
+        self._stop.set()
         self._wake.set()
         self._connection.remove(self)
         self._thread.join()
@@ -162,25 +164,25 @@ class DropIn(Listener):
 
     def on_lost(self, error: LostError) -> None:
         """Follow no longer."""
-        self._stopping = True
+        self._stop.set()
         self._wake.set()
 
     # ------------------------------------------------------------------------ on the own thread
 
     def _run(self) -> None:
         wait_s: float | None = 0.0
-        while not self._stopping:
+        while not self._stop.is_set():
             self._wake.wait(wait_s)
             self._wake.clear()
             try:
-                settled = bool(self._stopping) or self._follow(self._connection.latest)
+                settled = self._stop.is_set() or self._follow(self._connection.latest)
+                wait_s = None if settled else TAKES_S
             except (NotFoundError, UsageError) as error:
                 self.reason = str(error)
-                wait_s = _AGAIN_S
+                wait_s = 0.0
+                self._stop.wait(_AGAIN_S)
             except LostError:
                 return
-            else:
-                wait_s = None if settled else TAKES_S
 
     def _follow(self, snapshot: ServerSnapshot) -> bool:
         """Do what is to be done now; whether nothing is left to do until the next event."""
@@ -250,8 +252,7 @@ class DropIn(Listener):
             route = Route(target, self._restore, self._delay_ms)
             fitting = [one.module for one in found if one.complete and one.route == route]
             keep = fitting[-1] if fitting else self._load(snapshot, route, found)
-            if target not in self._targets[-1:]:
-                self._targets.append(target)
+            self._targets = [*(name for name in self._targets if name != target), target]
         self.target_name = target or ""
         for one in found:
             if one.module != keep:
@@ -261,7 +262,7 @@ class DropIn(Listener):
 
     def _load(self, snapshot: ServerSnapshot, route: Route, found: list[Loopback]) -> int:
         """A new loopback on this route, once the sound comes out of it."""
-        arguments = loopback_arguments(route, find_sink(snapshot, SINK))
+        arguments = loopback_arguments(snapshot, route, find_sink(snapshot, SINK))
         module = self._connection.load_module("module-loopback", arguments)
         sounds_s = time.monotonic() + route.delay_ms / 1e3
 

@@ -144,11 +144,12 @@ def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
     return [f"sink_name={SINK}", *_format(target), *own, f'sink_properties="{properties}"']
 
 
-def loopback_arguments(route: Route, sink: Sink) -> list[str]:
+def loopback_arguments(snapshot: ServerSnapshot, route: Route, sink: Sink) -> list[str]:
     """What module-loopback is loaded with; sink: the virtual one.
 
     Its streams stay where they are: both servers unload the whole loopback when its target
-    vanishes. PipeWire would else lead it into its own source.
+    vanishes. PipeWire would else lead it into its own source. PulseAudio adds 5 ms after every few
+    underruns, for ever: not above 20 ms.
 
     Raises
     ------
@@ -161,6 +162,7 @@ def loopback_arguments(route: Route, sink: Sink) -> list[str]:
                 f"sound cannot be forwarded to a sink called {name!r}: quotes, backslashes and "
                 "control characters are not allowed; choose another sink"
             )
+    bounds = [f"max_latency_msec={route.delay_ms + 20}", "fast_adjust_threshold_msec=100"]
     properties = (
         f"media.name='{DESCRIPTION}' {_TARGET}='{route.target}' {_RESTORE}='{route.restore}' "
         f"{_DELAY}={route.delay_ms}"
@@ -170,6 +172,7 @@ def loopback_arguments(route: Route, sink: Sink) -> list[str]:
         f'sink="{route.target}"',
         *_format(sink),
         f"latency_msec={route.delay_ms}",
+        *(bounds if snapshot.kind == "PulseAudio" else []),
         "source_dont_move=true",
         "sink_dont_move=true",
         f'sink_input_properties="{properties}"',

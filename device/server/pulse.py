@@ -106,7 +106,13 @@ class PulseConnection:
 
     def load_module(self, name: str, arguments: Sequence[str] = ()) -> int:
         """Load a module into the server; its index. NotFoundError: the server has none or fails."""
-        return int(self._ask(lambda pulse: pulse.module_load(name, list(arguments))))
+        try:
+            return int(self._ask(lambda pulse: pulse.module_load(name, list(arguments))))
+        except NotFoundError:
+            raise NotFoundError(
+                f"the sound server does not load {name}; see whether it has it, takes its "
+                "arguments and allows modules to be loaded"
+            ) from None
 
     def unload_module(self, index: int) -> None:
         """Unload a module of the server. NotFoundError: it is gone."""

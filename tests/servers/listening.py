@@ -147,9 +147,17 @@ class Arrivals:
         whole = bytes(self._bytes)
         return np.frombuffer(whole[: len(whole) // 8 * 8], np.float32).reshape(-1, 2)
 
-    def began_s(self) -> float:
-        """When frame 0 was recorded, but for what every such recording needs at least."""
-        return min(at_s - frames / RATE_HZ for frames, at_s in tuple(self._parts))
+    def at_s(self, frame: int) -> float:
+        """When a frame was recorded, but for what every such recording needs at least.
+
+        Only what came in the half second around it counts: a busy machine loses frames.
+        """
+        near = [
+            at_s - (frames - frame) / RATE_HZ
+            for frames, at_s in tuple(self._parts)
+            if abs(frames - frame) < RATE_HZ // 4
+        ]
+        return min(near)
 
     def end(self) -> None:
         self._thread.join(5.0)

@@ -244,7 +244,7 @@ def test_what_a_sink_s_sound_comes_to_is_found_through_modules() -> None:
 
 def test_a_loopback_tells_its_route_and_whether_it_is_complete() -> None:
     route = Route("desktop", "speakers", 75)
-    arguments = loopback_arguments(route, sink(4, SINK))
+    arguments = loopback_arguments(snapshot(), route, sink(4, SINK))
     told = next(text for text in arguments if text.startswith("sink_input_properties"))
     pairs = told.partition("=")[2].strip('"').replace("'Haptic Cushion'", "x").split()
     properties = {
@@ -265,7 +265,7 @@ def test_a_loopback_tells_its_route_and_whether_it_is_complete() -> None:
 
 def test_a_route_that_no_module_could_take_is_refused() -> None:
     with pytest.raises(UsageError, match="quotes"):
-        loopback_arguments(Route("it's", "desktop", 20), sink(4, SINK))
+        loopback_arguments(snapshot(), Route("it's", "desktop", 20), sink(4, SINK))
     with pytest.raises(UsageError, match=r"delay_s=-1\.0"):
         whole_ms(-1.0)
     with pytest.raises(UsageError, match="delay_s=nan"):
