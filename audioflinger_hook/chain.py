@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,7 @@ from audioflinger_hook.mixer import HapticSink
 from device.output import VibrationOutput
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """What one step moved: the sound as mixed and the vibration as sent, float32.
 
     At the end of the sound comes one step of no sound, with the vibration still owed. Nothing at

@@ -42,13 +42,14 @@ class Run:
         self.recording = RunRecording(folder, settings, "default", "sink:haptic")
         self.recording.begin()
         self.feed = Feed(self.recording)
-        self.engine = self.feed.engine = Engine(
+        self.engine = Engine(
             self.feed.client(samplerate, channels),
             48_000,
             settings,
             clocks=STILL,
             on_step=self.recording.hooks(samplerate, of_mix=False)[0],
         )
+        self.feed.serve(self.engine)
         self.now_s = 0.0
 
     def play(self, frames: Float32Array, samplerate: int) -> None:
@@ -253,9 +254,8 @@ def test_of_several_sounds_the_mix_is_recorded_as_no_effect_has_changed_it(tmp_p
     feed = AppFeed(recording)
     on_step, on_mix = recording.hooks(48_000, of_mix=True)
     client = feed.client(48_000, 2)
-    engine = feed.engine = Engine(
-        client, 48_000, settings, clocks=STILL, on_step=on_step, on_mix=on_mix
-    )
+    engine = Engine(client, 48_000, settings, clocks=STILL, on_step=on_step, on_mix=on_mix)
+    feed.serve(engine)
     one, other = client.add("one"), client.add("other")
     sounds = [noise(480 * 256, 2, seed).astype(np.float32) for seed in (1, 2)]
     for number in range(480):

@@ -59,8 +59,8 @@ class AppFeed:
     """Buffers of several applications through one engine, mixed first.
 
     recording: takes the mix for what was delivered, since that is what the effect gets. priority:
-    what the thread of all captures asks for. The supervising thread makes the client and sets
-    `engine` before the first buffer.
+    what the thread of all captures asks for. The supervising thread makes the client, and calls
+    `serve` before the first buffer.
     """
 
     records_mix = True
@@ -80,6 +80,10 @@ class AppFeed:
         if self._recording:
             self._recording.mix_is(samplerate, channels)
         return self.voices
+
+    def serve(self, engine: Engine) -> None:
+        """Bring the buffers to this engine, which was made with `client`."""
+        self.engine = engine
 
     def push(self, voice: Voice, frames: Float32Array, now_s: float) -> None:
         """Take frames of one application; on the thread of all captures."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,11 +53,13 @@ class Engine:
     effect that uses too much time is passed by: for sound that plays elsewhere meanwhile. on_step:
     told of every cycle, on the thread that calls `advance`; the arrays are its own. on_mix: told
     the sound before that, as no effect has changed it yet; the array is the mixer's. `advance` is
-    called by the capture's thread, `fill` by the output's; neither waits for the other. Any thread
-    may read the rest.
+    called by one thread at a time, the capture's or the output's, `fill` by the output's; neither
+    waits for the other. Any thread may read the rest.
 
-    buffers, frames: how many were mixed; last_sound_s: when they were not silent. faded: whether
-    the vibration last looked at was none. sound, vibration: their levels.
+    buffers, frames: how many were mixed; frames_max: of a cycle. last_sound_s: when they were not
+    silent. faded: whether the vibration last looked at was none. sound, vibration: their levels.
+    before_fill: called by `fill` with the frames that it will read; set it before that. filled_s:
+    when `fill` was called last.
 
     Raises
     ------
@@ -81,7 +84,7 @@ class Engine:
         self._client = client
         self._clocks = clocks
         self._on_step = on_step
-        self._block_frames = block_frames
+        self.block_frames = block_frames
         self.samplerate = client.samplerate
         self.channels = client.channels
         self.framework = Framework(
@@ -97,6 +100,9 @@ class Engine:
         self.buffer_times = BufferClock()
         self.buffers = 0
         self.frames = 0
+        self.frames_max = self.framework.mixer.frames
+        self.before_fill: Callable[[int], None] = _nothing
+        self.filled_s = -math.inf
         self.faded = True
         self.last_sound_s = now_s
         self._into_line = _IntoLine(self)
@@ -110,8 +116,8 @@ class Engine:
             self.framework.haptic_channels,
             self.samplerate,
             samplerate,
-            capture_block=self._block_frames,
-            output_block=self._block_frames,
+            capture_block=self.block_frames,
+            output_block=self.block_frames,
             offset_s=offset_s,
             lateness_least_s=LATENESS_LEAST_S,
         )
@@ -121,10 +127,10 @@ class Engine:
 
         Call it while nobody calls `fill`, and for other blocks nobody `advance` either.
         """
-        blocks = block_frames or self._block_frames
+        blocks = block_frames or self.block_frames
         rate = round(self.delay_line.samplerate_out)
-        if (samplerate, blocks) != (rate, self._block_frames):
-            self._block_frames = blocks
+        if (samplerate, blocks) != (rate, self.block_frames):
+            self.block_frames = blocks
             self.delay_line = self._line(samplerate, self.delay_line.offset_s)
 
     def follow(self, settings: Settings, offset_s: float) -> None:
@@ -140,13 +146,15 @@ class Engine:
             self.delay_line.offset_s = before_s
             raise
 
-    def advance(self, now_s: float) -> bool:
+    def advance(self, now_s: float, earlier: Sequence[tuple[float, int]] = ()) -> bool:
         """Do one cycle with what the client has; False once it has come to its end.
 
-        now_s: when the sound came, in seconds of time.monotonic().
+        now_s: when the sound came, in seconds of time.monotonic(); earlier: see `DelayLine.write`,
+        for a client that hands over all of it at once.
         """
         began_s = self._clocks.used_s()
         self._into_line.now_s = now_s
+        self._into_line.earlier = earlier
         step = self._chain.step(now_s)
         if step is None:
             return False
@@ -195,6 +203,8 @@ class Engine:
         Haptic channels repeat where the device has more; where it has fewer, the last are left
         out.
         """
+        self.filled_s = now_s
+        self.before_fill(len(out))
         voices = self._scratch.shape[1]
         if len(self._scratch) != len(out):
             self._scratch = np.zeros((len(out), voices), np.float32)
@@ -204,7 +214,7 @@ class Engine:
 
 
 class _IntoLine:
-    """The delay line as an output of the chain; now_s: when the frames being treated came.
+    """The delay line as an output of the chain; now_s, earlier: when the frames being treated came.
 
     held: takes the blocks instead, where it is not None.
     """
@@ -212,6 +222,7 @@ class _IntoLine:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self.now_s = 0.0
+        self.earlier: Sequence[tuple[float, int]] = ()
         self.held: list[Float32Array] | None = None
         self.samplerate = engine.samplerate
         self.channels = engine.framework.haptic_channels
@@ -221,7 +232,7 @@ class _IntoLine:
         if self.held is not None:
             self.held.append(np.array(vibration, np.float32))
             return
-        self._engine.delay_line.write(vibration, self.now_s)
+        self._engine.delay_line.write(vibration, self.now_s, self.earlier)
 
     def close(self) -> None:
         """Nothing is held."""
@@ -229,3 +240,7 @@ class _IntoLine:
     def abort(self) -> None:
         """Drop what is waiting."""
         self._engine.delay_line.flush()
+
+
+def _nothing(frames: int) -> None:
+    """What is to be done where nothing is."""

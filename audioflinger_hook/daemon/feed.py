@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from audioflinger_hook.clients import TapClient
@@ -30,8 +31,10 @@ class Taker(Protocol):
 class Feed:
     """One tap's buffers through an engine: each is recorded, if so, then mixed at once.
 
-    recording: takes them as they are. The supervising thread makes the client and sets `engine`
+    recording: takes them as they are. The supervising thread makes the client, and calls `serve`
     before the first buffer; `opened` is called while nobody pushes.
+
+    engine: what mixes, None before `serve`.
     """
 
     records_mix = False
@@ -50,6 +53,14 @@ class Feed:
         if self._recording:
             self._recording.mix_is(samplerate, channels)
         return self._client
+
+    def serve(self, engine: Engine) -> None:
+        """Bring the buffers to this engine, which was made with `client`."""
+        self.engine = engine
+
+    def is_at(self, samplerate: int) -> bool:
+        """Whether the buffers have this rate, Hz."""
+        return self._tap is not None and self._tap.samplerate == samplerate
 
     def opened(self, samplerate: int, channels: int) -> bool:
         """See `Taker`."""
@@ -74,13 +85,19 @@ class Feed:
 
     def push(self, frames: Float32Array, now_s: float) -> None:
         """See `Taker`."""
+        self.deliver(frames, now_s)
+
+    def deliver(
+        self, frames: Float32Array, now_s: float, earlier: Sequence[tuple[float, int]] = ()
+    ) -> None:
+        """Mix frames that came until now_s; earlier: see `Engine.advance`."""
         tap, client, engine = self._tap, self._client, self.engine
         if tap is None or client is None or engine is None or not len(frames):
             return
         broken = tap.push(frames)
         if self._recording:
             self._recording.delivered(frames, tap.samplerate, now_s, broken)
-        while (tap.waiting or client.pending_frames) and engine.advance(now_s):
+        while (tap.waiting or client.pending_frames) and engine.advance(now_s, earlier):
             pass
 
     def finish(self, now_s: float) -> Float32Array:

@@ -13,6 +13,7 @@ from audioflinger_hook.daemon.order import Changes, Order
 from audioflinger_hook.daemon.paced_input import PacedInput
 from audioflinger_hook.daemon.paced_output import PacedOutput
 from audioflinger_hook.daemon.pacing import Pacer
+from audioflinger_hook.daemon.pulled import PulledFeed
 from audioflinger_hook.daemon.sides import InputSide, OutputSide
 from audioflinger_hook.service.state import StateKeeper
 from device.errors import UsageError
@@ -75,7 +76,7 @@ class Sides:
         if rules is not None:
             apps = self.feed = AppFeed(order.recording, self._priority)
             return AppInput(_address(order), rules, self._states, apps)
-        feed = self.feed = Feed(order.recording)
+        feed = self.feed = PulledFeed(order.recording)
         assert self._pcms is not None
         return LiveInput(
             order.tap,

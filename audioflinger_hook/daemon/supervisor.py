@@ -371,7 +371,7 @@ class Supervisor:
             on_step, on_mix = None, None
             if recording:
                 on_step, on_mix = recording.hooks(source.samplerate, of_mix=feed.records_mix)
-            engine = self.engine = feed.engine = Engine(
+            engine = self.engine = Engine(
                 feed.client(source.samplerate, source.channels),
                 device.samplerate or source.samplerate,
                 self._order.settings,
@@ -383,6 +383,7 @@ class Supervisor:
                 on_step=on_step,
                 on_mix=on_mix,
             )
+            feed.serve(engine)
             self._output.suit(engine.samplerate, engine.framework.haptic_channels)
         elif not self._output.is_open:
             engine.lead_to(device.samplerate or engine.samplerate, self._order.live.block_frames)

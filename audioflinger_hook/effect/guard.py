@@ -190,7 +190,7 @@ def still_lent(
         now = (lent.samples, lent.audio, lent.haptic)
     except AttributeError:
         return False
-    same = all(array is before for array, before in zip(now, arrays, strict=True))
+    same = now[0] is arrays[0] and now[1] is arrays[1] and now[2] is arrays[2]
     return same and same_layout(lent, original)
 
 

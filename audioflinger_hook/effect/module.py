@@ -38,9 +38,12 @@ class EffectState(Enum):
     DESTROYED = auto()
 
 
-ENABLED = frozenset({EffectState.STARTING, EffectState.ACTIVE, EffectState.RESTART})
-PROCESSING = frozenset(
-    {EffectState.ACTIVE, EffectState.STOPPING, EffectState.STOPPED, EffectState.RESTART}
+ENABLED = (EffectState.STARTING, EffectState.ACTIVE, EffectState.RESTART)
+PROCESSING = (
+    EffectState.ACTIVE,
+    EffectState.STOPPING,
+    EffectState.STOPPED,
+    EffectState.RESTART,
 )
 FRAMEWORK_ONLY = frozenset({Command.INIT, Command.SET_CONFIG})
 """Commands that only the framework itself sends."""

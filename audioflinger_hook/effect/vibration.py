@@ -126,7 +126,10 @@ class Vibration:
 
 def cut_to_full_scale(samples: FloatArray) -> int:
     """Cut samples to +-1 in place and return how many were beyond."""
+    if not samples.size or (
+        np.maximum.reduce(samples) <= 1.0 and np.minimum.reduce(samples) >= -1.0
+    ):
+        return 0
     beyond = int(np.count_nonzero(np.abs(samples) > 1.0))
-    if beyond:
-        np.clip(samples, -1.0, 1.0, out=samples)
+    np.clip(samples, -1.0, 1.0, out=samples)
     return beyond

@@ -6,8 +6,8 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,8 +44,7 @@ class MixerState(Enum):
     """At least one track was mixed."""
 
 
-@dataclass(frozen=True)
-class CycleReport:
+class CycleReport(NamedTuple):
     """What one cycle did.
 
     underruns: tracks that could not deliver. buffer: what the sinks got, silence in standby; it

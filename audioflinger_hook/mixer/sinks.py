@@ -100,6 +100,14 @@ def _like(frames: NDArray[np.float32], wanted: NDArray[np.float32]) -> NDArray[n
 
 def _limited(frames: NDArray[np.float32], limit: float, limited: NDArray[np.float32]) -> None:
     """Fill `limited` with the frames cut at ±limit, NaN as 0; may be the same array."""
+    if not frames.size:
+        return
+    # Most buffers are within the limit, and NaN is within none.
+    largest = np.maximum.reduce(frames, axis=None)
+    if largest <= limit and np.minimum.reduce(frames, axis=None) >= -limit:
+        if limited is not frames:
+            limited[...] = frames
+        return
     np.clip(frames, -limit, limit, out=limited)
     absent = np.isnan(limited)
     if absent.any():

@@ -36,9 +36,8 @@ class Request(Enum):
     REMOVE = "remove"
 
 
-PLAYING = frozenset(
-    (TrackState.ACTIVE, TrackState.PAUSING, TrackState.RESUMING, TrackState.STOPPING)
-)
+# No set: every look into one would run Enum's own hash function, in Python.
+PLAYING = (TrackState.ACTIVE, TrackState.PAUSING, TrackState.RESUMING, TrackState.STOPPING)
 """The states in which a track may be part of the mix."""
 
 _S, _R = TrackState, Request

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from device.clock.crossing import Flush, Written
 from device.clock.declick import Joint
@@ -48,9 +49,10 @@ class DelayLine:
     the output's block. Whenever the pieces on both sides of a moment do not belong together, a
     `Joint` of 5 ms makes them one.
 
-    Threads: one calls `write`, one `read`; any may call the rest at any time. Nobody waits for
-    anybody: see `NewestFrames` for the frames; everything else that crosses is one attribute
-    that holds an immutable object and is assigned by one side only, or by whoever was last.
+    Threads: one at a time calls `write`, one `read`; any may call the rest at any time. Nobody
+    waits for anybody: see `NewestFrames` for the frames; everything else that crosses is one
+    attribute that holds an immutable object and is assigned by one side only, or by whoever was
+    last.
     Times are seconds of one monotonic clock, taken when the callback began.
 
     Raises
@@ -194,33 +196,62 @@ class DelayLine:
         """End `silence`: the next read fades in. Any thread."""
         self._silenced = False
 
-    def write(self, frames: FloatArray | Float32Array, now_s: float) -> None:
+    def write(
+        self,
+        frames: FloatArray | Float32Array,
+        now_s: float,
+        earlier: Sequence[tuple[float, int]] = (),
+    ) -> None:
         """Take (frames, channels), full scale ±1.0, any number of frames, captured until now_s.
 
-        The array belongs to the caller again when this returns. Called by the tap's thread.
+        earlier: where they were captured in parts, (when, how many of them by then) of each part
+        but the last, in order. The array belongs to the caller again when this returns. Called by
+        one thread at a time.
         """
         self._check(frames)
         count = len(frames)
         if not count:
             return
         now_s = float(now_s)
-        before = self._written
-        stalled = not now_s - self._last_write_s < STALLED_S
+        first_s = earlier[0][0] if earlier else now_s
+        stalled = not first_s - self._last_write_s < STALLED_S
         written = self._ring.store(frames)
         if math.isfinite(now_s):
             self._last_write_s = now_s
         if self._jump_wanted is not self._jump_expected:
             self._jump_expected = self._jump_wanted
             self._written_clock.expect_jump()
-        clock = self._written_clock.update(now_s, written)
+        start = part = written - count
+        for part_s, frames_by_then in earlier:
+            self._time_part(part_s, part, start + frames_by_then)
+            part = start + frames_by_then
+        clock = self._time_part(now_s, part, written)
         if clock is None:  # no time has ever been finite
             return
-        # How far the ring was behind the clock, just before these frames came.
-        late_s = now_s - clock.time_of(written - count) - self._capture_s
-        _measure_lateness(self._written_late, late_s, count / self._samplerate_in, clock)
-        run_start = written - count if stalled or before is None else before.run_start
+        before = self._written
+        run_start = start if stalled or before is None else before.run_start
         late = self._written_late
         self._written = Written(written, clock, run_start, late.estimate_s, late.known)
+
+    def lacks(self, frames: int) -> bool:
+        """Whether a `read` of so many frames would want what was not written yet.
+
+        Called by the output's thread. A writer that is asked in time may so wait until then.
+        """
+        written = self._written
+        if written is None or self._state not in _PLAYING:
+            return True
+        return self._reader.readable(written.frames, self._step) < frames
+
+    def _time_part(self, now_s: float, start: int, end: int) -> ClockReading | None:
+        """Learn from when the frames from `start` to `end` were captured."""
+        clock = self._written_clock.update(now_s, end)
+        if clock is not None:
+            # How far what was captured was behind the clock, just before these frames came.
+            late_s = now_s - clock.time_of(start) - self._capture_s
+            seconds = (end - start) / self._samplerate_in
+            _measure_lateness(self._written_late, late_s, seconds, clock)
+        return clock
 
     def read(self, out: Float32Array, now_s: float) -> None:
         """Fill (frames, channels), any number of frames, that will be played from now_s on.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 
 import numpy as np
 
@@ -29,17 +30,11 @@ class CubicReader:
     """
 
     def __init__(self, ring: Float32Array) -> None:
-        channels = ring.shape[1]
         self._ring = ring
         self._capacity = len(ring)
-        self._count = np.arange(_CHUNK, dtype=np.float64)
         self._taps = np.arange(4)[:, np.newaxis]
-        self._at = np.empty(_CHUNK)
-        self._whole = np.empty(_CHUNK)
-        self._rows = np.empty((4, _CHUNK), np.int64)
-        self._weights = np.empty((4, _CHUNK, 1))
-        self._near = np.empty((4, _CHUNK, channels), np.float32)
-        self._weighted = np.empty((4, _CHUNK, channels))
+        self._memory = _Scratch(_CHUNK, ring.shape[1])
+        self._scratch = self._memory
         self.position = 0
         self.fraction = 0.0
 
@@ -63,28 +58,50 @@ class CubicReader:
 
     def _read_chunk(self, out: Float32Array, step: float) -> None:
         frames = len(out)
-        at, whole = self._at[:frames], self._whole[:frames]
-        np.multiply(self._count[:frames], step, out=at)
+        if frames != len(self._scratch.at):
+            self._scratch = self._memory.shortened(frames)
+        now = self._scratch
+        at, whole = now.at, now.whole
+        np.multiply(now.count, step, out=at)
         at += self.fraction
         np.floor(at, out=whole)
         at -= whole
-        rows = self._rows[:, :frames]
-        np.add(whole, self._taps, out=rows, casting="unsafe")
-        rows += (self.position - 1) % self._capacity
-        weights = self._weights[:, :frames]
-        _lagrange(at, weights[..., 0])
-        # Chunks of all lengths share the memory; a slice of it would not be contiguous.
-        near = self._near.reshape(-1)[: 4 * out.size].reshape(4, *out.shape)
-        weighted = self._weighted.reshape(-1)[: 4 * out.size].reshape(4, *out.shape)
-        np.take(self._ring, rows, axis=0, out=near, mode="wrap")
-        np.multiply(near, weights, out=weighted)
-        total = weighted[0]
-        for more in weighted[1:]:
-            total += more
-        out[:] = total
+        np.add(whole, self._taps, out=now.rows, casting="unsafe")
+        now.rows += (self.position - 1) % self._capacity
+        _lagrange(at, now.weights)
+        self._ring.take(now.rows, axis=0, out=now.near, mode="wrap")
+        np.multiply(now.near, now.column_weights, out=now.weighted)
+        np.add.reduce(now.weighted, axis=0, dtype=np.float64, out=out)
         end = self.fraction + frames * step
         self.position += math.floor(end)
         self.fraction = end - math.floor(end)
+
+
+class _Scratch:
+    """Memory for one chunk of `frames`; chunks of all lengths share it."""
+
+    def __init__(self, frames: int, channels: int) -> None:
+        self.count = np.arange(frames, dtype=np.float64)
+        self.at = np.empty(frames)
+        self.whole = np.empty(frames)
+        self.rows = np.empty((4, frames), np.int64)
+        self.weights = np.empty((4, frames))
+        self.column_weights = self.weights[..., np.newaxis]
+        self.near = np.empty((4, frames, channels), np.float32)
+        self.weighted = np.empty((4, frames, channels))
+
+    def shortened(self, frames: int) -> _Scratch:
+        """The same memory for fewer frames."""
+        short = copy(self)
+        short.count, short.at = self.count[:frames], self.at[:frames]
+        short.whole = self.whole[:frames]
+        short.rows, short.weights = self.rows[:, :frames], self.weights[:, :frames]
+        short.column_weights = short.weights[..., np.newaxis]
+        # A slice of these would not be contiguous.
+        shape = (4, frames, self.near.shape[2])
+        short.near = self.near.reshape(-1)[: math.prod(shape)].reshape(shape)
+        short.weighted = self.weighted.reshape(-1)[: math.prod(shape)].reshape(shape)
+        return short
 
 
 def _lagrange(s: FloatArray, weights: FloatArray) -> None:

@@ -13,7 +13,7 @@
                   (forwarding.py, default_sink.py, guests.py)
     priority.py   real-time priority for the callbacks' threads
     folders.py    where the private ALSA configuration lies, and what others left behind
-    quiet.py      what the libraries print; statistics.py: how long callbacks take
+    quiet.py      what the libraries print; foreign_thread.py: what Python holds for callbacks
 
 pulsectl and PyAudio are loaded when they are first needed: both need libraries of the system.
 """

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from device.server import libpulse
-from device.server.statistics import Durations
 from device.server.streams import OnFrames
 
 _ERROR_NAMES = 16
@@ -46,8 +45,7 @@ class AppCapture:
     `pcms.TAG`). samplerate: Hz; channels. opened_s: when it was opened. last_callback_s: when
     frames came last, opened_s before the first. callbacks, frames: how many there were; callbacks
     differ in length. xruns: how often the server told that frames are missing; there is silence in
-    their place. errors: exceptions in on_frames, how many by name. thread_time: what callbacks
-    cost of their thread's time. gaps: from one callback to the next one.
+    their place. errors: exceptions in on_frames, how many by name.
     ended: None while it runs, else why it does not (an `Ended`, whose text says it).
 
     audible: any thread may set it. While it is False the frames are all 0. silenced: how many
@@ -71,8 +69,6 @@ class AppCapture:
         self.frames = 0
         self.xruns = 0
         self.errors: dict[str, int] = {}
-        self.thread_time = Durations()
-        self.gaps = Durations()
         self.ended: Ended | None = None
         self._on_frames = on_frames
         self._close = close
@@ -154,10 +150,7 @@ class AppCapture:
 
     def _deliver(self, data: bytes) -> None:
         now_s = time.monotonic()
-        started_ns = time.thread_time_ns()
         try:
-            if self.callbacks:
-                self.gaps.add(int((now_s - self.last_callback_s) * 1e9))
             self.last_callback_s = now_s
             self.callbacks += 1
             if not self.audible:
@@ -171,4 +164,3 @@ class AppCapture:
             if name not in self.errors and len(self.errors) >= _ERROR_NAMES:
                 name = "others"
             self.errors[name] = self.errors.get(name, 0) + 1
-        self.thread_time.add(time.thread_time_ns() - started_ns)

@@ -181,8 +181,12 @@ class DropIn(Listener):
                 self.reason = str(error)
                 wait_s = 0.0
                 self._stop.wait(_AGAIN_S)
-            except LostError:
-                return
+            except LostError as error:
+                if self._connection.lost is not None:
+                    return
+                self.reason = str(error)  # one answer came too late; the next one need not
+                wait_s = 0.0
+                self._stop.wait(_AGAIN_S)
 
     def _follow(self, snapshot: ServerSnapshot) -> bool:
         """Do what is to be done now; whether nothing is left to do until the next event."""

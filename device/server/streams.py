@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from device.errors import UsageError
+from device.server.foreign_thread import LET_GO_LIMIT_S, ForeignThread
 from device.server.pcms import Pcm
 from device.server.portaudio import BLOCK_FRAMES, OpenStream, close_stream, open_stream
 from device.server.priority import AudioPriority
-from device.server.statistics import Durations
 from device.units import Float32Array
 
 LOST_AFTER_S = 0.5
@@ -44,8 +44,7 @@ class _Stream:
     tag: what the server shows of this stream (property `pcms.TAG`). opened_s: when it was opened.
     last_callback_s: start of the last callback, opened_s before the first. callbacks, frames: how
     many there were. xruns: overflows and underflows that PortAudio flagged; it flags few of them.
-    errors: exceptions in callbacks, how many by name. gaps: from one callback's start to the next
-    one's.
+    errors: exceptions in callbacks, how many by name.
 
     audible: any thread may set it. While it is False there is silence instead of sound, from the
     very next block on. silenced: how many blocks that concerned.
@@ -73,8 +72,8 @@ class _Stream:
         self.frames = 0
         self.xruns = 0
         self.errors: dict[str, int] = {}
-        self.gaps = Durations()
         self._closing = False
+        self._thread = ForeignThread()
         self._close_lock = threading.Lock()
         self._open: OpenStream | None = None
         self._open = open_stream(
@@ -112,6 +111,8 @@ class _Stream:
         self._closing = True
         with self._close_lock:
             opened, self._open = self._open, None
+        if opened is not None and time.monotonic() - self.last_callback_s < LET_GO_LIMIT_S:
+            self._thread.wait()
         return opened is None or close_stream(opened)
 
     def _callback(
@@ -119,16 +120,18 @@ class _Stream:
     ) -> tuple[bytes | None, int]:
         now_s = time.monotonic()
         try:
-            if self.callbacks:
-                self.gaps.add(int((now_s - self.last_callback_s) * 1e9))
-            elif self._priority is not None:
-                self._priority.claim()
+            if not self.callbacks:
+                self._thread.hold()
+                if self._priority is not None:
+                    self._priority.claim()
             self.last_callback_s = now_s
             self.callbacks += 1
             self.frames += frames
             if flags & (_INPUT_UNDERFLOW | _INPUT_OVERFLOW | _OUTPUT_UNDERFLOW | _OUTPUT_OVERFLOW):
                 self.xruns += 1
-            if not self._closing:
+            if self._closing:
+                self._thread.let_go()
+            else:
                 self._exchange(data, frames, now_s)
         except BaseException as error:  # nothing may pass: PortAudio would end the stream
             self._count(error)

@@ -20,24 +20,22 @@ import pytest
 
 from audioflinger_hook.bench.lag import swelling_tone
 from audioflinger_hook.bench.live_recording import Recording
-from audioflinger_hook.clients import TapClient
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.taps import PushTap
+from audioflinger_hook.daemon.pulled import PulledFeed
 from device.clock.status import DelayState, DelayStatus
 from device.server import CaptureStream, PcmConfig, PlaybackStream, portaudio
-from device.units import Float32Array
 from tests.servers.listening import RATE_HZ, playing, wait_for
 from tools.sound_server import SoundServer, missing_clock, missing_programs
 
 SOAK_S = float(os.environ.get("CUSHION_DRIFT_SOAK_S", "300"))
 """How long each pair of clocks is watched in the soak."""
 
-SHORT_S = 24.0
+SHORT_S = 20.0
+SHORT_SETTLES_S = 20.0
 SETTLES_S = 60.0
 """The delay line steers with 0.02 Hz once it has found its target."""
 
 POLL_S = 0.1
-LONG_ENOUGH_FOR_PPM_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -103,12 +101,11 @@ def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
     """The engine between the first card's `desktop` and the second one's `haptic`."""
     config = PcmConfig("cushion_tap", "cushion_output")
     clocks = Clocks(time.monotonic, time.thread_time)
-    tap = PushTap(RATE_HZ, 2)
-    engine = Engine(TapClient(tap), RATE_HZ, clocks=clocks, now_s=time.monotonic())
-
-    def on_frames(frames: Float32Array, now_s: float) -> None:
-        tap.push(frames)
-        engine.advance(now_s)
+    feed = PulledFeed()
+    client = feed.client(RATE_HZ, 2)
+    engine = Engine(client, RATE_HZ, clocks=clocks, now_s=time.monotonic())
+    feed.serve(engine)
+    feed.opened(RATE_HZ, 2)
 
     streams: list[CaptureStream | PlaybackStream] = []
     try:
@@ -117,7 +114,7 @@ def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
         streams.append(playback)
         playback.audible = True
         config.pcms["cushion_tap"].lead("desktop.monitor", heard.address)
-        streams.append(CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, on_frames))
+        streams.append(CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, feed.push))
         yield engine
         assert all(stream.errors == {} for stream in streams)
     finally:
@@ -165,14 +162,14 @@ def recording(server: SoundServer, sink: str) -> Recording:
 
 
 @pytest.mark.servers
-@pytest.mark.parametrize("ratio", [0.999, 1.001])
+@pytest.mark.parametrize("ratio", [0.9998, 1.0002])
 def test_a_card_that_is_fast_or_slow_is_followed(
     ratio: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = watched(ratio, SHORT_S - 10.0, 10.0, monkeypatch)
-    assert np.sign(found.drift_ppm) == np.sign(1.0 - ratio)
-    assert np.sign(found.ratio_ppm) == np.sign(1.0 - ratio)
+    found = watched(ratio, SHORT_S, SHORT_SETTLES_S, monkeypatch)
     assert found.resyncs == 0
+    # Twice what is allowed when all has settled, which takes a minute.
+    assert np.abs(found.errors_ms).max() <= 2.0
 
 
 @pytest.mark.soak

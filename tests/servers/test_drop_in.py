@@ -354,9 +354,12 @@ def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(
         wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
         assert drop_in.target_name == "desktop"
         wait_for(lambda: guard.hold is Hold.FREE, "our stream")  # PulseAudio had moved it
-    ours = tagged(connection.snapshot().sink_inputs, stream.tag)
-    assert ours is not None
-    assert ours.place_name == "haptic"
+
+    def is_home() -> bool:
+        ours = tagged(connection.snapshot().sink_inputs, stream.tag)
+        return ours is not None and ours.place_name == "haptic"
+
+    wait_for(is_home, "our stream on its sink")
     stream.close()
     guard.release()
 

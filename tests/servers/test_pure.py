@@ -1,4 +1,4 @@
-"""What needs no server: decisions of the guard, names, identities, durations, configurations."""
+"""What needs no server: decisions of the guard, names, identities, configurations."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from device.server.identity import default_monitor, find_sink, identity_of, is_o
 from device.server.pcms import TAG, PcmConfig
 from device.server.quiet import loud_libraries, quiet_libraries
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream, _kind
-from device.server.statistics import Durations
 
 
 def sink(index: int, name: str, **properties: str) -> Sink:
@@ -125,19 +124,6 @@ def test_a_stream_of_another_machine_with_our_process_id_is_not_ours() -> None:
 def test_the_kind_of_a_server_is_in_its_name() -> None:
     assert _kind("pulseaudio", "16.1") == ("PulseAudio", "16.1")
     assert _kind("PulseAudio (on PipeWire 0.3.65)", "15.0.0") == ("PipeWire", "0.3.65")
-
-
-def test_durations_are_told_within_nine_percent() -> None:
-    durations = Durations()
-    assert durations.summary().count == 0
-    for microseconds in range(1, 1_001):
-        durations.add(microseconds * 1_000)
-    durations.add(10**15)
-    summary = durations.summary()
-    assert summary.count == 1_001
-    assert summary.median_us == pytest.approx(500, rel=0.1)
-    assert summary.p99_us == pytest.approx(990, rel=0.1)
-    assert summary.max_us == 10**12
 
 
 def test_waiting_doubles_up_to_two_seconds() -> None:

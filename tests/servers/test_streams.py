@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import resource
 import subprocess
@@ -253,6 +254,45 @@ def test_opening_and_closing_leaves_nothing_behind(server: SoundServer, pcms: Pc
     grown_kb = next(result for result in results if result is not None)
     print(f"{server.kind}: {grown_kb} kB after 20 cycles")
     assert grown_kb < 2_000
+
+
+def thread_states() -> int:
+    """How many threads Python holds something for, the ones of callbacks included."""
+    python = ctypes.pythonapi
+    for function in (python.PyInterpreterState_Get, python.PyInterpreterState_ThreadHead):
+        function.restype = ctypes.c_void_p
+    python.PyInterpreterState_ThreadHead.argtypes = [ctypes.c_void_p]
+    python.PyThreadState_Next.argtypes = [ctypes.c_void_p]
+    python.PyThreadState_Next.restype = ctypes.c_void_p
+    state, count = python.PyInterpreterState_ThreadHead(python.PyInterpreterState_Get()), 0
+    while state:
+        state, count = python.PyThreadState_Next(state), count + 1
+    return count
+
+
+def test_python_meets_a_stream_s_thread_once_and_forgets_it_at_the_end(
+    server: SoundServer, pcms: PcmConfig
+) -> None:
+    python = ctypes.pythonapi
+    python.PyThreadState_Get.restype = ctypes.c_void_p
+    met: set[int] = set()
+
+    def note(frames: Float32Array, now_s: float) -> None:
+        met.add(python.PyThreadState_Get())
+
+    def all_forgotten() -> bool:
+        before = thread_states()
+        pcms.pcms["cushion_tap"].lead("desktop.monitor")
+        met.clear()
+        stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, note)
+        wait_for(lambda: stream.callbacks > 100, "callbacks")
+        assert len(met) == 1
+        assert thread_states() == before + 1
+        assert stream.close()
+        return thread_states() == before
+
+    # A callback that a busy machine delays beyond the time allowed leaves one behind.
+    assert any(all_forgotten() for _ in range(ATTEMPTS))
 
 
 def test_libraries_print_nothing_and_we_do(server: SoundServer) -> None:

@@ -1,0 +1,170 @@
+"""Mixing when the output needs it gives what mixing at once gives, at the same moments."""
+
+from __future__ import annotations
+
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.daemon.feed import Feed
+from audioflinger_hook.daemon.pulled import UNASKED_S, PulledFeed
+from device.clock import DelayState
+from device.units import Float32Array
+
+RATE_HZ = 48_000
+BLOCK = 256
+BLOCK_S = BLOCK / RATE_HZ
+
+
+class Live:
+    """A feed and its engine between two streams; keeps what was mixed, felt and played."""
+
+    def __init__(self, feed: Feed, samplerate: int = RATE_HZ, block_frames: int = BLOCK) -> None:
+        self.feed = feed
+        self.mixed: list[Float32Array] = []
+        self.felt: list[Float32Array] = []
+        self.played: list[Float32Array] = []
+        self.engine = Engine(
+            feed.client(samplerate, 2),
+            RATE_HZ,
+            clocks=Clocks(lambda: 0.0, lambda: 0.0),
+            block_frames=block_frames,
+            on_step=self._stepped,
+        )
+        feed.serve(self.engine)
+        feed.opened(samplerate, 2)
+
+    def _stepped(self, audio: Float32Array, vibration: Float32Array, now_s: float) -> None:
+        self.mixed.append(audio.copy())
+        self.felt.append(vibration.copy())
+
+    def fill(self, now_s: float, frames: int = BLOCK) -> None:
+        out = np.zeros((frames, 1), np.float32)
+        self.engine.fill(out, now_s)
+        self.played.append(out)
+
+    def run(self, sound: Float32Array, late_s: Float32Array) -> None:
+        """Both streams go on; block n is delivered late_s[n] after its time, but in order."""
+        delivered_s = np.maximum.accumulate(BLOCK_S * np.arange(1, len(late_s) + 1) + late_s)
+        begun = 0
+        for read in range(1, len(late_s)):
+            read_s = (read + 0.37) * BLOCK_S
+            while begun < len(late_s) and delivered_s[begun] <= read_s:
+                at = begun * BLOCK
+                self.feed.push(sound[at : at + BLOCK], float(delivered_s[begun]))
+                begun += 1
+            self.fill(read_s)
+
+
+def music(seconds: float) -> Float32Array:
+    at = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    wave = 0.3 * np.sin(2.0 * np.pi * 440.0 * at) * (0.6 + 0.4 * np.sin(2.0 * np.pi * 3.0 * at))
+    return np.column_stack([wave, wave]).astype(np.float32)
+
+
+def lateness(blocks: int, jitter_s: float) -> Float32Array:
+    late = np.random.default_rng(5).gamma(1.0, max(jitter_s, 1e-12), blocks)
+    return np.minimum(late, 0.02).astype(np.float32)
+
+
+@pytest.mark.parametrize("jitter_s", [0.0, 0.001, 0.003])
+def test_what_is_felt_is_the_same_and_comes_at_the_same_time(jitter_s: float) -> None:
+    sound = music(6.0)
+    late_s = lateness(len(sound) // BLOCK, jitter_s)
+    at_once, when_needed = Live(Feed()), Live(PulledFeed())
+    for live in (at_once, when_needed):
+        live.run(sound, late_s)
+    felt, expected = np.concatenate(when_needed.felt), np.concatenate(at_once.felt)
+    assert felt.tobytes() == expected[: len(felt)].tobytes()
+    assert len(expected) - len(felt) < 0.05 * RATE_HZ  # what the output did not need yet
+    one, other = (live.engine.delay_line.status for live in (at_once, when_needed))
+    assert (other.underflows, other.resyncs) == (one.underflows, one.resyncs)
+    assert other.state is one.state
+    assert other.delay_s == pytest.approx(one.delay_s, abs=0.0002)
+    # Played at the same moments, to a tenth of a millisecond: what the clocks learn comes later.
+    heard, wanted = np.concatenate(when_needed.played)[:, 0], np.concatenate(at_once.played)[:, 0]
+    loudest = np.abs(wanted).max()
+    assert np.abs(heard - wanted)[2 * RATE_HZ :].max() < 0.1 * loudest
+
+
+def test_an_output_that_has_enough_lets_blocks_become_one_cycle() -> None:
+    sound = music(4.0)
+    live = Live(PulledFeed())
+    live.run(sound, lateness(len(sound) // BLOCK, 0.0))
+    assert live.engine.delay_line.status.state is DelayState.LOCKED
+    lengths = [len(part) for part in live.mixed[-40:]]
+    assert np.mean(lengths) >= 2 * BLOCK
+    assert max(lengths) <= live.engine.frames_max
+    assert live.engine.delay_line.status.underflows == 0
+
+
+def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle() -> None:
+    sound = music(4.0)
+    live = Live(PulledFeed())
+    live.engine.delay_line.offset_s = 0.5
+    live.run(sound, lateness(len(sound) // BLOCK, 0.0))
+    delivered = len(sound) // BLOCK * BLOCK
+    assert delivered - live.engine.frames <= live.engine.frames_max + BLOCK
+
+
+def test_without_an_output_sound_is_mixed_as_it_comes() -> None:
+    live = Live(PulledFeed())
+    live.fill(0.0)
+    sound = music(1.0)
+    for block in range(100):
+        live.feed.push(sound[block * BLOCK : (block + 1) * BLOCK], block * BLOCK_S)
+        if block * BLOCK_S > UNASKED_S:
+            assert live.engine.frames == (block + 1) * BLOCK
+
+
+def test_a_reopened_stream_of_another_format_is_not_mixed_with_what_waited() -> None:
+    feed = PulledFeed()
+    live = Live(feed)
+    live.fill(0.0)
+    feed.push(np.full((BLOCK, 2), 0.5, np.float32), 0.001)
+    assert feed.opened(44_100, 1)
+    feed.push(np.full((441, 1), 0.25, np.float32), 0.1)
+    assert live.engine.frames == pytest.approx(480, abs=48)
+    assert np.concatenate(live.mixed).max() <= 0.3
+
+
+def test_a_stream_that_moves_mixes_first_what_came_before() -> None:
+    feed = PulledFeed()
+    live = Live(feed)
+    live.fill(0.0)
+    feed.push(music(1.0)[:BLOCK], 0.001)
+    assert live.engine.frames == 0
+    feed.moved()
+    assert live.engine.frames == BLOCK
+
+
+def test_two_threads_lose_nothing_and_keep_the_order() -> None:
+    interval_s = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    try:
+        feed = PulledFeed()
+        live = Live(feed)
+        blocks = 3_000
+        ended = threading.Event()
+
+        def play() -> None:
+            while not ended.is_set():
+                live.fill(live.engine.filled_s + BLOCK_S if live.engine.filled_s > 0.0 else 1.0)
+
+        output = threading.Thread(target=play)
+        output.start()
+        for block in range(blocks):
+            # Now and then later than the output asks, so that both threads mix.
+            now_s = live.engine.filled_s + (0.2 if block % 5 == 0 else 0.0)
+            feed.push(np.full((BLOCK, 2), block / blocks, np.float32), now_s)
+        ended.set()
+        output.join()
+        feed.pull(None)
+    finally:
+        sys.setswitchinterval(interval_s)
+    assert live.engine.frames == blocks * BLOCK
+    firsts = np.concatenate(live.mixed)[::BLOCK, 0]
+    assert np.array_equal(firsts, np.arange(blocks, dtype=np.float32) / np.float32(blocks))
