@@ -7,7 +7,7 @@ import pytest
 
 from device.clock import DelayLine, DelayState
 from device.errors import InternalError, UsageError
-from device.units import FloatArray
+from device.units import Float32Array, FloatArray
 from tests.clocks import Course, Side, run
 from tests.signals import best_sinusoid
 
@@ -111,6 +111,30 @@ def test_blocks_of_a_server_that_beat_with_ours_do_not_move_the_delay(server_blo
     assert course.last.resyncs == 0
     assert course.last.underflows <= 1  # while the lateness is not yet known
     assert np.ptp(course.after(60.0)) < 0.3 * MS
+
+
+@pytest.mark.parametrize(
+    ("written_in", "read_in", "from_s", "limit_ms"),
+    [(1_023, 0, 10.0, 0.5), (1_025, 0, 10.0, 0.3), (0, 1_025, 3.0, 1.5), (0, 1_023, 3.0, 1.5)],
+)
+def test_a_beat_that_is_learned_in_time_is_no_error(
+    written_in: int, read_in: int, from_s: float, limit_ms: float
+) -> None:
+    line = DelayLine(1, 48_000, 48_000, lateness_least_s=0.005)
+    # Callbacks come a little earlier, or later, each time: it takes 22 s to have seen them all.
+    writer = Side(server_block=written_in, jitter_s=0.2 * MS)
+    reader = Side(server_block=read_in, ppm=-200, jitter_s=0.2 * MS, start_s=0.003)
+    errors_ms: list[float] = []
+
+    def note(now_s: float, line: DelayLine, out: Float32Array) -> None:
+        status = line.status
+        if now_s > from_s:
+            errors_ms.append(1e3 * (status.delay_s - status.target_s))
+
+    course = run(line, writer, reader, 120.0, note)
+    assert course.last.resyncs == 0
+    assert np.abs(errors_ms).max() < limit_ms
+    assert course.last.state is DelayState.LOCKED
 
 
 def test_an_hour_at_300_ppm_gains_and_loses_nothing() -> None:

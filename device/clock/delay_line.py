@@ -120,6 +120,8 @@ class DelayLine:
         self._step = self._nominal_step = self._samplerate_in / self._samplerate_out
         self._delay_s = 0.0
         self._on_target_s = 0.0
+        self._known = False
+        self._stepped_s = 0.0
         self._starved_at_s = -math.inf
         self._not_before_s = -math.inf
         self._from_frame = 0
@@ -288,11 +290,16 @@ class DelayLine:
         seconds = frames / self._samplerate_out
         early_s = clock.time_of(clock.frames + frames) - now_s - self._output_s
         _measure_lateness(self._read_late, early_s, seconds, clock)
+        known = clock.settled and written.clock.settled
+        # What the clocks learn of themselves is no change of the delay, and no reason to steer.
+        stepped_s = clock.stepped_s - written.clock.stepped_s
+        if known and self._known:
+            self._target.rebase(stepped_s - self._stepped_s)
+        self._known, self._stepped_s = known, stepped_s
         late_s = written.lateness_s + self._read_late.estimate_s
         lateness_s = max(self._lateness_least_s, late_s)
         self._target.want(lateness_s, self._offset_s)
         slew = self._target.move(seconds)
-        known = clock.settled and written.clock.settled
         captured = written.clock.frames_at(clock.time_s)
         if self._state in _PLAYING:
             self._measure(captured, seconds, slew, known)

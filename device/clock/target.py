@@ -4,6 +4,8 @@ from __future__ import annotations
 
 SLEW = 1_000e-6
 """How fast the target may move, in seconds a second: a change of pitch that nobody feels."""
+NEARS_S = 1.0
+"""Time constant of the last part of the way: small steps are taken gently."""
 
 
 class TargetDelay:
@@ -39,9 +41,15 @@ class TargetDelay:
         """Be where it should be, at once."""
         self.current_s = self.wanted_s
 
+    def rebase(self, seconds: float) -> None:
+        """Be told that the delay measures so much more from now on, without any change of it."""
+        self.current_s += seconds
+
     def move(self, seconds: float) -> float:
         """Move for `seconds`; return how fast that was, in seconds a second."""
-        step_s = max(-SLEW * seconds, min(SLEW * seconds, self.wanted_s - self.current_s))
+        share = min(1.0, seconds / NEARS_S)
+        step_s = share * (self.wanted_s - self.current_s)
+        step_s = max(-SLEW * seconds, min(SLEW * seconds, step_s))
         self.current_s += step_s
         return step_s / seconds
 

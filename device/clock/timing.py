@@ -41,7 +41,8 @@ class ClockReading(NamedTuple):
 
     time_s: the earliest at which the counter can have stood at `frames`; frames_per_s: its pace;
     settled: enough callbacks have been seen to rely on it; astray: the last one was an outlier,
-    perhaps of a new line.
+    perhaps of a new line. stepped_s: by how much the line has moved so far because more is known
+    of it, later is positive; what is measured by two readings differs by that without any change.
     """
 
     time_s: float
@@ -49,6 +50,7 @@ class ClockReading(NamedTuple):
     frames_per_s: float
     settled: bool
     astray: bool
+    stepped_s: float
 
     def frames_at(self, time_s: float) -> float:
         """The counter at a time near the last callback, in frames and fractions."""
@@ -92,6 +94,7 @@ class FrameClock:
         self._begun_s = self._age_s = self._astray_s = 0.0
         self._usual_s, self._spread_s = 0.0, _FIRST_SPREAD_S
         self._alert_s = 0.0
+        self._stepped_s = 0.0
         self._filling = True
         self.reading: ClockReading | None = None
         self.restarts = 0
@@ -129,7 +132,7 @@ class FrameClock:
         if self._filling and min(self._age_s, now_s - self._begun_s) > PREFILL_S:
             self._filling = False
             self._forget(now_s, frames, self._spread_s)
-            return self._read(frames, now_s)
+            return self._read(frames, now_s, another_line=True)
         if not outlier:  # what is late on and on must not become the usual
             share = min(1.0, seconds / min(_SPREAD_TIME_S, _FIRST_TIME_S + self._age_s))
             self._spread_s += share * (abs(late_s - self._usual_s) - self._spread_s)
@@ -155,7 +158,7 @@ class FrameClock:
         # What was known of the pace is not lost with the line.
         self._known_deviation = self._deviation
         self._forget(now_s, frames, _FIRST_SPREAD_S)
-        return self._read(frames, now_s)
+        return self._read(frames, now_s, another_line=True)
 
     def _forget(self, now_s: float, frames: int, spread_s: float) -> None:
         """Begin a line at this callback."""
@@ -191,16 +194,20 @@ class FrameClock:
                 self._drift = _LEARNED_DRIFT + math.sqrt(1.0 - trust) * _USUAL_DRIFT
         self._offset_s = min(later_s - self._deviation * point_s for point_s, later_s in points)
 
-    def _read(self, frames: int, now_s: float) -> ClockReading:
+    def _read(self, frames: int, now_s: float, *, another_line: bool = False) -> ClockReading:
         settled = self._age_s >= SETTLED_S and now_s - self._begun_s >= SETTLED_S
         period_s = self._nominal_s * (1.0 + self._deviation)
         moved = frames - self._frames
+        time_s = self._time_s + self._offset_s + moved * period_s
+        if self.reading is not None and not another_line:
+            self._stepped_s += time_s - self.reading.time_of(frames)
         self.reading = ClockReading(
-            self._time_s + self._offset_s + moved * period_s,
+            time_s,
             frames,
             1.0 / period_s,
             settled,
             self._astray_s != 0.0,
+            self._stepped_s,
         )
         return self.reading
 
