@@ -1,6 +1,8 @@
 """The instrument for live latency finds the delay that was put in, and says when it cannot."""
 
 import json
+import os
+import time
 from dataclasses import fields, replace
 
 import numpy as np
@@ -19,6 +21,7 @@ from audioflinger_hook.bench.lag import (
 )
 from audioflinger_hook.bench.live_latency import Rendering
 from audioflinger_hook.bench.live_report import LiveRecord
+from audioflinger_hook.bench.live_usage import ProcessUse
 from audioflinger_hook.bench.workbench import QUICK, SUBJECTS, Workbench
 from audioflinger_hook.clients import mixdown
 from audioflinger_hook.render import render_file
@@ -300,6 +303,8 @@ def a_record(**changed):
         underflows=1,
         overflows=0,
         recoveries=0,
+        cpu_percent=5.8,
+        memory_growth_kb=12.0,
         lags_ms=(71.5, None),
         budgets_ms=(60.0, 60.1),
     )
@@ -359,3 +364,22 @@ def test_what_never_ran_says_so(monkeypatch, tmp_path):
     table = section(monkeypatch, tmp_path)
     assert "never run" in table.rows[0].shown()
     assert table.missing == ()
+
+
+# ------------------------------------------------------------------------- what a daemon uses
+
+
+def test_what_a_process_uses_is_its_processor_time_and_the_growth_of_its_memory() -> None:
+    use = ProcessUse()
+    assert (use.cpu_percent, use.memory_growth_kb) == (None, None)
+    began_s = time.monotonic()
+    use.sample(os.getpid(), began_s)
+    busy_until_s = time.process_time() + 0.2
+    while time.process_time() < busy_until_s:
+        pass
+    kept = np.ones(4_000_000)  # 32 MB
+    use.sample(os.getpid(), began_s + 1.0)  # as if it had taken a second
+    assert use.cpu_percent == pytest.approx(20.0, abs=8.0)
+    assert use.memory_growth_kb == pytest.approx(kept.nbytes / 1_024, rel=0.1)
+    use.sample(2**22 + 1, began_s + 2.0)  # a process that there cannot be
+    assert use.cpu_percent is None

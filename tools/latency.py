@@ -176,6 +176,8 @@ def _told(record: LiveRecord) -> str:
         f"delay line {ms(record.delay_ms)} (target {ms(record.target_ms)}); {record.resyncs} "
         f"resyncs, {record.underflows} underflows, {record.overflows} overflows, "
         f"{record.recoveries} recoveries",
+        f"  it used {record.cpu_percent or 0.0:.1f} % of a core, its memory grew by "
+        f"{record.memory_growth_kb or 0.0:+.0f} kB",
         f"  dropouts: {record.dropouts}, {record.dropout_ms:.1f} ms; splices in the recordings: "
         f"{record.splices}",
         f"  self-check: one monitor recorded twice differs by {ms(record.check_median_ms, '+')}, "

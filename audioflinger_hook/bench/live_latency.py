@@ -21,6 +21,7 @@ from audioflinger_hook.bench.lag import Envelope, Lag, LevelTrace, dropouts, gro
 from audioflinger_hook.bench.live_daemon import status_of_daemon
 from audioflinger_hook.bench.live_recording import Recording, samplerate_of, server_name
 from audioflinger_hook.bench.live_report import LiveRecord, Numbers
+from audioflinger_hook.bench.live_usage import ProcessUse
 from audioflinger_hook.bench.machine import cpu_model
 from audioflinger_hook.bench.soak import now
 from audioflinger_hook.service.status import Status
@@ -58,6 +59,7 @@ class _Polls:
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._environment = environment
         self.seen: list[tuple[float, Status]] = []
+        self.use = ProcessUse()
         self._due_s = time.monotonic()
 
     def poll(self, now_s: float) -> None:
@@ -68,6 +70,7 @@ class _Polls:
         status = status_of_daemon(self._environment)
         if status is not None:
             self.seen.append((now_s, status))
+            self.use.sample(status.pid, now_s)
 
     def median(self, value: Callable[[Status], float], *span_s: float) -> float | None:
         """Return the median of a figure, from one time to another or of all; None without one."""
@@ -152,6 +155,8 @@ def measure(
         underflows=polls.rises(lambda status: status.delay_line.underflows),
         overflows=polls.rises(lambda status: status.delay_line.overflows),
         recoveries=polls.rises(lambda status: sum(status.recoveries.values())),
+        cpu_percent=polls.use.cpu_percent,
+        memory_growth_kb=polls.use.memory_growth_kb,
         lags_ms=lags_ms,
         budgets_ms=budgets_ms,
     )

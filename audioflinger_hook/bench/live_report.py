@@ -28,6 +28,7 @@ USUAL_BLOCK_FRAMES = 256
 
 LAG = Must("<=", 90.0)
 NO_GROWTH_MS = Must("<=", 1.0)
+CPU_PERCENT = Must("<=", 8.0)
 TRUSTED_MS = 1.0
 """The same monitor recorded twice may differ by so much; else the measurement is not one."""
 
@@ -53,7 +54,8 @@ class LiveRecord:
     the same monitor, which is the instrument's own error.
 
     budget_ms, transform_ms, target_ms, delay_ms, ratio_ppm: the daemon's status, medians. resyncs,
-    underflows, overflows, recoveries: how often, in this time.
+    underflows, overflows, recoveries: how often, in this time. cpu_percent: of one core, what all
+    its threads used; memory_growth_kb: how much more it held at the end than at the start.
     """
 
     server: str
@@ -85,6 +87,8 @@ class LiveRecord:
     underflows: int
     overflows: int
     recoveries: int
+    cpu_percent: float | None
+    memory_growth_kb: float | None
     lags_ms: Numbers
     budgets_ms: Numbers
 
@@ -177,6 +181,8 @@ _COLUMNS: tuple[tuple[str, str, str, Must | None], ...] = (
     ("resyncs", "resyncs", "", None),
     ("underflows", "underflows", "", None),
     ("dropouts", "dropouts", "", None),
+    ("cpu_percent", "CPU", "% of a core", CPU_PERCENT),
+    ("memory_growth_kb", "memory grew", "kB", None),
     ("check_median_ms", "instrument's error", "ms", None),
 )
 """Field, column, unit and limit of what the report shows of a record."""

@@ -7,6 +7,7 @@ import numpy as np
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.order import Changes, Order
 from audioflinger_hook.daemon.pairing import Sides
+from audioflinger_hook.daemon.pauses import Pauses
 from audioflinger_hook.daemon.rest import Rest
 from audioflinger_hook.daemon.sides import InputSide, OutputSide, Place
 from audioflinger_hook.daemon.stand_in import StandIn
@@ -27,12 +28,6 @@ RESTING_TICK_S = 1.0
 
 LONGEST_WAIT_S = 0.5
 """Between attempts to reach the server: asking costs it and us next to nothing."""
-
-STALLED_S = 1.0
-"""A tick later than this: the process stood still."""
-
-SLEPT_S = 0.5
-"""The machine has slept if it did so for longer."""
 
 
 class Supervisor:
@@ -67,9 +62,7 @@ class Supervisor:
         self._server_backoff = Backoff(longest_s=LONGEST_WAIT_S)
         self._rest = Rest(now_s)
         self._found: tuple[Place | None, Place | None] = (None, None)
-        self._ticked_s: float | None = None
-        self._slept_s = clocks.slept_s()
-        self._resyncs = 0
+        self._pauses = Pauses(self.states, clocks.slept_s)
         self._heard_before_s = 0.0
 
     @property
@@ -274,23 +267,12 @@ class Supervisor:
         self._sides.end(keep=keep)
 
     def _notice_pauses(self, now_s: float) -> None:
-        """Count what made the process or the sound stand still."""
-        slept_s, before_s = self._clocks.slept_s(), self._slept_s
-        self._slept_s = slept_s
-        if slept_s - before_s > SLEPT_S:
-            self.states.recover(Cause.RESUMED, now_s, f"slept for {slept_s - before_s:.0f} s")
+        if self._pauses.woke(now_s, self.rest_s):
             # Devices and servers come back in their own time: begin with what is there then.
             self._sides.close()
             self._rest.awake(now_s)
-        elif self._ticked_s and now_s - self._ticked_s > STALLED_S + self.rest_s:
-            late_s = now_s - self._ticked_s - self.rest_s
-            self.states.count(Cause.STALL, f"everything stood still for {late_s:.1f} s")
-        self._ticked_s = now_s
         if self.engine:
-            resyncs = self.engine.delay_line.status.resyncs
-            for _ in range(resyncs - self._resyncs):
-                self.states.count(Cause.RESYNC, "the delay was set anew")
-            self._resyncs = resyncs
+            self._pauses.count_resyncs(self.engine.delay_line.status.resyncs)
 
     def _connected(self, now_s: float) -> PulseConnection | None:
         connection = self._connection

@@ -133,7 +133,7 @@ class DelayLine:
         self._jump_wanted: object = None
         self._silenced = False
         self._offset_s = 0.0
-        self.offset_s = offset_s
+        self.offset_s = self._offset_in_force_s = offset_s
         self._target.want(2.0 * LEAST_S, self._offset_s)
         self._target.jump()
         self._published = self._picture()
@@ -298,11 +298,13 @@ class DelayLine:
         self._known, self._stepped_s = known, stepped_s
         late_s = written.lateness_s + self._read_late.estimate_s
         lateness_s = max(self._lateness_least_s, late_s)
-        self._target.want(lateness_s, self._offset_s)
+        wanted_s, self._offset_in_force_s = self._offset_in_force_s, self._offset_s
+        self._target.want(lateness_s, self._offset_in_force_s)
+        by_user = wanted_s != self._offset_in_force_s
         slew = self._target.move(seconds)
         captured = written.clock.frames_at(clock.time_s)
         if self._state in _PLAYING:
-            self._measure(captured, seconds, slew, known)
+            self._measure(captured, seconds, slew, known, by_user)
         if self._state not in _PLAYING and written.frames > self._from_frame:
             if self._state is DelayState.EMPTY:
                 self._state = DelayState.FILLING
@@ -314,8 +316,10 @@ class DelayLine:
             if provided and (known or fresh) and not held_off:
                 self._start(written, captured, frames)
 
-    def _measure(self, captured: float, seconds: float, slew: float, known: bool) -> None:
-        """Steer while playing, or jump, or give up."""
+    def _measure(
+        self, captured: float, seconds: float, slew: float, known: bool, by_user: bool
+    ) -> None:
+        """Steer while playing, or jump, or give up; by_user: who wants another delay now."""
         held = captured - self._reader.position - self._reader.fraction
         self._delay_s = held / self._samplerate_in
         error = held - self._target.current_s * self._samplerate_in
@@ -324,7 +328,7 @@ class DelayLine:
             self._overflows += 1
             self._stop(DelayState.FILLING)
         elif abs(error) > (self._resync_frames if known else ASTRAY_S * self._samplerate_in):
-            self._resyncs += 1
+            self._resyncs += not by_user
             self._stop(DelayState.FILLING)
         elif known:
             ratio = self._loop.update(error, seconds)

@@ -29,8 +29,8 @@ class DelayStatus:
     the sound cards themselves not included; delay_s is 0 unless SETTLING or LOCKED.
     ratio_ppm: how much faster than nominal the frames are read, -2000 to 2000, and up to 1000 more
     while the target moves.
-    resyncs: jumps because the delay was too far from the target to be steered, the user's own
-    change of it included.
+    resyncs: jumps because the delay was too far from the target to be steered, those left out that
+    the user's own change of it asks for.
     underflows: times the frames ran out. overflows: times frames were lost before they were read.
     silenced: True between `DelayLine.silence` and `DelayLine.resume`.
     """

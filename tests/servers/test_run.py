@@ -16,6 +16,7 @@ from audioflinger_hook.service.state import Cause, DaemonState
 from device.units import Float32Array, FloatArray
 from tests.servers.daemons import (
     FELT,
+    Daemon,
     best_lag,
     cpu_percent,
     cushion,
@@ -31,6 +32,12 @@ from tests.servers.listening import RATE_HZ, playing, recording, wait_for
 from tools.sound_server import SoundServer
 
 SCENE_S = 8.0
+
+PLAYING_PERCENT, IDLE_PERCENT = 8.0, 0.5
+"""What the whole daemon may use of one core, sound playing or not."""
+
+WINDOWS = 5
+"""Other programs make caches cold and processor time long: the best of some windows counts."""
 
 
 @pytest.fixture(scope="session")
@@ -169,23 +176,34 @@ def test_without_a_server_it_says_so_or_waits_for_one(server: SoundServer) -> No
         print(f"{server.kind}: plays {time.monotonic() - back_s:.2f} s after the server came")
 
 
+def least_cpu_percent(daemon: Daemon, limit_percent: float) -> float:
+    least = 100.0
+    for _ in range(WINDOWS):
+        least = min(least, cpu_percent(daemon, 4.0))
+        if least <= limit_percent:
+            break
+    return least
+
+
 def test_silence_costs_little_and_the_sound_after_it_is_felt(
-    server: SoundServer, tmp_path: Path
+    server: SoundServer, scene: tuple[Float32Array, FloatArray], tmp_path: Path
 ) -> None:
+    sound, _ = scene
     with (
         running(server) as daemon,
         recording(server, "haptic.monitor", tmp_path / "felt") as felt,
     ):
         idle = daemon.wait_state(DaemonState.IDLE)
-        idle_percent = cpu_percent(daemon, 3.0)
+        idle_percent = least_cpu_percent(daemon, IDLE_PERCENT)
         began = len(felt())
-        with playing(server, "desktop", tone(60.0, 20.0)):
+        with playing(server, "desktop", np.tile(sound, (4, 1))):
             wait_for(lambda: felt_now(felt), "vibration", 2.0)
-            playing_percent = cpu_percent(daemon, 3.0)
+            playing_percent = least_cpu_percent(daemon, PLAYING_PERCENT)
             status = daemon.wait_state(DaemonState.RUNNING)
         assert np.abs(felt()[began:]).max() > FELT
     print(
         f"{server.kind}: {idle_percent:.1f} % of a core idle, {playing_percent:.1f} % playing; "
         f"delay {idle.delay_line.delay_ms:.1f} then {status.delay_line.delay_ms:.1f} ms"
     )
-    assert idle_percent < playing_percent
+    assert idle_percent <= IDLE_PERCENT
+    assert playing_percent <= PLAYING_PERCENT
