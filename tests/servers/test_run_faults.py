@@ -1,0 +1,95 @@
+"""Faults of sinks while `cushion run` plays: each ends in recovery, with the time that it took."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.service.state import DaemonState
+from tests.servers.daemons import FELT, felt_now, running, tone
+from tests.servers.listening import playing, recording, wait_for
+from tools.sound_server import SoundServer
+
+BACK_S = 2.0
+"""Within this it plays again once the fault is over."""
+
+
+def test_the_tapped_sink_is_removed_and_added_again(server: SoundServer, tmp_path: Path) -> None:
+    server.add_sink("speakers")
+    with (
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+        running(server, "--tap", "sink:speakers") as daemon,
+    ):
+        with playing(server, "speakers", tone(60.0, 60.0)):
+            wait_for(lambda: felt_now(felt), "vibration")
+            server.remove("speakers")
+            status = daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
+        assert "no sink 'speakers'" in status.reason
+        wait_for(lambda: not felt_now(felt), "silence")
+        server.add_sink("speakers")
+        with playing(server, "speakers", tone(60.0, 60.0)):
+            back_s = time.monotonic()
+            wait_for(lambda: felt_now(felt), "vibration again", 10.0)
+            took_s = time.monotonic() - back_s
+            daemon.wait_state(DaemonState.RUNNING)
+    print(f"{server.kind}: felt {took_s:.2f} s after the tapped sink played again")
+    assert took_s < BACK_S
+
+
+def test_the_default_sink_is_removed_and_what_takes_its_place_is_felt(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    server.add_sink("speakers")
+    server.choose_default("speakers")
+    with (
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+        running(server) as daemon,
+        # PulseAudio moves the player with its sink's end, PipeWire plays to the new default
+        playing(server, "desktop", tone(60.0, 60.0)),
+    ):
+        daemon.wait(lambda s: s.tap.name == "speakers.monitor", "the tap")
+        assert not felt_now(felt)
+        gone_s = time.monotonic()
+        server.remove("speakers")
+        server.choose_default("desktop")  # a server may choose the device, which is never tapped
+        wait_for(lambda: felt_now(felt), "vibration", 10.0)
+        took_s = time.monotonic() - gone_s
+        daemon.wait(lambda s: s.tap.name == "desktop.monitor", "the new tap")
+    print(f"{server.kind}: felt {took_s:.2f} s after the default sink was removed")
+    assert took_s < BACK_S
+
+
+@pytest.mark.parametrize("sink", ["haptic", "desktop"])
+def test_a_suspended_sink_stops_the_vibration_and_it_goes_on_afterwards(
+    server: SoundServer, sink: str, tmp_path: Path
+) -> None:
+    if server.kind == "pipewire":
+        pytest.skip("PipeWire resumes a sink that is played to")
+    with (
+        playing(server, "desktop", tone(60.0, 60.0)),
+        running(server) as daemon,
+        recording(server, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        server.pactl("suspend-sink", sink, "1")
+        frames = len(felt())
+        suspended_s = time.monotonic()
+        wait_for(lambda: time.monotonic() - suspended_s > 3.0, "three seconds")
+        if sink == "desktop":
+            assert not felt_now(felt)
+        else:
+            assert len(felt()) - frames < 24_000  # its monitor stood, too
+        resumed = len(felt())
+        server.pactl("suspend-sink", sink, "0")
+        back_s = time.monotonic()
+        wait_for(lambda: np.abs(felt()[resumed:]).max(initial=0.0) > FELT, "vibration", 10.0)
+        took_s = time.monotonic() - back_s
+        daemon.wait_state(DaemonState.RUNNING)
+        wait_for(lambda: felt_now(felt), "vibration that goes on")
+        loudest = float(np.abs(felt()[resumed:]).max())
+    print(f"{server.kind}: felt {took_s:.2f} s after {sink} was resumed, at most {loudest:.2f}")
+    assert took_s < BACK_S
+    assert loudest <= 1.0
