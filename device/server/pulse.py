@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 
 from device.errors import CushionError, InternalError, LostError, NotFoundError
 from device.server.events import DEFAULT_SETTLES_S, Event, Listener
+from device.server.second_opinion import Defaults, SecondOpinion
 from device.server.snapshot import ServerSnapshot, keep_samplerates, take_snapshot
 
 ANSWER_LIMIT_S = 2.0
@@ -34,7 +35,8 @@ class PulseConnection:
     """A connection to a server; connected from the moment it is made until it is lost or closed.
 
     server: its address, None for the usual one. Another is made to connect again: `backoff_s`
-    says when. Any thread but the connection's own may call the methods.
+    says when. renewals: how often it was made anew by itself, see `second_opinion`. Any thread but
+    the connection's own may call the methods.
 
     Raises
     ------
@@ -59,6 +61,8 @@ class PulseConnection:
         self._due_s: float | None = None
         self._default_due_s: float | None = None
         self._default_seen = self._default_told = ""
+        self._opinion = SecondOpinion(server, self._disagreed)
+        self.renewals = 0
         self.lost: LostError | None = None
         ready: Future[ServerSnapshot] = Future()
         self._thread = threading.Thread(target=self._run, args=(ready,), name="pulse", daemon=True)
@@ -216,7 +220,9 @@ class PulseConnection:
                     self._default_told = self._default_seen
                     for listener in tuple(self._listeners):
                         listener.on_default_sink(self._default_told)
-            due = [due_s for due_s in (self._due_s, self._default_due_s) if due_s is not None]
+            self._opinion.seek(now_s, self.latest)
+            times_s = (self._due_s, self._default_due_s, self._opinion.due_s)
+            due = [due_s for due_s in times_s if due_s is not None]
             self._pulse.event_listen(max(min(due) - now_s, 0.001) if due else None)
 
     def _do_requests(self) -> None:
@@ -253,7 +259,20 @@ class PulseConnection:
         if snapshot.default_sink != self._default_seen:
             self._default_seen = snapshot.default_sink
             self._default_due_s = time.monotonic() + DEFAULT_SETTLES_S
+        self._opinion.changed(time.monotonic(), snapshot)
         return snapshot
+
+    def _disagreed(self, known: Defaults) -> None:
+        """Connect again, if it is still told that; what listens does not notice. Any thread."""
+        with suppress(CushionError):  # it has ended meanwhile
+            self._ask(lambda _: self._renew(known))
+
+    def _renew(self, known: Defaults) -> None:
+        if Defaults.of(self._refresh()) == known:
+            self.renewals += 1
+            self._pulse.close()
+            self._connect()
+            self._refresh()
 
     def _on_event(self, info: Any) -> None:
         """Inside libpulse: note it, pass it on, call nothing of pulsectl."""

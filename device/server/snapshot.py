@@ -118,8 +118,8 @@ def take_snapshot(pulse: Any, events: int) -> ServerSnapshot:
     return ServerSnapshot(
         kind=kind,
         version=version,
-        default_sink=_name(info.default_sink_name),
-        default_source=_name(info.default_source_name),
+        default_sink=default_name(info.default_sink_name),
+        default_source=default_name(info.default_source_name),
         sinks=tuple(_sink(sink) for sink in sinks),
         sources=tuple(_source(source, sink_names) for source in sources),
         sink_inputs=tuple(_stream(item, item.sink, sink_names) for item in sink_inputs),
@@ -136,7 +136,7 @@ def _kind(name: str, version: str) -> tuple[str, str]:
     return "PulseAudio", version
 
 
-def _name(name: str | None) -> str:
+def default_name(name: str | None) -> str:
     """A default's name; PipeWire gives names like "@DEFAULT_SINK@" where there is none."""
     return "" if name is None or name.startswith("@") else name
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from device.errors import InternalError, LostError, NotFoundError, UsageError
+from device.server import second_opinion
 from device.server.events import Event, Listener
 from device.server.identity import (
     default_monitor,
@@ -125,6 +126,34 @@ def test_a_microphone_is_never_tapped(
     }
     assert places == {"desktop.monitor"}
     assert stream.close()
+
+
+def test_a_connection_that_is_told_another_default_than_others_is_made_anew(
+    server: SoundServer, monkeypatch: pytest.MonkeyPatch, notes: Notes
+) -> None:
+    if server.kind != "pipewire":
+        pytest.skip("only PipeWire tells one connection this and another one that")
+    told = second_opinion.Defaults("speakers", "desktop.monitor")
+    monkeypatch.setattr(second_opinion, "defaults_now", lambda server: told)
+    connection = PulseConnection(notes)
+    try:
+        wait_for(lambda: connection.renewals == 1, "another connection")
+        server.add_sink("speakers")
+        server.choose_default("speakers")
+        wait_for(lambda: connection.latest.default_sink == "speakers", "the new default sink")
+        wait_for(
+            lambda: notes.defaults[-1:] and notes.defaults[-1][1] == "speakers", "its being told"
+        )
+        assert connection.lost is None
+    finally:
+        connection.close()
+
+
+def test_what_another_connection_says_of_the_default_devices_is_so(server: SoundServer) -> None:
+    server.add_sink("speakers")
+    server.choose_default("speakers")
+    wait_for(lambda: (now := second_opinion.defaults_now()) and now.sink == "speakers", "the sink")
+    assert second_opinion.defaults_now("unix:/nowhere") is None
 
 
 def test_a_tap_is_moved_to_another_monitor(
