@@ -141,9 +141,7 @@ def test_a_connection_that_is_told_another_default_than_others_is_made_anew(
         server.add_sink("speakers")
         server.choose_default("speakers")
         wait_for(lambda: connection.latest.default_sink == "speakers", "the new default sink")
-        wait_for(
-            lambda: notes.defaults[-1:] and notes.defaults[-1][1] == "speakers", "its being told"
-        )
+        wait_for(lambda: notes.defaults and notes.defaults[-1][1] == "speakers", "its being told")
         assert connection.lost is None
     finally:
         connection.close()
