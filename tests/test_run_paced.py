@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import resource
 import signal
 from pathlib import Path
@@ -60,7 +61,8 @@ def aligned(whole: Float32Array, wanted: Float32Array) -> Float32Array:
 
 def error_db(got: Float32Array, wanted: Float32Array) -> float:
     """The difference in dB of what was wanted."""
-    return float(10.0 * np.log10(np.sum(np.square(got - wanted)) / np.sum(np.square(wanted))))
+    ratio = float(np.sum(np.square(got - wanted)) / np.sum(np.square(wanted)))
+    return 10.0 * math.log10(ratio) if ratio else -math.inf  # nothing differs
 
 
 def told(stderr: str) -> list[str]:
