@@ -23,6 +23,7 @@ from audioflinger_hook.bench.live_recording import Recording, samplerate_of, ser
 from audioflinger_hook.bench.live_report import LiveRecord, Numbers
 from audioflinger_hook.bench.live_usage import ProcessUse
 from audioflinger_hook.bench.machine import cpu_model
+from audioflinger_hook.bench.pauses import Pause, PauseWitness
 from audioflinger_hook.bench.soak import now
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.settings import Settings
@@ -157,6 +158,8 @@ def measure(
         recoveries=polls.rises(lambda status: sum(status.recoveries.values())),
         cpu_percent=polls.use.cpu_percent,
         memory_growth_kb=polls.use.memory_growth_kb,
+        machine_pauses=len(listened.pauses),
+        machine_pause_ms=max((1e3 * pause.seconds for pause in listened.pauses), default=0.0),
         lags_ms=lags_ms,
         budgets_ms=budgets_ms,
     )
@@ -180,6 +183,7 @@ class _Listened:
     line: ArrivalLine
     splices: int
     polls: _Polls
+    pauses: tuple[Pause, ...]
 
 
 def _listen(
@@ -197,6 +201,7 @@ def _listen(
         wanted.add(mono)
 
     with ExitStack() as stack:
+        witness = stack.enter_context(PauseWitness())
         recordings = [
             stack.enter_context(closing(Recording(source, at_hz, place.environment, take)))
             for source, at_hz, take in (
@@ -218,6 +223,7 @@ def _listen(
                 progress(min(max(0.0, now_s - start_s), seconds), seconds)
             time.sleep(TICK_S)
         lines = [recording.line() for recording in recordings]
+        pauses = tuple(pause for pause in witness.pauses() if start_s <= pause.start_s <= end_s)
     return _Listened(
         start_s=start_s,
         end_s=end_s,
@@ -229,6 +235,7 @@ def _listen(
         line=lines[1],
         splices=sum(len(line.jumps) for line in lines),
         polls=polls,
+        pauses=pauses,
     )
 
 

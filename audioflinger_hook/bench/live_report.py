@@ -56,6 +56,8 @@ class LiveRecord:
     budget_ms, transform_ms, target_ms, delay_ms, ratio_ppm: the daemon's status, medians. resyncs,
     underflows, overflows, recoveries: how often, in this time. cpu_percent: of one core, what all
     its threads used; memory_growth_kb: how much more it held at the end than at the start.
+    machine_pauses, machine_pause_ms: how often the machine itself stood still, and for how long at
+    worst; most resyncs and dropouts come of that where it is a virtual one.
     """
 
     server: str
@@ -89,6 +91,8 @@ class LiveRecord:
     recoveries: int
     cpu_percent: float | None
     memory_growth_kb: float | None
+    machine_pauses: int
+    machine_pause_ms: float
     lags_ms: Numbers
     budgets_ms: Numbers
 
@@ -183,6 +187,8 @@ _COLUMNS: tuple[tuple[str, str, str, Must | None], ...] = (
     ("dropouts", "dropouts", "", None),
     ("cpu_percent", "CPU", "% of a core", CPU_PERCENT),
     ("memory_growth_kb", "memory grew", "kB", None),
+    ("machine_pauses", "the machine stood still", "times", None),
+    ("machine_pause_ms", "at worst for", "ms", None),
     ("check_median_ms", "instrument's error", "ms", None),
 )
 """Field, column, unit and limit of what the report shows of a record."""
@@ -242,7 +248,9 @@ def _footnote(records: tuple[LiveRecord, ...]) -> str:
         "`cushion render` makes of the same sound; a frame's time is the earliest at which it "
         "could be recorded. Hidden is the change of what the daemon does not tell of: it provides "
         "for late callbacks, more of them on a busy machine, and says so. Dropouts are silences "
-        "over 2 ms amid vibration. The instrument's error is the lag that it finds between two "
+        "over 2 ms amid vibration. A machine that stands still, as virtual ones do, lets every "
+        "stream on it run dry that holds less than the pause; such pauses of all cores at once are "
+        "counted, from 10 ms. The instrument's error is the lag that it finds between two "
         "recordings of one monitor. "
         f"{cpus}, load {min(loads):.1f} to {max(loads):.1f}; null sinks have no hardware behind "
         "them, whose own delay comes on top."

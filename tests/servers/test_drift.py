@@ -20,6 +20,7 @@ import pytest
 
 from audioflinger_hook.bench.lag import swelling_tone
 from audioflinger_hook.bench.live_recording import Recording
+from audioflinger_hook.bench.pauses import Pause, PauseWitness, undisturbed
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.pulled import PulledFeed
 from device.clock.status import DelayState, DelayStatus
@@ -36,41 +37,58 @@ SETTLES_S = 60.0
 """The delay line steers with 0.02 Hz once it has found its target."""
 
 POLL_S = 0.1
+RECOVERS_S = 3.0
+"""What a pause of the whole machine may disturb: frames are lost then, whoever plays them."""
+LEAST_CLEAR = 0.7
+"""Of the time, what must be free of such pauses for a run to tell anything."""
 
 
 @dataclass(frozen=True)
 class Watched:
     """What a delay line told ten times a second once it had settled, and the true drift.
 
-    drift_ppm: how much faster than the second card takes them frames come from the first.
+    times_s: when it told each. drift_ppm: how much faster than the second card takes them frames
+    come from the first. pauses: when the machine stood still; what came of them is left out.
     """
 
+    times_s: list[float]
     statuses: list[DelayStatus]
     drift_ppm: float
+    pauses: tuple[Pause, ...]
+
+    @property
+    def clear(self) -> np.ndarray:
+        return undisturbed(np.array(self.times_s), self.pauses, RECOVERS_S)
 
     @property
     def errors_ms(self) -> np.ndarray:
-        return np.array([1e3 * (status.delay_s - status.target_s) for status in self.statuses])
+        errors_ms = [1e3 * (status.delay_s - status.target_s) for status in self.statuses]
+        return np.array(errors_ms)[self.clear]
 
     @property
     def ratio_ppm(self) -> float:
-        return float(np.mean([status.ratio_ppm for status in self.statuses]))
+        return float(np.mean(np.array([each.ratio_ppm for each in self.statuses])[self.clear]))
 
     @property
     def resyncs(self) -> int:
-        return self.statuses[-1].resyncs - self.statuses[0].resyncs
+        return self._rises([status.resyncs for status in self.statuses])
 
     @property
     def starved(self) -> int:
-        return self.statuses[-1].underflows - self.statuses[0].underflows
+        return self._rises([status.underflows for status in self.statuses])
+
+    def _rises(self, counts: list[int]) -> int:
+        return int(np.sum(np.diff(counts)[self.clear[1:]]))
 
     def __str__(self) -> str:
         errors_ms = self.errors_ms
+        longest_ms = max((1e3 * pause.seconds for pause in self.pauses), default=0.0)
         return (
             f"drift {self.drift_ppm:+.0f} ppm, mean ratio {self.ratio_ppm:+.0f} ppm, delay less "
             f"target {errors_ms.min():+.2f} to {errors_ms.max():+.2f} ms, target "
             f"{1e3 * self.statuses[-1].target_s:.2f} ms, {self.resyncs} resyncs, "
-            f"{self.starved} underflows"
+            f"{self.starved} underflows; the machine stood still {len(self.pauses)} times, up to "
+            f"{longest_ms:.0f} ms, and {100.0 * np.mean(self.clear):.0f} % of the time count"
         )
 
 
@@ -131,6 +149,7 @@ def watched(
     tone = swelling_tone(145.0, 60.0, RATE_HZ)[:, None].repeat(2, axis=1).astype(np.float32)
     length = int((settles_s + seconds + 30.0) / 60.0) + 1
     with (
+        PauseWitness() as witness,
         two_cards(ratio, monkeypatch) as (first, second),
         playing(first, "desktop", np.tile(tone, (length, 1))),
         bridged(first, second) as engine,
@@ -140,20 +159,26 @@ def watched(
         line = engine.delay_line
         wait_for(lambda: line.status.state is DelayState.SETTLING, "vibration", 20.0)
         began_s = time.monotonic()
+        times_s: list[float] = []
         statuses: list[DelayStatus] = []
 
         def over() -> bool:
-            elapsed_s = time.monotonic() - began_s
+            now_s = time.monotonic()
+            elapsed_s = now_s - began_s
             captured.drain()
             taken.drain()
             if elapsed_s > settles_s + POLL_S * len(statuses):
+                times_s.append(now_s)
                 statuses.append(line.status)
             return elapsed_s > settles_s + seconds
 
         wait_for(over, "the end", settles_s + seconds + 10.0)
         drift_ppm = taken.line().drift_ppm - captured.line().drift_ppm
-    result = Watched(statuses, drift_ppm)
+        pauses = tuple(pause for pause in witness.pauses() if pause.end_s > began_s)
+    result = Watched(times_s, statuses, drift_ppm, pauses)
     print(f"clock x{ratio:g}, {seconds:.0f} s: {result}")
+    if np.mean(result.clear) < LEAST_CLEAR:
+        pytest.skip(f"the machine stands still too often: {result}")
     return result
 
 
