@@ -7,6 +7,8 @@ import threading
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.feed import Feed
@@ -99,6 +101,51 @@ def test_an_output_that_has_enough_lets_blocks_become_one_cycle() -> None:
     assert np.mean(lengths) >= 2 * BLOCK
     assert max(lengths) <= live.engine.frames_max
     assert live.engine.delay_line.status.underflows == 0
+
+
+def test_what_the_delay_line_has_is_read_at_once_and_that_is_not_taken_for_haste() -> None:
+    sound = music(6.0)
+    live = Live(PulledFeed())
+    reads: list[tuple[int, int]] = []
+    read = live.engine.delay_line.read
+
+    def counted(out: Float32Array, now_s: float, ahead: int = 0) -> None:
+        reads.append((len(out), ahead))
+        read(out, now_s, ahead)
+
+    live.engine.delay_line.read = counted  # type: ignore[method-assign]
+    live.run(sound, lateness(len(sound) // BLOCK, 0.0))
+    assert len(live.played) >= 2 * len(reads[-200:])
+    assert np.mean([frames for frames, _ in reads[-200:]]) >= 2 * BLOCK
+    assert all(frames - ahead == BLOCK for frames, ahead in reads)
+    at_once = Live(Feed())
+    at_once.run(sound, lateness(len(sound) // BLOCK, 0.0))
+    targets_s = [one.engine.delay_line.status.target_s for one in (live, at_once)]
+    assert targets_s[0] == pytest.approx(targets_s[1], abs=0.0002)
+
+
+@given(st.lists(st.integers(1, 1_500), min_size=20, max_size=60))
+@settings(max_examples=30, deadline=None)
+def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes: list[int]) -> None:
+    live = Live(PulledFeed())
+    sound = music(3.0)
+    live.run(sound, lateness(len(sound) // BLOCK, 0.0))
+    taken: list[Float32Array] = []
+    read = live.engine.delay_line.read
+
+    def kept(out: Float32Array, now_s: float, ahead: int = 0) -> None:
+        read(out, now_s, ahead)
+        taken.append(out.copy())
+
+    live.engine.delay_line.read = kept  # type: ignore[method-assign]
+    held = live.engine._ahead.copy()
+    before = len(live.played)
+    now_s = 3.0
+    for frames in sizes:
+        live.fill(now_s, frames)
+        now_s += frames / RATE_HZ
+    out = np.concatenate(live.played[before:])
+    assert out.tobytes() == np.concatenate([held, *taken])[: len(out)].tobytes()
 
 
 def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -109,7 +110,8 @@ def test_where_nothing_is_granted_one_warning_says_what_to_do() -> None:
 
 
 def test_what_is_switched_off_asks_for_nothing() -> None:
-    assert told(CLAIM.format(wanted=False)) == (f"usual False 0 {NICE}; 0 {NICE}; (-1, -1)")
+    inherited = resource.getrlimit(resource.RLIMIT_RTTIME)
+    assert told(CLAIM.format(wanted=False)) == (f"usual False 0 {NICE}; 0 {NICE}; {inherited}")
 
 
 SPIN = """

@@ -1,8 +1,9 @@
-"""When the machine itself stood still: a virtual one may, for tens of ms, and no program can play then.
+"""When the machine itself stood still: no program can play then.
 
-Tells a measurement what is not the fault of the program that it measures. One small process for
-each core sleeps a few ms at a time, before all others where that is allowed. A moment when none of
-them woke was one of the machine; where only one did not, its core was busy.
+Virtual machines do that for tens of ms. It tells a measurement what is not the fault of what it
+measures. One small process for each core sleeps a few ms at a time, before all others where that
+is allowed. A moment when none of them woke was one of the machine; where only one did not, its
+core was busy.
 """
 
 from __future__ import annotations
@@ -99,9 +100,9 @@ class PauseWitness:
         """Return all that there were until now, in order; also after the end."""
         for core, process in enumerate(self._processes):
             assert process.stdout is not None
-            *lines, self._rest[core] = (
-                self._rest[core] + (process.stdout.read() or b"")
-            ).split(b"\n")
+            *lines, self._rest[core] = (self._rest[core] + (process.stdout.read() or b"")).split(
+                b"\n"
+            )
             self._seen[core] += [Pause(*map(float, line.split())) for line in lines]
         return common(self._seen)
 

@@ -21,6 +21,9 @@ from device.units import Float32Array, FloatArray
 LATENESS_LEAST_S = 0.005
 """An idle machine's callbacks are some ms late now and then: the delay is not to follow that."""
 
+AHEAD_BLOCKS = 3
+"""Blocks that are read from the delay line with the one that is asked for, if they are there."""
+
 FADED = 1e-6
 """Vibration below this, of full scale, is none: -120 dB."""
 
@@ -109,7 +112,8 @@ class Engine:
         self._chain = Chain(client, self.framework, [self._into_line])
         if on_mix is not None:
             self.framework.mixer.on_mix = lambda sound: on_mix(sound, self._into_line.now_s)
-        self._scratch = np.zeros((0, self.framework.haptic_channels), np.float32)
+        self._read = np.zeros((0, self.framework.haptic_channels), np.float32)
+        self._ahead = self._read
 
     def _line(self, samplerate: int, offset_s: float) -> DelayLine:
         return DelayLine(
@@ -132,6 +136,7 @@ class Engine:
         if (samplerate, blocks) != (rate, self.block_frames):
             self.block_frames = blocks
             self.delay_line = self._line(samplerate, self.delay_line.offset_s)
+            self._ahead = self._ahead[:0]
 
     def follow(self, settings: Settings, offset_s: float) -> None:
         """Take another level, other parameters and another offset while it runs.
@@ -182,7 +187,7 @@ class Engine:
         held = self._into_line.held = []
         while self.advance(now_s):
             pass
-        return np.concatenate([self._scratch[:0], *held])
+        return np.concatenate([self._read[:0], *held])
 
     def send(self, vibration: Float32Array, now_s: float) -> None:
         """Put vibration that is in no cycle into the delay line; on the thread of `advance`."""
@@ -194,6 +199,7 @@ class Engine:
         The next sound then goes out as soon as both streams run.
         """
         self.delay_line.flush()
+        self._ahead = self._ahead[:0]
         self.sound.reset()
         self.vibration.reset()
 
@@ -204,13 +210,33 @@ class Engine:
         out.
         """
         self.filled_s = now_s
-        self.before_fill(len(out))
-        voices = self._scratch.shape[1]
-        if len(self._scratch) != len(out):
-            self._scratch = np.zeros((len(out), voices), np.float32)
-        self.delay_line.read(self._scratch, now_s)
+        frames = len(out)
+        if len(self._ahead) < frames:
+            self._read_on(frames, now_s)
+        vibration, self._ahead = self._ahead[:frames], self._ahead[frames:]
+        voices = vibration.shape[1]
+        if voices in (1, out.shape[1]):
+            out[:] = vibration
+            return
         for channel in range(out.shape[1]):
-            out[:, channel] = self._scratch[:, channel % voices]
+            out[:, channel] = vibration[:, channel % voices]
+
+    def _read_on(self, frames: int, now_s: float) -> None:
+        """Have `frames` or more read; more only where the delay line has them already."""
+        held = self._ahead
+        missing = frames - len(held)
+        self.before_fill(missing)
+        line = self.delay_line
+        ahead = (line.readable - missing) // frames
+        ahead = frames * max(0, min(AHEAD_BLOCKS, ahead))
+        needed = frames + ahead
+        if len(self._read) < needed or len(held):
+            blocks = max(needed, frames * (1 + AHEAD_BLOCKS))
+            self._read = np.zeros((blocks, held.shape[1]), np.float32)
+            self._read[: len(held)] = held
+        self._ahead = self._read[:needed]
+        playing_s = now_s + len(held) / line.samplerate_out
+        line.read(self._ahead[len(held) :], playing_s, ahead)
 
 
 class _IntoLine:

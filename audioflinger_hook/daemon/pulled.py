@@ -70,7 +70,7 @@ class PulledFeed(Feed):
             return
         if frames is not None:
             enough = len(self._arrived) < engine.frames_max // engine.block_frames
-            if enough and not engine.delay_line.lacks(frames):
+            if enough and engine.delay_line.readable >= frames:
                 return
         if not self._mixing.acquire(blocking=False):
             return

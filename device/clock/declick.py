@@ -32,19 +32,19 @@ class Joint:
         self._steepest = 2.0 * math.pi * STEEPEST_HZ / samplerate
         self._tail = np.zeros((frames, channels))
         self._scratch = np.zeros((frames, channels))
-        self._last = np.zeros(channels)
-        self._slope = np.zeros(channels)
+        self._heard = np.zeros((2, channels), np.float32)  # the last two frames
         self._done = frames
 
     @property
     def at_rest(self) -> bool:
         """Whether no fade is under way and the last frame was silence."""
-        return self._done == len(self._tail) and not self._last.any()
+        return self._done == len(self._tail) and not self._heard[1].any()
 
     def begin(self) -> None:
         """Let the next frame be the first of another piece."""
-        slope = np.clip(self._slope, -self._steepest, self._steepest)
-        np.multiply(self._falling, self._last, out=self._tail)
+        before, last = self._heard.astype(np.float64)
+        slope = np.clip(last - before, -self._steepest, self._steepest)
+        np.multiply(self._falling, last, out=self._tail)
         self._tail += self._ramp * slope
         self._done = 0
 
@@ -59,11 +59,11 @@ class Joint:
             mixed += self._tail[now]
             out[:under_way] = mixed
             self._done += under_way
-        np.subtract(out[-1], out[-2] if len(out) > 1 else self._last, out=self._slope)
-        self._last[:] = out[-1]
+        if len(out) == 1:
+            self._heard[0] = self._heard[1]
+        self._heard[-len(out) :] = out[-2:]
 
     def cut(self) -> None:
         """Take it that silence was heard; what comes next rises from it."""
-        self._last[:] = 0.0
-        self._slope[:] = 0.0
+        self._heard.fill(0.0)
         self.begin()

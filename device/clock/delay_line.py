@@ -235,15 +235,16 @@ class DelayLine:
         late = self._written_late
         self._written = Written(written, clock, run_start, late.estimate_s, late.known)
 
-    def lacks(self, frames: int) -> bool:
-        """Whether a `read` of so many frames would want what was not written yet.
+    @property
+    def readable(self) -> int:
+        """How many frames a `read` would give now; 0 while it does not play.
 
-        Called by the output's thread. A writer that is asked in time may so wait until then.
+        Called by the output's thread. A writer that is asked in time may wait until it needs more.
         """
         written = self._written
         if written is None or self._state not in _PLAYING:
-            return True
-        return self._reader.readable(written.frames, self._step) < frames
+            return 0
+        return self._reader.readable(written.frames, self._step)
 
     def _time_part(self, now_s: float, start: int, end: int) -> ClockReading | None:
         """Learn from when the frames from `start` to `end` were captured."""
@@ -255,10 +256,12 @@ class DelayLine:
             _measure_lateness(self._written_late, late_s, seconds, clock)
         return clock
 
-    def read(self, out: Float32Array, now_s: float) -> None:
+    def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> None:
         """Fill (frames, channels), any number of frames, that will be played from now_s on.
 
-        Silence where there is nothing to play. Called by the output's thread.
+        Silence where there is nothing to play. ahead: how many of the frames, the last, are only
+        taken because they are there (see `readable`); fewer and larger reads cost less. Called by
+        the output's thread.
         """
         self._check(out)
         frames = len(out)
@@ -275,20 +278,23 @@ class DelayLine:
             self._fresh = True
         played = 0
         if written is not None and clock is not None:
-            self._steer(written, clock, now_s, frames)
+            self._steer(written, clock, now_s, frames, ahead)
             if self._state in _PLAYING:
                 played = self._play(written, out, now_s)
-        out[played:] = 0.0
-        self._joint.apply(out[played:])
+        if played < frames:
+            out[played:] = 0.0
+            self._joint.apply(out[played:])
         if self._silenced:
             out[:] = 0.0
             self._joint.cut()
         self._published = self._picture()
 
-    def _steer(self, written: Written, clock: ClockReading, now_s: float, frames: int) -> None:
+    def _steer(
+        self, written: Written, clock: ClockReading, now_s: float, frames: int, ahead: int
+    ) -> None:
         """Bring state, position and step up to date for a read of `frames`."""
         seconds = frames / self._samplerate_out
-        early_s = clock.time_of(clock.frames + frames) - now_s - self._output_s
+        early_s = clock.time_of(clock.frames + frames - ahead) - now_s - self._output_s
         _measure_lateness(self._read_late, early_s, seconds, clock)
         known = clock.settled and written.clock.settled
         # What the clocks learn of themselves is no change of the delay, and no reason to steer.
@@ -359,12 +365,13 @@ class DelayLine:
         """Fill as much of `out` as there is, and return how much that was."""
         first = self._reader.position - 1
         played = min(len(out), self._reader.readable(written.frames, self._step))
-        self._reader.read(out[:played], self._step)
+        heard = out if played == len(out) else out[:played]
+        self._reader.read(heard, self._step)
         if first < self._ring.oldest:  # the writer overtook while this was read
             self._overflows += 1
             self._stop(DelayState.FILLING)
             return 0
-        self._joint.apply(out[:played])
+        self._joint.apply(heard)
         if played < len(out):
             self._underflows += 1
             if now_s - self._starved_at_s < STARVED_AGAIN_S:

@@ -6,12 +6,24 @@ import math
 from copy import copy
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from device.units import Float32Array, FloatArray
 
 LOOKAHEAD = 2
 """Frames after the one at the position that must be there."""
 _CHUNK = 512
+
+_TAPS = 4
+_LAGRANGE = np.array(
+    [
+        [0.0, -1.0 / 3.0, 1.0 / 2.0, -1.0 / 6.0],
+        [1.0, -1.0 / 2.0, -1.0, 1.0 / 2.0],
+        [0.0, 1.0, 1.0 / 2.0, -1.0 / 2.0],
+        [0.0, -1.0 / 6.0, 0.0, 1.0 / 6.0],
+    ]
+)
+"""Weights of the frames at -1, 0, 1 and 2 (rows) by powers 0 to 3 of the place between 0 and 1."""
 
 
 class CubicReader:
@@ -32,7 +44,9 @@ class CubicReader:
     def __init__(self, ring: Float32Array) -> None:
         self._ring = ring
         self._capacity = len(ring)
-        self._taps = np.arange(4)[:, np.newaxis]
+        self._taps = np.arange(_TAPS)[:, np.newaxis]
+        # Tap t of the frame in row r is in row r + t: no copy, as long as no row is past the end.
+        self._near = np.moveaxis(sliding_window_view(ring, _TAPS, axis=0), -1, 0)
         self._memory = _Scratch(_CHUNK, ring.shape[1])
         self._scratch = self._memory
         self.position = 0
@@ -61,20 +75,34 @@ class CubicReader:
         if frames != len(self._scratch.at):
             self._scratch = self._memory.shortened(frames)
         now = self._scratch
+        end = self.fraction + frames * step
+        row = (self.position - 1) % self._capacity
+        # Nearly always one frame is read for each, and the place between two stays between them.
+        drift = step - 1.0
+        beside = 0.0 <= self.fraction + (frames - 1) * drift < 1.0
+        if beside and row + frames + _TAPS - 1 <= self._capacity:
+            np.matmul(_by_count(self.fraction, drift), now.powers, out=now.weights)
+            near = self._near[:, row : row + frames]
+        else:
+            near = self._gather(now, row, step)
+        np.multiply(near, now.column_weights, out=now.weighted)
+        np.add.reduce(now.weighted, axis=0, dtype=np.float64, out=out)
+        whole = math.floor(end)
+        self.position += whole
+        self.fraction = end - whole
+
+    def _gather(self, now: _Scratch, row: int, step: float) -> Float32Array:
+        """Set the weights and copy the frames near each place, wherever they are."""
         at, whole = now.at, now.whole
         np.multiply(now.count, step, out=at)
         at += self.fraction
         np.floor(at, out=whole)
         at -= whole
         np.add(whole, self._taps, out=now.rows, casting="unsafe")
-        now.rows += (self.position - 1) % self._capacity
+        now.rows += row
         _lagrange(at, now.weights)
         self._ring.take(now.rows, axis=0, out=now.near, mode="wrap")
-        np.multiply(now.near, now.column_weights, out=now.weighted)
-        np.add.reduce(now.weighted, axis=0, dtype=np.float64, out=out)
-        end = self.fraction + frames * step
-        self.position += math.floor(end)
-        self.fraction = end - math.floor(end)
+        return now.near
 
 
 class _Scratch:
@@ -82,26 +110,45 @@ class _Scratch:
 
     def __init__(self, frames: int, channels: int) -> None:
         self.count = np.arange(frames, dtype=np.float64)
+        self.powers = self.count ** np.arange(_TAPS)[:, np.newaxis]
         self.at = np.empty(frames)
         self.whole = np.empty(frames)
-        self.rows = np.empty((4, frames), np.int64)
-        self.weights = np.empty((4, frames))
+        self.rows = np.empty((_TAPS, frames), np.int64)
+        self.weights = np.empty((_TAPS, frames))
         self.column_weights = self.weights[..., np.newaxis]
-        self.near = np.empty((4, frames, channels), np.float32)
-        self.weighted = np.empty((4, frames, channels))
+        self.near = np.empty((_TAPS, frames, channels), np.float32)
+        self.weighted = np.empty((_TAPS, frames, channels))
 
     def shortened(self, frames: int) -> _Scratch:
         """The same memory for fewer frames."""
         short = copy(self)
         short.count, short.at = self.count[:frames], self.at[:frames]
-        short.whole = self.whole[:frames]
+        short.powers, short.whole = self.powers[:, :frames], self.whole[:frames]
         short.rows, short.weights = self.rows[:, :frames], self.weights[:, :frames]
         short.column_weights = short.weights[..., np.newaxis]
         # A slice of these would not be contiguous.
-        shape = (4, frames, self.near.shape[2])
+        shape = (_TAPS, frames, self.near.shape[2])
         short.near = self.near.reshape(-1)[: math.prod(shape)].reshape(shape)
         short.weighted = self.weighted.reshape(-1)[: math.prod(shape)].reshape(shape)
         return short
+
+
+def _by_count(first: float, drift: float) -> FloatArray:
+    """Weights by powers 0 to 3 of k, (4, 4), for the places `first + k * drift`."""
+    square, square_drift = first * first, drift * drift
+    by_count = [
+        [1.0, 0.0, 0.0, 0.0],
+        [first, drift, 0.0, 0.0],
+        [square, 2.0 * first * drift, square_drift, 0.0],
+        [
+            square * first,
+            3.0 * square * drift,
+            3.0 * first * square_drift,
+            square_drift * drift,
+        ],
+    ]
+    weights: FloatArray = np.matmul(_LAGRANGE, by_count)
+    return weights
 
 
 def _lagrange(s: FloatArray, weights: FloatArray) -> None:

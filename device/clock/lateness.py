@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
+import bisect
+from itertools import accumulate
 
 SHARE = 0.001
 """Of all callbacks, those that may come later than the estimate."""
@@ -32,7 +33,7 @@ class Lateness:
     def __init__(self, limit_s: float) -> None:
         bins = max(1, round(limit_s / _BIN_S))
         self._limit_s = limit_s
-        self._counts = np.zeros(bins + 1)
+        self._counts = [0.0] * (bins + 1)
         self._weight = 1.0
         self._unseen_s = 0.0
         self._paused_s = 0.0
@@ -54,7 +55,7 @@ class Lateness:
         # The newest weighs more and more, in place of all others weighing less.
         self._weight *= 2.0 ** min(1.0, seconds / _HALF_LIFE_S)
         if self._weight > _HEAVIEST:
-            self._counts /= self._weight
+            self._counts = [count / self._weight for count in self._counts]
             self._weight = 1.0
         self._unseen_s += seconds
         if self._unseen_s >= _EVERY_S:
@@ -71,8 +72,8 @@ class Lateness:
 
     def _look(self) -> None:
         self.known = True
-        from_latest = np.cumsum(self._counts[::-1])
-        beyond = int(np.searchsorted(from_latest, SHARE * from_latest[-1], side="right"))
+        from_latest = list(accumulate(reversed(self._counts)))
+        beyond = bisect.bisect_right(from_latest, SHARE * from_latest[-1])
         upper_edge_s = (len(self._counts) - beyond) * _BIN_S
         late_s = min(self._limit_s, max(LEAST_S, upper_edge_s))
         if late_s > self.estimate_s + _RISE_S or late_s < self.estimate_s - _FALL_S:

@@ -10,6 +10,7 @@ its device raises nothing. Ask `is_lost`, close the stream, open another one.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -254,11 +255,13 @@ class PlaybackStream(_Stream):
         if len(self._out) != frames:
             self._out = np.zeros((frames, self.channels), np.float32)
         else:
-            self._out[:] = 0.0
+            self._out.fill(0.0)
         self._sound = None
         self._fill(self._out, now_s)
-        # One sum instead of a look at each: it is finite only if all of them are.
-        if not np.isfinite(self._out.sum(dtype=np.float64)):
+        # One product instead of a look at each: it is finite only if all of them are. Where it is
+        # not, they may still be finite, but no vibration.
+        flat = self._out.reshape(-1)
+        if not math.isfinite(np.vdot(flat, flat)):
             raise FloatingPointError("samples that are not finite")
         self._sound = self._out.tobytes()
 

@@ -63,7 +63,8 @@ class Watched:
     @property
     def errors_ms(self) -> np.ndarray:
         errors_ms = [1e3 * (status.delay_s - status.target_s) for status in self.statuses]
-        return np.array(errors_ms)[self.clear]
+        clear: np.ndarray = np.array(errors_ms)[self.clear]
+        return clear
 
     @property
     def ratio_ppm(self) -> float:
