@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import tracemalloc
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -77,6 +78,29 @@ def test_after_a_fault_it_is_back_on_target_and_no_delay_stays(name: str) -> Non
     playing = [state in (DelayState.SETTLING, DelayState.LOCKED) for state in course.states]
     since = course.time_s > 12.8
     assert np.array(playing)[since].all()
+
+
+class AsksEarly(Side):
+    """Five callbacks come with the first of them, once: a server fills its buffers."""
+
+    at_s = 0.3
+
+    def callbacks(self) -> Iterator[tuple[float, float]]:
+        """See `Side`."""
+        first = round(self.at_s / BLOCK_S)
+        early_s = 0.0
+        for number, (now_s, true_s) in enumerate(super().callbacks()):
+            if number == first:
+                early_s = now_s
+            yield (early_s if first <= number < first + 5 else now_s), true_s
+
+
+def test_a_server_that_fills_its_buffers_late_does_not_leave_a_delay_that_nobody_sees() -> None:
+    line = DelayLine(1, 48_000, 48_000)
+    course = run(line, TAP, AsksEarly(jitter_s=MS, seed=2, start_s=0.003), 20.0)
+    assert np.abs(course.after(8.0)).max() < 0.0005
+    usual = run(DelayLine(1, 48_000, 48_000), TAP, replace(OUTPUT, ppm=0.0), 20.0)
+    assert course.last.target_s == pytest.approx(usual.last.target_s, abs=0.0015)
 
 
 @pytest.mark.parametrize("lost_s", [0.01, 0.03])

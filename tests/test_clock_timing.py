@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device.clock.lateness import LEAST_S, Lateness
-from device.clock.timing import FrameClock
+from device.clock.timing import STRANDED_S, FrameClock
 from tests.clocks import Side
 
 
@@ -94,6 +94,29 @@ def test_a_backlog_of_any_length_is_forgotten_a_fifth_of_a_second_later(seconds:
     side = Side(jitter_s=0.0005, pauses=((20.0, 20.0 + seconds),))
     now, error, _ = errors(side, 30.0)
     assert np.abs(error[now > 20.2 + seconds]).max() < 0.001
+
+
+@pytest.mark.parametrize("blocks", [3, 5])
+@pytest.mark.parametrize("at_s", [0.12, 0.5, 20.0])
+def test_a_server_that_asks_for_some_blocks_too_early_once_is_forgiven_in_seconds(
+    blocks: int, at_s: float
+) -> None:
+    clock, block_s = FrameClock(48_000), 256 / 48_000
+    first = round(at_s / block_s)
+    for number in range(round((at_s + 10.0) / block_s)):
+        at = first if first <= number < first + blocks else number
+        reading = clock.update(at * block_s, 256 * number)
+        assert reading is not None
+        if (number - first) * block_s > STRANDED_S + 2.0:
+            assert reading.time_of(256 * number) == pytest.approx(number * block_s, abs=2e-4)
+    assert clock.restarts == clock.strandings == 1
+
+
+@pytest.mark.parametrize("server_block", [470, 1_000])
+def test_servers_with_blocks_of_their_own_are_not_taken_for_that(server_block: int) -> None:
+    side = Side(server_block=server_block, jitter_s=0.001, ppm=200)
+    _, _, clock = errors(side, 120.0)
+    assert clock.restarts == 0
 
 
 def test_the_pace_learned_survives_a_restart() -> None:

@@ -98,14 +98,14 @@ class DelayLine:
 
         self._ring = NewestFrames(math.ceil(capacity_s * samplerate_in), channels)
         # the writer's
-        self._written_clock = FrameClock(samplerate_in)
+        self._written_clock = FrameClock(samplerate_in, capture_block)
         self._written_late = Lateness(lateness_limit_s)
         self._capture_s = capture_block / samplerate_in
         self._last_write_s = -math.inf
         self._jump_expected: object = None
         self._written: Written | None = None
         # the reader's
-        self._read_clock = FrameClock(samplerate_out)
+        self._read_clock = FrameClock(samplerate_out, output_block)
         self._read_late = Lateness(lateness_limit_s)
         self._output_block = output_block
         self._output_s = output_block / samplerate_out
@@ -248,7 +248,10 @@ class DelayLine:
 
     def _time_part(self, now_s: float, start: int, end: int) -> ClockReading | None:
         """Learn from when the frames from `start` to `end` were captured."""
+        strandings = self._written_clock.strandings
         clock = self._written_clock.update(now_s, end)
+        if self._written_clock.strandings != strandings:
+            self._written_late.forget()
         if clock is not None:
             # How far what was captured was behind the clock, just before these frames came.
             late_s = now_s - clock.time_of(start) - self._capture_s
@@ -269,7 +272,10 @@ class DelayLine:
             return
         now_s = float(now_s)
         written = self._written
+        strandings = self._read_clock.strandings
         clock = self._read_clock.update(now_s, self._read_frames)
+        if self._read_clock.strandings != strandings:
+            self._read_late.forget()
         self._read_frames += frames
         if self._flush_wanted is not self._flushed:
             self._flushed = self._flush_wanted

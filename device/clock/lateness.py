@@ -62,6 +62,13 @@ class Lateness:
             self._unseen_s = 0.0
             self._look()
 
+    def forget(self) -> None:
+        """Begin anew: what was added was no lateness. It is the least until the next look."""
+        self._counts = [0.0] * len(self._counts)
+        self._weight = 1.0
+        self._paused_s = 0.0
+        self.estimate_s = min(LEAST_S, self._limit_s)
+
     def forget_pause(self) -> None:
         """Let the last pause not count: the stream began anew."""
         self._paused_s = 0.0

@@ -23,6 +23,10 @@ EARLY_S = 0.03
 """A callback earlier than this: a backlog is delivered; what was learned before it is wrong."""
 ASTRAY_S = 0.3
 """Outliers for this long are no outliers: the counter has made a jump."""
+STRANDED_S = 2.0
+"""No callback near the line for this long: the line lies under one that came too early, once."""
+STRANDED_BLOCKS = 1.5
+"""What is not near, in blocks of the stream; beats between blocks stay within one."""
 ALERT_S = 0.5
 """For so long after a jump was announced one outlier suffices."""
 
@@ -64,8 +68,8 @@ class ClockReading(NamedTuple):
 class FrameClock:
     """The line that a stream's callbacks are never ahead of: its clock.
 
-    samplerate: nominal, Hz. One thread, the stream's own, calls `update`; the reading it returns
-    may go anywhere.
+    samplerate: nominal, Hz; block_frames: of a usual callback. One thread, the stream's own, calls
+    `update`; the reading it returns may go anywhere.
 
     A callback can only be late: by a busy machine, and by a server whose own blocks are no
     multiple of the stream's. The second kind beats, some ms up and down within seconds or
@@ -75,14 +79,19 @@ class FrameClock:
     delay measurements" (INFOCOM 1999). While there is less than a minute, and as far as the
     callbacks leave it open, the pace is the one known before.
 
-    Lost frames, a backlog or a restarted stream begin a new line; the pace learned is kept.
+    Lost frames, a backlog or a restarted stream begin a new line; the pace learned is kept. So
+    does a line that no callback comes near any more: a server that fills its buffers late, or
+    once more than it should, would else look like a delay that is shorter than it is.
 
     reading: the last `ClockReading`; None before the first callback.
-    restarts: lines begun since the start, the first one not counted.
+    restarts: lines begun since the start, the first one not counted. strandings: those of them
+    because no callback came near the line: all were said to be later than they were.
     """
 
-    def __init__(self, samplerate: float) -> None:
+    def __init__(self, samplerate: float, block_frames: int = 256) -> None:
         self._nominal_s = 1.0 / samplerate
+        self._near_s = STRANDED_BLOCKS * block_frames / samplerate
+        self._stranded_s = 0.0
         # A line: the counter stood at _frames at _time_s and each frame takes _period_s.
         # Points are (seconds of the counter since then, seconds later than nominal).
         self._deviation = self._known_deviation = 0.0
@@ -97,7 +106,7 @@ class FrameClock:
         self._stepped_s = 0.0
         self._filling = True
         self.reading: ClockReading | None = None
-        self.restarts = 0
+        self.restarts = self.strandings = 0
 
     def expect_jump(self) -> None:
         """Be told that the stream is being moved: frames will be lost in a moment."""
@@ -126,6 +135,10 @@ class FrameClock:
         outlier = late_s > self._usual_s + _OUTLIER * self._spread_s
         self._astray_s = self._astray_s + seconds if outlier else 0.0
         if self._astray_s > (0.0 if self._alert_s > 0.0 else ASTRAY_S):
+            return self._begin(now_s, frames)
+        self._stranded_s = self._stranded_s + seconds if late_s > self._near_s else 0.0
+        if self._stranded_s > STRANDED_S:
+            self.strandings += 1
             return self._begin(now_s, frames)
         self._alert_s -= seconds
         self._age_s += seconds
@@ -165,7 +178,7 @@ class FrameClock:
         self._time_s, self._frames = now_s, frames
         self._offset_s = self._fallen_s = 0.0
         self._usual_s, self._spread_s = 0.0, spread_s
-        self._astray_s = 0.0
+        self._astray_s = self._stranded_s = 0.0
         self._points.clear()
         self._best = (0.0, 0.0)
         self._bucket_s = 0.0
