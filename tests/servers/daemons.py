@@ -99,11 +99,6 @@ class Daemon:
         assert self.process.stderr is not None
         self.process.stderr.close()
 
-    def cpu_s(self) -> float:
-        """Time that its process has used."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
 
 @contextmanager
 def running(
@@ -222,8 +217,18 @@ def modules_of(server: SoundServer) -> list[str]:
     return server.pactl("list", "short", "modules").splitlines()
 
 
-def cpu_percent(daemon: Daemon, seconds: float) -> float:
-    """What its process uses of one core."""
-    began_s, used_s = time.monotonic(), daemon.cpu_s()
+def cpu_s(pid: int) -> float:
+    """Time that a process has used."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def cpu_percent(*pids: int, seconds: float = 4.0) -> list[float]:
+    """What processes use of one core, each."""
+    began_s, used_s = time.monotonic(), [cpu_s(pid) for pid in pids]
     wait_for(lambda: time.monotonic() - began_s > seconds, "time", 2.0 * seconds)
-    return 100.0 * (daemon.cpu_s() - used_s) / (time.monotonic() - began_s)
+    elapsed_s = time.monotonic() - began_s
+    return [
+        100.0 * (cpu_s(pid) - before_s) / elapsed_s
+        for pid, before_s in zip(pids, used_s, strict=True)
+    ]
