@@ -358,6 +358,18 @@ def test_a_lag_that_grows_or_is_long_is_not_met(monkeypatch, tmp_path):
     assert [row.column for row in table.rows if row.met is False] == ["lag", "change over the run"]
 
 
+def test_records_of_before_pauses_were_watched_can_be_read(monkeypatch, tmp_path):
+    path = tmp_path / "live.json"
+    document = live_report.to_json([a_record()])
+    for name in ("machine_pauses", "machine_pause_ms"):
+        del document["records"][0][name]
+    path.write_text(json.dumps(document))
+    (record,) = live_report.read_records(path)
+    assert record.machine_pauses is None
+    table = section(monkeypatch, tmp_path, record)
+    assert "the machine stood still" not in [row.column for row in table.rows]
+
+
 def test_an_instrument_that_is_off_says_so(monkeypatch, tmp_path):
     table = section(monkeypatch, tmp_path, a_record(check_median_ms=3.0))
     assert any("not to be trusted" in row.note for row in table.rows)

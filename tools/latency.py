@@ -179,8 +179,8 @@ def _told(record: LiveRecord) -> str:
         f"  it used {record.cpu_percent or 0.0:.1f} % of a core, its memory grew by "
         f"{record.memory_growth_kb or 0.0:+.0f} kB",
         f"  dropouts: {record.dropouts}, {record.dropout_ms:.1f} ms; splices in the recordings: "
-        f"{record.splices}; the machine stood still {record.machine_pauses} times, for up to "
-        f"{record.machine_pause_ms:.0f} ms",
+        f"{record.splices}; the machine stood still {record.machine_pauses or 0} times, for up to "
+        f"{record.machine_pause_ms or 0.0:.0f} ms",
         f"  self-check: one monitor recorded twice differs by {ms(record.check_median_ms, '+')}, "
         f"at worst {ms(record.check_worst_ms, '+')}: "
         + ("as it should" if record.trusted else "NOT TO BE TRUSTED"),

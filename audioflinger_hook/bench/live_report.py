@@ -57,7 +57,7 @@ class LiveRecord:
     underflows, overflows, recoveries: how often, in this time. cpu_percent: of one core, what all
     its threads used; memory_growth_kb: how much more it held at the end than at the start.
     machine_pauses, machine_pause_ms: how often the machine itself stood still, and for how long at
-    worst; most resyncs and dropouts come of that where it is a virtual one.
+    worst; most resyncs and dropouts come of that where it is a virtual one. None: nobody watched.
     """
 
     server: str
@@ -91,10 +91,10 @@ class LiveRecord:
     recoveries: int
     cpu_percent: float | None
     memory_growth_kb: float | None
-    machine_pauses: int
-    machine_pause_ms: float
     lags_ms: Numbers
     budgets_ms: Numbers
+    machine_pauses: int | None = None
+    machine_pause_ms: float | None = None
 
     @property
     def name(self) -> str:
