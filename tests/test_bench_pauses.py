@@ -2,7 +2,11 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
+from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,9 +46,9 @@ def test_times_are_left_out_from_the_pause_until_it_is_overcome(
         assert is_clear != disturbed
 
 
-def test_the_witness_watches_every_core_and_ends_with_its_context() -> None:
-    with PauseWitness() as witness:
-        processes = witness._processes
+def test_the_witness_watches_every_core_and_ends_when_it_is_closed() -> None:
+    with closing(PauseWitness()) as witness:
+        processes = list(witness._processes)
         assert len(processes) == len(os.sched_getaffinity(0))
         began_s = time.monotonic()
         for pause in witness.pauses():
@@ -56,7 +60,7 @@ def test_the_witness_watches_every_core_and_ends_with_its_context() -> None:
 
 def test_processes_that_were_stopped_look_like_a_machine_that_stood_still() -> None:
     """Stopped and continued by signals, which is all that a test can do to a machine."""
-    with PauseWitness() as witness:
+    with closing(PauseWitness()) as witness:
         pids = [process.pid for process in witness._processes]
         stopped_s = time.monotonic()
         for pid in pids:
@@ -69,3 +73,30 @@ def test_processes_that_were_stopped_look_like_a_machine_that_stood_still() -> N
         while not (found := [one for one in witness.pauses() if one.seconds > 0.05]):
             assert time.monotonic() < deadline_s
     assert found[0].seconds == pytest.approx(0.1, abs=0.05)
+
+
+def test_who_is_killed_leaves_no_witness_behind() -> None:
+    watches = (
+        "from audioflinger_hook.bench.pauses import PauseWitness\n"
+        "witness = PauseWitness()\n"
+        "print(*(process.pid for process in witness._processes), flush=True)\n"
+        "input()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", watches], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        pids = process.stdout.readline().split()
+        process.kill()
+    assert pids
+    deadline_s = time.monotonic() + 5.0
+    while any(is_running(pid) for pid in pids):
+        assert time.monotonic() < deadline_s
+
+
+def is_running(pid: str) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state not in "ZX"

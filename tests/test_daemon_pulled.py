@@ -124,6 +124,18 @@ def test_what_the_delay_line_has_is_read_at_once_and_that_is_not_taken_for_haste
     assert targets_s[0] == pytest.approx(targets_s[1], abs=0.0002)
 
 
+def test_what_was_read_ahead_of_a_gap_is_not_played_after_it() -> None:
+    live = Live(PulledFeed())
+    sound = music(3.0)
+    live.run(sound, lateness(len(sound) // BLOCK, 0.0))
+    while not len(live.engine._ahead):
+        live.fill(live.engine.filled_s + BLOCK_S)
+    stale = live.engine._ahead[:BLOCK, 0].copy()
+    assert np.abs(stale).max() > 0.0
+    live.fill(live.engine.filled_s + 1.0)
+    assert not np.array_equal(live.played[-1][:, 0], stale)
+
+
 @given(st.lists(st.integers(1, 1_500), min_size=20, max_size=60))
 @settings(max_examples=30, deadline=None)
 def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes: list[int]) -> None:

@@ -201,7 +201,7 @@ def _listen(
         wanted.add(mono)
 
     with ExitStack() as stack:
-        witness = stack.enter_context(PauseWitness())
+        witness = stack.enter_context(closing(PauseWitness()))
         recordings = [
             stack.enter_context(closing(Recording(source, at_hz, place.environment, take)))
             for source, at_hz, take in (

@@ -13,7 +13,6 @@ import subprocess
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +26,8 @@ PRIORITY = 60
 """Of SCHED_FIFO, where it is granted: over that of the daemon's own threads."""
 
 _WITNESS = """
-import os, sys, time
+import os, select, signal, sys, time
+signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever started it ends it
 core, nap_s, least_s, priority = int(sys.argv[1]), *map(float, sys.argv[2:])
 os.sched_setaffinity(0, {core})
 try:
@@ -36,8 +36,7 @@ except OSError:
     pass
 before_s = time.monotonic()
 print("ready", flush=True)
-while True:
-    time.sleep(nap_s)
+while not select.select([0], [], [], nap_s)[0]:  # closed once its parent is gone
     now_s = time.monotonic()
     if now_s - before_s >= least_s:
         print(before_s, now_s, flush=True)
@@ -59,19 +58,17 @@ class Pause:
 
 
 class PauseWitness:
-    """A context that watches all cores that this process may use. One thread uses it."""
+    """Watches all cores that this process may use, from now until `close`. One thread uses it."""
 
     def __init__(self) -> None:
         self._seen: list[list[Pause]] = []
         self._rest: list[bytes] = []
         self._processes: list[subprocess.Popen[bytes]] = []
-
-    def __enter__(self) -> PauseWitness:
         for core in sorted(os.sched_getaffinity(0)):
             figures = (str(core), str(NAP_S), str(LEAST_S), str(PRIORITY))
             process = subprocess.Popen(
                 [sys.executable, "-S", "-E", "-c", _WITNESS, *figures],
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
             )
             assert process.stdout is not None
@@ -80,20 +77,13 @@ class PauseWitness:
             self._processes.append(process)
             self._seen.append([])
             self._rest.append(b"")
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Stop watching. Again too."""
         self.pauses()
         for process in self._processes:
-            process.kill()
-            process.wait()
-            assert process.stdout is not None
-            process.stdout.close()
+            with process:  # closes the pipes and waits
+                process.kill()
         self._processes.clear()
 
     def pauses(self) -> tuple[Pause, ...]:

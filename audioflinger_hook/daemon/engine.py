@@ -15,6 +15,7 @@ from audioflinger_hook.framework import Framework
 from audioflinger_hook.service.buffer_times import BufferClock
 from audioflinger_hook.settings import Settings
 from device.clock import DelayLine
+from device.clock.timing import STALLED_S
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
@@ -209,6 +210,8 @@ class Engine:
         Haptic channels repeat where the device has more; where it has fewer, the last are left
         out.
         """
+        if now_s - self.filled_s > STALLED_S:  # of before a gap
+            self._ahead = self._ahead[:0]
         self.filled_s = now_s
         frames = len(out)
         if len(self._ahead) < frames:

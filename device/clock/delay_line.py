@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from device.clock.crossing import Flush, Written
 from device.clock.declick import Joint
 from device.clock.interpolator import CubicReader
-from device.clock.lateness import LEAST_S, Lateness
+from device.clock.lateness import LEAST_S
 from device.clock.rate_loop import RateLoop
 from device.clock.ring import NewestFrames
 from device.clock.status import DelayState, DelayStatus
+from device.clock.stream_timing import StreamTiming
 from device.clock.target import TargetDelay
-from device.clock.timing import STALLED_S, ClockReading, FrameClock
+from device.clock.timing import STALLED_S, ClockReading
 from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray
 
@@ -98,15 +99,13 @@ class DelayLine:
 
         self._ring = NewestFrames(math.ceil(capacity_s * samplerate_in), channels)
         # the writer's
-        self._written_clock = FrameClock(samplerate_in, capture_block)
-        self._written_late = Lateness(lateness_limit_s)
+        self._writes = StreamTiming(samplerate_in, capture_block, lateness_limit_s)
         self._capture_s = capture_block / samplerate_in
         self._last_write_s = -math.inf
         self._jump_expected: object = None
         self._written: Written | None = None
         # the reader's
-        self._read_clock = FrameClock(samplerate_out, output_block)
-        self._read_late = Lateness(lateness_limit_s)
+        self._reads = StreamTiming(samplerate_out, output_block, lateness_limit_s)
         self._output_block = output_block
         self._output_s = output_block / samplerate_out
         self._read_frames = 0
@@ -222,7 +221,7 @@ class DelayLine:
             self._last_write_s = now_s
         if self._jump_wanted is not self._jump_expected:
             self._jump_expected = self._jump_wanted
-            self._written_clock.expect_jump()
+            self._writes.expect_jump()
         start = part = written - count
         for part_s, frames_by_then in earlier:
             self._time_part(part_s, part, start + frames_by_then)
@@ -232,8 +231,8 @@ class DelayLine:
             return
         before = self._written
         run_start = start if stalled or before is None else before.run_start
-        late = self._written_late
-        self._written = Written(written, clock, run_start, late.estimate_s, late.known)
+        late_s, known = self._writes.lateness_s, self._writes.known
+        self._written = Written(written, clock, run_start, late_s, known)
 
     @property
     def readable(self) -> int:
@@ -248,15 +247,12 @@ class DelayLine:
 
     def _time_part(self, now_s: float, start: int, end: int) -> ClockReading | None:
         """Learn from when the frames from `start` to `end` were captured."""
-        strandings = self._written_clock.strandings
-        clock = self._written_clock.update(now_s, end)
-        if self._written_clock.strandings != strandings:
-            self._written_late.forget()
+        clock = self._writes.update(now_s, end)
         if clock is not None:
             # How far what was captured was behind the clock, just before these frames came.
             late_s = now_s - clock.time_of(start) - self._capture_s
             seconds = (end - start) / self._samplerate_in
-            _measure_lateness(self._written_late, late_s, seconds, clock)
+            self._writes.add_lateness(late_s, seconds, clock)
         return clock
 
     def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> None:
@@ -272,10 +268,7 @@ class DelayLine:
             return
         now_s = float(now_s)
         written = self._written
-        strandings = self._read_clock.strandings
-        clock = self._read_clock.update(now_s, self._read_frames)
-        if self._read_clock.strandings != strandings:
-            self._read_late.forget()
+        clock = self._reads.update(now_s, self._read_frames)
         self._read_frames += frames
         if self._flush_wanted is not self._flushed:
             self._flushed = self._flush_wanted
@@ -301,14 +294,14 @@ class DelayLine:
         """Bring state, position and step up to date for a read of `frames`."""
         seconds = frames / self._samplerate_out
         early_s = clock.time_of(clock.frames + frames - ahead) - now_s - self._output_s
-        _measure_lateness(self._read_late, early_s, seconds, clock)
+        self._reads.add_lateness(early_s, seconds, clock)
         known = clock.settled and written.clock.settled
         # What the clocks learn of themselves is no change of the delay, and no reason to steer.
         stepped_s = clock.stepped_s - written.clock.stepped_s
         if known and self._known:
             self._target.rebase(stepped_s - self._stepped_s)
         self._known, self._stepped_s = known, stepped_s
-        late_s = written.lateness_s + self._read_late.estimate_s
+        late_s = written.lateness_s + self._reads.lateness_s
         lateness_s = max(self._lateness_least_s, late_s)
         wanted_s, self._offset_in_force_s = self._offset_in_force_s, self._offset_s
         self._target.want(lateness_s, self._offset_in_force_s)
@@ -322,7 +315,7 @@ class DelayLine:
                 self._state = DelayState.FILLING
             held_off = self._starved_at_s <= now_s < self._not_before_s
             # A first start too near would run out of frames as soon as the first callback is late.
-            provided = written.lateness_known and self._read_late.known
+            provided = written.lateness_known and self._reads.known
             # After a rest there is no time to lose: what the clocks then tell may take a jump.
             fresh = self._state is DelayState.FILLING and self._fresh
             if provided and (known or fresh) and not held_off:
@@ -410,12 +403,3 @@ class DelayLine:
             self._state,
             self._silenced,
         )
-
-
-def _measure_lateness(
-    lateness: Lateness, late_s: float, seconds: float, clock: ClockReading
-) -> None:
-    if not clock.settled:
-        lateness.forget_pause()
-    elif math.isfinite(late_s):
-        lateness.add(late_s, seconds, clock.astray)

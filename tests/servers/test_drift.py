@@ -150,7 +150,7 @@ def watched(
     tone = swelling_tone(145.0, 60.0, RATE_HZ)[:, None].repeat(2, axis=1).astype(np.float32)
     length = int((settles_s + seconds + 30.0) / 60.0) + 1
     with (
-        PauseWitness() as witness,
+        closing(PauseWitness()) as witness,
         two_cards(ratio, monkeypatch) as (first, second),
         playing(first, "desktop", np.tile(tone, (length, 1))),
         bridged(first, second) as engine,

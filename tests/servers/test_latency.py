@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from audioflinger_hook.bench.live_report import (
+    CPU_PERCENT,
     LAG,
     NO_GROWTH_MS,
     RECORD,
@@ -125,3 +126,5 @@ def test_the_latency_is_short_and_does_not_grow(kind: str, monkeypatch: pytest.M
     assert LAG.met(record.lag_median_ms), record
     assert NO_GROWTH_MS.met(abs(record.hidden_growth_ms)), record
     assert NO_GROWTH_MS.met(abs(record.growth_ms)), record
+    assert record.cpu_percent is not None
+    assert CPU_PERCENT.met(record.cpu_percent), record

@@ -245,5 +245,9 @@ def test_silence_costs_little_and_the_sound_after_it_is_felt(
         f"delay {idle.delay_line.delay_ms:.1f} then {status.delay_line.delay_ms:.1f} ms"
     )
     assert idle_percent <= IDLE_PERCENT
-    # Where even streams that do nothing cost much, the machine is slow to wake up, not the daemon.
-    assert playing_percent <= PLAYING_PERCENT or beside_percent <= TIMES_BARE * bare_percent
+    if playing_percent > PLAYING_PERCENT:
+        assert beside_percent <= TIMES_BARE * bare_percent
+        pytest.skip(
+            f"{playing_percent:.1f} % of a core, over {PLAYING_PERCENT:g}: not shown on a machine "
+            f"where streams that do nothing take {bare_percent:.1f} %"
+        )
