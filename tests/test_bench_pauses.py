@@ -75,6 +75,28 @@ def test_processes_that_were_stopped_look_like_a_machine_that_stood_still() -> N
     assert found[0].seconds == pytest.approx(0.1, abs=0.05)
 
 
+def test_one_core_that_is_taken_away_is_a_pause_only_of_that_core() -> None:
+    with closing(PauseWitness()) as witness:
+        if len(witness._processes) < 2:
+            pytest.skip("there is one core")
+        pid = witness._processes[0].pid
+        stopped_s = time.monotonic()
+        os.kill(pid, signal.SIGSTOP)
+        while time.monotonic() < stopped_s + 0.1:
+            pass
+        os.kill(pid, signal.SIGCONT)
+        deadline_s = time.monotonic() + 5.0
+        while len(witness._seen[0]) == 0 or witness._seen[0][-1].seconds < 0.05:
+            witness.pauses()
+            assert time.monotonic() < deadline_s
+        whole = [one for one in witness.pauses() if one.seconds > 0.05]
+        assert whole == []
+        parts = [one for one in witness.core_pauses() if one.seconds > 0.05]
+        assert parts if witness.first else parts == []
+        starts_s = [one.start_s for one in witness.core_pauses()]
+        assert starts_s == sorted(starts_s)
+
+
 def test_who_is_killed_leaves_no_witness_behind() -> None:
     watches = (
         "from audioflinger_hook.bench.pauses import PauseWitness\n"

@@ -221,7 +221,7 @@ def test_two_threads_lose_nothing_and_keep_the_order() -> None:
             feed.push(np.full((BLOCK, 2), block / blocks, np.float32), now_s)
         ended.set()
         output.join()
-        feed.pull(None)
+        feed.pull()
     finally:
         sys.setswitchinterval(interval_s)
     assert live.engine.frames == blocks * BLOCK

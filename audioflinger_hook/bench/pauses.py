@@ -2,8 +2,9 @@
 
 Virtual machines do that for tens of ms. It tells a measurement what is not the fault of what it
 measures. One small process for each core sleeps a few ms at a time, before all others where that
-is allowed. A moment when none of them woke was one of the machine; where only one did not, its
-core was busy.
+is allowed. A moment when none of them woke was one of the machine. Where only one did not, its core
+was busy; or, if that process goes before all others, the core itself was taken away for a while,
+and with it whatever ran there.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ core, nap_s, least_s, priority = int(sys.argv[1]), *map(float, sys.argv[2:])
 os.sched_setaffinity(0, {core})
 try:
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(int(priority)))
+    print("first", flush=True)
 except OSError:
-    pass
+    print("equal", flush=True)
 before_s = time.monotonic()
-print("ready", flush=True)
 while not select.select([0], [], [], nap_s)[0]:  # closed once its parent is gone
     now_s = time.monotonic()
     if now_s - before_s >= least_s:
@@ -46,7 +47,7 @@ while not select.select([0], [], [], nap_s)[0]:  # closed once its parent is gon
 
 @dataclass(frozen=True)
 class Pause:
-    """A time when no core of the machine ran anything; seconds of time.monotonic."""
+    """A time when a core, or the machine, ran nothing; seconds of time.monotonic."""
 
     start_s: float
     end_s: float
@@ -58,9 +59,13 @@ class Pause:
 
 
 class PauseWitness:
-    """Watches all cores that this process may use, from now until `close`. One thread uses it."""
+    """Watches all cores that this process may use, from now until `close`. One thread uses it.
+
+    first: whether the watching processes go before all others, so that nobody else delays them.
+    """
 
     def __init__(self) -> None:
+        self.first = True
         self._seen: list[list[Pause]] = []
         self._rest: list[bytes] = []
         self._processes: list[subprocess.Popen[bytes]] = []
@@ -72,7 +77,7 @@ class PauseWitness:
                 stdout=subprocess.PIPE,
             )
             assert process.stdout is not None
-            process.stdout.readline()  # it watches from now on
+            self.first &= process.stdout.readline() == b"first\n"  # it watches from now on
             os.set_blocking(process.stdout.fileno(), False)
             self._processes.append(process)
             self._seen.append([])
@@ -80,21 +85,35 @@ class PauseWitness:
 
     def close(self) -> None:
         """Stop watching. Again too."""
-        self.pauses()
+        self._read()
         for process in self._processes:
             with process:  # closes the pipes and waits
                 process.kill()
         self._processes.clear()
 
     def pauses(self) -> tuple[Pause, ...]:
-        """Return all that there were until now, in order; also after the end."""
+        """Return when the whole machine stood still, until now, in order; also after the end."""
+        self._read()
+        return common(self._seen)
+
+    def core_pauses(self) -> tuple[Pause, ...]:
+        """Return when at least one core was taken away; `pauses` where that cannot be told."""
+        if not self.first:
+            return self.pauses()
+        self._read()
+        return tuple(sorted((one for seen in self._seen for one in seen), key=_start))
+
+    def _read(self) -> None:
         for core, process in enumerate(self._processes):
             assert process.stdout is not None
             *lines, self._rest[core] = (self._rest[core] + (process.stdout.read() or b"")).split(
                 b"\n"
             )
             self._seen[core] += [Pause(*map(float, line.split())) for line in lines]
-        return common(self._seen)
+
+
+def _start(pause: Pause) -> float:
+    return pause.start_s
 
 
 def common(seen: Sequence[Sequence[Pause]]) -> tuple[Pause, ...]:

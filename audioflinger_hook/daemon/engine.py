@@ -22,8 +22,8 @@ from device.units import Float32Array, FloatArray
 LATENESS_LEAST_S = 0.005
 """An idle machine's callbacks are some ms late now and then: the delay is not to follow that."""
 
-AHEAD_BLOCKS = 3
-"""Blocks that are read from the delay line with the one that is asked for, if they are there."""
+BLOCKS_AT_ONCE = 8
+"""Blocks that are mixed in one cycle, or read from the delay line in one go, if they are there."""
 
 FADED = 1e-6
 """Vibration below this, of full scale, is none: -120 dB."""
@@ -62,7 +62,7 @@ class Engine:
 
     buffers, frames: how many were mixed; frames_max: of a cycle. last_sound_s: when they were not
     silent. faded: whether the vibration last looked at was none. sound, vibration: their levels.
-    before_fill: called by `fill` with the frames that it will read; set it before that. filled_s:
+    before_fill: called by `fill` before it reads; set it before that. filled_s:
     when `fill` was called last.
 
     Raises
@@ -95,6 +95,7 @@ class Engine:
             self.samplerate,
             self.channels,
             settings,
+            hal_frames=BLOCKS_AT_ONCE * block_frames,
             # Its own time: what the machine spends on others is no fault of an effect.
             clock=clocks.used_s if bypass_late else None,
         )
@@ -105,7 +106,7 @@ class Engine:
         self.buffers = 0
         self.frames = 0
         self.frames_max = self.framework.mixer.frames
-        self.before_fill: Callable[[int], None] = _nothing
+        self.before_fill: Callable[[], None] = _nothing
         self.filled_s = -math.inf
         self.faded = True
         self.last_sound_s = now_s
@@ -228,13 +229,13 @@ class Engine:
         """Have `frames` or more read; more only where the delay line has them already."""
         held = self._ahead
         missing = frames - len(held)
-        self.before_fill(missing)
+        self.before_fill()
         line = self.delay_line
         ahead = (line.readable - missing) // frames
-        ahead = frames * max(0, min(AHEAD_BLOCKS, ahead))
+        ahead = frames * max(0, min(BLOCKS_AT_ONCE - 1, ahead))
         needed = frames + ahead
         if len(self._read) < needed or len(held):
-            blocks = max(needed, frames * (1 + AHEAD_BLOCKS))
+            blocks = max(needed, frames * BLOCKS_AT_ONCE)
             self._read = np.zeros((blocks, held.shape[1]), np.float32)
             self._read[: len(held)] = held
         self._ahead = self._read[:needed]
@@ -271,5 +272,5 @@ class _IntoLine:
         self._engine.delay_line.flush()
 
 
-def _nothing(frames: int) -> None:
+def _nothing() -> None:
     """What is to be done where nothing is."""

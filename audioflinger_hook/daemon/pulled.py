@@ -19,10 +19,11 @@ UNASKED_S = 0.05
 class PulledFeed(Feed):
     """A `Feed` that mixes on the output's thread, just before the delay line is read.
 
-    No frame is felt any later: the delay line has frames for some reads to come, and is given more
-    when it needs them. But what came meanwhile, up to a whole cycle, is mixed at once, by a thread
-    that had to wake up anyway: a third of the cost. (A thread that wakes up for each block finds
-    its caches cold, and what it does then takes three times as long.)
+    No frame is felt any later: the output reads all that the delay line has, which lasts for some
+    blocks, and what came by the next read is mixed just before it. So there is one thing to do
+    every 10 to 30 ms, by a thread that had to wake up anyway, instead of one for each block: a
+    third of the cost. (A thread that wakes up finds its caches cold, and what it does then takes
+    three times as long, or eight times on a virtual machine with neighbours.)
 
     `push` is called by the capture's thread, `pull` by the output's; one of the two mixes, the
     other one goes on meanwhile. `opened` and `moved` are the supervising thread's.
@@ -57,21 +58,13 @@ class PulledFeed(Feed):
             return
         self._arrived.append((frames, now_s))
         if now_s - engine.filled_s > UNASKED_S:
-            self.pull(None)
+            self.pull()
 
-    def pull(self, frames: int | None) -> None:
-        """Mix all that came so far, unless the other thread is doing that.
-
-        frames: what the output is about to read. Where the delay line has that, it is early enough
-        later on. None: at once.
-        """
+    def pull(self) -> None:
+        """Mix all that came so far, unless the other thread is doing that."""
         engine = self.engine
         if not self._arrived or engine is None:
             return
-        if frames is not None:
-            enough = len(self._arrived) < engine.frames_max // engine.block_frames
-            if enough and engine.delay_line.readable >= frames:
-                return
         if not self._mixing.acquire(blocking=False):
             return
         try:

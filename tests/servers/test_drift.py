@@ -38,7 +38,7 @@ SETTLES_S = 60.0
 
 POLL_S = 0.1
 RECOVERS_S = 3.0
-"""What a pause of the whole machine may disturb: frames are lost then, whoever plays them."""
+"""What a pause may disturb: a server on a core that stands still loses frames, whoever asks."""
 LEAST_CLEAR = 0.7
 """Of the time, what must be free of such pauses for a run to tell anything."""
 
@@ -48,7 +48,8 @@ class Watched:
     """What a delay line told ten times a second once it had settled, and the true drift.
 
     times_s: when it told each. drift_ppm: how much faster than the second card takes them frames
-    come from the first. pauses: when the machine stood still; what came of them is left out.
+    come from the first. pauses: when a core, or the whole machine, stood still; what came of them
+    is left out.
     """
 
     times_s: list[float]
@@ -88,7 +89,7 @@ class Watched:
             f"drift {self.drift_ppm:+.0f} ppm, mean ratio {self.ratio_ppm:+.0f} ppm, delay less "
             f"target {errors_ms.min():+.2f} to {errors_ms.max():+.2f} ms, target "
             f"{1e3 * self.statuses[-1].target_s:.2f} ms, {self.resyncs} resyncs, "
-            f"{self.starved} underflows; the machine stood still {len(self.pauses)} times, up to "
+            f"{self.starved} underflows; a core stood still {len(self.pauses)} times, up to "
             f"{longest_ms:.0f} ms, and {100.0 * np.mean(self.clear):.0f} % of the time count"
         )
 
@@ -175,11 +176,11 @@ def watched(
 
         wait_for(over, "the end", settles_s + seconds + 10.0)
         drift_ppm = taken.line().drift_ppm - captured.line().drift_ppm
-        pauses = tuple(pause for pause in witness.pauses() if pause.end_s > began_s)
+        pauses = tuple(pause for pause in witness.core_pauses() if pause.end_s > began_s)
     result = Watched(times_s, statuses, drift_ppm, pauses)
     print(f"clock x{ratio:g}, {seconds:.0f} s: {result}")
     if np.mean(result.clear) < LEAST_CLEAR:
-        pytest.skip(f"the machine stands still too often: {result}")
+        pytest.skip(f"cores stand still too often: {result}")
     return result
 
 

@@ -130,13 +130,13 @@ def test_another_parameter_of_the_transform_takes_effect_while_the_streams_stay(
     ):
         wait_for(lambda: felt_now(felt), "vibration")
         before = pitch_hz(more(felt, 0.5))
-        streams = server.pactl("list", "short", "sink-inputs")
+        streams = connections(server, "sink-inputs")
         config("[transform]", "vibration_top_hz = 120")
         assert "the transform, which begins anew" in reload(daemon)
         wait_for(
             lambda: 1.0 < pitch_hz(felt()[-RATE_HZ // 4 :]) < before - 10.0, "a lower pitch", 3.0
         )
-        assert server.pactl("list", "short", "sink-inputs") == streams
+        assert connections(server, "sink-inputs") == streams
     after = pitch_hz(felt()[-RATE_HZ // 4 :])
     print(f"{server.kind}: {before:.0f} then {after:.0f} Hz")
 
@@ -184,7 +184,7 @@ def test_another_device_has_the_vibration_and_the_first_one_no_more(
     ):
         wait_for(lambda: felt_now(first), "vibration")
         assert not second().any()
-        taps = server.pactl("list", "short", "source-outputs")
+        taps = connections(server, "source-outputs")
         path.write_text('device = "seat"\n')
         began_s = time.monotonic()
         assert "changed: the device" in reload(daemon)
@@ -192,7 +192,7 @@ def test_another_device_has_the_vibration_and_the_first_one_no_more(
         took_s = time.monotonic() - began_s
         wait_for(lambda: not first()[-RATE_HZ // 10 :].any(), "silence on the first", 5.0)
         assert not more(first, 0.5).any()
-        assert server.pactl("list", "short", "source-outputs") == taps
+        assert connections(server, "source-outputs") == taps
         assert abs(pitch_hz(more(sound, 0.5)) - TONE_HZ) < 2.0
         status = daemon.wait_state(DaemonState.RUNNING)
         assert status.device.name == "seat"
@@ -215,13 +215,13 @@ def test_another_tap_is_felt_and_the_output_goes_on(
     ):
         wait_for(lambda: felt_now(felt), "vibration")
         before = pitch_hz(more(felt, 0.5))
-        streams = server.pactl("list", "short", "sink-inputs")
+        streams = connections(server, "sink-inputs")
         config('tap = "sink:speakers"')
         assert "changed: the tap" in reload(daemon)
         status = daemon.wait(lambda s: s.tap.name == "speakers.monitor", "the other tap")
         assert status.tap.address == "sink:speakers"
         wait_for(lambda: pitch_hz(felt()[-RATE_HZ // 4 :]) > before + 20.0, "its tone", 3.0)
-        assert server.pactl("list", "short", "sink-inputs") == streams
+        assert connections(server, "sink-inputs") == streams
         assert not recovered(daemon.wait_state(DaemonState.RUNNING), Cause.DEFAULT_CHANGED)
 
 
@@ -300,6 +300,14 @@ def test_another_offset_makes_no_gap(
         assert whole == WANTED
 
 
+def connections(server: SoundServer, what: str) -> list[list[str]]:
+    """What every stream is connected as, and to where: the same until it is opened anew.
+
+    Its own number is not: ALSA has the server make another one when frames ran out.
+    """
+    return [line.split()[1:3] for line in server.pactl("list", "short", what).splitlines()]
+
+
 @pytest.mark.parametrize("frames", [128, 512, 1024])
 def test_blocks_of_other_lengths_carry_the_vibration(
     server: SoundServer, config: Callable[..., Path], tmp_path: Path, frames: int
@@ -360,7 +368,7 @@ def test_fifty_signals_in_a_row_do_no_harm(
         wait_for(lambda: felt_now(felt), "vibration")
         loud = level_db(more(felt, 0.5))
         threads = len(list(Path(f"/proc/{daemon.process.pid}/task").iterdir()))
-        streams = server.pactl("list", "short", "sink-inputs")
+        streams = connections(server, "sink-inputs")
         for turn in range(50):
             config(
                 f"gain_db = {-20 if turn % 2 else 0}", "[transform]", f"partials_max = {turn + 1}"
@@ -374,7 +382,7 @@ def test_fifty_signals_in_a_row_do_no_harm(
             5.0,
         )
         daemon.wait_state(DaemonState.RUNNING)
-        assert server.pactl("list", "short", "sink-inputs") == streams
+        assert connections(server, "sink-inputs") == streams
         assert len(list(Path(f"/proc/{daemon.process.pid}/task").iterdir())) <= threads + 1
         assert daemon.end(signal.SIGINT) == 130
     assert "Traceback" not in daemon.stderr
