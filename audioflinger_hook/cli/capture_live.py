@@ -10,6 +10,7 @@ from audioflinger_hook.cli.capture import print_summary
 from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.cli.terminal import progress_bar, warn
 from audioflinger_hook.clients import TapAddress
+from audioflinger_hook.daemon.garbage import spare_what_is_there
 from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
 from audioflinger_hook.daemon.wake import Wake
 from device.server import quiet_libraries
@@ -28,6 +29,7 @@ def run(address: TapAddress, folder: Path, seconds: float, *, debug: bool) -> in
                 CaptureRecorder(writer) as recorder,
                 progress_bar(str(address)) as progress,
             ):
+                spare_what_is_there()
                 live.begin(recorder)
                 try:
                     while live.heard_s < seconds and not signals.end and not recorder.error:

@@ -17,6 +17,7 @@ from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.cli.telling import Teller
 from audioflinger_hook.clients import TapAddress, parse_tap
 from audioflinger_hook.daemon.engine import Clocks
+from audioflinger_hook.daemon.garbage import spare_what_is_there
 from audioflinger_hook.daemon.order import (
     LIVE_DEVICES,
     LIVE_TAPS,
@@ -155,6 +156,7 @@ def _keep_on(
     teller = Teller()
     watchdog = Watchdog(watchdog_period_s(os.getpid()))
     teller.begin(*(address for address, _ in supervisor.endpoints))
+    spare_what_is_there()
     try:
         while supervisor.heard_s < seconds and not supervisor.ended:
             if signals.end:

@@ -22,8 +22,11 @@ from device.units import Float32Array, FloatArray
 LATENESS_LEAST_S = 0.005
 """An idle machine's callbacks are some ms late now and then: the delay is not to follow that."""
 
-BLOCKS_AT_ONCE = 8
-"""Blocks that are mixed in one cycle, or read from the delay line in one go, if they are there."""
+CYCLE_BLOCKS = 8
+"""Blocks that are mixed in one cycle, if so many came since the last one."""
+
+READ_BLOCKS = 4
+"""Blocks that are read from the delay line in one go, if they are there."""
 
 FADED = 1e-6
 """Vibration below this, of full scale, is none: -120 dB."""
@@ -95,7 +98,7 @@ class Engine:
             self.samplerate,
             self.channels,
             settings,
-            hal_frames=BLOCKS_AT_ONCE * block_frames,
+            hal_frames=CYCLE_BLOCKS * block_frames,
             # Its own time: what the machine spends on others is no fault of an effect.
             clock=clocks.used_s if bypass_late else None,
         )
@@ -232,10 +235,10 @@ class Engine:
         self.before_fill()
         line = self.delay_line
         ahead = (line.readable - missing) // frames
-        ahead = frames * max(0, min(BLOCKS_AT_ONCE - 1, ahead))
+        ahead = frames * max(0, min(READ_BLOCKS - 1, ahead))
         needed = frames + ahead
         if len(self._read) < needed or len(held):
-            blocks = max(needed, frames * BLOCKS_AT_ONCE)
+            blocks = max(needed, frames * READ_BLOCKS)
             self._read = np.zeros((blocks, held.shape[1]), np.float32)
             self._read[: len(held)] = held
         self._ahead = self._read[:needed]

@@ -22,6 +22,7 @@ from audioflinger_hook.bench.lag import swelling_tone
 from audioflinger_hook.bench.live_recording import Recording
 from audioflinger_hook.bench.pauses import Pause, PauseWitness, undisturbed
 from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.daemon.garbage import spare_what_is_there
 from audioflinger_hook.daemon.pulled import PulledFeed
 from device.clock.status import DelayState, DelayStatus
 from device.server import CaptureStream, PcmConfig, PlaybackStream, portaudio
@@ -135,6 +136,7 @@ def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
         playback.audible = True
         config.pcms["cushion_tap"].lead("desktop.monitor", heard.address)
         streams.append(CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, feed.push))
+        spare_what_is_there()  # as the daemon does
         yield engine
         assert all(stream.errors == {} for stream in streams)
     finally:
