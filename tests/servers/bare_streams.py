@@ -1,33 +1,105 @@
-"""What streams alone cost: a capture and a playback whose callbacks do nothing, until it is killed.
+"""Streams that do nothing, beside the ones under test: what the server and the machine do to any.
 
-A program of its own, `python -m tests.servers.bare_streams TAP SINK`, so that its processor time
-can be told from the daemon's.
+A program of its own, `python -m tests.servers.bare_streams TAP SINK [TAP'S SERVER, SINK'S SERVER]`,
+until it is killed: its processor time is what streams alone cost, and when its callbacks did not
+come in time, which it prints, nobody's did.
 """
 
+from __future__ import annotations
+
+import subprocess
 import sys
 import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 
+from audioflinger_hook.bench.pauses import Pause
+from audioflinger_hook.daemon.garbage import spare_what_is_there
 from device.server import CaptureStream, PcmConfig, PlaybackStream, quiet_libraries
 from device.units import Float32Array
 from tests.servers.listening import RATE_HZ
 
+ROOT = Path(__file__).parents[2]
+CAPTURE_LATE_S = 0.022
+"""Captured blocks come two at a time where the server's own are longer than ours."""
+PLAYBACK_LATE_S = 0.012
+TELLS_S = 0.2
 
-def nothing(frames: Float32Array, now_s: float) -> None:
-    """A callback."""
+
+class Late:
+    """Callbacks of one stream, within limit_s of each other unless something is wrong."""
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._before_s: float | None = None
+        self.gaps: list[tuple[float, float]] = []
+
+    def __call__(self, frames: Float32Array, now_s: float) -> None:
+        before_s, self._before_s = self._before_s, now_s
+        if before_s is not None and now_s - before_s > self._limit_s:
+            self.gaps.append((before_s, now_s))
 
 
-def main(tap: str, sink: str) -> None:
-    """Open both, say so, and stay."""
+def main(
+    tap: str, sink: str, tap_server: str | None = None, sink_server: str | None = None
+) -> None:
+    """Open both, say so, and tell of gaps."""
     quiet_libraries()
     config = PcmConfig("bare_tap", "bare_output")
-    config.pcms["bare_output"].lead(sink)
-    playback = PlaybackStream(config.pcms["bare_output"], RATE_HZ, 2, nothing)
+    captured, played = Late(CAPTURE_LATE_S), Late(PLAYBACK_LATE_S)
+    config.pcms["bare_output"].lead(sink, sink_server)
+    playback = PlaybackStream(config.pcms["bare_output"], RATE_HZ, 2, played)
     playback.audible = True
-    config.pcms["bare_tap"].lead(tap)
-    capture = CaptureStream(config.pcms["bare_tap"], RATE_HZ, 2, nothing)
+    config.pcms["bare_tap"].lead(tap, tap_server)
+    capture = CaptureStream(config.pcms["bare_tap"], RATE_HZ, 2, captured)
+    spare_what_is_there()
     print("ready", flush=True)
-    threading.Event().wait()
+    while not threading.Event().wait(TELLS_S):
+        for late in (captured, played):
+            while late.gaps:
+                print(*late.gaps.pop(0), flush=True)
     del playback, capture
+
+
+class BareStreams:
+    """A running one. process: itself."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self._gaps: list[Pause] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._gaps.append(Pause(*map(float, line.split())))
+
+    @property
+    def gaps(self) -> tuple[Pause, ...]:
+        """When callbacks did not come in time, so far."""
+        return tuple(self._gaps)
+
+
+@contextmanager
+def bare_streams(environment: Mapping[str, str], *arguments: str) -> Iterator[BareStreams]:
+    """They run from when both are open until the context ends. arguments: of `main`."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.servers.bare_streams", *arguments],
+        cwd=ROOT,
+        env=dict(environment),
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline() == "ready\n"
+        yield BareStreams(process)
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
 
 
 if __name__ == "__main__":

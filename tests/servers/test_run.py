@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +14,9 @@ from audioflinger_hook.render import render_file
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.service.state import Cause, DaemonState
 from device.units import Float32Array, FloatArray
+from tests.servers.bare_streams import bare_streams
 from tests.servers.daemons import (
     FELT,
-    ROOT,
     Daemon,
     best_lag,
     cpu_percent,
@@ -195,29 +191,11 @@ def least_cpu_percent(daemon: Daemon, limit_percent: float) -> float:
 
 def beside_bare_streams(daemon: Daemon, server: SoundServer) -> tuple[float, float]:
     """What daemon and bare streams use, in the window where their ratio is least."""
-    with bare_streams(server) as bare:
-        pids = (daemon.process.pid, bare.pid)
+    with bare_streams(server.environment, "desktop.monitor", "haptic") as bare:
+        pids = (daemon.process.pid, bare.process.pid)
         windows = [cpu_percent(*pids) for _ in range(WINDOWS)]
     daemon_percent, bare_percent = min(windows, key=lambda window: window[0] / window[1])
     return daemon_percent, bare_percent
-
-
-@contextmanager
-def bare_streams(server: SoundServer) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.servers.bare_streams", "desktop.monitor", "haptic"],
-        cwd=ROOT,
-        env=server.environment,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        yield process
-    finally:
-        process.kill()
-        process.communicate()
 
 
 def test_silence_costs_little_and_the_sound_after_it_is_felt(
