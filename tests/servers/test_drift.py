@@ -91,9 +91,9 @@ class Watched:
             f"drift {self.drift_ppm:+.0f} ppm, mean ratio {self.ratio_ppm:+.0f} ppm, delay less "
             f"target {errors_ms.min():+.2f} to {errors_ms.max():+.2f} ms, target "
             f"{1e3 * self.statuses[-1].target_s:.2f} ms, {self.resyncs} resyncs, "
-            f"{self.starved} underflows; a core or bare streams stood still {len(self.pauses)} "
-            f"times, up to {longest_ms:.0f} ms, and {100.0 * np.mean(self.clear):.0f} % of the time "
-            "count"
+            f"{self.starved} underflows; {len(self.pauses)} times a core or bare streams stood "
+            f"still, up to {longest_ms:.0f} ms: {100.0 * np.mean(self.clear):.0f} % of the time "
+            "counts"
         )
 
 
