@@ -109,9 +109,9 @@ def test_what_the_delay_line_has_is_read_at_once_and_that_is_not_taken_for_haste
     reads: list[tuple[int, int]] = []
     read = live.engine.delay_line.read
 
-    def counted(out: Float32Array, now_s: float, ahead: int = 0) -> None:
+    def counted(out: Float32Array, now_s: float, ahead: int = 0) -> int:
         reads.append((len(out), ahead))
-        read(out, now_s, ahead)
+        return read(out, now_s, ahead)
 
     live.engine.delay_line.read = counted  # type: ignore[method-assign]
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
@@ -145,9 +145,10 @@ def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes: list[int
     taken: list[Float32Array] = []
     read = live.engine.delay_line.read
 
-    def kept(out: Float32Array, now_s: float, ahead: int = 0) -> None:
-        read(out, now_s, ahead)
-        taken.append(out.copy())
+    def kept(out: Float32Array, now_s: float, ahead: int = 0) -> int:
+        count = read(out, now_s, ahead)
+        taken.append(out[:count].copy())
+        return count
 
     live.engine.delay_line.read = kept  # type: ignore[method-assign]
     held = live.engine._ahead.copy()
@@ -227,3 +228,17 @@ def test_two_threads_lose_nothing_and_keep_the_order() -> None:
     assert live.engine.frames == blocks * BLOCK
     firsts = np.concatenate(live.mixed)[::BLOCK, 0]
     assert np.array_equal(firsts, np.arange(blocks, dtype=np.float32) / np.float32(blocks))
+
+
+def test_a_jump_takes_back_what_would_have_been_read_ahead() -> None:
+    """The output loses 40 ms: what is read then, late, ends sooner than what was there before."""
+    live = Live(PulledFeed())
+    sound = music(8.0)
+    for block in range(len(sound) // BLOCK):
+        now_s = (block + 1) * BLOCK_S
+        live.feed.push(sound[block * BLOCK : (block + 1) * BLOCK], now_s)
+        if not 4.0 <= now_s < 4.04:
+            live.fill(now_s + 0.4 * BLOCK_S)
+    status = live.engine.delay_line.status
+    assert (status.resyncs, status.underflows) == (1, 0)
+    assert status.delay_s == pytest.approx(status.target_s, abs=0.001)

@@ -241,9 +241,9 @@ class Engine:
             blocks = max(needed, frames * READ_BLOCKS)
             self._read = np.zeros((blocks, held.shape[1]), np.float32)
             self._read[: len(held)] = held
-        self._ahead = self._read[:needed]
         playing_s = now_s + len(held) / line.samplerate_out
-        line.read(self._ahead[len(held) :], playing_s, ahead)
+        read = line.read(self._read[len(held) : needed], playing_s, ahead)
+        self._ahead = self._read[: len(held) + read]
 
 
 class _IntoLine:

@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 
 from device.clock.crossing import Flush, Written
-from device.clock.declick import Joint
-from device.clock.interpolator import CubicReader
 from device.clock.lateness import LEAST_S
+from device.clock.playhead import Playhead
 from device.clock.rate_loop import RateLoop
 from device.clock.ring import NewestFrames
 from device.clock.status import DelayState, DelayStatus
@@ -109,8 +108,7 @@ class DelayLine:
         self._output_block = output_block
         self._output_s = output_block / samplerate_out
         self._read_frames = 0
-        self._reader = CubicReader(self._ring.frames)
-        self._joint = Joint(samplerate_out, channels)
+        self._head = Playhead(self._ring, samplerate_out, channels)
         self._loop = RateLoop(samplerate_in)
         self._target = TargetDelay(
             least_s, 0.75 * capacity_s, self._resync_frames / self._samplerate_in
@@ -243,7 +241,7 @@ class DelayLine:
         written = self._written
         if written is None or self._state not in _PLAYING:
             return 0
-        return self._reader.readable(written.frames, self._step)
+        return self._head.readable(written.frames, self._step)
 
     def _time_part(self, now_s: float, start: int, end: int) -> ClockReading | None:
         """Learn from when the frames from `start` to `end` were captured."""
@@ -255,38 +253,41 @@ class DelayLine:
             self._writes.add_lateness(late_s, seconds, clock)
         return clock
 
-    def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> None:
+    def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> int:
         """Fill (frames, channels), any number of frames, that will be played from now_s on.
 
         Silence where there is nothing to play. ahead: how many of the frames, the last, are only
-        taken because they are there (see `readable`); fewer and larger reads cost less. Called by
-        the output's thread.
+        taken because they are there (see `readable`); fewer and larger reads cost less. Returns how
+        many were filled: of these some may not be there any more, after a jump. Called by the
+        output's thread.
         """
         self._check(out)
         frames = len(out)
         if not frames:
-            return
+            return 0
         now_s = float(now_s)
         written = self._written
         clock = self._reads.update(now_s, self._read_frames)
-        self._read_frames += frames
         if self._flush_wanted is not self._flushed:
             self._flushed = self._flush_wanted
             self._from_frame = self._flushed.frames if self._flushed else 0
             self._stop(DelayState.EMPTY)
             self._fresh = True
-        played = 0
+        played, filled = 0, frames - ahead
         if written is not None and clock is not None:
             self._steer(written, clock, now_s, frames, ahead)
             if self._state in _PLAYING:
-                played = self._play(written, out, now_s)
-        if played < frames:
-            out[played:] = 0.0
-            self._joint.apply(out[played:])
+                there = self._head.readable(written.frames, self._step)
+                filled = max(filled, min(frames, there))
+                played = self._play(out[: min(filled, there)], filled, now_s)
+        out = out[:filled]
+        self._read_frames += filled
+        if played < filled:
+            self._head.fall_silent(out[played:])
         if self._silenced:
-            out[:] = 0.0
-            self._joint.cut()
+            self._head.cut(out)
         self._published = self._picture()
+        return filled
 
     def _steer(
         self, written: Written, clock: ClockReading, now_s: float, frames: int, ahead: int
@@ -325,11 +326,11 @@ class DelayLine:
         self, captured: float, seconds: float, slew: float, known: bool, by_user: bool
     ) -> None:
         """Steer while playing, or jump, or give up; by_user: who wants another delay now."""
-        held = captured - self._reader.position - self._reader.fraction
+        held = self._head.behind(captured)
         self._delay_s = held / self._samplerate_in
         error = held - self._target.current_s * self._samplerate_in
         error_s = error / self._samplerate_in
-        if self._reader.position - 1 < self._ring.oldest:
+        if self._head.overtaken:
             self._overflows += 1
             self._stop(DelayState.FILLING)
         elif abs(error) > (self._resync_frames if known else ASTRAY_S * self._samplerate_in):
@@ -349,40 +350,35 @@ class DelayLine:
         self._target.jump()
         position = math.floor(captured - self._target.current_s * self._samplerate_in)
         earliest = max(self._from_frame, written.run_start, self._ring.oldest) + 1
-        self._reader.jump_to(position)
+        self._head.jump_to(position)
         usual = min(frames, self._output_block)
-        if position >= earliest and self._reader.readable(written.frames, self._step) >= usual:
+        if position >= earliest and self._head.readable(written.frames, self._step) >= usual:
             self._loop.restart()
             self._step = self._nominal_step * self._loop.ratio
             self._delay_s = (captured - position) / self._samplerate_in
             self._on_target_s = 0.0
-            self._joint.begin()
+            self._head.join()
             self._fresh = False
             self._state = DelayState.SETTLING
 
-    def _play(self, written: Written, out: Float32Array, now_s: float) -> int:
-        """Fill as much of `out` as there is, and return how much that was."""
-        first = self._reader.position - 1
-        played = min(len(out), self._reader.readable(written.frames, self._step))
-        heard = out if played == len(out) else out[:played]
-        self._reader.read(heard, self._step)
-        if first < self._ring.oldest:  # the writer overtook while this was read
+    def _play(self, out: Float32Array, wanted: int, now_s: float) -> int:
+        """Fill `out` with what there is of the frames wanted; return how much was played."""
+        if not self._head.play(out, self._step):
             self._overflows += 1
             self._stop(DelayState.FILLING)
             return 0
-        self._joint.apply(heard)
-        if played < len(out):
+        if len(out) < wanted:
             self._underflows += 1
             if now_s - self._starved_at_s < STARVED_AGAIN_S:
                 self._not_before_s = now_s + HOLD_OFF_S
             self._starved_at_s = now_s
             self._stop(DelayState.STARVED)
-        return played
+        return len(out)
 
     def _stop(self, state: DelayState) -> None:
         """Go on with silence, without a click."""
         if self._state in _PLAYING:
-            self._joint.begin()
+            self._head.join()
         self._state = state
         self._delay_s = 0.0
 
