@@ -20,10 +20,9 @@ class PulledFeed(Feed):
     """A `Feed` that mixes on the output's thread, just before the delay line is read.
 
     No frame is felt any later: the output reads all that the delay line has, which lasts for some
-    blocks, and what came by the next read is mixed just before it. So there is one thing to do
-    every 10 to 30 ms, by a thread that had to wake up anyway, instead of one for each block: a
-    third of the cost. (A thread that wakes up finds its caches cold, and what it does then takes
-    three times as long, or eight times on a virtual machine with neighbours.)
+    blocks, and what came by the next read is mixed just before it, by a thread that had to wake
+    up anyway. (A thread that wakes up finds its caches cold, and what it does then takes several
+    times as long; see docs/decisions.md.)
 
     `push` is called by the capture's thread, `pull` by the output's; one of the two mixes, the
     other one goes on meanwhile. `opened` and `moved` are the supervising thread's.

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 from audioflinger_hook.bench.pauses import Pause
@@ -71,6 +71,12 @@ class BareStreams:
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
+    def close(self) -> None:
+        """End them, once all that they wrote is read."""
+        self.process.kill()
+        self.process.wait()
+        self._reader.join()
+
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
@@ -95,7 +101,8 @@ def bare_streams(environment: Mapping[str, str], *arguments: str) -> Iterator[Ba
     assert process.stdout is not None
     try:
         assert process.stdout.readline() == "ready\n"
-        yield BareStreams(process)
+        with closing(BareStreams(process)) as bare:
+            yield bare
     finally:
         process.kill()
         process.wait()
