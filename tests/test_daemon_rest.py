@@ -81,7 +81,7 @@ def test_the_engine_tells_when_it_last_heard_sound_and_when_the_vibration_has_fa
 
 
 def test_gathered_levels_are_those_of_the_frames() -> None:
-    gathered = Gathered(RATE_HZ, 1)
+    gathered = Gathered(RATE_HZ)
     rng = np.random.default_rng(0)
     for count in [*rng.integers(1, 600, 2_000), 5_000]:
         gathered.add(np.full((count, 1), 0.5, np.float32))

@@ -103,8 +103,8 @@ class Engine:
             clock=clocks.used_s if bypass_late else None,
         )
         self.delay_line = self._line(output_samplerate, offset_s)
-        self.sound = Gathered(self.samplerate, self.channels)
-        self.vibration = Gathered(self.samplerate, self.framework.haptic_channels)
+        self.sound = Gathered(self.samplerate)
+        self.vibration = Gathered(self.samplerate)
         self.buffer_times = BufferClock()
         self.buffers = 0
         self.frames = 0

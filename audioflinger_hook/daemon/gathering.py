@@ -7,8 +7,8 @@ import numpy as np
 from audioflinger_hook.service.levels import LevelMeter
 from device.units import Float32Array
 
-GATHERED_S = 0.04
-"""How much is gathered: levels and the moment of the last sound are that late."""
+GATHERED_S = 0.06
+"""How much is gathered at least: levels and the moment of the last sound are that late."""
 
 
 class Gathered:
@@ -18,36 +18,29 @@ class Gathered:
     it so.
     """
 
-    def __init__(self, samplerate: int, channels: int) -> None:
+    def __init__(self, samplerate: int) -> None:
         self.meter = LevelMeter(samplerate)
         self.loudest = 0.0
         self.whole = False
-        self._frames = np.zeros((max(1, round(GATHERED_S * samplerate)), channels), np.float32)
+        self._enough = max(1, round(GATHERED_S * samplerate))
+        self._blocks: list[Float32Array] = []
         self._held = 0
 
     def add(self, frames: Float32Array) -> None:
-        """Take (frames, channels), any number of frames; they are copied."""
-        held = self._held + len(frames)
-        if held <= len(self._frames):
-            self._frames[self._held : held] = frames
-            self._held = held
-            self.whole = False
-            return
-        self._look(self._frames[: self._held])
-        if len(frames) > len(self._frames):
-            self._look(frames)
-            frames = frames[:0]
-        self._held = len(frames)
-        self._frames[: self._held] = frames
-        self.whole = True
+        """Take (frames, channels), any number of frames; they must not change any more."""
+        self._blocks.append(frames)
+        self._held += len(frames)
+        self.whole = self._held >= self._enough
+        if self.whole:
+            self.loudest = self.meter.add(np.concatenate(self._blocks))
+            self._forget()
 
     def reset(self) -> None:
         """Begin anew with silence; for the thread that calls `add`, or while none does."""
-        self._held = 0
+        self._forget()
         self.loudest = 0.0
         self.meter.reset()
 
-    def _look(self, frames: Float32Array) -> None:
-        if len(frames):
-            self.meter.add(frames)
-            self.loudest = max(float(frames.max()), -float(frames.min()))
+    def _forget(self) -> None:
+        self._blocks.clear()
+        self._held = 0

@@ -6,6 +6,7 @@ if it is sound. Whatever it did, the sound before it is still there.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -55,16 +56,13 @@ class GuardedEngine:
         self.worst_s = 0.0
         self._late = 0
         self._frames = 1
-        self._lent = self._mixed = np.zeros(0, np.float32)
-        self._finite = np.zeros(0, np.bool_)
+        self._lent = self._mixed = Loan(0)
 
     def prepare(self, config: EffectConfig) -> None:
         """Make room for buffers of a configuration."""
         self._frames = config.frames
         size = config.frames * (config.channels + config.haptic_channels)
-        self._lent = np.zeros(size, np.float32)
-        self._mixed = np.zeros(size, np.float32)
-        self._finite = np.zeros(size, np.bool_)
+        self._lent, self._mixed = Loan(size), Loan(size)
 
     def forgive(self) -> None:
         """Lift the bypass; the counters go on."""
@@ -100,10 +98,8 @@ class GuardedEngine:
 
         Both may be the same object, and have the sizes of the configuration at most.
         """
-        lent = lend(source, self._lent)
-        mixed = lent if source is target else lend(target, self._mixed)
-        before = (lent.samples, lent.audio, lent.haptic)
-        mixed_before = (mixed.samples, mixed.audio, mixed.haptic)
+        lent = self._lent.of(source)
+        mixed = lent if source is target else self._mixed.of(target)
         began = self._clock()
         try:
             with np.errstate(all="ignore"):
@@ -117,9 +113,7 @@ class GuardedEngine:
         if not is_status(status) or status not in (OK, ENODATA):
             self.blame("answered process with nonsense")
             return None
-        if not still_lent(lent, before, source) or not (
-            mixed is lent or still_lent(mixed, mixed_before, target)
-        ):
+        if not self._lent.is_back(source) or not (mixed is lent or self._mixed.is_back(target)):
             self.blame("exchanged or reshaped the arrays that it was lent")
             return None
         if self._spoiled(mixed, source, target):
@@ -144,30 +138,62 @@ class GuardedEngine:
 
     def _spoiled(self, made: MixBuffer, source: MixBuffer, target: MixBuffer) -> bool:
         """Return whether sound or vibration is no longer finite that was so before."""
-        if self._all_finite(made.samples):
+        if all_finite(made.samples):
             return False
         for after, first, second in (
             (made.audio, source.audio, target.audio),
             (made.haptic, source.haptic, target.haptic),
         ):
-            if not self._all_finite(after) and self._all_finite(first) and self._all_finite(second):
+            if not all_finite(after) and all_finite(first) and all_finite(second):
                 return True
         return False
 
-    def _all_finite(self, samples: NDArray[np.float32]) -> bool:
-        mask = self._finite[: samples.size].reshape(samples.shape)
-        return bool(np.isfinite(samples, out=mask).all())
 
+class Loan:
+    """A copy of a buffer, lent to an engine, in memory that the next copy will have again.
 
-def lend(buffer: MixBuffer, storage: NDArray[np.float32]) -> MixBuffer:
-    """Return a copy of a buffer that lives in `storage`."""
-    copy = MixBuffer(0, 0)
-    copy.samples = storage[: buffer.samples.size]
-    boundary = buffer.audio.size
-    copy.audio = copy.samples[:boundary].reshape(buffer.audio.shape)
-    copy.haptic = copy.samples[boundary:].reshape(buffer.haptic.shape)
-    np.copyto(copy.samples, buffer.samples)
-    return copy
+    samples: of the largest buffer. An engine that keeps what it was lent, and changes it later,
+    harms only what it is lent next.
+    """
+
+    def __init__(self, samples: int) -> None:
+        self._storage = np.zeros(samples, np.float32)
+        self._own = self._storage[:0]
+        self._layout: tuple[tuple[int, ...], tuple[int, ...]] | None = None
+        self._recall()
+
+    def of(self, buffer: MixBuffer) -> MixBuffer:
+        """Return a copy of a buffer."""
+        layout = (buffer.audio.shape, buffer.haptic.shape)
+        if layout != self._layout:
+            boundary, size = buffer.audio.size, buffer.samples.size
+            self._own = self._storage[:size]
+            samples = self._storage[:size]
+            audio = samples[:boundary].reshape(layout[0])
+            haptic = samples[boundary:].reshape(layout[1])
+            self._copy = MixBuffer(0, 0)
+            self._copy.samples, self._copy.audio, self._copy.haptic = samples, audio, haptic
+            self._arrays, self._layout = (samples, audio, haptic), layout
+        np.copyto(self._own, buffer.samples)
+        return self._copy
+
+    def is_back(self, original: MixBuffer) -> bool:
+        """Return whether the copy still has the arrays that it was lent with, in that layout."""
+        lent, (samples, audio, haptic) = self._copy, self._arrays
+        try:
+            same = lent.samples is samples and lent.audio is audio and lent.haptic is haptic
+        except AttributeError:
+            same = False
+        if same and same_layout(lent, original):
+            return True
+        self._recall()
+        return False
+
+    def _recall(self) -> None:
+        """Let the next copy be made of new arrays."""
+        self._copy = MixBuffer(0, 0)
+        self._arrays = (self._copy.samples, self._copy.audio, self._copy.haptic)
+        self._layout = None
 
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
@@ -182,16 +208,11 @@ def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
     )
 
 
-def still_lent(
-    lent: MixBuffer, arrays: tuple[NDArray[np.float32], ...], original: MixBuffer
-) -> bool:
-    """Return whether a buffer still has the arrays that it was lent with, in the same layout."""
-    try:
-        now = (lent.samples, lent.audio, lent.haptic)
-    except AttributeError:
-        return False
-    same = now[0] is arrays[0] and now[1] is arrays[1] and now[2] is arrays[2]
-    return same and same_layout(lent, original)
+def all_finite(samples: NDArray[np.float32]) -> bool:
+    """Return whether all samples are finite."""
+    flat = samples.reshape(-1)
+    # One product tells it of all; where it overflows, each has to be looked at.
+    return math.isfinite(np.vdot(flat, flat)) or bool(np.isfinite(flat).all())
 
 
 def is_status(answer: object) -> bool:

@@ -47,23 +47,24 @@ class LevelMeter:
         self._reading = (0.0, 0.0)  # one object, so that a reader never sees half of it
         self.unusable_blocks = 0
 
-    def add(self, block: Float32Array) -> None:
-        """Take in a block: (frames, channels) or (frames,), of any length."""
+    def add(self, block: Float32Array) -> float:
+        """Take in a block, (frames, channels) or (frames,), of any length; return its peak."""
         if not block.size:
-            return
+            return 0.0
         frames = len(block)
         peak = max(float(block.max()), -float(block.min()))
         axes = "ij,ij->" if block.ndim == 2 else "i,i->"
         square = float(np.einsum(axes, block, block, dtype=np.float64)) / block.size
         if not math.isfinite(square + peak):
             self.unusable_blocks += 1
-            return
+            return peak
         held, mean = self._reading
         keep = math.exp(frames * self._rms_rate)
         held = max(peak, held * math.exp(frames * self._fall_rate))
         # Below the floor is 0: endless silence must not end in denormals.
         mean = keep * mean + (1.0 - keep) * square
         self._reading = (held if held > _BELOW else 0.0, mean if mean > _BELOW**2 else 0.0)
+        return peak
 
     def reset(self) -> None:
         """Begin anew, with silence; for the thread that calls `add`."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from device.clock.arrivals import Arrivals
 from device.clock.crossing import Flush, Written
 from device.clock.lateness import LEAST_S
 from device.clock.playhead import Playhead
@@ -13,7 +14,7 @@ from device.clock.ring import NewestFrames
 from device.clock.status import DelayState, DelayStatus
 from device.clock.stream_timing import StreamTiming
 from device.clock.target import TargetDelay
-from device.clock.timing import STALLED_S, ClockReading
+from device.clock.timing import ClockReading
 from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray
 
@@ -48,6 +49,8 @@ class DelayLine:
     from a frame's capture, that is the end of its block less the frames after it, to its place in
     the output's block. Whenever the pieces on both sides of a moment do not belong together, a
     `Joint` of 5 ms makes them one.
+
+    channels, samplerate_in, samplerate_out: as given, not to be changed.
 
     Threads: one at a time calls `write`, one `read`; any may call the rest at any time. Nobody
     waits for anybody: see `NewestFrames` for the frames; everything else that crosses is one
@@ -89,20 +92,16 @@ class DelayLine:
                 f"capacity_s={capacity_s} is too short for these blocks; "
                 f"choose {needed_s:.3f} or more"
             )
-        self._channels = channels
-        self._samplerate_in = float(samplerate_in)
-        self._samplerate_out = float(samplerate_out)
+        self.channels = channels
+        self.samplerate_in = float(samplerate_in)
+        self.samplerate_out = float(samplerate_out)
         self._lateness_least_s = lateness_least_s
         self._most_offset_s = 0.75 * (capacity_s - needed_s)
         self._resync_frames = max(RESYNC_FRAMES, capture_block // 2)
 
         self._ring = NewestFrames(math.ceil(capacity_s * samplerate_in), channels)
         # the writer's
-        self._writes = StreamTiming(samplerate_in, capture_block, lateness_limit_s)
-        self._capture_s = capture_block / samplerate_in
-        self._last_write_s = -math.inf
-        self._jump_expected: object = None
-        self._written: Written | None = None
+        self._arrivals = Arrivals(self._ring, samplerate_in, capture_block, lateness_limit_s)
         # the reader's
         self._reads = StreamTiming(samplerate_out, output_block, lateness_limit_s)
         self._output_block = output_block
@@ -111,10 +110,10 @@ class DelayLine:
         self._head = Playhead(self._ring, samplerate_out, channels)
         self._loop = RateLoop(samplerate_in)
         self._target = TargetDelay(
-            least_s, 0.75 * capacity_s, self._resync_frames / self._samplerate_in
+            least_s, 0.75 * capacity_s, self._resync_frames / self.samplerate_in
         )
         self._state = DelayState.EMPTY
-        self._step = self._nominal_step = self._samplerate_in / self._samplerate_out
+        self._step = self._nominal_step = self.samplerate_in / self.samplerate_out
         self._delay_s = 0.0
         self._on_target_s = 0.0
         self._known = False
@@ -127,28 +126,12 @@ class DelayLine:
         self._resyncs = self._underflows = self._overflows = 0
         # anybody's
         self._flush_wanted: Flush | None = None
-        self._jump_wanted: object = None
         self._silenced = False
         self._offset_s = 0.0
         self.offset_s = self._offset_in_force_s = offset_s
         self._target.want(2.0 * LEAST_S, self._offset_s)
         self._target.jump()
         self._published = self._picture()
-
-    @property
-    def channels(self) -> int:
-        """Channels of every block."""
-        return self._channels
-
-    @property
-    def samplerate_in(self) -> float:
-        """Nominal rate of what is written, in Hz."""
-        return self._samplerate_in
-
-    @property
-    def samplerate_out(self) -> float:
-        """Nominal rate of what is read, in Hz."""
-        return self._samplerate_out
 
     @property
     def status(self) -> DelayStatus:
@@ -181,7 +164,7 @@ class DelayLine:
 
         The clock then begins anew with the first late callback, instead of waiting for proof.
         """
-        self._jump_wanted = object()
+        self._arrivals.expect_jump()
 
     def silence(self) -> None:
         """Let the next read and all that follow give exact zeros, from their first frame on.
@@ -208,29 +191,8 @@ class DelayLine:
         one thread at a time.
         """
         self._check(frames)
-        count = len(frames)
-        if not count:
-            return
-        now_s = float(now_s)
-        first_s = earlier[0][0] if earlier else now_s
-        stalled = not first_s - self._last_write_s < STALLED_S
-        written = self._ring.store(frames)
-        if math.isfinite(now_s):
-            self._last_write_s = now_s
-        if self._jump_wanted is not self._jump_expected:
-            self._jump_expected = self._jump_wanted
-            self._writes.expect_jump()
-        start = part = written - count
-        for part_s, frames_by_then in earlier:
-            self._time_part(part_s, part, start + frames_by_then)
-            part = start + frames_by_then
-        clock = self._time_part(now_s, part, written)
-        if clock is None:  # no time has ever been finite
-            return
-        before = self._written
-        run_start = start if stalled or before is None else before.run_start
-        late_s, known = self._writes.lateness_s, self._writes.known
-        self._written = Written(written, clock, run_start, late_s, known)
+        if len(frames):
+            self._arrivals.store(frames, float(now_s), earlier)
 
     @property
     def readable(self) -> int:
@@ -238,20 +200,10 @@ class DelayLine:
 
         Called by the output's thread. A writer that is asked in time may wait until it needs more.
         """
-        written = self._written
+        written = self._arrivals.written
         if written is None or self._state not in _PLAYING:
             return 0
         return self._head.readable(written.frames, self._step)
-
-    def _time_part(self, now_s: float, start: int, end: int) -> ClockReading | None:
-        """Learn from when the frames from `start` to `end` were captured."""
-        clock = self._writes.update(now_s, end)
-        if clock is not None:
-            # How far what was captured was behind the clock, just before these frames came.
-            late_s = now_s - clock.time_of(start) - self._capture_s
-            seconds = (end - start) / self._samplerate_in
-            self._writes.add_lateness(late_s, seconds, clock)
-        return clock
 
     def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> int:
         """Fill (frames, channels), any number of frames, that will be played from now_s on.
@@ -266,7 +218,7 @@ class DelayLine:
         if not frames:
             return 0
         now_s = float(now_s)
-        written = self._written
+        written = self._arrivals.written
         clock = self._reads.update(now_s, self._read_frames)
         if self._flush_wanted is not self._flushed:
             self._flushed = self._flush_wanted
@@ -293,7 +245,7 @@ class DelayLine:
         self, written: Written, clock: ClockReading, now_s: float, frames: int, ahead: int
     ) -> None:
         """Bring state, position and step up to date for a read of `frames`."""
-        seconds = frames / self._samplerate_out
+        seconds = frames / self.samplerate_out
         early_s = clock.time_of(clock.frames + frames - ahead) - now_s - self._output_s
         self._reads.add_lateness(early_s, seconds, clock)
         known = clock.settled and written.clock.settled
@@ -327,13 +279,13 @@ class DelayLine:
     ) -> None:
         """Steer while playing, or jump, or give up; by_user: who wants another delay now."""
         held = self._head.behind(captured)
-        self._delay_s = held / self._samplerate_in
-        error = held - self._target.current_s * self._samplerate_in
-        error_s = error / self._samplerate_in
+        self._delay_s = held / self.samplerate_in
+        error = held - self._target.current_s * self.samplerate_in
+        error_s = error / self.samplerate_in
         if self._head.overtaken:
             self._overflows += 1
             self._stop(DelayState.FILLING)
-        elif abs(error) > (self._resync_frames if known else ASTRAY_S * self._samplerate_in):
+        elif abs(error) > (self._resync_frames if known else ASTRAY_S * self.samplerate_in):
             self._resyncs += not by_user
             self._stop(DelayState.FILLING)
         elif known:
@@ -348,14 +300,14 @@ class DelayLine:
     def _start(self, written: Written, captured: float, frames: int) -> None:
         """Play from where the delay is on target, once there is enough for a usual block."""
         self._target.jump()
-        position = math.floor(captured - self._target.current_s * self._samplerate_in)
+        position = math.floor(captured - self._target.current_s * self.samplerate_in)
         earliest = max(self._from_frame, written.run_start, self._ring.oldest) + 1
         self._head.jump_to(position)
         usual = min(frames, self._output_block)
         if position >= earliest and self._head.readable(written.frames, self._step) >= usual:
             self._loop.restart()
             self._step = self._nominal_step * self._loop.ratio
-            self._delay_s = (captured - position) / self._samplerate_in
+            self._delay_s = (captured - position) / self.samplerate_in
             self._on_target_s = 0.0
             self._head.join()
             self._fresh = False
@@ -383,9 +335,9 @@ class DelayLine:
         self._delay_s = 0.0
 
     def _check(self, block: FloatArray | Float32Array) -> None:
-        if block.ndim != 2 or block.shape[1] != self._channels:
+        if block.ndim != 2 or block.shape[1] != self.channels:
             raise InternalError(
-                f"a block has shape {block.shape}: (frames, {self._channels}) was expected"
+                f"a block has shape {block.shape}: (frames, {self.channels}) was expected"
             )
 
     def _picture(self) -> tuple[float, float, float, int, int, int, DelayState, bool]:
