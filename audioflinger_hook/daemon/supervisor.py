@@ -20,7 +20,7 @@ from device.server import AudioPriority, PulseConnection, Refuge, ServerSnapshot
 from device.server.latency import output_latency_s, tap_latency_s
 from device.units import Float32Array
 
-TICK_S = 0.05
+TICK_S = 0.1
 """How often streams are looked after while they run; events come sooner."""
 
 RESTING_TICK_S = 1.0
