@@ -47,6 +47,6 @@ bench:
 	.venv/bin/cushion bench
 
 clean:
-	rm -f audioflinger_hook/transform/*.so
+	rm -f audioflinger_hook/transform/*.so device/*.so
 	rm -rf .venv .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis build dist *.egg-info
 	find audioflinger_hook device tests tools -type d -name __pycache__ -exec rm -rf {} +

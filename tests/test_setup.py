@@ -82,28 +82,32 @@ def test_the_wheel_holds_the_packages_type_markers_and_data(wheel_names):
     assert markers | {"device/probe/probe.toml", "device/probe/probe.xml"} <= set(wheel_names)
 
 
-def test_the_wheel_holds_the_compiled_transform_and_no_source_of_it(wheel_names):
-    name = f"audioflinger_hook/transform/_kernel{sysconfig.get_config_var('EXT_SUFFIX')}"
-    assert {name, "audioflinger_hook/transform/_kernel.pyi"} <= set(wheel_names)
+def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
+    for name in ("audioflinger_hook/transform/_kernel", "device/_blocks"):
+        compiled = name + sysconfig.get_config_var("EXT_SUFFIX")
+        assert {compiled, f"{name}.pyi"} <= set(wheel_names)
     suffixes = {Path(name).suffix for name in wheel_names if ".dist-info/" not in name}
     assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml"}
 
 
-def test_the_transform_compiles_without_a_warning(wheel):
+def test_what_is_compiled_compiles_without_a_warning(wheel):
     assert not [line for line in wheel[1].splitlines() if "warning:" in line and "native/" in line]
 
 
-def test_every_source_of_the_kernel_is_built_and_every_header_rebuilds_it():
-    (extension,) = PROJECT["tool"]["setuptools"]["ext-modules"]
-    native = ROOT / "audioflinger_hook/transform/native"
+@pytest.mark.parametrize(
+    ("number", "folder"), [(0, "audioflinger_hook/transform/native"), (1, "device/native")]
+)
+def test_every_source_is_built_and_every_header_rebuilds_it(number, folder):
+    extension = PROJECT["tool"]["setuptools"]["ext-modules"][number]
+    native = ROOT / folder
     for pattern, names in (("*.c", extension["sources"]), ("*.h", extension["depends"][:-1])):
         assert names == sorted(path.relative_to(ROOT).as_posix() for path in native.glob(pattern))
 
 
-def test_the_sdist_holds_the_sources_of_the_kernel(project_copy):
+def test_the_sdist_holds_the_sources_of_what_is_compiled(project_copy):
     with tarfile.open(built(project_copy, "sdist")[0]) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
-    native = set((ROOT / "audioflinger_hook/transform/native").iterdir())
+    native = {*ROOT.glob("audioflinger_hook/transform/native/*"), *ROOT.glob("device/native/*")}
     assert {path.relative_to(ROOT).as_posix() for path in native} <= names
     assert not [name for name in names if name.endswith((".so", ".o"))]
 
@@ -114,7 +118,8 @@ def test_a_kernel_that_does_not_compile_is_left_out_of_a_wheel_that_is_built_all
     broken = shutil.copytree(project_copy, tmp_path / "broken")
     for name in ("build", "haptic_cushion.egg-info"):
         shutil.rmtree(broken / name, ignore_errors=True)
-    (broken / "audioflinger_hook/transform/native/fft.c").write_text("no C at all")
+    for name in ("audioflinger_hook/transform/native/fft.c", "device/native/blocks.c"):
+        (broken / name).write_text("no C at all")
     with zipfile.ZipFile(built(broken, "wheel")[0]) as archive:
         names = archive.namelist()
     assert "audioflinger_hook/transform/kernel.py" in names

@@ -1,9 +1,9 @@
 #!/bin/sh
-# The compiled live form under hostile input, with every read, write and operation watched.
+# The compiled parts, live form and blocks, under hostile input, with every read, write and operation watched.
 #
 # usage: tools/check_kernel.sh [ROUNDS]    after tools/setup.sh test; needs gcc with its sanitizers
 #
-# 1. In a copy, the kernel is built with AddressSanitizer and UndefinedBehaviorSanitizer, and all tests that
+# 1. In a copy, they are built with AddressSanitizer and UndefinedBehaviorSanitizer, and all tests that
 #    reach it run ROUNDS times (3 where not given), each with other random examples.
 # 2. It is built once with and once without the loops for wide registers: both must give the same bytes.
 # Nothing of the project is changed.
@@ -30,7 +30,7 @@ build() {
         cd "$1"
         CC=$compiler CFLAGS=$2 LDFLAGS=$2 "$python" -c 'from setuptools import setup; setup()' \
             -q build_ext --inplace >"$scratch/log" 2>&1
-        ls audioflinger_hook/transform/_kernel*.so >/dev/null
+        ls audioflinger_hook/transform/_kernel*.so device/_blocks*.so >/dev/null
     ) || {
         cat "$scratch/log" >&2
         exit 1
@@ -54,7 +54,7 @@ while [ "$round" -lt "$rounds" ]; do
             "$python" -m pytest -q -p no:cacheprovider --hypothesis-seed="$round" \
             -k 'not no_more_memory and not memory_back' \
             tests/test_kernel_parts.py tests/test_transform_kernel.py tests/test_transform_analysis.py \
-            tests/test_transform_parameters.py
+            tests/test_transform_parameters.py tests/test_blocks.py tests/test_clock_interpolator.py
     ) || {
         cat "$scratch"/report* >&2 || true # a process that ends in the middle of a test says why in there
         exit 1

@@ -277,7 +277,7 @@ require_system() {
 # What the stamp says of a finished set-up; the extras follow on a line of their own.
 stamp_head() {
     echo "$root"
-    cksum pyproject.toml tools/setup.sh "$transform"/native/*
+    cksum pyproject.toml tools/setup.sh "$transform"/native/* device/native/*
 }
 
 # Whether PYTHON, where it is given, is the Python that .venv was made from.
@@ -300,13 +300,13 @@ pyaudio_loads() {
     "$venv_python" -c 'import pyaudio' 2>"$scratch/load-errors"
 }
 
-# Whether the compiled transform is there and loads, by itself, without the package around it.
+# Whether what is compiled is there and loads, by itself, without the packages around it.
 kernel_loads() {
     "$venv_python" -c "
 import sys
-sys.path.append('$transform')
-import _kernel
-_kernel.LiveKernel" 2>"$scratch/load-errors"
+sys.path += ['$transform', 'device']
+import _blocks, _kernel
+_kernel.LiveKernel, _blocks.cubic" 2>"$scratch/load-errors"
 }
 
 # Prints why .venv cannot be kept; nothing where it can.
@@ -341,7 +341,7 @@ pip_install() {
 
 install_project() {
     say "installing the Python packages (the first time takes a minute or two)"
-    rm -f "$transform"/*.so # what was built of other sources must not stand in
+    rm -f "$transform"/*.so device/*.so # what was built of other sources must not stand in
     pip_install ".[$wanted]" && return
     if ! lost_network; then
         without_figures=${wanted#figures}

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.transform import HapticTransform
 from audioflinger_hook.transform.arrays import FloatArray, Frames
+from device.blocks import peak
 
 
 class Vibration:
@@ -126,9 +127,7 @@ class Vibration:
 
 def cut_to_full_scale(samples: FloatArray) -> int:
     """Cut samples to +-1 in place and return how many were beyond."""
-    if not samples.size or (
-        np.maximum.reduce(samples) <= 1.0 and np.minimum.reduce(samples) >= -1.0
-    ):
+    if peak(samples) <= 1.0:
         return 0
     beyond = int(np.count_nonzero(np.abs(samples) > 1.0))
     np.clip(samples, -1.0, 1.0, out=samples)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.buffers import MixBuffer
 from audioflinger_hook.mixer.pcm import FLOAT_LIMIT, PcmFormat, encode
+from device.blocks import peak
 from device.output import VibrationOutput
 
 
@@ -100,11 +101,7 @@ def _like(frames: NDArray[np.float32], wanted: NDArray[np.float32]) -> NDArray[n
 
 def _limited(frames: NDArray[np.float32], limit: float, limited: NDArray[np.float32]) -> None:
     """Fill `limited` with the frames cut at ±limit, NaN as 0; may be the same array."""
-    if not frames.size:
-        return
-    # Most buffers are within the limit, and NaN is within none.
-    largest = np.maximum.reduce(frames, axis=None)
-    if largest <= limit and np.minimum.reduce(frames, axis=None) >= -limit:
+    if peak(frames) <= limit:  # as most buffers are; NaN is within no limit
         if limited is not frames:
             limited[...] = frames
         return

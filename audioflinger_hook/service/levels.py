@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from device.blocks import peak
 from device.units import Float32Array, amplitude_to_db
 
 FLOOR_DBFS = -150.0
@@ -52,19 +53,19 @@ class LevelMeter:
         if not block.size:
             return 0.0
         frames = len(block)
-        peak = max(float(block.max()), -float(block.min()))
+        loudest = peak(block)
         axes = "ij,ij->" if block.ndim == 2 else "i,i->"
         square = float(np.einsum(axes, block, block, dtype=np.float64)) / block.size
-        if not math.isfinite(square + peak):
+        if not math.isfinite(square + loudest):
             self.unusable_blocks += 1
-            return peak
+            return loudest
         held, mean = self._reading
         keep = math.exp(frames * self._rms_rate)
-        held = max(peak, held * math.exp(frames * self._fall_rate))
+        held = max(loudest, held * math.exp(frames * self._fall_rate))
         # Below the floor is 0: endless silence must not end in denormals.
         mean = keep * mean + (1.0 - keep) * square
         self._reading = (held if held > _BELOW else 0.0, mean if mean > _BELOW**2 else 0.0)
-        return peak
+        return loudest
 
     def reset(self) -> None:
         """Begin anew, with silence; for the thread that calls `add`."""

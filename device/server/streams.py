@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from device.blocks import peak
 from device.errors import UsageError
 from device.server.foreign_thread import LET_GO_LIMIT_S, ForeignThread
 from device.server.pcms import Pcm
@@ -258,10 +259,7 @@ class PlaybackStream(_Stream):
             self._out.fill(0.0)
         self._sound = None
         self._fill(self._out, now_s)
-        # One product instead of a look at each: it is finite only if all of them are. Where it is
-        # not, they may still be finite, but no vibration.
-        flat = self._out.reshape(-1)
-        if not math.isfinite(np.vdot(flat, flat)):
+        if not math.isfinite(peak(self._out)):
             raise FloatingPointError("samples that are not finite")
         self._sound = self._out.tobytes()
 

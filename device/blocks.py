@@ -1,0 +1,30 @@
+"""What is asked of every block of frames: compiled where that could be built, else in NumPy."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+import numpy as np
+
+from device.units import Float32Array, FloatArray
+
+compiled: ModuleType | None
+"""`_blocks`, or None."""
+try:
+    compiled = importlib.import_module("device._blocks")
+except ImportError:
+    compiled = None
+
+
+def peak(frames: Float32Array | FloatArray) -> float:
+    """Return the magnitude of the largest sample, NaN where one is not a number, 0.0 of none.
+
+    frames: of any shape. Any thread may call it.
+    """
+    if compiled is not None:
+        try:
+            return float(compiled.peak(frames))
+        except (BufferError, TypeError, ValueError):  # in another layout or of another type
+            pass
+    return float(np.max(np.abs(frames), initial=0.0))

@@ -1,0 +1,130 @@
+"""What is asked of every block, compiled and in NumPy: the same answers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from device import blocks
+from device.clock.interpolator import CubicReader
+from device.units import Float32Array, FloatArray
+
+needs_compiled = pytest.mark.skipif(
+    blocks.compiled is None, reason="device._blocks is not built here: see tools/setup.sh"
+)
+
+
+def in_numpy(samples: Float32Array | FloatArray) -> float:
+    return float(np.max(np.abs(samples), initial=0.0))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@given(data=st.data())
+def test_the_peak_is_the_largest_magnitude_whatever_the_samples(
+    dtype: type, data: st.DataObject
+) -> None:
+    shape = data.draw(arrays.array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=40))
+    samples = data.draw(arrays.arrays(dtype, shape))
+    np.testing.assert_equal(blocks.peak(samples), in_numpy(samples))
+
+
+@pytest.mark.parametrize("spoiled", [math.nan, -math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", [0, 7, 511])
+def test_one_sample_that_is_not_finite_makes_the_peak_so(spoiled: float, place: int) -> None:
+    samples = np.random.default_rng(1).uniform(-1, 1, 512).astype(np.float32)
+    samples[place] = spoiled
+    assert not math.isfinite(blocks.peak(samples))
+    assert math.isnan(blocks.peak(samples)) == math.isnan(spoiled)
+
+
+def test_the_peak_of_any_layout_and_type_is_found() -> None:
+    samples = np.arange(-12.0, 12.0).reshape(4, 6)
+    assert blocks.peak(samples.T) == 12.0
+    assert blocks.peak(samples[:, ::2]) == 12.0
+    assert blocks.peak(samples[:0]) == 0.0
+    assert blocks.peak(samples.astype(np.int16)) == 12.0  # type: ignore[arg-type]
+    assert blocks.peak(np.float32(3.0) * np.ones(())) == 3.0
+
+
+@needs_compiled
+@given(
+    st.integers(1, 3),
+    st.integers(0, 1_300),
+    st.floats(0.1, 3.0) | st.floats(0.999, 1.001),
+    st.floats(0.0, 1.0, exclude_max=True),
+    st.integers(0, 2**45),
+)
+def test_frames_between_frames_are_the_same_compiled_and_in_numpy(
+    channels: int, count: int, step: float, fraction: float, start: int
+) -> None:
+    ring = np.random.default_rng(1).uniform(-1, 1, (4_096, channels)).astype(np.float32)
+    compiled, twin = (CubicReader(ring) for _ in range(2))
+    for reader in (compiled, twin):
+        reader.jump_to(start)
+        reader.fraction = fraction
+    made = np.empty((count, channels), np.float32)
+    # Of an array that is not contiguous nothing compiled can be made.
+    apart = np.empty((count, 2 * channels), np.float32)[:, ::2]
+    compiled.read(made, step)
+    twin.read(apart, step)
+    # float32 has 6e-8 of 1; NumPy's places are rounded in chunks of 512, the other's at once.
+    np.testing.assert_allclose(made, apart, atol=2e-6)
+    assert compiled.position + compiled.fraction == pytest.approx(twin.position + twin.fraction)
+
+
+@needs_compiled
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"row": 8},
+        {"row": -1},
+        {"row": 1.0},
+        {"fraction": 1.0},
+        {"fraction": -0.1},
+        {"fraction": math.nan},
+        {"step": 0.0},
+        {"step": math.nan},
+        {"step": math.inf},
+        {"step": 1e300},
+        {"ring": np.zeros((8, 1))},
+        {"ring": np.zeros((8, 2), np.float32)},
+        {"ring": np.zeros((0, 1), np.float32)},
+        {"ring": np.zeros(8, np.float32)},
+        {"ring": None},
+        {"out": np.zeros((4, 1))},
+        {"out": np.zeros((4, 2), np.float32)[:, :1]},
+        {"out": b"1234"},
+    ],
+)
+def test_what_does_not_fit_is_refused_and_nothing_is_read(change: dict[str, object]) -> None:
+    assert blocks.compiled is not None
+    fitting = {
+        "ring": np.zeros((8, 1), np.float32),
+        "out": np.zeros((4, 1), np.float32),
+        "row": 0,
+        "fraction": 0.0,
+        "step": 1.0,
+    }
+    blocks.compiled.cubic(*fitting.values())
+    with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
+        blocks.compiled.cubic(*(fitting | change).values())
+    with pytest.raises(TypeError):
+        blocks.compiled.cubic(*list(fitting.values())[:4])
+
+
+def test_without_what_is_compiled_the_same_is_done_in_numpy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ring = np.random.default_rng(2).uniform(-1, 1, (512, 1)).astype(np.float32)
+    with_it, without = (CubicReader(ring) for _ in range(2))
+    expected, got = (np.empty((300, 1), np.float32) for _ in range(2))
+    with_it.read(expected, 1.0001)
+    monkeypatch.setattr(blocks, "compiled", None)
+    without.read(got, 1.0001)
+    np.testing.assert_allclose(got, expected, atol=2e-6)
+    assert blocks.peak(ring) == in_numpy(ring)
