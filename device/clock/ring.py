@@ -49,7 +49,8 @@ class NewestFrames:
         first = (written + skipped) % self.capacity
         before_end = min(len(block), self.capacity - first)
         _copy(block[:before_end], self.frames[first : first + before_end])
-        _copy(block[before_end:], self.frames[: len(block) - before_end])
+        if before_end < len(block):
+            _copy(block[before_end:], self.frames[: len(block) - before_end])
         return written + count
 
 
