@@ -6,13 +6,14 @@ PYTEST_ARGS ?=
 # another environment's modules must not stand in for those of .venv
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help run test test-servers soak bench clean
+.PHONY: help run test test-servers test-usb soak bench clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make run     set up and play the demo scene; results in out/'
 	@echo 'make test    set up and run every check and test (PYTEST_ARGS="..." for pytest)'
 	@echo 'make test-servers   live sound, on sound servers started for it'
+	@echo 'make test-usb       USB sound cards of a real kernel, in a virtual machine'
 	@echo 'make soak    the tests that take minutes'
 	@echo 'make bench   measure speed and error on this machine'
 	@echo 'make clean   remove what the set-up and the tests made; out/ stays'
@@ -24,6 +25,7 @@ run:
 test:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
+	@sh tools/fetch_usb_mock.sh
 	.venv/bin/python -m ruff check .
 	.venv/bin/python -m ruff format --check .
 	.venv/bin/python -m mypy --strict
@@ -34,6 +36,12 @@ test-servers:
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_servers.sh
 	.venv/bin/python -m pytest -m servers $(PYTEST_ARGS) tests/servers
+
+test-usb:
+	@sh tools/setup.sh test
+	@sh tools/fetch_servers.sh
+	@sh tools/fetch_usb_vm.sh
+	.venv/bin/python -m pytest -m usbvm -n auto $(PYTEST_ARGS) tests/usbvm
 
 soak:
 	@sh tools/setup.sh test

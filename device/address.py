@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from device.alsa.cards import split
 from device.errors import NotFoundError, UsageError
-from device.server.identity import find_sink, identity_of
+from device.server.identity import find_sink
 from device.server.snapshot import ServerSnapshot, Sink
+from device.usb import mapping
+from device.usb.identity import GRAMMAR as USB_GRAMMAR
+from device.usb.identity import UsbIdentity
 
 Kind = Literal["sink", "usb", "hw", "wav", "twin"]
 
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
-GRAMMAR = "sink:NAME, usb:VID:PID[:SERIAL], hw:CARD, wav:FILE, twin, or the name of a sink alone"
-
-_USB = re.compile(r"(?P<vendor>[0-9a-fA-F]{4}):(?P<product>[0-9a-fA-F]{4})(?::(?P<serial>.+))?")
+GRAMMAR = f"sink:NAME, {USB_GRAMMAR}, hw:CARD[,DEVICE], wav:FILE, twin, or the name of a sink alone"
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,17 @@ class DeviceAddress:
     def __str__(self) -> str:
         return f"{self.kind}:{self.name}" if self.name else self.kind
 
+    @property
+    def usb(self) -> UsbIdentity | None:
+        """The USB device that it names; None for another kind.
+
+        Raises
+        ------
+        UsageError
+            The name is not written as that of a USB device; `parse_device` refuses those.
+        """
+        return UsbIdentity.parse(str(self)) if self.kind == "usb" else None
+
     def sink(self, snapshot: ServerSnapshot) -> Sink:
         """Return the sound server's sink of this device.
 
@@ -39,13 +51,10 @@ class DeviceAddress:
         """
         if self.kind == "sink":
             return find_sink(snapshot, self.name)
-        usb = _USB.fullmatch(self.name)
-        if self.kind != "usb" or usb is None:
+        identity = self.usb
+        if identity is None:
             raise NotFoundError(f"device {str(self)!r} is none of the sound server's")
-        vendor, product, serial = usb["vendor"], usb["product"], usb["serial"] or ""
-        found = [
-            sink for sink in snapshot.sinks if identity_of(sink).is_usb(vendor, product, serial)
-        ]
+        found = [sink for sink in snapshot.sinks if mapping.is_sink_of(identity, sink)]
         if len(found) == 1:
             return found[0]
         if not found:
@@ -53,8 +62,14 @@ class DeviceAddress:
                 f"no sink of the sound server is the USB device {self.name}; plug it in, "
                 "or see `cushion devices`"
             )
-        names = ", ".join(repr(sink.name) for sink in found)
-        raise NotFoundError(f"the USB device {self.name} is not one but several: {names}; name one")
+        names = ", ".join(
+            repr(sink.name) + (f" in port {port}" if (port := mapping.port_of_sink(sink)) else "")
+            for sink in found
+        )
+        raise NotFoundError(
+            f"the USB device {self.name} is not one but several: {names}; name one, as sink:NAME "
+            "or with its port behind: @PORT"
+        )
 
 
 def parse_device(text: str) -> DeviceAddress:
@@ -71,11 +86,16 @@ def parse_device(text: str) -> DeviceAddress:
         return DeviceAddress("twin")
     before, colon, name = text.partition(":")
     kind, name = (before, name) if colon else ("sink", text)
-    if kind == "usb" and name and not _USB.fullmatch(name):
-        raise UsageError(
-            f"device {text!r}: a USB device is written usb:VID:PID or usb:VID:PID:SERIAL, "
-            "with four hexadecimal digits each"
-        )
+    if kind == "usb" and name:
+        try:
+            UsbIdentity.parse(text)
+        except UsageError:
+            raise UsageError(
+                f"device {text!r}: a USB device is written {USB_GRAMMAR}, with four hexadecimal "
+                "digits for VID and PID each and a port such as 1-2 or 1-2.3"
+            ) from None
+    if kind == "hw" and name.strip():
+        split(name)
     for known in KINDS:
         if kind == known != "twin" and name.strip():
             return DeviceAddress(known, name)

@@ -65,10 +65,15 @@ def test_options_are_checked_as_the_config_is(config: Path) -> None:
     assert "device 'card:x': there is no kind" in refused(call("run", "--device", "card:x"))
 
 
-def test_options_win_over_the_config(config: Path) -> None:
-    config.write_text('device = "hw:2"\ntap = "sink:a"\ndrop_in = true\n')
-    assert "device 'hw:2'" in refused(call("run"), 3)
-    assert "device 'hw:1'" in refused(call("run", "--device", "hw:1"), 3)
+def test_options_win_over_the_config(
+    config: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "run").mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
+    config.write_text('device = "hw:a"\n')
+    assert "no sound card 'a'" in refused(call("run"), 3)
+    assert "no sound card 'b'" in refused(call("run", "--device", "hw:b"), 3)
+    config.write_text('device = "hw:a"\ntap = "sink:a"\ndrop_in = true\n')
     assert "tap 'sink:a'" in refused(call("run", "--device", "haptic"))
     assert "tap 'scene:demo'" in refused(call("run", "--device", "b", "--tap", "scene:demo"))
 

@@ -225,7 +225,7 @@ def test_a_running_one_tells_what_it_does(tmp_path, folder):
         ("capture:{}", "twin", [], 2, "is not a capture"),
         ("capture:{}/cap", "wav:{}/cap/tap-0001.wav", [], 2, "name two files"),
         ("scene:other", "twin", [], 3, "there is no such scene"),
-        ("scene:demo", "hw:0", [], 3, "in this version"),
+        ("scene:demo", "hw:none", [], 3, "there is no sound card 'none'"),
         ("scene:demo", "twin:x", [], 2, "takes no name"),
         ("scene:demo", "twin", ["--record", "{}/cap"], 2, "not empty"),
         ("scene:demo", "twin", ["--record", "{}/in.wav"], 2, "not a folder"),

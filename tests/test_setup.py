@@ -19,6 +19,8 @@ from tests.recordings import ROOT, WHY_NONE, recordings
 PACKAGES = ["audioflinger_hook", "device"]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 SCRIPTS = ["tools/setup.sh", "tools/fetch_recordings.sh", "tools/check_kernel.sh", ".ci/run"]
+SCRIPTS += ["tools/fetch_servers.sh", "tools/fetch_usb_mock.sh", "tools/fetch_usb_vm.sh"]
+SCRIPTS += ["tools/system_packages.sh"]
 SET_UP = ROOT / "tools/setup.sh"
 FETCH = ROOT / "tools/fetch_recordings.sh"
 IN_CI = os.environ.get("CI") == "true"
@@ -138,7 +140,9 @@ def test_the_version_is_in_the_changelog():
 # --- the Makefile, the scripts
 
 
-@pytest.mark.parametrize("target", ["help", "run", "test", "soak", "bench", "clean"])
+@pytest.mark.parametrize(
+    "target", ["help", "run", "test", "test-servers", "test-usb", "soak", "bench", "clean"]
+)
 def test_make_knows(target):
     make = shutil.which("make")
     if not make:

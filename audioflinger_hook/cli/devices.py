@@ -1,40 +1,148 @@
-"""`cushion devices`: sinks, what can be tapped, and which applications play."""
+"""`cushion devices`: sinks, USB devices and sound cards, and which applications play."""
 
 from __future__ import annotations
 
 import argparse
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from rich.table import Table
 
+from audioflinger_hook.cli.mixer import mixer_of, volume_now
 from audioflinger_hook.cli.terminal import LineConsole, warn
-from device.errors import CushionError
+from device.alsa import (
+    PROC,
+    Playback,
+    UsbFormat,
+    all_cards,
+    find_playback,
+    playbacks,
+    refusal,
+    usb_stream,
+)
+from device.errors import CushionError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot, identity_of, quiet_libraries
 from device.server.identity import is_own
+from device.usb import Found, UsbAudioDevice, find_devices, identify
+from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
+from device.usb.mapping import hw_names, sinks_of
 
 
 def run(options: argparse.Namespace) -> int:
-    """List what is there; without a sound server say so, and end well."""
+    """List what is there; without a sound server or a USB bus say so, and end well."""
     quiet_libraries()
+    snapshot = None
     try:
         connection = PulseConnection()
     except CushionError as error:
         warn(str(error))
-        if options.json:
-            print(json.dumps({"server": None, "sinks": [], "applications": []}))
-        return 0
-    try:
-        snapshot = connection.latest
-    finally:
-        connection.close()
-    document = _document(snapshot)
+    else:
+        try:
+            snapshot = connection.latest
+        finally:
+            connection.close()
+    usb = find_devices()
+    if usb.reason is not None:
+        warn(str(usb.reason))
+    document = _server(snapshot) | {
+        "usb": [_usb(device, usb, snapshot) for device in usb.devices],
+        "cards": [_card(playback) for card in all_cards() for playback in playbacks(card)],
+    }
     if options.json:
         print(json.dumps(document, indent=2))
     else:
         _show(document)
     return 0
+
+
+def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) -> dict[str, Any]:
+    """What is known of a USB device without asking it; `usb describe` tells more."""
+    whole, trouble = None, None
+    try:
+        whole = parse_whole(device.descriptors)
+    except CushionError as error:
+        trouble = str(error)
+    configuration = whole.configurations[0] if whole and whole.configurations else None
+    formats = playback_formats(configuration) if configuration else ()
+    opened = by_setting(device)
+    sinks = sinks_of(device, snapshot.sinks, found.devices) if snapshot else ()
+    return {
+        "device": str(identify(device, found.devices)),
+        "manufacturer": device.manufacturer,
+        "product": device.product,
+        "serial": device.serial,
+        "port": device.port,
+        "plays": device.plays,
+        "audio_class": max((each.uac for each in formats), default=None),
+        "formats": [
+            {
+                "bits": each.bits,
+                "channels": each.channels,
+                "samplerates": _samplerates(each, opened.get((each.interface, each.alternate))),
+                "synchronisation": each.synchronisation.name.lower(),
+                "feedback": each.feedback_endpoint is not None,
+            }
+            for each in formats
+        ],
+        "volume": any(each.volume_channels for each in formats),
+        "mute": any(each.mute_channels for each in formats),
+        "mixer": mixer_of(device),
+        "speed_mbit_s": device.speed,
+        "max_power_ma": device.max_power_ma,
+        "drivers": sorted({each.driver for each in device.interfaces if each.driver}),
+        "hw": list(hw_names(device)),
+        "sinks": [sink.name for sink in sinks],
+        "problem": trouble,
+    }
+
+
+def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int], UsbFormat]:
+    """What the driver offers of a device, by interface and alternate setting.
+
+    It asked the clock of a device of class 2 for its rates, which no descriptor tells.
+    """
+    found: dict[tuple[int, int], UsbFormat] = {}
+    for name in hw_names(device):
+        try:
+            playback = find_playback(name.removeprefix("hw:"), root)
+        except NotFoundError:
+            continue  # it went meanwhile
+        stream = usb_stream(playback)
+        for each in stream.formats if stream else ():
+            found[each.interface, each.altsetting] = each
+    return found
+
+
+def _samplerates(
+    playback: PlaybackFormat, offered: UsbFormat | None
+) -> list[int] | dict[str, int] | None:
+    """Rates in Hz, or their range; None where only the device's clock knows, and nobody asked."""
+    rates = playback.samplerates
+    if isinstance(rates, RateRange):
+        return {"lowest": rates.lowest, "highest": rates.highest}
+    if rates is not None or offered is None:
+        return None if rates is None else list(rates)
+    if offered.rates.least:
+        return {"lowest": offered.rates.least, "highest": offered.rates.most}
+    return list(offered.rates.single)
+
+
+def _card(playback: Playback) -> dict[str, Any]:
+    busy = refusal(playback)
+    return {
+        "device": f"hw:{playback.card.id or playback.card.number},{playback.device}",
+        "number": playback.card.number,
+        "name": playback.name,
+        "in_use": busy,
+    }
+
+
+def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
+    if snapshot is None:
+        return {"server": None, "default_sink": None, "sinks": [], "applications": []}
+    return _document(snapshot)
 
 
 def _document(snapshot: ServerSnapshot) -> dict[str, Any]:
@@ -73,16 +181,33 @@ def _document(snapshot: ServerSnapshot) -> dict[str, Any]:
 
 def _show(document: dict[str, Any]) -> None:
     console = LineConsole()
-    sinks = Table("device", "description", "Hz", "channels", title=document["server"])
-    for sink in document["sinks"]:
-        mark = " (default)" if sink["default"] else ""
-        sinks.add_row(
-            sink["device"] + mark,
-            sink["description"],
-            str(sink["samplerate"]),
-            str(sink["channels"]),
-        )
-    console.print(sinks)
+    if document["server"]:
+        sinks = Table("device", "description", "Hz", "channels", title=document["server"])
+        for sink in document["sinks"]:
+            mark = " (default)" if sink["default"] else ""
+            sinks.add_row(
+                sink["device"] + mark,
+                sink["description"],
+                str(sink["samplerate"]),
+                str(sink["channels"]),
+            )
+        console.print(sinks)
+    if document["usb"]:
+        usb = Table("device", "name", "plays", "volume", "is also", title="USB")
+        for device in document["usb"]:
+            usb.add_row(
+                device["device"],
+                f"{device['manufacturer']} {device['product']}".strip(),
+                "; ".join(map(_format_line, device["formats"])) or "-",
+                volume_now(device["mixer"]) or "-",
+                "\n".join([*(f"sink:{name}" for name in device["sinks"]), *device["hw"]]) or "-",
+            )
+        console.print(usb)
+    if document["cards"]:
+        cards_there = Table("device", "name", "", title="sound cards")
+        for card in document["cards"]:
+            cards_there.add_row(card["device"], card["name"], "in use" if card["in_use"] else "")
+        console.print(cards_there)
     if document["applications"]:
         playing = Table("application", "binary", "role", "plays to", title="playing")
         for application in document["applications"]:
@@ -93,3 +218,13 @@ def _show(document: dict[str, Any]) -> None:
                 application["sink"] or "-",
             )
         console.print(playing)
+
+
+def _format_line(form: dict[str, Any]) -> str:
+    rates = form["samplerates"]
+    if isinstance(rates, dict):
+        shown = f"{rates['lowest'] / 1e3:g} to {rates['highest'] / 1e3:g} kHz"
+    else:
+        shown = f"{'/'.join(f'{rate / 1e3:g}' for rate in rates)} kHz" if rates else "? kHz"
+    follows = ", feedback" if form["feedback"] else ""
+    return f"{form['channels']} x {form['bits']} bits, {shown}, {form['synchronisation']}{follows}"

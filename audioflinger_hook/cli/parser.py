@@ -79,7 +79,9 @@ def build_parser() -> Parser:
         "default: default",
     )
     run.add_argument(
-        "--device", metavar="DEVICE", help="sink:NAME, usb:VID:PID[:SERIAL], wav:FILE or twin"
+        "--device",
+        metavar="DEVICE",
+        help="sink:NAME, usb:VID:PID[:SERIAL][@PORT], hw:CARD, wav:FILE or twin",
     )
     run.add_argument("--record", type=Path, metavar="DIR", help="keep it all in a new folder")
     run.add_argument(
@@ -104,6 +106,19 @@ def build_parser() -> Parser:
 
     devices = _add(commands, "devices", "list outputs, and who plays", _devices)
     _add_json(devices)
+
+    usb = _add(commands, "usb", "decode a USB audio device, or a dump of one", _usb)
+    usb.add_argument("does", choices=("describe",), metavar="describe", help="what it says it is")
+    usb.add_argument(
+        "device", nargs="?", metavar="DEVICE", help="usb:VID:PID[:SERIAL][@PORT]; default: all"
+    )
+    usb.add_argument("--hex", type=Path, metavar="FILE", help="decode a dump; - is standard input")
+    usb.add_argument(
+        "--take-over",
+        action="store_true",
+        help="ask volumes and rates, too: its sound card is gone meanwhile",
+    )
+    _add_json(usb)
 
     tone = _add(commands, "test-tone", "vibrate one output, to find the right one", _test_tone)
     tone.add_argument("--device", required=True, metavar="DEVICE", help="see `cushion devices`")
@@ -243,6 +258,12 @@ def _devices(options: argparse.Namespace) -> int:
     from audioflinger_hook.cli import devices
 
     return devices.run(options)
+
+
+def _usb(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import usb
+
+    return usb.run(options)
 
 
 def _test_tone(options: argparse.Namespace) -> int:

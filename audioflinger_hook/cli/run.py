@@ -18,13 +18,7 @@ from audioflinger_hook.cli.telling import Teller
 from audioflinger_hook.clients import TapAddress, parse_tap
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.garbage import spare_what_is_there
-from audioflinger_hook.daemon.order import (
-    LIVE_DEVICES,
-    LIVE_TAPS,
-    PACED_DEVICES,
-    PACED_TAPS,
-    Order,
-)
+from audioflinger_hook.daemon.order import LIVE_TAPS, PACED_TAPS, Order
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
@@ -35,8 +29,8 @@ from audioflinger_hook.service.lock import DaemonLock, Holder
 from audioflinger_hook.service.socket import StatusServer
 from audioflinger_hook.service.watchdog import Watchdog, watchdog_period_s
 from device.address import DeviceAddress, parse_device
-from device.errors import NotFoundError, UsageError
-from device.server import quiet_libraries
+from device.errors import LostError, NotFoundError, UsageError
+from device.server import PulseConnection, quiet_libraries
 
 
 def run(options: argparse.Namespace) -> int:
@@ -115,20 +109,25 @@ def _order(options: argparse.Namespace) -> Order:
             f"--device, or with the key device in {path}"
         )
     order = Order(parse_tap(live.tap[0]), parse_device(live.device), settings, live)
+    if order.device.kind == "usb" and not order.tap_is_live:
+        order = dataclasses.replace(order, past_server=not _server_answers())
     _refuse_what_is_not_there(order)
     _refuse_overwriting(order.tap, order.device)
     return order
+
+
+def _server_answers() -> bool:
+    try:
+        PulseConnection().close()
+    except LostError:
+        return False
+    return True
 
 
 def _refuse_what_is_not_there(order: Order) -> None:
     """Raise UsageError or NotFoundError for what cannot be done, or not by this version."""
     if order.tap.kind not in LIVE_TAPS + PACED_TAPS:
         raise NotFoundError(f"tap {str(order.tap)!r}: `cushion run` cannot listen to it")
-    if order.device.kind not in LIVE_DEVICES + PACED_DEVICES:
-        raise NotFoundError(
-            f"device {str(order.device)!r}: `cushion run` plays to sink:NAME, usb:VID:PID, "
-            "wav:FILE or twin in this version; `cushion devices` lists what the sound server has"
-        )
     _ = order.rules
     if order.live.drop_in and order.tap.kind not in ("default", "app"):
         raise UsageError(

@@ -1,4 +1,4 @@
-"""A stream of the sound server, kept: opened, watched, given up and opened again."""
+"""A stream of the sound server or a card, kept: opened, watched, given up and opened again."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ class KeptStream(Generic[StreamT]):
     """One stream, its guard, and when to open it again. For the supervising thread alone.
 
     what: for reasons, as in "the output". lost, moved: what a stream counts as that stopped, or
-    that the server put elsewhere. stream: None while it is closed. guard: of the stream.
+    that the server put elsewhere. stream: None while it is closed. guard: of the stream, None for
+    one that no server can put elsewhere.
     """
 
     def __init__(self, what: str, states: StateKeeper, lost: Cause, moved: Cause) -> None:
@@ -50,10 +51,12 @@ class KeptStream(Generic[StreamT]):
     def check(self, now_s: float) -> None:
         """Give the stream up if it stopped or is not where it belongs."""
         stream, guard = self.stream, self.guard
-        if stream is None or guard is None:
+        if stream is None:
             return
         if stream.is_lost(now_s):
             self._states.recover(self._lost, now_s, f"{self._what} stopped")
+        elif guard is None:
+            return
         elif now_s - stream.opened_s > SETTLES_S and _is_misplaced(guard, now_s):
             self._states.recover(self._moved, now_s, guard.hold.value)
         else:
@@ -63,11 +66,14 @@ class KeptStream(Generic[StreamT]):
     def open(
         self,
         make: Callable[[], StreamT],
-        connection: PulseConnection,
+        connection: PulseConnection | None,
         device_name: str,
         now_s: float,
     ) -> bool:
         """Open the stream if it is closed and an attempt is due; whether it was opened.
+
+        connection: to the server that has the device; None for a card itself, whose stream needs no
+        guard and is audible at once.
 
         Raises what `make` raises, and LostError from the guard; the next attempt waits then.
         """
@@ -75,7 +81,10 @@ class KeptStream(Generic[StreamT]):
             return False
         try:
             self.stream = make()
-            self.guard = StreamGuard(connection, self.stream, device_name)
+            if connection is not None:
+                self.guard = StreamGuard(connection, self.stream, device_name)
+            else:
+                self.stream.audible = True
         except CushionError:
             self._backoff.failed(now_s)
             self.close()

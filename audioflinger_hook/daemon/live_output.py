@@ -15,6 +15,7 @@ from device.server import (
     ServerSnapshot,
     Sink,
 )
+from device.server.latency import output_latency_s
 from device.server.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
@@ -87,6 +88,12 @@ class LiveOutput:
 
     def suit(self, samplerate: int, channels: int) -> None:
         """A sink has a format of its own."""
+
+    def delay_s(self, snapshot: ServerSnapshot | None) -> float:
+        """Return what the server adds."""
+        if snapshot is None or self._found is None:
+            return 0.0
+        return output_latency_s(snapshot, self.block_frames, self._found.samplerate)
 
     def locate(self, snapshot: ServerSnapshot | None) -> Sink:
         """Find the sink. NotFoundError: it is not there; no other is taken instead."""

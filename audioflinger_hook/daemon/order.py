@@ -14,9 +14,10 @@ from device.server import AppRules
 
 LIVE_TAPS = ("default", "sink", "app")
 PACED_TAPS = ("file", "capture", "scene")
-LIVE_DEVICES = ("sink", "usb")
-PACED_DEVICES = ("wav", "twin")
-"""Kinds of taps and devices: the sound server brings the live ones, we pace the others."""
+SERVER_DEVICES = ("sink", "usb")
+CARD_DEVICES = ("hw",)
+"""Kinds of taps and devices: the sound server brings the live ones, cards keep their own time, we
+pace the others."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class Order:
 
     tap, device: where sound comes from and vibration goes; settings: how one is made of the
     other; live: all else, of which device does not count here, and tap if it is no application.
-    recording: takes what runs; whoever made it begins and closes it.
+    recording: takes what runs; whoever made it begins and closes it. past_server: whether a USB
+    device is a card itself, as there is no sound server.
     """
 
     tap: TapAddress
@@ -33,6 +35,7 @@ class Order:
     settings: Settings
     live: LiveSettings
     recording: RunRecording | None = None
+    past_server: bool = False
 
     @property
     def tap_is_live(self) -> bool:
@@ -41,8 +44,20 @@ class Order:
 
     @property
     def device_is_live(self) -> bool:
-        """Whether the vibration goes through the sound server."""
-        return self.device.kind in LIVE_DEVICES
+        """Whether the vibration goes to something that asks for it in its own time."""
+        return self.device.kind in SERVER_DEVICES + CARD_DEVICES
+
+    @property
+    def device_is_a_card(self) -> bool:
+        """Whether the vibration goes to a card itself, past the sound server."""
+        return self.device.kind in CARD_DEVICES or (self.past_server and self.device.kind == "usb")
+
+    @property
+    def needs_server(self) -> bool:
+        """Whether sound or vibration is the sound server's."""
+        return self.tap_is_live or (
+            self.device.kind in SERVER_DEVICES and not self.device_is_a_card
+        )
 
     @property
     def rules(self) -> AppRules | None:

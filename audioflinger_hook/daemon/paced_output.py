@@ -93,6 +93,10 @@ class PacedOutput:
         """Be told the mix's rate, Hz, and the vibration's channels, before the first `keep`."""
         self._format = (samplerate, channels)
 
+    def delay_s(self, snapshot: ServerSnapshot | None) -> float:
+        """Nothing is on its way."""
+        return 0.0
+
     def locate(self, snapshot: ServerSnapshot | None) -> _Device:
         """It is there."""
         return _Device(str(self._address), *(self._format or (0, 0)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from audioflinger_hook.daemon.alsa_output import AlsaOutput
 from audioflinger_hook.daemon.app_input import AppFeed, AppInput
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.feed import Feed
@@ -40,11 +41,12 @@ class Sides:
         priority: AudioPriority,
         on_heard: Callable[[], None],
     ) -> None:
-        self.needs_server = order.tap_is_live or order.device_is_live
+        self.needs_server = order.needs_server
         self._states = states
         self._priority = priority
         self._on_heard = on_heard
-        self._pacer = Pacer(clocks.now_s, exact=not self.needs_server)
+        is_live = order.tap_is_live or order.device_is_live
+        self._pacer = Pacer(clocks.now_s, exact=not is_live)
         self._pcms: PcmConfig | None = None
         self.output: OutputSide
         if not order.device_is_live:
@@ -57,19 +59,24 @@ class Sides:
             self.input = PacedInput(order.tap, self._pacer, feed)
             if order.live.include or order.live.exclude:
                 _ = order.rules  # raises: a file has no applications
-        if self.needs_server:
+        if is_live:
             self._pcms = PcmConfig("cushion_tap", "cushion_output")
             if order.tap_is_live:
                 self.input = self._live_input(order)
             if order.device_is_live:
-                self.output = LiveOutput(
-                    order.device,
-                    self._pcms.pcms["cushion_output"],
-                    states,
-                    order.recording,
-                    block_frames=order.live.block_frames,
-                    priority=priority,
-                )
+                self.output = self._live_output(order)
+
+    def _live_output(self, order: Order) -> LiveOutput | AlsaOutput:
+        assert self._pcms is not None
+        kind = AlsaOutput if order.device_is_a_card else LiveOutput
+        return kind(
+            order.device,
+            self._pcms.pcms["cushion_output"],
+            self._states,
+            order.recording,
+            block_frames=order.live.block_frames,
+            priority=self._priority,
+        )
 
     def _live_input(self, order: Order) -> LiveInput | AppInput:
         rules = order.rules
@@ -99,6 +106,12 @@ class Sides:
                     f"the {what} {str(before)!r} cannot become {str(after)!r} while it runs; start "
                     "it anew"
                 )
+        if old.needs_server != new.needs_server:
+            raise UsageError(
+                f"the device {str(old.device)!r} cannot become {str(new.device)!r} while "
+                f"{str(old.tap)!r} plays: one is the sound server's, the other is not; start it "
+                "anew"
+            )
         paced = [old.tap] * (not old.tap_is_live) + [old.device] * (not old.device_is_live)
         if paced and Changes.between(old, new).engine:
             raise UsageError(
@@ -125,14 +138,18 @@ class Sides:
         return True
 
     def lead_output(self, order: Order) -> None:
-        """Play elsewhere."""
-        assert isinstance(self.output, LiveOutput)
-        self.output.lead(order.device)
+        """Play elsewhere; `suit` is to be called anew."""
+        kind = AlsaOutput if order.device_is_a_card else LiveOutput
+        if isinstance(self.output, AlsaOutput | LiveOutput) and isinstance(self.output, kind):
+            self.output.lead(order.device)
+            return
+        self.output.close()
+        self.output = self._live_output(order)
 
     def take_blocks_of(self, frames: int) -> None:
         """Open streams with so many frames a callback from now on."""
         for side in (self.input, self.output):
-            if isinstance(side, LiveInput | LiveOutput):
+            if isinstance(side, LiveInput | LiveOutput | AlsaOutput):
                 side.block_frames = frames
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """What the supervisor knows of both sides: where sound comes from, and where vibration goes.
 
-Live sides belong to the sound server, paced ones need none; each kind pairs with each.
+Live sides belong to the sound server, a card and paced sides need none; each kind pairs with each.
 """
 
 from __future__ import annotations
@@ -132,4 +132,8 @@ class OutputSide(Side, Protocol):
 
     def suit(self, samplerate: int, channels: int) -> None:
         """Be told the mix's rate, Hz, and the vibration's channels, before the first `keep`."""
+        ...
+
+    def delay_s(self, snapshot: ServerSnapshot | None) -> float:
+        """Return for how long a frame is on its way after it was asked for, 0 if unknown."""
         ...

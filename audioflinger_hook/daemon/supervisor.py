@@ -17,7 +17,7 @@ from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import AudioPriority, PulseConnection, Refuge, ServerSnapshot
-from device.server.latency import output_latency_s, tap_latency_s
+from device.server.latency import tap_latency_s
 from device.units import Float32Array
 
 TICK_S = 0.1
@@ -122,16 +122,14 @@ class Supervisor:
     @property
     def latencies_s(self) -> tuple[float, float]:
         """What tap and output add to the delay, in seconds."""
-        (source, sink), connection = self._found, self._connection
-        if connection is None or source is None or sink is None:
+        (source, device), connection = self._found, self._connection
+        if source is None or device is None:
             return 0.0, 0.0
-        seen = connection.latest
-        frames = self._order.live.block_frames
-        tap, output = self._input.needs_server, self._output.needs_server
-        return (
-            tap_latency_s(seen, frames, source.samplerate) if tap else 0.0,
-            output_latency_s(seen, frames, sink.samplerate) if output else 0.0,
-        )
+        seen = connection.latest if connection else None
+        tap_s = 0.0
+        if seen and self._input.needs_server:
+            tap_s = tap_latency_s(seen, self._order.live.block_frames, source.samplerate)
+        return tap_s, self._output.delay_s(seen)
 
     @property
     def warnings(self) -> list[str]:
@@ -157,6 +155,8 @@ class Supervisor:
         LostError, NotFoundError
             The first that is not, with what would help.
         """
+        if not self._output.needs_server:
+            self._output.locate(None)
         if not self._sides.needs_server:
             return
         connection = PulseConnection()
@@ -235,6 +235,8 @@ class Supervisor:
             begins_anew |= self._sides.lead_input(order)
         if changes.device:
             self._sides.lead_output(order)
+            if engine:
+                self._output.suit(engine.samplerate, engine.framework.haptic_channels)
         if changes.drop_in:
             if self._stand_in:
                 self._stand_in.close()
@@ -297,7 +299,7 @@ class Supervisor:
         if self._connection is not None:
             self.states.count(Cause.SERVER_LOST, reason)
             self._input.close()
-            if self._output.needs_server:  # a file goes on, with silence
+            if self._output.needs_server:  # a card or a file goes on, with silence
                 self._output.close()
             if self._stand_in:
                 self._stand_in.close()

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.errors import UsageError
+from device.rounding import whole_steps
 
 FLOAT_LIMIT = 2.0
 """Float sinks take up to this, 6 dB over full scale, as AudioFlinger's do."""
@@ -147,12 +148,8 @@ def encode(frames: NDArray[np.floating[Any]], pcm_format: PcmFormat) -> bytes:
     if pcm_format is PcmFormat.FLOAT:
         clamped = np.clip(frames, -FLOAT_LIMIT, FLOAT_LIMIT).astype("<f4")
         return np.where(np.isnan(clamped), np.float32(0.0), clamped).tobytes()
-    scale = pcm_format.full_scale
-    steps = np.clip(frames.astype(np.float64) * scale, -scale, scale - 1.0)
-    steps[np.isnan(steps)] = 0.0
-    whole = np.trunc(steps)
-    # not trunc(x + 0.5): that sum rounds 0.5 - 2^-54 up to 1
-    whole += np.copysign(np.abs(steps - whole) >= 0.5, steps)
+    whole, rest = np.empty(frames.shape), np.empty(frames.shape)
+    whole_steps(frames, pcm_format.full_scale, whole, rest, np.empty(frames.shape, np.bool_))
     if pcm_format is PcmFormat.U8:
         return (whole + 128.0).astype(np.uint8).tobytes()
     if pcm_format is PcmFormat.I24:

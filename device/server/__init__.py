@@ -1,6 +1,6 @@
 """The one room for the connection to the sound server; taps and outputs both go through it.
 
-    pcms.py       names that PortAudio knows, led to sinks and monitors
+    pcms.py       names that PortAudio knows, led to sinks, monitors and cards (targets.py)
     portaudio.py  the one PyAudio instance; opening and closing within a time limit
     streams.py    CaptureStream, PlaybackStream: a block a callback
     pulse.py      PulseConnection: what the server holds (snapshot.py) and what changes (events.py)

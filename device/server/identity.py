@@ -10,9 +10,9 @@ import os
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 from device.errors import NotFoundError, UsageError
+from device.nearest import no_such
 from device.server.pcms import TAG
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
 
@@ -161,13 +161,4 @@ def _usb_id(text: str) -> str:
 
 
 def _no_such(kind: str, name: str, names: Iterable[str]) -> str:
-    known = sorted(names)
-    nearest = get_close_matches(name, known, n=3, cutoff=0.5)
-    if nearest:
-        offer = f"did you mean {' or '.join(repr(near) for near in nearest)}?"
-    elif known:
-        offer = f"there are {', '.join(repr(one) for one in known[:8])}"
-        offer += " and others" if len(known) > 8 else ""
-    else:
-        offer = "there is none at all: connect a sound card, or start the sound server anew"
-    return f"there is no {kind} {name!r}; {offer}"
+    return no_such(kind, name, names, "connect a sound card, or start the sound server anew")

@@ -1,8 +1,9 @@
-"""Named PCMs: the names that PortAudio knows, and the sinks and monitors that they lead to.
+"""Named PCMs: the names that PortAudio knows, and the sinks, monitors and cards they lead to.
 
 PortAudio lists ALSA's devices once, when it starts, and then knows nothing but their names. So its
 list is made of names of our own, from a private ALSA configuration. ALSA reads that again whenever
-its path has changed: a PCM can be led elsewhere before each opening, with the same PortAudio.
+its path has changed: a PCM can be led elsewhere before each opening, with the same PortAudio. So
+a card that was pulled out and plugged in again needs no new list either, whatever its number is.
 
 Until then every PCM leads to ALSA's `null`, and PCMs called `default` always do, so that PortAudio
 starts without a sound server, and nothing can play or record what nobody named. (PortAudio 19.6
@@ -18,6 +19,7 @@ from pathlib import Path
 
 from device.errors import InternalError, UsageError
 from device.server.folders import OwnFolder
+from device.server.targets import Nowhere, ServerDevice, Target
 
 ROLE = "haptic"
 """media.role of all our streams; the server's other programs have no such role."""
@@ -37,38 +39,28 @@ _REWRITTEN = ("ALSA_CONFIG_PATH", "PULSE_PROP", "PULSE_PROP_OVERRIDE")
 class Pcm:
     """One name that PortAudio knows. Made by `PcmConfig`; the thread that opens streams leads it.
 
-    name: for PortAudio; device: the server's sink or source that the next opening leads to, None
-    for nowhere; server: its address, None for the usual one.
+    name: for PortAudio; target: what the next opening leads to.
     """
 
     def __init__(self, config: PcmConfig, name: str) -> None:
         self.config = config
         self.name = name
-        self.device: str | None = None
-        self.server: str | None = None
+        self.target: Target = Nowhere()
 
     def lead(self, device: str, server: str | None = None) -> None:
         """Let the next opening lead to a sink or source, by the server's name for it.
 
         The name is not looked up: see `identity`. Streams that are open stay where they are.
-
-        Raises
-        ------
-        UsageError
-            The name or address holds a character that no server allows in one.
+        Raises UsageError as `ServerDevice` does.
         """
-        for what, value in (("device", device), ("server", server)):
-            if value is not None and (not value.isprintable() or set(value) & set("\"'\\")):
-                raise UsageError(
-                    f"the name of a {what} cannot be {value!r}: quotes, backslashes and control "
-                    "characters are not allowed; give the name as `pactl list short sinks` does"
-                )
-        if not device:
-            raise UsageError('the name of a device cannot be ""; give a sink\'s name')
-        self.device, self.server = device, server
+        self.target = ServerDevice(device, server)
+
+    def lead_to(self, target: Target) -> None:
+        """Let the next opening lead there. Streams that are open stay where they are."""
+        self.target = target
 
     def __repr__(self) -> str:
-        return f"Pcm({self.name} -> {self.device or 'nowhere'})"
+        return f"Pcm({self.name} -> {self.target})"
 
 
 class PcmConfig:
@@ -142,7 +134,7 @@ class PcmConfig:
         old = self._folder.path / f"{self._version}.conf"
         self._version += 1
         new = self._folder.path / f"{self._version}.conf"
-        text = [_definition(pcm) for pcm in self.pcms.values()]
+        text = [f"pcm.{pcm.name} {{ {pcm.target.definition} }}" for pcm in self.pcms.values()]
         try:
             new.write_text("\n".join([*text, "pcm.default { type null }", ""]))
         except OSError as error:
@@ -152,14 +144,6 @@ class PcmConfig:
             ) from None
         os.environ["ALSA_CONFIG_PATH"] = str(new)
         old.unlink(missing_ok=True)
-
-
-def _definition(pcm: Pcm) -> str:
-    """A PCM in the language of ALSA's configuration."""
-    if pcm.device is None:
-        return f"pcm.{pcm.name} {{ type null }}"
-    server = f' server "{pcm.server}"' if pcm.server else ""
-    return f'pcm.{pcm.name} {{ type pulse device "{pcm.device}"{server} }}'
 
 
 def _properties(tag: str, output: bool) -> str:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from device.errors import InternalError, LostError, NotFoundError
+from device.sample_format import SampleFormat
 from device.server.pcms import Pcm
 
 BLOCK_FRAMES = 256
@@ -27,6 +28,14 @@ START_LIMIT_S = 1.5
 
 ATTEMPTS = 3
 CLOSE_LIMIT_S = 2.0
+
+_NAMES = {
+    SampleFormat.FLOAT32: "paFloat32",
+    SampleFormat.S16: "paInt16",
+    SampleFormat.S24_3: "paInt24",
+    SampleFormat.S32: "paInt32",
+}
+"""PortAudio's are in the machine's order of bytes, which has to be little endian."""
 
 Callback = Callable[[bytes | None, int, Any, int], tuple[bytes | None, int]]
 """PyAudio's: (input, frames, times, flags) to (output, continue)."""
@@ -45,10 +54,11 @@ _numbers = itertools.count(1)
 
 @dataclass(frozen=True)
 class OpenStream:
-    """PyAudio's stream, and the tag that the server shows for it (property `pcms.TAG`)."""
+    """PyAudio's stream, the tag that the server shows for it (`pcms.TAG`), and its format."""
 
     stream: Any
     tag: str
+    sample_format: SampleFormat = SampleFormat.FLOAT32
 
     def start(self) -> OpenStream:
         """Let callbacks come; returns itself."""
@@ -64,27 +74,30 @@ def open_stream(
     channels: int,
     callback: Callback,
     block_frames: int = BLOCK_FRAMES,
+    sample_format: SampleFormat = SampleFormat.FLOAT32,
 ) -> OpenStream:
-    """A running float32 stream of the PCM's device; `callback` is called by a thread of PortAudio.
+    """A running stream of the PCM's device; `callback` is called by a thread of PortAudio.
 
-    samplerate: Hz; block_frames: how many a callback. Any thread but a callback's may call this;
-    openings go one after another.
+    samplerate: Hz; block_frames: how many a callback. sample_format: of the callback's bytes; a
+    card that has another one only gets them converted by PortAudio, with dither. Any thread but a
+    callback's may call this; openings go one after another.
 
     Raises
     ------
     LostError
-        No server answers, it has no such device (or it ended meanwhile), or it takes longer than
-        OPEN_LIMIT_S and START_LIMIT_S.
+        No server answers, there is no such device (or it ended meanwhile) or it is in use, or it
+        takes longer than OPEN_LIMIT_S and START_LIMIT_S.
     NotFoundError
         PyAudio or PortAudio is not installed.
     """
-    what = f"{pcm.device or 'nothing'} for {'playback' if output else 'capture'}"
+    what = f"{pcm.target} for {'playback' if output else 'capture'}"
+    shape = _Shape(samplerate, channels, block_frames, sample_format)
     try:
         for attempt in range(1, ATTEMPTS + 1):
             opened = _within(
                 OPEN_LIMIT_S,
                 f"open {what}",
-                lambda: _open_still(pcm, output, samplerate, channels, callback, block_frames),
+                lambda: _open_still(pcm, output, shape, callback),
                 close_stream,
             )
             try:
@@ -100,26 +113,32 @@ def open_stream(
                 raise
     except (OSError, ValueError) as error:
         raise LostError(
-            f"cannot open {what} with {channels} channels at {samplerate} Hz ({_reason(error)}): "
-            "the sound server does not answer or has no such device; "
-            "`cushion devices` lists what it has"
+            f"cannot open {what} with {shape} ({_reason(error)}): {pcm.target.trouble}"
         ) from None
     raise InternalError("unreachable")
 
 
-def _open_still(
-    pcm: Pcm,
-    output: bool,
-    samplerate: int,
-    channels: int,
-    callback: Callback,
-    block_frames: int,
-) -> OpenStream:
+@dataclass(frozen=True)
+class _Shape:
+    """What a stream is made of."""
+
+    samplerate: int
+    channels: int
+    block_frames: int
+    sample_format: SampleFormat
+
+    def __str__(self) -> str:
+        name = self.sample_format.value
+        in_format = "" if self.sample_format is SampleFormat.FLOAT32 else f" in {name}"
+        return f"{self.channels} channels at {self.samplerate} Hz{in_format}"
+
+
+def _open_still(pcm: Pcm, output: bool, shape: _Shape, callback: Callback) -> OpenStream:
     """The stream, opened and not started yet."""
     if not _lock.acquire(timeout=OPEN_LIMIT_S):
         raise LostError(
-            f"cannot open {pcm.device}: an earlier opening has not come back; the sound server "
-            "hangs, restart it"
+            f"cannot open {pcm.target}: an earlier opening has not come back; the sound server or "
+            "the card hangs, restart it"
         )
     try:
         pyaudio, instance, index = _instance(pcm)
@@ -127,16 +146,16 @@ def _open_still(
         side = "output" if output else "input"
         with pcm.config.opening(pcm, tag, output=output):
             stream = instance.open(
-                rate=samplerate,
-                channels=channels,
-                format=pyaudio.paFloat32,
-                frames_per_buffer=block_frames,
+                rate=shape.samplerate,
+                channels=shape.channels,
+                format=getattr(pyaudio, _NAMES[shape.sample_format]),
+                frames_per_buffer=shape.block_frames,
                 stream_callback=callback,
                 start=False,
                 **{side: True, f"{side}_device_index": index},
             )
         _note(opened=1)
-        return OpenStream(stream, tag)
+        return OpenStream(stream, tag, shape.sample_format)
     finally:
         _lock.release()
 
@@ -267,7 +286,7 @@ def _within(
     if errors:
         raise errors[0]
     raise LostError(
-        f"cannot {what}: the sound server has not answered for {limit_s:g} s; "
+        f"cannot {what}: the sound server or the card has not answered for {limit_s:g} s; "
         "see whether it hangs, and restart it if so"
     )
 

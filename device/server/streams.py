@@ -1,4 +1,4 @@
-"""Sound from and to the server, a block at a time, by callbacks on threads of PortAudio.
+"""Sound from and to the server, or to a card, a block at a time, on threads of PortAudio.
 
 Two separate streams: one that captures and plays at once would poll. A callback never raises and
 always delivers its full length, since an exception or a short block would end the stream without a
@@ -18,8 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from device.alsa.conversion import Encoder
 from device.blocks import peak
 from device.errors import UsageError
+from device.sample_format import SampleFormat
 from device.server.foreign_thread import LET_GO_LIMIT_S, ForeignThread
 from device.server.pcms import Pcm
 from device.server.portaudio import BLOCK_FRAMES, OpenStream, close_stream, open_stream
@@ -62,6 +64,7 @@ class _Stream:
         audible: bool,
         block_frames: int,
         priority: AudioPriority | None,
+        sample_format: SampleFormat = SampleFormat.FLOAT32,
     ) -> None:
         self._priority = priority
         self.audible = audible
@@ -85,6 +88,7 @@ class _Stream:
             channels=channels,
             callback=self._callback,
             block_frames=block_frames,
+            sample_format=sample_format,
         )
         self.tag = self._open.tag
 
@@ -213,11 +217,12 @@ class PlaybackStream(_Stream):
     time.monotonic(). It must neither block nor close the stream. If it raises, or leaves a sample
     that is not finite, the block becomes silence and is counted in `errors`.
 
-    on_sent(frames, now_s): called likewise with what went to PortAudio for that block, silence too;
-    the array is read only and may be kept.
+    on_sent(frames, now_s): called likewise with what went to PortAudio for that block, silence too,
+    as float32 whatever the format; the array is read only and may be kept.
 
     audible: False at first; while it is, fill is called and 0 is played. block_frames: of a
-    callback. priority: what its thread asks for, None for nothing.
+    callback. priority: what its thread asks for, None for nothing. sample_format: of what goes to
+    PortAudio; integers are clamped and rounded as `Encoder` does.
 
     Raises
     ------
@@ -235,12 +240,13 @@ class PlaybackStream(_Stream):
         *,
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
+        sample_format: SampleFormat = SampleFormat.FLOAT32,
     ) -> None:
         check_format(samplerate, channels)
         self._fill = fill
         self._on_sent = on_sent
         self._out = np.zeros((block_frames, channels), np.float32)
-        self._silence = bytes(self._out.nbytes)
+        self._encoder = Encoder(sample_format, channels, block_frames)
         self._sound: bytes | None = None
         super().__init__(
             pcm,
@@ -250,6 +256,7 @@ class PlaybackStream(_Stream):
             audible=False,
             block_frames=block_frames,
             priority=priority,
+            sample_format=sample_format,
         )
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
@@ -261,25 +268,26 @@ class PlaybackStream(_Stream):
         self._fill(self._out, now_s)
         if not math.isfinite(peak(self._out)):
             raise FloatingPointError("samples that are not finite")
-        self._sound = self._out.tobytes()
+        self._sound = self._encoder.encode(self._out)
 
     def _result(self, frames: int) -> bytes | None:
-        sound = self._played(frames)
+        sound, self._sound = self._sound, None
+        if not self.audible:
+            sound = None
+        if sound is None:
+            self.silenced += 1
         if self._on_sent is not None:
             try:
-                sent = np.frombuffer(sound, np.float32).reshape(-1, self.channels)
+                sent = self._silence(frames) if sound is None else self._encoder.encoded()
                 self._on_sent(sent, self.last_callback_s)
             except BaseException as error:  # nothing may pass, as above
                 self._count(error)
-        return sound
+        return self._encoder.silence(frames) if sound is None else sound
 
-    def _played(self, frames: int) -> bytes:
-        sound, self._sound = self._sound, None
-        if sound is not None and self.audible:
-            return sound
-        self.silenced += 1
-        length = frames * self.channels * 4
-        return self._silence if len(self._silence) == length else bytes(length)
+    def _silence(self, frames: int) -> Float32Array:
+        silence = np.zeros((frames, self.channels), np.float32)
+        silence.setflags(write=False)
+        return silence
 
 
 def check_format(samplerate: int, channels: int) -> None:

@@ -1,0 +1,217 @@
+"""`cushion usb describe`: what a USB audio device says it is, for people and for bug reports."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from audioflinger_hook.cli.mixer import mixer_lines, mixer_of
+from audioflinger_hook.cli.terminal import warn
+from device.errors import CushionError, UsageError
+from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
+from device.usb.control import UsbControl, held_by, open_control
+from device.usb.descriptors import WholeDevice, describe, parse_hex, parse_whole, playback_formats
+from device.usb.errors import NoUsbDeviceError
+from device.usb.pyusb_access import read_descriptors
+from device.usb.take_over import take_over
+
+DUMP_BYTES_MAX = 4 << 20
+"""Of a dump as text: a device has 64 kB at most."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Decode a dump, one device or, without a name, all that are there."""
+    if options.hex is not None and (options.device or options.take_over):
+        raise UsageError("--hex decodes a file; it goes with neither DEVICE nor --take-over")
+    found: list[tuple[UsbAudioDevice | None, WholeDevice, dict[str, Any] | None]]
+    if options.hex is not None:
+        found = [(None, parse_whole(parse_hex(_read(options.hex))), None)]
+    else:
+        found = [
+            (device, parse_whole(read_descriptors(device)), _settings(device, options.take_over))
+            for device in _devices(options.device)
+        ]
+    if options.json:
+        documents = [_document(*each) for each in found]
+        single = options.hex is not None or options.device
+        print(json.dumps(documents[0] if single else documents, indent=2))
+    else:
+        print("\n\n".join(_text(*each) for each in found))
+    return 0
+
+
+def _devices(name: str | None) -> tuple[UsbAudioDevice, ...]:
+    found = find_devices()
+    if name is not None:
+        return (find_one(UsbIdentity.parse(name), found),)
+    if not found.devices:
+        raise found.reason or NoUsbDeviceError("no USB audio device is there; plug one in")
+    return found.devices
+
+
+def _read(path: Path) -> str:
+    """Return a dump's text; "-" is standard input."""
+    try:
+        if str(path) == "-":
+            raw = sys.stdin.buffer.read(DUMP_BYTES_MAX + 1)
+        else:
+            with path.open("rb") as dump:
+                raw = dump.read(DUMP_BYTES_MAX + 1)
+    except OSError as error:
+        raise UsageError(f"cannot read {path} ({error.strerror}); name a file") from None
+    if len(raw) > DUMP_BYTES_MAX:
+        raise UsageError(f"{path} is over {DUMP_BYTES_MAX >> 20} MB: no dump of descriptors")
+    return raw.decode("utf-8", errors="replace")
+
+
+def _settings(device: UsbAudioDevice, taken: bool) -> dict[str, Any] | None:
+    """Return volumes, mutes and samplerate of a device that may be asked; None of others."""
+    if taken:
+        with take_over(device) as control:
+            return _asked(control)
+    if held_by(device):
+        return None
+    try:
+        control = open_control(device)
+        try:
+            return _asked(control)
+        finally:
+            control.close()
+    except CushionError as error:
+        warn(str(error))
+        return None
+
+
+def _asked(control: UsbControl) -> dict[str, Any]:
+    """Return what the device tells; what it does not is left out, and its reason told."""
+    volumes = []
+    for channel in control.volume_channels:
+        try:
+            offered = control.volume_range(channel)
+            volume_db = control.volume_db(channel)
+        except NoUsbDeviceError:
+            raise
+        except CushionError as error:
+            warn(f"volume of channel {channel}: {error}")
+            continue
+        volumes.append(
+            {
+                "channel": channel,
+                "db": None if volume_db == -math.inf else volume_db,
+                "lowest_db": offered.lowest_db,
+                "highest_db": offered.highest_db,
+                "step_db": offered.step_db,
+            }
+        )
+    mutes = [{"channel": number, "muted": muted} for number, muted in control.state().mutes]
+    settings: dict[str, Any] = {"volumes": volumes, "mutes": mutes}
+    with suppress(CushionError):
+        settings["samplerate"] = control.samplerate()
+    with suppress(CushionError):
+        settings["samplerates"] = [_plain(each) for each in control.samplerates()]
+    return settings
+
+
+def _text(
+    device: UsbAudioDevice | None, whole: WholeDevice, settings: dict[str, Any] | None
+) -> str:
+    lines = []
+    if device is not None:
+        name = identify(device, find_devices().devices)
+        cards = ", ".join(f"card {card.number} ({card.id})" for card in device.cards) or "no card"
+        lines.append(f"{device.label} ({name}), port {device.port}, {cards}")
+    if not whole.configurations:
+        lines.append("no configuration could be read")
+    for place, configuration in enumerate(whole.configurations):
+        lines.append(describe(whole.device if not place else None, configuration))
+        lines += [f"plays: {_playback_line(each)}" for each in playback_formats(configuration)]
+    if whole.rest:
+        lines.append(f"not understood: {whole.rest.hex(' ')}")
+    if device is not None:
+        lines += mixer_lines(mixer_of(device))
+    lines += _settings_lines(settings)
+    return "\n".join(lines)
+
+
+def _playback_line(playback: Any) -> str:
+    rates = playback.samplerates
+    if rates is None:
+        shown = f"rates of clock {playback.clock_id}"
+    elif isinstance(rates, tuple):
+        shown = ", ".join(f"{rate}" for rate in rates) + " Hz"
+    else:
+        shown = f"{rates.lowest} to {rates.highest} Hz"
+    feedback = ""
+    if playback.feedback_endpoint is not None:
+        feedback = ", implicit feedback" if playback.implicit_feedback else ", feedback"
+    return (
+        f"interface {playback.interface}.{playback.alternate}, {'/'.join(playback.encodings)} of "
+        f"{playback.bits} bits in {playback.subslot_bytes} bytes, {playback.channels} channels, "
+        f"{shown}, {playback.synchronisation.name.lower()}{feedback}"
+    )
+
+
+def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
+    if settings is None:
+        return []
+    lines = [
+        f"volume of channel {each['channel']}: "
+        + ("silence" if each["db"] is None else f"{each['db']:+.2f} dB")
+        + f", {each['lowest_db']:+.2f} to {each['highest_db']:+.2f} dB "
+        f"in steps of {each['step_db']:.3g} dB"
+        for each in settings["volumes"]
+    ]
+    lines += [
+        f"mute of channel {each['channel']}: {'on' if each['muted'] else 'off'}"
+        for each in settings["mutes"]
+    ]
+    if "samplerate" in settings:
+        lines.append(f"samplerate: {settings['samplerate']} Hz")
+    return lines
+
+
+def _document(
+    device: UsbAudioDevice | None, whole: WholeDevice, settings: dict[str, Any] | None
+) -> dict[str, Any]:
+    document: dict[str, Any] = {}
+    if device is not None:
+        document["name"] = str(identify(device, find_devices().devices))
+        document["port"] = device.port
+        document["cards"] = _plain(device.cards)
+        document["mixer"] = mixer_of(device)
+    document["device"] = _plain(whole.device)
+    document["configurations"] = [
+        {
+            **_plain(configuration),
+            "problems": [str(problem) for problem in configuration.problems],
+            "playback": _plain(playback_formats(configuration)),
+            "bytes": configuration.raw().hex(),
+        }
+        for configuration in whole.configurations
+    ]
+    document["rest"] = whole.rest.hex()
+    document["settings"] = settings
+    return document
+
+
+def _plain(item: Any) -> Any:
+    """Return what JSON can hold: bytes in hex, enums by name, dataclasses with their kind."""
+    if is_dataclass(item) and not isinstance(item, type):
+        kind = {"kind": item.kind} if hasattr(item, "kind") else {}
+        return kind | {each.name: _plain(getattr(item, each.name)) for each in fields(item)}
+    if isinstance(item, (tuple, list)):
+        return [_plain(each) for each in item]
+    if isinstance(item, bytes):
+        return item.hex()
+    if isinstance(item, Enum):
+        return item.name.lower()
+    if isinstance(item, Path):
+        return str(item)
+    return item

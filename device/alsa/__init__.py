@@ -1,0 +1,43 @@
+"""Sound cards themselves: which there are, what they offer, and what is sent to them.
+
+    cards.py        the cards of this machine, by number or id
+    usb_stream.py   what a USB card offers, and its own clock
+    use.py          who plays there just now, and how
+    mixer.py        a card's own volume and mute; decibels.py: what its steps mean
+    negotiation.py  the format, rate and channels that suit best
+    channel_map.py  which actuator each channel drives
+    conversion.py   float frames as the card's bytes
+
+PCMs and streams are those of `device.server`; nothing here plays.
+"""
+
+from device.alsa.cards import PROC, Card, Playback, all_cards, find_card, find_playback, playbacks
+from device.alsa.channel_map import ChannelMap
+from device.alsa.conversion import Encoder
+from device.alsa.negotiation import Choice, Offer, choose, offers_of
+from device.alsa.usb_stream import UsbFormat, UsbStream, usb_stream
+from device.alsa.use import HwParams, Owner, hw_params, owner, refusal
+
+__all__ = [
+    "PROC",
+    "Card",
+    "ChannelMap",
+    "Choice",
+    "Encoder",
+    "HwParams",
+    "Offer",
+    "Owner",
+    "Playback",
+    "UsbFormat",
+    "UsbStream",
+    "all_cards",
+    "choose",
+    "find_card",
+    "find_playback",
+    "hw_params",
+    "offers_of",
+    "owner",
+    "playbacks",
+    "refusal",
+    "usb_stream",
+]

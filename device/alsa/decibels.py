@@ -1,0 +1,160 @@
+"""What the steps of a volume mean in dB, from the table that a driver gives along with it.
+
+Pure functions. A table is a list of 32-bit words: its kind, its length in bytes, then what the kind
+says (<sound/tlv.h> of the kernel). Levels in it are in 0.01 dB.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+_CONTAINER, _SCALE, _LINEAR, _RANGE, _BOUNDS, _BOUNDS_MUTE = range(6)
+_SILENT_WHEN_LOWEST = 0x10000
+_SILENT = -9_999_999
+"""As the lower end of a linear table."""
+
+_ABSURD = 100_000
+"""No card amplifies by 1 000 dB, and powers of ten end there."""
+
+_PER_DB = 100.0
+_DEEPEST = 4
+"""Tables in tables: real ones have one in another."""
+
+
+@dataclass(frozen=True)
+class Decibels:
+    """The level of each step from `lowest` to `highest`, in dB; -inf is silence.
+
+    level: of a step; it never falls with rising steps where the driver is sane.
+    """
+
+    lowest: int
+    highest: int
+    level: Callable[[int], float]
+
+    @property
+    def lowest_db(self) -> float:
+        """The level of the lowest step."""
+        return self.level(self.lowest)
+
+    @property
+    def highest_db(self) -> float:
+        """The level of the highest step."""
+        return self.level(self.highest)
+
+    def step_at_most(self, wanted_db: float) -> int | None:
+        """Return the highest step that is not above a level; None where every one is."""
+        steps = range(self.lowest, self.highest + 1)
+        place = bisect.bisect_right(steps, wanted_db + 1e-9, key=self.level)
+        return steps[place - 1] if place else None
+
+
+def decibels_of(words: Sequence[int], lowest: int, highest: int) -> Decibels | None:
+    """Return what a driver's table says of steps from lowest to highest; None if it says nothing.
+
+    words: unsigned, of 32 bits each. What is no such table, or contradicts itself, says nothing.
+    """
+    level = _level(list(words), lowest, highest, 0) if lowest < highest else None
+    if level is None or not level(lowest) <= level(highest):
+        return None
+    return Decibels(lowest, highest, level)
+
+
+def _level(
+    words: list[int], lowest: int, highest: int, depth: int
+) -> Callable[[int], float] | None:
+    if len(words) < 2 or depth > _DEEPEST:
+        return None
+    kind, body = words[0], words[2 : 2 + words[1] // 4]
+    if len(body) < words[1] // 4:
+        return None
+    if kind == _CONTAINER:
+        return _first_of(body, lowest, highest, depth)
+    if kind == _RANGE:
+        return _pieces(body, depth)
+    if len(body) < 2 or lowest >= highest:
+        return None
+    first, second = _signed(body[0]), _signed(body[1])
+    if kind == _SCALE:
+        return _scale(first, body[1], lowest)
+    if kind == _LINEAR:
+        return _linear(first, second, lowest, highest)
+    if kind in (_BOUNDS, _BOUNDS_MUTE):
+        return _bounds(first, second, lowest, highest, silent=kind == _BOUNDS_MUTE)
+    return None
+
+
+def _first_of(
+    body: list[int], lowest: int, highest: int, depth: int
+) -> Callable[[int], float] | None:
+    while len(body) >= 2:
+        level = _level(body, lowest, highest, depth + 1)
+        if level is not None:
+            return level
+        body = body[2 + (body[1] + 3) // 4 :]
+    return None
+
+
+def _pieces(body: list[int], depth: int) -> Callable[[int], float] | None:
+    """Tables for parts of the steps: of each its first and last step, and a table."""
+    found: list[tuple[int, int, Callable[[int], float]]] = []
+    while len(body) >= 4:
+        first, last = _signed(body[0]), _signed(body[1])
+        level = _level(body[2:], first, last, depth + 1) if first < last else None
+        if first == last:  # one step: any table of two would do, and its lower end counts
+            level = _level(body[2:], first, last + 1, depth + 1)
+        if level is None:
+            return None
+        found.append((first, last, level))
+        body = body[4 + (body[3] + 3) // 4 :]
+    if not found:
+        return None
+
+    def level_of(step: int) -> float:
+        for _, last, level in found:
+            if step <= last:
+                return level(step)
+        return found[-1][2](found[-1][1])
+
+    return level_of
+
+
+def _scale(first: int, step_and_silence: int, lowest: int) -> Callable[[int], float]:
+    size, silent = step_and_silence & 0xFFFF, bool(step_and_silence & _SILENT_WHEN_LOWEST)
+
+    def level(step: int) -> float:
+        if silent and step <= lowest:
+            return -math.inf
+        return (first + size * (step - lowest)) / _PER_DB
+
+    return level
+
+
+def _bounds(
+    first: int, last: int, lowest: int, highest: int, *, silent: bool
+) -> Callable[[int], float]:
+    def level(step: int) -> float:
+        if silent and step <= lowest:
+            return -math.inf
+        return (first + (last - first) * (step - lowest) / (highest - lowest)) / _PER_DB
+
+    return level
+
+
+def _linear(first: int, last: int, lowest: int, highest: int) -> Callable[[int], float]:
+    """Steps of amplitude."""
+    quiet = 0.0 if first <= _SILENT else 10.0 ** (min(first, _ABSURD) / _PER_DB / 20.0)
+    loud = 10.0 ** (min(last, _ABSURD) / _PER_DB / 20.0)
+
+    def level(step: int) -> float:
+        amplitude = quiet + (loud - quiet) * (step - lowest) / (highest - lowest)
+        return 20.0 * math.log10(amplitude) if amplitude > 0.0 else -math.inf
+
+    return level
+
+
+def _signed(word: int) -> int:
+    return word - (1 << 32) if word >> 31 else word

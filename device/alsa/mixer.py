@@ -1,0 +1,278 @@
+"""A sound card's own volume and mute, as its driver offers them to everybody.
+
+This is the way while a driver holds a USB device, which is always but for `take_over`: nothing is
+taken from anybody, and what plays goes on. Structures and numbers: <sound/asound.h> of the kernel,
+asked by ioctl on the card's control file; no library is in between.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import fcntl
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+
+from device.alsa.decibels import Decibels, decibels_of
+from device.alsa.use import DEVICES
+from device.errors import NotFoundError, UsageError
+from device.loudest import LOUDEST_DB, allowed_db
+
+_VOLUME, _SWITCH = "Playback Volume", "Playback Switch"
+_MIXER = 2
+_BOOLEAN, _INTEGER = 1, 2
+_READABLE, _WRITABLE, _HAS_TABLE = 1 << 0, 1 << 1, 1 << 4
+_MOST_ELEMENTS = 4_096
+_TABLE_WORDS = 1_024
+
+
+class _Id(ctypes.Structure):
+    _fields_ = (
+        ("number", ctypes.c_uint),
+        ("interface", ctypes.c_int),
+        ("device", ctypes.c_uint),
+        ("subdevice", ctypes.c_uint),
+        ("name", ctypes.c_char * 44),
+        ("index", ctypes.c_uint),
+    )
+
+
+class _List(ctypes.Structure):
+    _fields_ = (
+        ("offset", ctypes.c_uint),
+        ("space", ctypes.c_uint),
+        ("used", ctypes.c_uint),
+        ("count", ctypes.c_uint),
+        ("ids", ctypes.c_void_p),
+        ("reserved", ctypes.c_ubyte * 50),
+    )
+
+
+class _Bounds(ctypes.Structure):
+    _fields_ = (("lowest", ctypes.c_long), ("highest", ctypes.c_long), ("step", ctypes.c_long))
+
+
+class _InfoOf(ctypes.Union):
+    _fields_ = (("steps", _Bounds), ("reserved", ctypes.c_ubyte * 128))
+
+
+class _Info(ctypes.Structure):
+    _fields_ = (
+        ("id", _Id),
+        ("type", ctypes.c_int),
+        ("access", ctypes.c_uint),
+        ("count", ctypes.c_uint),
+        ("owner", ctypes.c_int),
+        ("of", _InfoOf),
+        ("reserved", ctypes.c_ubyte * 64),
+    )
+
+
+class _ValueOf(ctypes.Union):
+    _fields_ = (("steps", ctypes.c_long * 128), ("wide", ctypes.c_longlong * 64))
+
+
+class _Value(ctypes.Structure):
+    _fields_ = (
+        ("id", _Id),
+        ("indirect", ctypes.c_uint),
+        ("of", _ValueOf),
+        ("reserved", ctypes.c_ubyte * 128),
+    )
+
+
+class _Table(ctypes.Structure):
+    _fields_ = (
+        ("number", ctypes.c_uint),
+        ("length", ctypes.c_uint),
+        ("words", ctypes.c_uint32 * _TABLE_WORDS),
+    )
+
+
+def _request(number: int, size: int) -> int:
+    """_IOWR('U', number, size)."""
+    return 3 << 30 | size << 16 | ord("U") << 8 | number
+
+
+_GET_LIST = _request(0x10, ctypes.sizeof(_List))
+_GET_INFO = _request(0x11, ctypes.sizeof(_Info))
+_READ = _request(0x12, ctypes.sizeof(_Value))
+_WRITE = _request(0x13, ctypes.sizeof(_Value))
+_READ_TABLE = _request(0x1A, 8)  # the words behind it do not count
+
+
+@dataclass(frozen=True)
+class MixerVolume:
+    """A volume of what a card plays. name: the driver's; channels: how many it has.
+
+    decibels: what its steps mean, None where the driver does not say.
+    """
+
+    name: str
+    channels: int
+    decibels: Decibels | None = field(repr=False)
+    number: int = field(repr=False)
+
+
+@dataclass(frozen=True)
+class MixerSwitch:
+    """A mute of what a card plays. name: the driver's; channels: how many it has."""
+
+    name: str
+    channels: int
+    number: int = field(repr=False)
+
+
+class CardMixer:
+    """The volumes and mutes of one card, as long as it is open; its own context. Any one thread.
+
+    card: ALSA's number. devices: the folder of device files.
+
+    Raises
+    ------
+    NotFoundError
+        There is no such card, it was pulled out, or this user may not open it: by everything here.
+    """
+
+    def __init__(self, card: int, devices: Path = DEVICES) -> None:
+        self._card = card
+        self._node = devices / f"controlC{card}"
+        try:
+            self._file = os.open(self._node, os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+        except OSError as error:
+            raise self._refusal(error) from None
+        volumes: list[MixerVolume] = []
+        switches: list[MixerSwitch] = []
+        try:
+            for number in self._numbers():
+                self._take(number, volumes, switches)
+        except BaseException:
+            self.close()
+            raise
+        self.volumes = tuple(volumes)
+        self.switches = tuple(switches)
+
+    def volume_db(self, volume: MixerVolume) -> tuple[float, ...] | None:
+        """Return the level of each channel in dB, -inf for silence; None where nobody knows."""
+        if volume.decibels is None:
+            return None
+        return tuple(map(volume.decibels.level, self._steps(volume)))
+
+    def set_volume_db(
+        self, volume: MixerVolume, wanted_db: float, limit_db: float = LOUDEST_DB
+    ) -> float:
+        """Set all channels to the next level that is not above wanted_db, limit_db nor 0 dB.
+
+        What is below the lowest level becomes that. Returns the level in dB.
+
+        Raises
+        ------
+        UsageError
+            wanted_db is no number, nobody knows what the steps mean, or even the lowest is above
+            the limit.
+        """
+        decibels = volume.decibels
+        if decibels is None:
+            raise UsageError(
+                f"the driver of sound card {self._card} does not say what the steps of "
+                f"{volume.name!r} are in dB; set it by ear, with alsamixer"
+            )
+        most_db = allowed_db(wanted_db, decibels.lowest_db, repr(volume.name), limit_db)
+        step = decibels.step_at_most(most_db)
+        step = decibels.lowest if step is None else step
+        self._set(volume, step)
+        return decibels.level(step)
+
+    def muted(self, switch: MixerSwitch) -> tuple[bool, ...]:
+        """Return whether each channel is muted."""
+        return tuple(not on for on in self._steps(switch))
+
+    def set_muted(self, switch: MixerSwitch, muted: bool) -> None:
+        """Mute all channels, or none."""
+        self._set(switch, int(not muted))
+
+    def close(self) -> None:
+        """Let go of it; once more does no harm."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+    def __enter__(self) -> CardMixer:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _numbers(self) -> list[int]:
+        listing = _List()
+        self._ask(_GET_LIST, listing)
+        ids = (_Id * min(listing.count, _MOST_ELEMENTS))()
+        listing = _List(space=len(ids), ids=ctypes.addressof(ids))
+        self._ask(_GET_LIST, listing)
+        return [
+            each.number
+            for each in ids[: listing.used]
+            if each.interface == _MIXER and each.name.endswith((_VOLUME.encode(), _SWITCH.encode()))
+        ]
+
+    def _take(self, number: int, volumes: list[MixerVolume], switches: list[MixerSwitch]) -> None:
+        info = _Info()
+        info.id.number = number
+        self._ask(_GET_INFO, info)
+        allowed = _READABLE | _WRITABLE
+        if info.access & allowed != allowed or not 0 < info.count <= 128:
+            return
+        name = info.id.name.decode(errors="replace")
+        if info.type == _BOOLEAN and name.endswith(_SWITCH):
+            switches.append(MixerSwitch(name, info.count, number))
+        if info.type == _INTEGER and name.endswith(_VOLUME):
+            steps = info.of.steps
+            words = self._table(number) if info.access & _HAS_TABLE else []
+            decibels = decibels_of(words, steps.lowest, steps.highest)
+            volumes.append(MixerVolume(name, info.count, decibels, number))
+
+    def _table(self, number: int) -> list[int]:
+        table = _Table(number=number, length=4 * _TABLE_WORDS)
+        try:
+            self._ask(_READ_TABLE, table)
+        except NotFoundError:  # some drivers announce one that they do not have
+            return []
+        words = list(table.words)
+        return words[: 2 + words[1] // 4]
+
+    def _steps(self, control: MixerVolume | MixerSwitch) -> list[int]:
+        held = _Value()
+        held.id.number = control.number
+        self._ask(_READ, held)
+        return list(held.of.steps[: control.channels])
+
+    def _set(self, control: MixerVolume | MixerSwitch, step: int) -> None:
+        held = _Value()
+        held.id.number = control.number
+        for channel in range(control.channels):
+            held.of.steps[channel] = step
+        self._ask(_WRITE, held)
+
+    def _ask(self, request: int, what: ctypes.Structure) -> None:
+        try:
+            fcntl.ioctl(self._file, request, what)
+        except OSError as error:
+            raise self._refusal(error) from None
+
+    def _refusal(self, error: OSError) -> NotFoundError:
+        what = f"the mixer of sound card {self._card} ({self._node})"
+        if error.errno in (errno.EACCES, errno.EPERM):
+            return NotFoundError(
+                f"this user may not open {what}; log in at the machine itself, or join the group "
+                "audio"
+            )
+        if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EBADF):
+            return NotFoundError(f"{what} is not there; plug the card in, see `cushion devices`")
+        return NotFoundError(f"{what} does not answer ({error.strerror}); plug the card in again")

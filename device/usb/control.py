@@ -1,0 +1,239 @@
+"""A device's own volume, mute and samplerate, by requests to the device itself.
+
+Only where no driver of the kernel holds it: usually one does, and then the mixer of ALSA or the
+sound server is the way. `take_over` takes a device from its driver for that; see there.
+"""
+
+from __future__ import annotations
+
+import errno
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from device.loudest import LOUDEST_DB
+from device.usb import requests
+from device.usb.descriptors import (
+    FeatureControl,
+    PlaybackFormat,
+    RateRange,
+    parse_whole,
+    playback_formats,
+)
+from device.usb.errors import NoUsbDeviceError, UsbAccessError
+from device.usb.pyusb_access import open_device, read_descriptors
+from device.usb.requests import Request, VolumeRange
+from device.usb.sysfs import UsbAudioDevice
+
+TIMEOUT_MS = 500
+"""Of one request: devices answer within some ms, or never."""
+
+
+@dataclass(frozen=True)
+class ControlState:
+    """What a device was set to, to set it so again. By channel, 0 is the master.
+
+    volumes: in 1/256 dB; mutes; samplerate: Hz, None where it did not tell.
+    """
+
+    volumes: tuple[tuple[int, int], ...] = ()
+    mutes: tuple[tuple[int, bool], ...] = ()
+    samplerate: int | None = None
+
+
+def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
+    """Return the first way to play on a device whose volume, or else mute, can be set; or any.
+
+    Raises
+    ------
+    UsbAccessError
+        Nothing can be played on it, or its descriptors cannot be read.
+    """
+    configurations = parse_whole(read_descriptors(device)).configurations
+    formats = playback_formats(configurations[0]) if configurations else ()
+    if not formats:
+        raise UsbAccessError(f"{device.label!r} takes no sound, as far as its descriptors say")
+    return max(formats, key=lambda one: (bool(one.volume_channels), bool(one.mute_channels)))
+
+
+class UsbControl:
+    """The controls of one device that is opened. One thread uses it, none that plays sound.
+
+    handle: PyUSB's device, that `close` lets go of. Volumes are in dB; channel 0 is the master.
+    Every question takes some ms, and half a second of a device that does not answer.
+
+    Raises
+    ------
+    UsbAccessError
+        By everything below: the device refuses, does not answer, or has no such control.
+    NoUsbDeviceError
+        It was pulled out.
+    """
+
+    def __init__(self, device: UsbAudioDevice, playback: PlaybackFormat, handle: Any) -> None:
+        self._device = device
+        self._playback = playback
+        self._handle = handle
+
+    @property
+    def volume_channels(self) -> tuple[int, ...]:
+        """Where a volume can be set."""
+        return self._playback.volume_channels
+
+    @property
+    def mute_channels(self) -> tuple[int, ...]:
+        """Where a mute can be set."""
+        return self._playback.mute_channels
+
+    def volume_db(self, channel: int) -> float:
+        """Return a volume; -inf is silence."""
+        return requests.volume_db(self._ask_feature(FeatureControl.VOLUME, channel))
+
+    def volume_range(self, channel: int) -> VolumeRange:
+        """Return what a volume can be."""
+        volume = FeatureControl.VOLUME
+        if self._playback.uac > 1:
+            answer = self._ask(requests.feature(self._playback, volume, channel, "range"))
+            return requests.volume_ranges(answer)
+        what: tuple[requests.What, ...] = ("lowest", "highest", "step")
+        lowest, highest, step = (
+            self._ask(requests.feature(self._playback, volume, channel, each)) for each in what
+        )
+        return requests.volume_range(lowest, highest, step)
+
+    def set_volume_db(self, channel: int, wanted_db: float, limit_db: float = LOUDEST_DB) -> float:
+        """Set a volume, never above 0 dB nor limit_db; return what it was set to."""
+        allowed_db = -math.inf
+        if wanted_db != -math.inf:
+            allowed_db = self.volume_range(channel).allowed(wanted_db, limit_db)
+        self._set_units(channel, requests.volume_units(allowed_db))
+        return allowed_db
+
+    def muted(self, channel: int) -> bool:
+        """Return whether a channel is muted."""
+        return bool(requests.number(self._ask_feature(FeatureControl.MUTE, channel), 1))
+
+    def set_muted(self, channel: int, muted: bool) -> None:
+        """Mute a channel, or not."""
+        self._ask(requests.set_feature(self._playback, FeatureControl.MUTE, channel, int(muted)))
+
+    def samplerate(self) -> int:
+        """Return the samplerate in Hz."""
+        asked = requests.samplerate(self._playback)
+        return requests.number(self._ask(asked), asked.length)
+
+    def samplerates(self) -> tuple[RateRange, ...]:
+        """Return what its clock offers, Hz: of 2.0, where descriptors do not tell."""
+        return requests.samplerate_ranges(self._ask(requests.samplerate(self._playback, "range")))
+
+    def set_samplerate(self, hertz: int) -> None:
+        """Set the samplerate in Hz."""
+        self._ask(requests.set_samplerate(self._playback, hertz))
+
+    def state(self) -> ControlState:
+        """Return all that it is set to; what it does not tell is left out."""
+        volumes, mutes = [], []
+        for channel in self.volume_channels:
+            answer = self._told(requests.feature(self._playback, FeatureControl.VOLUME, channel))
+            if len(answer) >= 2:
+                volumes.append((channel, int.from_bytes(answer[:2], "little", signed=True)))
+        for channel in self.mute_channels:
+            answer = self._told(requests.feature(self._playback, FeatureControl.MUTE, channel))
+            if answer:
+                mutes.append((channel, bool(answer[0])))
+        try:
+            rate = self.samplerate()
+        except UsbAccessError:
+            rate = None
+        return ControlState(tuple(volumes), tuple(mutes), rate)
+
+    def restore(self, state: ControlState) -> None:
+        """Set all that differs from a state to it. What was too loud is not made so again."""
+        now = self.state()
+        for channel, units in set(state.volumes) - set(now.volumes):
+            loudest = requests.volume_units(LOUDEST_DB)
+            self._set_units(channel, min(units, loudest))
+        for channel, muted in set(state.mutes) - set(now.mutes):
+            self.set_muted(channel, muted)
+        if state.samplerate and state.samplerate != now.samplerate:
+            self.set_samplerate(state.samplerate)
+
+    def close(self) -> None:
+        """Let go of the device."""
+        import usb.util
+
+        usb.util.dispose_resources(self._handle)
+
+    def _ask_feature(self, control: FeatureControl, channel: int) -> bytes:
+        return self._ask(requests.feature(self._playback, control, channel))
+
+    def _set_units(self, channel: int, units: int) -> None:
+        self._ask(requests.set_feature(self._playback, FeatureControl.VOLUME, channel, units))
+
+    def _told(self, request: Request) -> bytes:
+        try:
+            return self._ask(request)
+        except UsbAccessError:
+            return b""
+
+    def _ask(self, request: Request) -> bytes:
+        import usb.core
+
+        data = request.length if request.data is None else request.data
+        try:
+            answer = self._handle.ctrl_transfer(
+                request.request_type,
+                request.request,
+                request.value,
+                request.index,
+                data,
+                TIMEOUT_MS,
+            )
+        except usb.core.USBError as error:
+            raise _refusal(self._device, error) from None
+        return b"" if isinstance(answer, int) else bytes(answer)
+
+
+def open_control(device: UsbAudioDevice) -> UsbControl:
+    """Return the controls of a device that no driver holds.
+
+    Raises
+    ------
+    UsbAccessError
+        A driver holds it, it may not be opened, or nothing can be played on it.
+    NoLibusbError, NoUsbDeviceError
+        libusb is missing, or does not see it.
+    """
+    drivers = held_by(device)
+    if drivers:
+        raise UsbAccessError(
+            f"{device.label!r} belongs to the driver {', '.join(drivers)}: its volume is set in "
+            "the sound settings, or with alsamixer; --take-over takes it away from the driver for "
+            "as long as it is asked"
+        )
+    return UsbControl(device, playback_of(device), open_device(device))
+
+
+def held_by(device: UsbAudioDevice) -> tuple[str, ...]:
+    """Return the drivers of the kernel that hold audio interfaces of a device."""
+    drivers: Iterable[str] = (interface.driver for interface in device.interfaces)
+    return tuple(dict.fromkeys(name for name in drivers if name not in ("", "usbfs")))
+
+
+def _refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:
+    what = f"{device.label!r} at {device.node}"
+    if error.errno in (errno.ENODEV, errno.ENOENT):
+        return NoUsbDeviceError(f"{what} was pulled out; plug it in again")
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return UsbAccessError(
+            f"no permission to ask {what} (errno {error.errno}); `cushion install-service --udev` "
+            "prints a udev rule that gives it"
+        )
+    if error.errno == errno.EBUSY:
+        return UsbAccessError(f"{what} is held by a driver or another program (errno EBUSY)")
+    if error.errno == errno.EPIPE:
+        return UsbAccessError(f"{what} refuses the request (it stalls); it has no such control")
+    if error.errno == errno.ETIMEDOUT:
+        return UsbAccessError(f"{what} does not answer within {TIMEOUT_MS} ms; plug it in again")
+    return UsbAccessError(f"{what} does not answer as it should ({error}); plug it in again")

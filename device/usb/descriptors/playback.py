@@ -1,0 +1,186 @@
+"""What can be played, and how: one `PlaybackFormat` for each alternate setting that takes PCM."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from device.usb.descriptors.configuration import Configuration, Interface
+from device.usb.descriptors.entities import FeatureControl, InputTerminal
+from device.usb.descriptors.standard import Endpoint, Synchronisation, Transfer, Usage
+from device.usb.descriptors.streaming import RateRange, StreamFormat, StreamGeneral
+from device.usb.descriptors.topology import Topology, topologies
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackFormat:
+    """One way to play: choose `alternate` of `interface`, send frames to `endpoint_address`.
+
+    uac: 1 or 2. encodings: what the bits of a sample mean, "PCM" usually. channel_config: a bit a
+    loudspeaker position of the first channels, 0 where unknown (`position_names`).
+    subslot_bytes: of one sample; bits: its upper ones, which mean something.
+    samplerates: Hz, singly or a range; None where `clock_id` has to be asked (2.0).
+    clock_id: the clock that the terminal names, None in 1.0; clock_sources: the clock sources
+    that it can come from.
+    packet_bytes_max: of one (micro)frame; interval: bInterval. synchronisation: whose clock it
+    follows. feedback_endpoint: the address of the endpoint that says how fast the device plays,
+    None without one; implicit_feedback: that is a recording endpoint, whose packets say it.
+    control_interface: the interface that requests to the function's units go to, None where it is
+    not there. path: the ids from the USB terminal to the output terminal, () without a way.
+    feature_unit: of those on the path the first whose volume, or else mute, can be set, or else
+    the first; volume_channels, mute_channels: its channels where the host can set that, 0 is the
+    master. Volumes are in 1/256 dB (`VOLUME_UNITS_PER_DB`).
+    """
+
+    interface: int
+    alternate: int
+    uac: int
+    encodings: tuple[str, ...]
+    channels: int
+    channel_config: int
+    subslot_bytes: int
+    bits: int
+    samplerates: tuple[int, ...] | RateRange | None
+    clock_id: int | None
+    clock_sources: tuple[int, ...]
+    endpoint_address: int
+    packet_bytes_max: int
+    interval: int
+    synchronisation: Synchronisation
+    feedback_endpoint: int | None
+    implicit_feedback: bool
+    control_interface: int | None
+    path: tuple[int, ...]
+    feature_unit: int | None
+    volume_channels: tuple[int, ...]
+    mute_channels: tuple[int, ...]
+
+
+def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]:
+    """Every format of type I that the device plays, as the interfaces came.
+
+    Left out are alternate settings without an isochronous endpoint to the device, those whose
+    descriptors lack or have 0 channels or bytes a sample, and all of USB Audio 3.0.
+    """
+    functions = topologies(configuration)
+    implicit = _implicit_endpoints(configuration, functions)
+    found = []
+    for interface in configuration.interfaces:
+        general, stream_format = interface.general, interface.format
+        endpoint = _data_endpoint(interface)
+        if not (interface.is_streaming and general and stream_format and endpoint):
+            continue
+        if not stream_format.subslot_bytes or not (general.channels or stream_format.channels):
+            continue
+        function = functions.get(interface.number)
+        feedback, is_implicit = _feedback(interface, endpoint), False
+        if feedback is None and endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
+            feedback = implicit.get(function.control.number) if function else None
+            is_implicit = feedback is not None
+        found.append(
+            _playback(interface, general, stream_format, endpoint, feedback, is_implicit, function)
+        )
+    return tuple(found)
+
+
+def _playback(
+    interface: Interface,
+    general: StreamGeneral,
+    stream_format: StreamFormat,
+    endpoint: Endpoint,
+    feedback: int | None,
+    implicit: bool,
+    function: Topology | None,
+) -> PlaybackFormat:
+    linked = function.entities.get(general.terminal_link) if function else None
+    terminal = linked if isinstance(linked, InputTerminal) else None
+    channels = general.channels or stream_format.channels or 0
+    channel_config = general.channel_config
+    if channel_config is None:
+        same = terminal is not None and terminal.channels == channels
+        channel_config = terminal.channel_config if terminal and same else 0
+    clock_id = terminal.clock_id if terminal else None
+    path = function.path(terminal.id) if function and terminal else ()
+    unit = function.feature_unit(terminal.id) if function and terminal else None
+    return PlaybackFormat(
+        interface=interface.number,
+        alternate=interface.alternate,
+        uac=general.uac,
+        encodings=general.encodings,
+        channels=channels,
+        channel_config=channel_config,
+        subslot_bytes=stream_format.subslot_bytes,
+        bits=stream_format.bits,
+        samplerates=_playable(stream_format.samplerates),
+        clock_id=clock_id,
+        clock_sources=function.clock_sources(clock_id) if function and clock_id else (),
+        endpoint_address=endpoint.address,
+        packet_bytes_max=endpoint.packet_bytes,
+        interval=endpoint.interval,
+        synchronisation=endpoint.synchronisation,
+        feedback_endpoint=feedback,
+        implicit_feedback=implicit,
+        control_interface=function.control.number if function else None,
+        path=path,
+        feature_unit=unit.id if unit else None,
+        volume_channels=unit.settable(FeatureControl.VOLUME) if unit else (),
+        mute_channels=unit.settable(FeatureControl.MUTE) if unit else (),
+    )
+
+
+def _playable(
+    samplerates: tuple[int, ...] | RateRange | None,
+) -> tuple[int, ...] | RateRange | None:
+    """The samplerates without what cannot be meant: 0 Hz, a range upside down."""
+    if isinstance(samplerates, RateRange):
+        lowest, highest = sorted((samplerates.lowest, samplerates.highest))
+        return RateRange(max(lowest, 1), highest) if highest else ()
+    return None if samplerates is None else tuple(rate for rate in samplerates if rate)
+
+
+def _data_endpoint(interface: Interface) -> Endpoint | None:
+    """The first isochronous endpoint to the device that carries samples."""
+    for endpoint in interface.endpoints:
+        isochronous = endpoint.transfer is Transfer.ISOCHRONOUS
+        if isochronous and not endpoint.to_host and endpoint.usage is not Usage.FEEDBACK:
+            return endpoint
+    return None
+
+
+def _feedback(interface: Interface, endpoint: Endpoint) -> int | None:
+    """The address of the explicit feedback endpoint beside a data endpoint.
+
+    Devices of 1.0 do not mark it, but name it in bSynchAddress; of those that do not even that,
+    it is the one that goes the other way.
+    """
+    beside = [
+        other
+        for other in interface.endpoints
+        if other.transfer is Transfer.ISOCHRONOUS and other.to_host
+    ]
+    for other in beside:
+        if other.usage is Usage.FEEDBACK:
+            return other.address
+    synch = endpoint.synch_address
+    for other in beside:
+        # Devices exist that name its number without the direction; Linux takes it as well.
+        if synch and other.address == synch | 0x80:
+            return other.address
+    if endpoint.synchronisation is Synchronisation.ASYNCHRONOUS:
+        for other in beside:
+            if other.usage is Usage.DATA:
+                return other.address
+    return None
+
+
+def _implicit_endpoints(
+    configuration: Configuration, functions: dict[int, Topology]
+) -> dict[int, int]:
+    """The first endpoint marked as implicit feedback, by control interface of its function."""
+    found: dict[int, int] = {}
+    for interface in configuration.interfaces:
+        function = functions.get(interface.number) if interface.is_streaming else None
+        for endpoint in interface.endpoints if function else ():
+            marked = endpoint.usage is Usage.IMPLICIT_FEEDBACK and endpoint.to_host
+            if function and marked and endpoint.transfer is Transfer.ISOCHRONOUS:
+                found.setdefault(function.control.number, endpoint.address)
+    return found

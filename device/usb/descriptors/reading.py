@@ -1,0 +1,224 @@
+"""Bytes to a `Configuration`: which reader each descriptor gets, and whom it belongs to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from device.usb.descriptors.blocks import Block, Descriptor, blocks
+from device.usb.descriptors.checks import check
+from device.usb.descriptors.configuration import (
+    AUDIO,
+    MIDI,
+    Configuration,
+    Interface,
+    read_interface,
+)
+from device.usb.descriptors.control_v1 import CONTROL_READERS as CONTROL_READERS_1
+from device.usb.descriptors.control_v2 import CONTROL_READERS as CONTROL_READERS_2
+from device.usb.descriptors.names import class_name, midi_name, uac3_name
+from device.usb.descriptors.problems import Findings
+from device.usb.descriptors.standard import (
+    ASSOCIATION,
+    CONFIGURATION,
+    DEVICE,
+    ENDPOINT,
+    INTERFACE,
+    ConfigurationHeader,
+    Endpoint,
+    InterfaceAssociation,
+    read_association,
+    read_endpoint,
+    read_header,
+)
+from device.usb.descriptors.streaming import ENDPOINT_READERS, STREAMING_READERS
+
+CS_DEVICE, CS_INTERFACE, CS_ENDPOINT = 0x21, 0x24, 0x25
+_OF_ENDPOINTS = (CS_ENDPOINT, 0x30, 0x31)
+
+_CONTROL_READERS = {1: CONTROL_READERS_1, 2: CONTROL_READERS_2}
+_HID = 0x03
+
+BYTES_MAX = 0xFFFF
+"""A wTotalLength says no more; what is longer is no configuration."""
+
+
+def parse_configuration(raw: bytes, *, strict: bool = False) -> Configuration:
+    """What the bytes of one configuration say, its own descriptor first.
+
+    strict: whatever deviates from the specifications raises. Otherwise it stands in `problems`,
+    and all that can be understood is there. Descriptors longer than the standard's, and those
+    that nobody knows, are fine either way: they keep their bytes. The time it takes, and the
+    memory, grow with the number of bytes and not faster.
+
+    Raises
+    ------
+    DescriptorError
+        Not even a configuration descriptor stands at the beginning; in strict mode, any problem.
+    """
+    raw = bytes(raw)
+    findings = Findings(strict)
+    header = read_header(raw[:BYTES_MAX])
+    end = _end(raw, header, findings)
+    tree = _Tree()
+    at = len(header.raw)
+    for block in blocks(raw[:end], at, findings):
+        tree.take(block)
+        at = block.offset + len(block.raw)
+    tree.close()
+    configuration = Configuration(
+        header=header,
+        associations=tuple(tree.associations),
+        interfaces=tuple(tree.interfaces),
+        others=tuple(tree.others),
+        rest=raw[at:BYTES_MAX],
+        problems=(),
+    )
+    check(configuration, findings)
+    return replace(configuration, problems=findings.problems())
+
+
+def _end(raw: bytes, header: ConfigurationHeader, findings: Findings) -> int:
+    """Where the configuration ends; who says less than is there may be wrong, and is read on."""
+    total, end = header.total_bytes, min(len(raw), BYTES_MAX)
+    if total == len(raw):
+        return end
+    if total >= len(header.raw) and raw[total : total + 2] == raw[:2]:
+        findings.note(
+            0,
+            "configuration",
+            f"wTotalLength is {total}, where the next configuration of {len(raw)} bytes begins",
+            "the bytes of one configuration",
+        )
+        return total
+    findings.note(
+        0, "configuration", f"wTotalLength is {total}", f"{len(raw)}, as many as there are"
+    )
+    return end
+
+
+class _Tree:
+    """Gathers descriptors as they come; knows the interface and the endpoint that are open."""
+
+    def __init__(self) -> None:
+        self.associations: list[InterfaceAssociation] = []
+        self.interfaces: list[Interface] = []
+        self.others: list[Descriptor] = []
+        self._interface: Interface | None = None
+        self._descriptors: list[Descriptor] = []
+        self._endpoints: list[Endpoint] = []
+        self._endpoint: Endpoint | None = None
+        self._of_endpoint: list[Descriptor] = []
+        self._endpoint_lost = False
+
+    def take(self, block: Block) -> None:
+        """Read one descriptor and put it where it belongs."""
+        kind = block.type
+        if kind == INTERFACE:
+            self.close()
+            self._interface = read_interface(block)
+            if not self._interface:
+                self.others.append(block.other())
+        elif kind == ENDPOINT:
+            self._take_endpoint(block)
+        elif kind == ASSOCIATION:
+            # It begins a function, so the interface before it has ended.
+            self.close()
+            association = read_association(block)
+            if association:
+                self.associations.append(association)
+            else:
+                self.others.append(block.other())
+        elif kind in _OF_ENDPOINTS and not self._endpoint_lost:
+            self._of_endpoint.append(self._endpoint_descriptor(block))
+        else:
+            if kind in (DEVICE, CONFIGURATION):
+                block.note("it stands within a configuration", "before all others only")
+            self._descriptors.append(self._interface_descriptor(block))
+
+    def close(self) -> None:
+        """End the interface that is open."""
+        self._close_endpoint()
+        if self._interface:
+            self.interfaces.append(
+                replace(
+                    self._interface,
+                    descriptors=tuple(self._descriptors),
+                    endpoints=tuple(self._endpoints),
+                )
+            )
+        else:
+            self.others += self._descriptors
+        self._interface = None
+        self._descriptors, self._endpoints = [], []
+        self._endpoint_lost = False
+
+    def _close_endpoint(self) -> None:
+        if self._endpoint:
+            self._endpoints.append(replace(self._endpoint, descriptors=tuple(self._of_endpoint)))
+        else:
+            self._descriptors += self._of_endpoint
+        self._endpoint, self._of_endpoint = None, []
+
+    def _take_endpoint(self, block: Block) -> None:
+        early: list[Descriptor] = []
+        if not self._endpoint:
+            early, self._of_endpoint = self._of_endpoint, early
+        self._close_endpoint()
+        endpoint = read_endpoint(block)
+        self._endpoint_lost = endpoint is None
+        if endpoint and self._interface:
+            self._endpoint, self._of_endpoint = endpoint, early
+            return
+        if endpoint:
+            block.note("it stands outside of any interface", "behind an interface")
+        self._descriptors += [*early, endpoint or block.other()]
+
+    def _endpoint_descriptor(self, block: Block) -> Descriptor:
+        interface = self._interface
+        if block.type != CS_ENDPOINT:
+            return block.other()
+        uac = interface.uac if interface else None
+        if interface and interface.interface_class == AUDIO and interface.subclass == MIDI:
+            block.name = "MIDI endpoint"
+        elif uac == 3:
+            block.name = "UAC3 endpoint"
+        elif interface and interface.is_streaming and uac and block.subtype == 1:
+            block.name = "audio endpoint"
+            if not self._endpoint:
+                block.note("it stands before any endpoint", "behind its endpoint")
+            return ENDPOINT_READERS[uac](block) or block.other()
+        return block.other()
+
+    def _interface_descriptor(self, block: Block) -> Descriptor:
+        interface = self._interface
+        if interface is None or block.type not in (CS_DEVICE, CS_INTERFACE):
+            return block.other()
+        if block.type == CS_DEVICE:
+            block.name = "HID" if interface.interface_class == _HID else block.name
+            return block.other()
+        if interface.interface_class == AUDIO:
+            return _audio(block, interface)
+        name = class_name(interface.interface_class, interface.subclass)
+        block.name = f"{name} subtype 0x{block.subtype:02x}"
+        return block.other()
+
+
+def _audio(block: Block, interface: Interface) -> Descriptor:
+    """A class-specific descriptor of an audio interface."""
+    uac = interface.uac
+    if uac is None:
+        name = class_name(interface.interface_class, interface.subclass)
+        midi = interface.subclass == MIDI
+        block.name = midi_name(block.subtype) if midi else f"{name} subtype 0x{block.subtype:02x}"
+        return block.other()
+    if uac == 3:
+        block.name = uac3_name(interface.is_streaming, block.subtype)
+        return block.other()
+    readers = STREAMING_READERS[uac] if interface.is_streaming else _CONTROL_READERS[uac]
+    known = readers.get(block.subtype)
+    if known is None:
+        name = class_name(interface.interface_class, interface.subclass)
+        block.name = f"UAC{uac} {name} subtype 0x{block.subtype:02x}"
+        return block.other()
+    block.name, read = known
+    return read(block) or block.other()

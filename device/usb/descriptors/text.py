@@ -1,0 +1,218 @@
+"""A device's descriptors as a tree of text for bug reports: lsusb -v in short, no byte lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from device.usb.descriptors.blocks import Descriptor, OtherDescriptor
+from device.usb.descriptors.configuration import Configuration, Interface
+from device.usb.descriptors.entities import (
+    Access,
+    ClockEntity,
+    ClockSource,
+    ControlHeader,
+    EffectUnit,
+    Entity,
+    FeatureControl,
+    FeatureUnit,
+    InputTerminal,
+    MixerUnit,
+    OutputTerminal,
+    ProcessingUnit,
+    SampleRateConverter,
+)
+from device.usb.descriptors.names import class_name, position_names, terminal_name
+from device.usb.descriptors.standard import (
+    DeviceDescriptor,
+    Endpoint,
+    InterfaceAssociation,
+    Transfer,
+)
+from device.usb.descriptors.streaming import (
+    AudioEndpoint,
+    OtherFormat,
+    RateRange,
+    StreamFormat,
+    StreamGeneral,
+)
+
+INDENT = "  "
+_DUMP_BYTES = 32
+_LOCK_DELAY_UNITS = {1: "ms", 2: "samples"}
+
+
+def describe(device: DeviceDescriptor | None, configuration: Configuration) -> str:
+    """Lines of text: the device where it is given, the tree, the problems, all bytes in hex.
+
+    What is not understood stands in the tree in hex. `parse_hex` reads the bytes at the end again.
+    """
+    lines = [_device(device)] if device else []
+    lines += _configuration(configuration)
+    lines += [f"problem: {problem}" for problem in configuration.problems]
+    lines.append("bytes:")
+    lines += _dump(configuration.raw())
+    return "\n".join(lines)
+
+
+def _device(device: DeviceDescriptor) -> str:
+    return (
+        f"device {device.vendor_id:04x}:{device.product_id:04x}: release {_bcd(device.release)}, "
+        f"USB {_bcd(device.usb)}, {class_name(device.device_class, 0)}"
+    )
+
+
+def _configuration(configuration: Configuration) -> Iterator[str]:
+    header = configuration.header
+    power = "self" if header.self_powered else "bus"
+    yield (
+        f"configuration {header.value}: {power} powered, {header.max_power_ma} mA, "
+        f"{header.total_bytes} bytes"
+    )
+    in_order: list[Interface | Descriptor] = [
+        *configuration.interfaces,
+        *configuration.associations,
+        *configuration.others,
+    ]
+    for descriptor in sorted(in_order, key=lambda item: item.offset):
+        if isinstance(descriptor, Interface):
+            yield from _interface(descriptor)
+        else:
+            yield INDENT + _line(descriptor)
+
+
+def _interface(interface: Interface) -> Iterator[str]:
+    name = class_name(interface.interface_class, interface.subclass)
+    uac = interface.uac
+    version = f", USB Audio {uac}.0" if uac else ""
+    yield f"{INDENT}{interface.title}: {name}{version}"
+    for descriptor in interface.descriptors:
+        yield 2 * INDENT + _line(descriptor)
+    for endpoint in interface.endpoints:
+        yield 2 * INDENT + _line(endpoint)
+        for descriptor in endpoint.descriptors:
+            yield 3 * INDENT + _line(descriptor)
+
+
+def _dump(raw: bytes) -> Iterator[str]:
+    for at in range(0, len(raw), _DUMP_BYTES):
+        yield f"{at:04x}: {raw[at : at + _DUMP_BYTES].hex(' ')}"
+
+
+def _line(descriptor: Descriptor) -> str:
+    """One descriptor, without what belongs to it, in one line."""
+    if isinstance(descriptor, OtherDescriptor | OtherFormat):
+        details = descriptor.raw.hex(" ")
+    elif isinstance(descriptor, Entity):
+        details = ", ".join(_entity(descriptor))
+    else:
+        details = ", ".join(_details(descriptor))
+    return f"{descriptor.title}: {details}"
+
+
+def _details(descriptor: Descriptor) -> Iterator[str]:
+    match descriptor:
+        case InterfaceAssociation():
+            last = descriptor.first + descriptor.interfaces - 1
+            yield f"interfaces {descriptor.first} to {last}"
+            yield class_name(descriptor.function_class, descriptor.subclass)
+        case ControlHeader():
+            yield f"release {_bcd(descriptor.release)}"
+            if descriptor.interfaces:
+                yield f"interfaces {_ids(descriptor.interfaces)}"
+        case Endpoint():
+            yield from _endpoint(descriptor)
+        case StreamGeneral():
+            yield f"terminal {descriptor.terminal_link}"
+            yield " or ".join(descriptor.encodings) or "no format"
+            if descriptor.channels is not None:
+                yield _channels(descriptor.channels, descriptor.channel_config or 0)
+        case StreamFormat():
+            if descriptor.channels is not None:
+                yield _channels(descriptor.channels, 0)
+            yield f"{descriptor.bits} bits in {descriptor.subslot_bytes} bytes"
+            if descriptor.samplerates is not None:
+                yield _rates(descriptor.samplerates)
+        case AudioEndpoint():
+            yield f"attributes 0x{descriptor.attributes:02x}"
+            if descriptor.samplerate_settable:
+                yield "samplerate can be set"
+            unit = _LOCK_DELAY_UNITS.get(descriptor.lock_delay_unit)
+            if unit:
+                yield f"locks within {descriptor.lock_delay} {unit}"
+        case _:
+            yield descriptor.raw.hex(" ")
+
+
+def _entity(entity: Entity) -> Iterator[str]:
+    if entity.source_ids:
+        yield f"from {_ids(entity.source_ids)}"
+    match entity:
+        case InputTerminal():
+            yield terminal_name(entity.terminal_type)
+            yield _channels(entity.channels, entity.channel_config)
+            if entity.clock_id is not None:
+                yield f"clock {entity.clock_id}"
+        case OutputTerminal():
+            yield terminal_name(entity.terminal_type)
+            if entity.clock_id is not None:
+                yield f"clock {entity.clock_id}"
+        case FeatureUnit():
+            yield from _features(entity)
+        case ProcessingUnit():
+            yield f"type 0x{entity.process_type:04x}"
+            yield _channels(entity.channels, entity.channel_config)
+        case EffectUnit():
+            yield f"type 0x{entity.effect_type:04x}"
+        case MixerUnit():
+            yield _channels(entity.channels, entity.channel_config)
+        case SampleRateConverter():
+            yield f"clock {entity.clock_in_id} to clock {entity.clock_out_id}"
+        case ClockSource():
+            yield entity.clock_kind.name.lower()
+            yield f"samplerate {entity.frequency.name.lower().replace('_', '-')}"
+            if entity.follows_usb_frames:
+                yield "follows USB frames"
+        case ClockEntity():
+            yield f"controls 0x{entity.controls:02x}"
+
+
+def _features(unit: FeatureUnit) -> Iterator[str]:
+    for control in FeatureControl:
+        for access, words in ((Access.READ_WRITE, ""), (Access.READ_ONLY, " (read only)")):
+            channels = [c for c in range(len(unit.controls)) if unit.access(c, control) is access]
+            if channels:
+                named = ", ".join(str(channel) if channel else "master" for channel in channels)
+                yield f"{control.name.lower().replace('_', ' ')} of {named}{words}"
+
+
+def _endpoint(endpoint: Endpoint) -> Iterator[str]:
+    yield "to the host" if endpoint.to_host else "to the device"
+    yield endpoint.transfer.name.lower()
+    if endpoint.transfer is Transfer.ISOCHRONOUS:
+        yield endpoint.synchronisation.name.lower().replace("none", "not synchronised")
+        yield endpoint.usage.name.lower().replace("_", " ")
+    yield f"{endpoint.packet_bytes} bytes"
+    yield f"interval {endpoint.interval}"
+    if endpoint.synch_address:
+        yield f"feedback by 0x{endpoint.synch_address:02x}"
+
+
+def _bcd(number: int) -> str:
+    """A version such as 2.01 from 0x0201; digits that are none stay hexadecimal."""
+    return f"{number >> 8:x}.{number & 0xFF:02x}"
+
+
+def _channels(channels: int, channel_config: int) -> str:
+    positions = position_names(channel_config)
+    words = "1 channel" if channels == 1 else f"{channels} channels"
+    return f"{words} ({' '.join(positions)})" if positions else words
+
+
+def _ids(ids: tuple[int, ...]) -> str:
+    return ", ".join(str(number) for number in ids)
+
+
+def _rates(rates: tuple[int, ...] | RateRange) -> str:
+    if isinstance(rates, RateRange):
+        return f"{rates.lowest} to {rates.highest} Hz"
+    return f"{_ids(rates)} Hz" if rates else "no samplerate"

@@ -1,0 +1,25 @@
+"""Why a USB audio device cannot be found or opened: four reasons with four remedies.
+
+They look alike to whoever only sees an empty list, but a container without a bus, a missing
+library, a missing permission and an unplugged cable want different things of the user.
+"""
+
+from __future__ import annotations
+
+from device.errors import NotFoundError
+
+
+class NoUsbBusError(NotFoundError):
+    """The kernel shows no USB bus here at all, as in a container."""
+
+
+class NoUsbDeviceError(NotFoundError):
+    """There is a bus, but the device that is wanted is not on it."""
+
+
+class NoLibusbError(NotFoundError):
+    """PyUSB, or the library libusb that it calls, is not installed."""
+
+
+class UsbAccessError(NotFoundError):
+    """The device is there, but it may not be opened or does not answer."""

@@ -1,0 +1,86 @@
+"""The process that gives a device back to its driver when its parent lets go, or was killed.
+
+Reads lines of JSON from standard input, of which the last one counts, until it is closed. Then it
+restores the state and attaches the driver; what is wrong is one line on standard output. A device
+that was pulled out meanwhile is in order.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from device.errors import CushionError
+from device.usb.control import ControlState, UsbControl, playback_of
+from device.usb.errors import NoUsbDeviceError
+from device.usb.pyusb_access import open_device
+from device.usb.sysfs import find_devices
+
+
+def main() -> int:
+    """Wait, give back; the exit code is 1 where that failed."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    told: dict[str, Any] | None = None
+    for line in sys.stdin:
+        with suppress(ValueError):  # the last line was cut when the parent died
+            told = json.loads(line)
+    if told is None:
+        return 0
+    try:
+        _give_back(told)
+    except NoUsbDeviceError:
+        return 0
+    except CushionError as error:
+        print(error)
+        return 1
+    return 0
+
+
+def _give_back(told: dict[str, Any]) -> None:
+    devices = find_devices(Path(told["root"])).devices
+    place = (told["port"], told["address"])
+    device = next((one for one in devices if (one.port, one.address) == place), None)
+    if device is None:  # another plugging in is another device, with a driver of its own
+        return
+    state = told["state"]
+    handle = open_device(device)
+    control = UsbControl(device, playback_of(device), handle)
+    trouble: CushionError | None = None
+    try:
+        control.restore(
+            ControlState(
+                tuple((channel, units) for channel, units in state["volumes"]),
+                tuple((channel, muted) for channel, muted in state["mutes"]),
+                state["samplerate"],
+            )
+        )
+    except CushionError as error:
+        trouble = error
+    finally:
+        control.close()
+    _attach(handle, told["interfaces"])
+    if trouble is not None:
+        raise trouble
+
+
+def _attach(handle: Any, interfaces: list[int]) -> None:
+    import usb.core
+    import usb.util
+
+    try:
+        for number in interfaces:
+            # The driver of the first takes the others along, and they are then busy.
+            with suppress(usb.core.USBError, NotImplementedError):
+                if not handle.is_kernel_driver_active(number):
+                    handle.attach_kernel_driver(number)
+    finally:
+        usb.util.dispose_resources(handle)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

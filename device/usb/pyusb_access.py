@@ -1,0 +1,162 @@
+"""What only a device itself can tell, asked through PyUSB: descriptors and strings, no more.
+
+The kernel tells nearly all of it in /sys, and is asked first. Opening a device for these questions
+leaves its driver and its sound card alone. Questions take milliseconds, up to seconds from a
+device that does not answer.
+"""
+
+from __future__ import annotations
+
+import errno
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from device.usb.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
+from device.usb.sysfs import UsbAudioDevice
+
+_DEVICE, _CONFIGURATION = 1, 2
+_DEVICE_LENGTH, _CONFIGURATION_LENGTH = 18, 9
+_TOTAL_LENGTH = slice(2, 4)
+"""Where descriptors have their type and length: USB 2.0, tables 9-5, 9-8 and 9-10."""
+
+
+@dataclass(frozen=True)
+class UsbStrings:
+    """What a device calls itself; "" where it does not say, or may not be asked."""
+
+    manufacturer: str
+    product: str
+    serial: str
+
+
+@cache
+def libusb() -> Any:
+    """Return PyUSB's backend, chosen once: PyUSB keeps one a process, and a second disturbs it.
+
+    Raises
+    ------
+    NoLibusbError
+        There is none; it is looked for again at the next call.
+    """
+    try:
+        from usb.backend import libusb1
+    except ImportError as error:
+        raise NoLibusbError(
+            f"no libusb: PyUSB cannot be imported ({error}); install it: pip install pyusb"
+        ) from None
+    backend = libusb1.get_backend()
+    if backend is None:
+        raise NoLibusbError(
+            "no libusb: PyUSB is here, but not the library libusb-1.0; install it: "
+            "sudo apt install libusb-1.0-0, or sudo dnf install libusb1"
+        )
+    return backend
+
+
+def open_device(device: UsbAudioDevice) -> Any:
+    """Return PyUSB's usb.core.Device of a device that `find_devices` found.
+
+    Nothing is opened before the first question; whoever holds it ends with
+    usb.util.dispose_resources.
+
+    Raises
+    ------
+    NoLibusbError
+        libusb is missing.
+    NoUsbDeviceError
+        libusb does not see the device.
+    """
+    backend = libusb()
+    import usb.core
+
+    try:
+        handle = usb.core.find(backend=backend, bus=device.bus, address=device.address)
+    except usb.core.USBError as error:
+        raise _refusal(device, error) from None
+    ids = (int(device.vendor_id, 16), int(device.product_id, 16))
+    if handle is None or (handle.idVendor, handle.idProduct) != ids:
+        raise NoUsbDeviceError(
+            f"libusb does not see {device.label!r} at {device.node}, which the kernel shows; it "
+            "was pulled out, or in a container libusb learns of no changes: plug it in before "
+            "the program starts, and pass on /dev/bus/usb"
+        )
+    return handle
+
+
+def read_descriptors(device: UsbAudioDevice) -> bytes:
+    """Return the device descriptor and all configurations, as they lie in /sys.
+
+    Raises
+    ------
+    NoLibusbError, NoUsbDeviceError, UsbAccessError
+        /sys does not have them, and the device cannot be asked.
+    """
+    if device.descriptors:
+        return device.descriptors
+    handle = open_device(device)
+    import usb.core
+    import usb.util
+    from usb.control import get_descriptor
+
+    try:
+        blocks = [bytes(get_descriptor(handle, _DEVICE_LENGTH, _DEVICE, 0))]
+        for index in range(handle.bNumConfigurations):
+            head = bytes(get_descriptor(handle, _CONFIGURATION_LENGTH, _CONFIGURATION, index))
+            length = int.from_bytes(head[_TOTAL_LENGTH], "little")
+            blocks.append(bytes(get_descriptor(handle, length, _CONFIGURATION, index)))
+    except usb.core.USBError as error:
+        raise _refusal(device, error) from None
+    finally:
+        usb.util.dispose_resources(handle)
+    return b"".join(blocks)
+
+
+def read_strings(device: UsbAudioDevice) -> UsbStrings:
+    """Return what a device calls itself: as /sys has it, and of the device what is missing there.
+
+    A device that may not be opened, or has no strings, keeps what /sys says.
+
+    Raises
+    ------
+    NoLibusbError, NoUsbDeviceError
+        Something is missing in /sys, and the device cannot be found through libusb.
+    """
+    known = UsbStrings(device.manufacturer, device.product, device.serial)
+    if all((known.manufacturer, known.product, known.serial)):
+        return known
+    handle = open_device(device)
+    import usb.core
+    import usb.util
+
+    def asked(index: int) -> str:
+        # ValueError: "no langid", which is also what a missing permission looks like here
+        try:
+            text = usb.util.get_string(handle, index) or ""
+        except (ValueError, usb.core.USBError):
+            return ""
+        return "".join(sign for sign in text if sign.isprintable()).strip()
+
+    try:
+        return UsbStrings(
+            known.manufacturer or asked(handle.iManufacturer),
+            known.product or asked(handle.iProduct),
+            known.serial or asked(handle.iSerialNumber),
+        )
+    finally:
+        usb.util.dispose_resources(handle)
+
+
+def _refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:
+    what = f"{device.label!r} at {device.node}"
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return UsbAccessError(
+            f"no permission to open {what} (errno {error.errno}); `cushion install-service --udev` "
+            'prints a udev rule that gives USB audio devices TAG+="uaccess", so that whoever sits '
+            "at the machine may; install it and plug the device in again"
+        )
+    if error.errno == errno.ENODEV:
+        return NoUsbDeviceError(f"{what} was pulled out while it was asked; plug it in again")
+    return UsbAccessError(
+        f"{what} does not answer as it should ({error}); plug it in again, or into another port"
+    )

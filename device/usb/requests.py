@@ -1,0 +1,212 @@
+"""What is asked of an audio device's controls, as the bytes of control transfers, and the answers.
+
+Pure functions. Volumes are in dB here, and in 1/256 dB on the wire, signed 16 bit, where -32768 is
+silence. Sources: USB Audio 1.0, 5.2; 2.0, 5.2.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Literal
+
+from device.errors import UsageError
+from device.loudest import LOUDEST_DB, allowed_db
+from device.usb.descriptors import VOLUME_UNITS_PER_DB, FeatureControl, PlaybackFormat, RateRange
+from device.usb.errors import UsbAccessError
+
+What = Literal["now", "range", "lowest", "highest", "step"]
+
+SILENCE_UNITS = -32_768
+
+_OUT_OF_INTERFACE, _OUT_OF_ENDPOINT = 0xA1, 0xA2
+_INTO_INTERFACE, _INTO_ENDPOINT = 0x21, 0x22
+_GET: dict[int, dict[What, int]] = {
+    1: {"now": 0x81, "lowest": 0x82, "highest": 0x83, "step": 0x84},
+    2: {"now": 0x01, "range": 0x02},
+}
+_SET = 0x01
+_SAMPLERATE = 0x01
+_MOST_RANGES = 32
+"""More than the ranges of any device, so that a lying count asks for little."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One control transfer. length: of the answer; data: what is sent instead, None to ask."""
+
+    request_type: int
+    request: int
+    value: int
+    index: int
+    length: int
+    data: bytes | None = None
+
+
+@dataclass(frozen=True)
+class VolumeRange:
+    """What a volume can be, in dB; step_db: between two values that differ."""
+
+    lowest_db: float
+    highest_db: float
+    step_db: float
+
+    def allowed(self, wanted_db: float, limit_db: float = LOUDEST_DB) -> float:
+        """Return the value to set, in dB: the next that is neither above `wanted_db` nor a limit.
+
+        What is below the range becomes its lowest value.
+
+        Raises
+        ------
+        UsageError
+            wanted_db is no number, or even the lowest value is above the limit.
+        """
+        most_db = allowed_db(wanted_db, self.lowest_db, "the device", limit_db)
+        highest_db = min(most_db, self.highest_db)
+        steps = math.floor((highest_db - self.lowest_db) / self.step_db + 1e-9)
+        return self.lowest_db + max(0, steps) * self.step_db
+
+
+def feature(
+    playback: PlaybackFormat, control: FeatureControl, channel: int, what: What = "now"
+) -> Request:
+    """Return how to ask for a control of the feature unit that a playback format goes through.
+
+    Raises
+    ------
+    UsbAccessError
+        There is no such unit.
+    """
+    length = 1 if control is FeatureControl.MUTE else 2
+    if what == "range":
+        length = 2 + 3 * length * _MOST_RANGES
+    value = (control + 1) << 8 | channel
+    index = _unit_index(playback, playback.feature_unit, "volume or mute")
+    return Request(_OUT_OF_INTERFACE, _GET[playback.uac][what], value, index, length)
+
+
+def set_feature(
+    playback: PlaybackFormat, control: FeatureControl, channel: int, value: int
+) -> Request:
+    """Return how to set it; value: in the units of the control."""
+    asked = feature(playback, control, channel)
+    data = value.to_bytes(asked.length, "little", signed=control is not FeatureControl.MUTE)
+    return Request(_INTO_INTERFACE, _SET, asked.value, asked.index, len(data), data)
+
+
+def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
+    """Return how to ask for the samplerate: of the endpoint in 1.0, of its clock source in 2.0.
+
+    Raises
+    ------
+    UsbAccessError
+        2.0, and nobody knows which of several clocks it is, or there is none.
+    """
+    if playback.uac == 1 and what != "now":
+        raise UsbAccessError("a device of USB Audio 1.0 lists its samplerates in its descriptors")
+    if playback.uac == 1:
+        address = playback.endpoint_address
+        return Request(_OUT_OF_ENDPOINT, _GET[1][what], _SAMPLERATE << 8, address, 3)
+    if len(playback.clock_sources) > 1:
+        raise UsbAccessError(
+            f"the device can take any of the clocks {playback.clock_sources}; it is not known "
+            "which it takes, so none is asked"
+        )
+    clock = playback.clock_sources[0] if playback.clock_sources else None
+    index = _unit_index(playback, clock, "a clock")
+    length = 4 if what == "now" else 2 + 12 * _MOST_RANGES
+    return Request(_OUT_OF_INTERFACE, _GET[2][what], _SAMPLERATE << 8, index, length)
+
+
+def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
+    """Return how to set the samplerate, Hz. UsageError: no device can have it."""
+    asked = samplerate(playback)
+    if not 0 < hertz < 1 << 8 * min(3, asked.length):
+        raise UsageError(f"samplerate {hertz} Hz is not possible; choose one that is offered")
+    into = _INTO_ENDPOINT if playback.uac == 1 else _INTO_INTERFACE
+    data = hertz.to_bytes(asked.length, "little")
+    return Request(into, _SET, asked.value, asked.index, len(data), data)
+
+
+def volume_db(answer: bytes) -> float:
+    """Return a volume in dB; -inf is silence. UsbAccessError: no volume."""
+    (units,) = _units("volume", answer, "<h")
+    return -math.inf if units == SILENCE_UNITS else units / VOLUME_UNITS_PER_DB
+
+
+def volume_units(decibels: float) -> int:
+    """Return a volume in 1/256 dB, never above what is meant; -inf is silence."""
+    if decibels == -math.inf:
+        return SILENCE_UNITS
+    return max(SILENCE_UNITS + 1, min(32_767, math.floor(decibels * VOLUME_UNITS_PER_DB + 1e-6)))
+
+
+def volume_range(lowest: bytes, highest: bytes, step: bytes) -> VolumeRange:
+    """Return the range of three answers of 1.0. UsbAccessError: it is none."""
+    triple = [_units("volume range", answer, "<h")[0] for answer in (lowest, highest, step)]
+    return _volume_range([(triple[0], triple[1], triple[2])])
+
+
+def volume_ranges(answer: bytes) -> VolumeRange:
+    """Return the range of one answer of 2.0, from its first to its last. UsbAccessError: none."""
+    return _volume_range(_ranges("volume range", answer, "<hhh"))
+
+
+def samplerate_ranges(answer: bytes) -> tuple[RateRange, ...]:
+    """Return what a clock source of 2.0 offers, Hz; one rate is a range, too."""
+    return tuple(
+        RateRange(lowest, highest)
+        for lowest, highest, _ in _ranges("samplerates", answer, "<III")
+        if 0 < lowest <= highest
+    )
+
+
+def number(answer: bytes, length: int) -> int:
+    """Return a number without a sign. UsbAccessError: the answer is too short."""
+    if len(answer) < length:
+        raise _short("number", answer, length)
+    return int.from_bytes(answer[:length], "little")
+
+
+def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
+    lowest = min((low for low, _, _ in triples), default=0)
+    highest = max((high for _, high, _ in triples), default=-1)
+    if lowest > highest:
+        raise UsbAccessError(
+            f"the device offers volumes from {lowest / VOLUME_UNITS_PER_DB:g} to "
+            f"{highest / VOLUME_UNITS_PER_DB:g} dB, which is none; its volume is left alone"
+        )
+    # Silence is no volume that steps can be counted from.
+    lowest = max(lowest, SILENCE_UNITS + 1)
+    step = max(1, *(step for _, _, step in triples))
+    units = VOLUME_UNITS_PER_DB
+    return VolumeRange(lowest / units, highest / units, step / units)
+
+
+def _ranges(name: str, answer: bytes, layout: str) -> list[tuple[int, ...]]:
+    """Return the (lowest, highest, step) of a RANGE answer that are really there."""
+    (count,) = _units(name, answer, "<H")
+    size = struct.calcsize(layout)
+    whole = min(count, (len(answer) - 2) // size)
+    if not whole:
+        raise UsbAccessError(f"the device offers no {name}: {answer.hex(' ')}")
+    return [struct.unpack_from(layout, answer, 2 + size * each) for each in range(whole)]
+
+
+def _units(name: str, answer: bytes, layout: str) -> tuple[int, ...]:
+    if len(answer) < struct.calcsize(layout):
+        raise _short(name, answer, struct.calcsize(layout))
+    return struct.unpack_from(layout, answer)
+
+
+def _short(name: str, answer: bytes, length: int) -> UsbAccessError:
+    return UsbAccessError(
+        f"the device answers {answer.hex(' ') or 'nothing'} where its {name} has {length} bytes"
+    )
+
+
+def _unit_index(playback: PlaybackFormat, unit: int | None, name: str) -> int:
+    if unit is None or playback.control_interface is None:
+        raise UsbAccessError(f"the device has no {name} that can be asked")
+    return unit << 8 | playback.control_interface

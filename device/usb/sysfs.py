@@ -1,0 +1,267 @@
+"""What the kernel tells everyone of USB audio devices: no permission, no library, no opening.
+
+All of it is read from /sys and /proc, below a `root` that is "/" but for tests. A device that is
+pulled out while it is read is left out, never half described. Reading one device takes about a
+millisecond, but may wait for the device where it is just being plugged in: not for audio threads.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from device.errors import NotFoundError
+from device.usb.errors import NoUsbBusError, NoUsbDeviceError
+
+ROOT = Path("/")
+
+AUDIO_CLASS = 0x01
+STREAMING = 0x02
+"""The subclass of interfaces that carry samples; 0x01 is control, 0x03 is MIDI."""
+
+_NO_BUS = (
+    "no USB bus is visible: there is neither a bus in /sys/bus/usb nor /dev/bus/usb; in a "
+    "container, pass both on (such as --device /dev/bus/usb), in a virtual machine add a USB "
+    "controller"
+)
+
+_PORT = re.compile(r"(\d+)-\d+(\.\d+)*")
+_INTERFACE = re.compile(r"(?P<port>\d+-[\d.]+):\d+\.\d+")
+_CARD = re.compile(r"card(\d+)")
+_PCM = re.compile(r"pcmC(?P<card>\d+)D(?P<device>\d+)p")
+
+
+@dataclass(frozen=True)
+class AudioInterface:
+    """One audio interface of a device. subclass: 1 control, 2 streaming, 3 MIDI.
+
+    protocol: 0x00 for version 1 of the audio class, 0x20 for 2, 0x30 for 3. driver: that holds it,
+    such as "snd-usb-audio", "" for none.
+    """
+
+    number: int
+    subclass: int
+    protocol: int
+    driver: str
+
+
+@dataclass(frozen=True)
+class AlsaCard:
+    """A sound card of ALSA. id: its short name, "" if unknown; playback: devices that play."""
+
+    number: int
+    id: str
+    playback: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class UsbAudioDevice:
+    """One USB device with an audio interface, as it was at one moment.
+
+    port: the socket, as bus and chain of ports, such as "1-2.3". path: below /sys, such as
+    "/devices/pci0000:00/0000:00:14.0/usb1/1-2". vendor_id, product_id: four hexadecimal digits.
+    manufacturer, product, serial: "" where the device has none; what cannot be printed is "�".
+    bus, address: numbers, the latter another one at every plugging in. speed: Mbit/s, 0 if
+    unknown. max_power_ma: None if unknown. descriptors: as the kernel read them, device descriptor
+    first; b"" where they cannot be read. node: the file through which it is opened.
+    """
+
+    port: str
+    path: str
+    vendor_id: str
+    product_id: str
+    manufacturer: str
+    product: str
+    serial: str
+    bus: int
+    address: int
+    speed: float
+    max_power_ma: int | None
+    descriptors: bytes
+    node: Path
+    interfaces: tuple[AudioInterface, ...]
+    cards: tuple[AlsaCard, ...]
+
+    @property
+    def plays(self) -> bool:
+        """Whether sound can be played on it: not on one that is only for MIDI or recording.
+
+        ALSA says so once a driver has made a card of it. Without a card, an interface that streams
+        counts: in which direction it does is in the descriptors, which are not read here.
+        """
+        if self.cards:
+            return any(card.playback for card in self.cards)
+        return any(interface.subclass == STREAMING for interface in self.interfaces)
+
+    @property
+    def label(self) -> str:
+        """What a person calls it, without what tells two of a kind apart."""
+        return " ".join(filter(None, (self.manufacturer, self.product))) or (
+            f"{self.vendor_id}:{self.product_id}"
+        )
+
+
+@dataclass(frozen=True)
+class Found:
+    """What USB audio devices there are, sorted by port.
+
+    reason: why none of them plays, to be shown or raised; None as soon as one does.
+    """
+
+    devices: tuple[UsbAudioDevice, ...]
+    reason: NotFoundError | None = None
+
+    @property
+    def outputs(self) -> tuple[UsbAudioDevice, ...]:
+        """The devices that play."""
+        return tuple(device for device in self.devices if device.plays)
+
+
+def find_devices(root: Path = ROOT) -> Found:
+    """Return every USB device with an audio interface; what cannot be read raises nothing."""
+    bus = root / "sys/bus/usb/devices"
+    names = names_in(bus)
+    if not any(name.startswith("usb") for name in names) and not (root / "dev/bus/usb").is_dir():
+        return Found((), NoUsbBusError(_NO_BUS))
+    cards = _cards(root)
+    interfaces = defaultdict(list)
+    for name in names:
+        if match := _INTERFACE.fullmatch(name):
+            interfaces[match["port"]].append(bus / name)
+    found = (
+        _device(root, name, sorted(interfaces[name]), cards)
+        for name in sorted(filter(_PORT.fullmatch, names), key=_in_order)
+    )
+    devices = tuple(device for device in found if device is not None)
+    return Found(devices, _why_none_plays(devices))
+
+
+def names_in(folder: Path) -> frozenset[str]:
+    """Return the names in a folder, none where there is no folder or it may not be read."""
+    try:
+        return frozenset(os.listdir(folder))  # noqa: PTH208 - half the time of Path.iterdir
+    except OSError:
+        return frozenset()
+
+
+def _why_none_plays(devices: Iterable[UsbAudioDevice]) -> NoUsbDeviceError | None:
+    others = []
+    for device in devices:
+        if device.plays:
+            return None
+        others.append(f"{device.label!r} in port {device.port}")
+    if others:
+        return NoUsbDeviceError(
+            f"no USB device plays sound: {', '.join(others)} is there, but only for MIDI or "
+            "recording; plug in the DAC"
+        )
+    return NoUsbDeviceError(
+        "no USB audio device is plugged in; plug in the DAC, with its own power if it has any, and "
+        "see whether `lsusb` shows it"
+    )
+
+
+def _device(
+    root: Path, port: str, interfaces: Iterable[Path], cards: dict[str, list[AlsaCard]]
+) -> UsbAudioDevice | None:
+    """Read one device; None if it has no audio interface or is going away."""
+    folder = root / "sys/bus/usb/devices" / port
+    audio = tuple(filter(None, map(_interface, interfaces)))
+    if not audio:
+        return None
+    try:
+        before = (folder / "devnum").read_bytes()
+        real = os.path.realpath(folder)
+        bus, address = int((folder / "busnum").read_bytes()), int(before)
+        device = UsbAudioDevice(
+            port=port,
+            path=real.removeprefix(os.path.realpath(root / "sys")),
+            vendor_id=f"{int((folder / 'idVendor').read_bytes(), 16):04x}",
+            product_id=f"{int((folder / 'idProduct').read_bytes(), 16):04x}",
+            manufacturer=_text(folder / "manufacturer"),
+            product=_text(folder / "product"),
+            serial=_text(folder / "serial"),
+            bus=bus,
+            address=address,
+            speed=float(_number(folder / "speed", r"\d+(\.\d+)?") or 0),
+            max_power_ma=int(power) if (power := _number(folder / "bMaxPower", r"\d+")) else None,
+            descriptors=_bytes(folder / "descriptors"),
+            node=root / f"dev/bus/usb/{bus:03d}/{address:03d}",
+            interfaces=audio,
+            cards=tuple(cards.get(real, ())),
+        )
+        # Another device may have taken the place meanwhile; what was missing may have gone.
+        if (folder / "devnum").read_bytes() != before:
+            return None
+    except (OSError, ValueError):
+        return None
+    return device
+
+
+def _interface(folder: Path) -> AudioInterface | None:
+    try:
+        if int((folder / "bInterfaceClass").read_bytes(), 16) != AUDIO_CLASS:
+            return None
+        return AudioInterface(
+            number=int((folder / "bInterfaceNumber").read_bytes(), 16),
+            subclass=int((folder / "bInterfaceSubClass").read_bytes(), 16),
+            protocol=int((folder / "bInterfaceProtocol").read_bytes(), 16),
+            driver=_link(folder / "driver"),
+        )
+    except (OSError, ValueError):
+        return None
+
+
+def _cards(root: Path) -> dict[str, list[AlsaCard]]:
+    """Return ALSA's cards by the real path of the USB device that they are made of."""
+    sound = root / "sys/class/sound"
+    names = names_in(sound)
+    playback = defaultdict(list)
+    for name in names:
+        if match := _PCM.fullmatch(name):
+            playback[int(match["card"])].append(int(match["device"]))
+    cards = defaultdict(list)
+    for number in sorted(int(match[1]) for name in names if (match := _CARD.fullmatch(name))):
+        place = Path(os.path.realpath(sound / f"card{number}" / "device"))
+        # Usually an interface, one below its device, which may lie below several hubs.
+        usb = next((at for at in (place, *place.parents) if _PORT.fullmatch(at.name)), None)
+        if usb is None:
+            continue
+        known_as = _text(root / f"proc/asound/card{number}/id")
+        known_as = known_as or _text(sound / f"card{number}" / "id")
+        cards[str(usb)].append(AlsaCard(number, known_as, tuple(sorted(playback[number]))))
+    return cards
+
+
+def _in_order(port: str) -> list[int]:
+    """Sort 1-10 behind 1-2."""
+    return [int(number) for number in re.split("[-.]", port)]
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""
+
+
+def _text(path: Path) -> str:
+    """What a file says on one line: devices are free to send line breaks or half characters."""
+    text = _bytes(path).decode("utf-8", "replace").strip()
+    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in text)
+
+
+def _number(path: Path, pattern: str) -> str:
+    match = re.match(pattern, _text(path))
+    return match[0] if match else ""
+
+
+def _link(path: Path) -> str:
+    try:
+        return path.readlink().name
+    except OSError:
+        return ""

@@ -1,0 +1,146 @@
+"""What /proc/asound looks like, written anew: cards of every kind without any card."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+ASYNC = """\
+Maker DAC Two at usb-0000:00:14.0-2, high speed : USB Audio
+
+Playback:
+  Status: Stop
+  Interface 1
+    Altset 1
+    Format: S16_LE
+    Channels: 2
+    Endpoint: 0x05 (5 OUT) (ASYNC)
+    Rates: 44100, 48000, 88200, 96000, 176400, 192000
+    Data packet interval: 125 us
+    Bits: 16
+    Channel map: FL FR
+    Sync Endpoint: 0x81 (1 IN)
+    Sync EP Interface: 1
+    Sync EP Altset: 1
+    Implicit Feedback Mode: No
+  Interface 1
+    Altset 2
+    Format: S32_LE
+    Channels: 2
+    Endpoint: 0x05 (5 OUT) (ASYNC)
+    Rates: 44100, 48000, 88200, 96000, 176400, 192000
+    Data packet interval: 125 us
+    Bits: 24
+    Channel map: FL FR
+  Interface 1
+    Altset 3
+    Format: SPECIAL DSD_U32_BE
+    Channels: 2
+    Endpoint: 0x05 (5 OUT) (ASYNC)
+    Rates: 44100, 48000
+    Data packet interval: 125 us
+    Bits: 32
+    DSD raw: DOP=0, bitrev=0
+
+Capture:
+  Status: Stop
+  Interface 2
+    Altset 1
+    Format: S16_LE
+    Channels: 1
+    Endpoint: 0x83 (3 IN) (SYNC)
+    Rates: 8000
+"""
+"""A UAC2 device: 16 and 24 bits, and a format that nobody here plays."""
+
+RUNNING = ASYNC.replace(
+    "  Status: Stop\n",
+    "  Status: Running\n    Interface = 1\n    Altset = 2\n    Packet Size = 104\n"
+    "    Momentary freq = 48000 Hz (0x6.0010)\n    Feedback Format = 16.16\n",
+    1,
+)
+
+ADAPTIVE = """\
+Maker Headset at usb-0000:00:14.0-1, full speed : USB Audio
+
+Playback:
+  Status: Stop
+  Interface 1
+    Altset 1
+    Format: S24_3LE S16_LE
+    Channels: 8
+    Endpoint: 0x01 (1 OUT) (ADAPTIVE)
+    Rates: 8000 - 96000 (continuous)
+"""
+"""A UAC1 device with a range of rates."""
+
+PLAYBACK_INFO = "card: 1\ndevice: 0\nstream: PLAYBACK\nid: USB Audio\nname: {}\n"
+
+STATUS = "state: RUNNING\nowner_pid   : {}\ntrigger_time: 1.0\n-----\ndelay       : 768\n"
+
+HW_PARAMS = """\
+access: RW_INTERLEAVED
+format: {}
+subformat: STD
+channels: {}
+rate: {} (48000/1)
+period_size: 256
+buffer_size: 1024
+"""
+
+
+class Cards:
+    """A folder that looks like /proc/asound; cards come and go while it is read."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._lines: dict[int, str] = {}
+        root.mkdir(parents=True, exist_ok=True)
+        self._write()
+
+    def plug(
+        self,
+        number: int,
+        card_id: str,
+        *,
+        stream: str = "",
+        usb_id: str = "",
+        devices: tuple[int, ...] = (0,),
+    ) -> Path:
+        """Make a card and return its folder; without `stream` it is no USB card."""
+        driver = "USB-Audio" if stream else "HDA-Intel"
+        self._lines[number] = (
+            f"{number:2d} [{card_id:<15}]: {driver} - {card_id} card\n"
+            f"                      Maker {card_id} at somewhere\n"
+        )
+        folder = self.root / f"card{number}"
+        for device in devices:
+            playback = folder / f"pcm{device}p"
+            (playback / "sub0").mkdir(parents=True)
+            (playback / "info").write_text(PLAYBACK_INFO.format(f"output {device}"))
+            (playback / "sub0" / "status").write_text("closed\n")
+            (playback / "sub0" / "hw_params").write_text("closed\n")
+            if stream:
+                (folder / f"stream{device}").write_text(stream)
+        folder.mkdir(exist_ok=True)
+        if usb_id:
+            (folder / "usbid").write_text(f"{usb_id}\n")
+        self._write()
+        return folder
+
+    def unplug(self, number: int) -> None:
+        """Take a card away, folder and all."""
+        del self._lines[number]
+        self._write()
+        folder = self.root / f"card{number}"
+        for path in sorted(folder.rglob("*"), reverse=True):
+            path.rmdir() if path.is_dir() else path.unlink()
+        folder.rmdir()
+
+    def use(self, number: int, process: int, device: int = 0) -> None:
+        """Have a process play there; 0 for nobody."""
+        status = self.root / f"card{number}/pcm{device}p/sub0/status"
+        status.write_text(STATUS.format(process) if process else "closed\n")
+
+    def _write(self) -> None:
+        lines = "".join(text for _, text in sorted(self._lines.items()))
+        (self.root / "cards").write_text(lines or "--- no soundcards ---\n")

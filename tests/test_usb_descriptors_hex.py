@@ -1,0 +1,121 @@
+"""Hex dumps as people send them give the bytes that they show, or say which line is wrong."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from device.usb.descriptors import DescriptorError, parse_hex
+
+BYTES = bytes.fromhex("09026d000301 00a0320904 000000 0101 00 7c23 2f2a 3b")
+
+DUMPS = {
+    "plain": "09026d00030100a032090400000001 0100 7c232f2a3b",
+    "pairs": "09 02 6D 00 03 01 00 A0 32\n09 04 00 00 00 01 01 00\n\n7c 23 2f 2a 3b\n",
+    "xxd": (
+        "00000000: 0902 6d00 0301 00a0 3209 0400 0000 0101  ..m.....2.......\n"
+        "00000010: 007c 232f 2a3b                           .|#/*;\n"
+    ),
+    "xxd of a part": (
+        "00000012: 0902 6d00 0301 00a0 3209 0400 0000 0101  ..m.....2.......\n"
+        "00000022: 007c 232f 2a3b                           .|#/*;\n"
+    ),
+    "hexdump -C": (
+        "00000000  09 02 6d 00 03 01 00 a0  32 09 04 00 00 00 01 01  |..m.....2.......|\n"
+        "00000010  00 7c 23 2f 2a 3b                                 |.|#/*;|\n"
+        "00000016\n"
+    ),
+    "od -t x1": (
+        "0000000 09 02 6d 00 03 01 00 a0 32 09 04 00 00 00 01 01\n"
+        "0000020 00 7c 23 2f 2a 3b\n"
+        "0000026\n"
+    ),
+    "od -A x -t x1": (
+        "000000 09 02 6d 00 03 01 00 a0 32 09 04 00 00 00 01 01\n000010 00 7c 23 2f 2a 3b\n000016\n"
+    ),
+    "lsusb": (
+        "  ** UNRECOGNIZED:  09 02 6d 00 03 01 00 a0 32\n"
+        "  ** UNRECOGNIZED:  09 04 00 00 00 01 01 00\n"
+        "  Junk at descriptor end: 7c 23 2f 2a 3b\n"
+    ),
+    "a C array": (
+        "{ 0x09, 0x02, 0x6d, 0x00, 0x03, 0x01, 0x00, 0xa0, 0x32, // configuration: 2 interfaces\n"
+        "  /* interface 0: control\n     on */ 0x09, 0x04, 0x00, 0x00, 0x00, 0x01, 0x01,\n"
+        "  0x00, 0x7C, 0x23, 0x2F, 0x2A, 0x3B }\n"
+    ),
+    "a Python string": r"\x09\x02\x6d\x00\x03\x01\x00\xa0\x32\x09\x04" + r"\x00" * 3 + "\n"
+    r"\x01\x01\x00\x7c\x23\x2f\x2a\x3b",
+    "with comments": (
+        "# the configuration of my DAC\n09 02 6d 00 03 01 00 a0 32 ; self powered\n"
+        "09 04 00 00 00 01 01 00 # control\n7c 23 2f 2a 3b /* what is this? */\n"
+        "/* the | end */\n/* the end"
+    ),
+}
+
+
+@pytest.mark.parametrize("dump", DUMPS)
+def test_a_dump_gives_the_bytes_that_it_shows(dump):
+    assert parse_hex(DUMPS[dump]) == BYTES
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "hex dump: it holds no byte; allowed: pairs of hexadecimal digits"),
+        ("# nothing\n", "it holds no byte"),
+        ("09 02\n09 0", "hex dump, line 2: '0' is no bytes"),
+        ("09 0g", "line 1: '0g' is no bytes"),
+        ("/* 1\n2 */\nzz", "line 3: 'zz' is no bytes"),
+        ("00000000: 0902\n00000010: 0904", "line 2: address 0x10 instead of 0x2"),
+        ("00000000  09 02\n*\n00000010", "line 2: '*' stands for lines that are left out"),
+        ("00000000  09 02\n00000010", "line 2: address 0x10 instead of 0x2"),
+        ("0000000 0209 006d", "shows words whose bytes are swapped"),
+        ("0000009 02 03", "line 1: '0000009' is no octal address"),
+    ],
+)
+def test_what_is_no_dump_is_refused_with_its_line(text, reason):
+    with pytest.raises(DescriptorError) as caught:
+        parse_hex(text)
+    assert reason in str(caught.value)
+
+
+def xxd(raw):
+    for at in range(0, len(raw), 16):
+        row = raw[at : at + 16]
+        pairs = " ".join(row[i : i + 2].hex() for i in range(0, len(row), 2))
+        shown = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in row)
+        yield f"{at:08x}: {pairs:<39}  {shown}"
+
+
+def hexdump(raw):
+    for at in range(0, len(raw), 16):
+        row = raw[at : at + 16]
+        shown = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in row)
+        yield f"{at:08x}  {row[:8].hex(' '):<23}  {row[8:].hex(' '):<23}  |{shown}|"
+    yield f"{len(raw):08x}"
+
+
+@given(st.binary(min_size=1, max_size=80))
+def test_any_bytes_come_back_from_any_dump(raw):
+    assert parse_hex("\n".join(xxd(raw))) == raw
+    assert parse_hex("\n".join(hexdump(raw))) == raw
+    assert parse_hex(raw.hex()) == raw
+    assert parse_hex(", ".join(f"0x{byte:02x}" for byte in raw)) == raw
+
+
+def said_of(text):
+    """The error, "" where there are bytes."""
+    try:
+        assert parse_hex(text)
+    except DescriptorError as error:
+        return str(error)
+    return ""
+
+
+@given(st.text(st.sampled_from("09aAfF gx:;#/*|{},\\\n\t0") | st.characters(), max_size=60))
+def test_no_text_gives_anything_but_bytes_or_an_error_of_ours(text):
+    assert said_of(text)[:8] in ("", "hex dump")
+
+
+@pytest.mark.parametrize("part", ["z", "/*", "0", "# ", "*/", "0x", "a:", " ", "\\x"])
+def test_a_line_of_a_million_signs_takes_no_longer_than_a_line(part):
+    assert len(said_of(part * (1_000_000 // len(part)))) < 300

@@ -1,0 +1,275 @@
+"""What is done inside the virtual machine: `python -m tests.usbvm.guest SCENE FOLDER`.
+
+Each scene leaves in FOLDER what came of it, for the tests outside to judge. Seconds here pass by
+instructions and leaps: limits are far away.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import soundfile
+
+from audioflinger_hook.service.ask import ask_status
+from device.alsa.mixer import CardMixer
+from device.errors import CushionError
+from device.usb import UsbAudioDevice, find_devices
+from device.usb.mapping import hw_names
+from tests import usb_builder
+from tests.usbmock.software_dac import SoftwareDac
+from tests.usbvm.machine import order
+from tests.usbvm.shapes import dac_1, dac_2
+from tests.usbvm.vhci import VirtualDac
+
+CUSHION = (sys.executable, "-m", "audioflinger_hook")
+RECORD = Path("/tmp/record")
+SOUND = Path("/tmp/sound.wav")
+RATE_HZ = 48_000
+POLL_S = 0.05
+LIMIT_S = 1_800.0
+
+
+def cushion(*arguments: str) -> str:
+    """What a command prints."""
+    done = subprocess.run([*CUSHION, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def devices(count: int) -> list[dict[str, Any]]:
+    """The USB devices as the command lists them, once there are so many with a card."""
+    await_cards(count)
+    found: list[dict[str, Any]] = json.loads(cushion("devices", "--json"))["usb"]
+    assert len(found) == count, found
+    return found
+
+
+def await_cards(count: int) -> list[UsbAudioDevice]:
+    """The USB devices, once there are so many with a card."""
+    deadline_s = time.monotonic() + LIMIT_S
+    while True:
+        found = [device for device in find_devices().devices if hw_names(device)]
+        if len(found) == count:
+            return found
+        assert time.monotonic() < deadline_s, found
+        time.sleep(POLL_S)
+
+
+def sound(seconds: float) -> str:
+    """A tap of three tones that swell, each at its own pace, and never fall silent."""
+    time_s = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    tones = ((97.0, 0.31), (430.0, 0.73), (1_900.0, 1.17))
+    waves = sum(
+        0.2 * (1.3 + np.sin(2 * np.pi * pace_hz * time_s)) * np.sin(2 * np.pi * hz * time_s)
+        for hz, pace_hz in tones
+    )
+    soundfile.write(SOUND, np.asarray(waves, np.float32), RATE_HZ, subtype="FLOAT")
+    return f"file:{SOUND}"
+
+
+def full_volume(hw: str) -> None:
+    """Let a card pass samples as they are; QEMU's calls that +8 dB, and scales at 0 dB."""
+    card = hw.removeprefix("hw:").partition(",")[0]
+    listed = subprocess.run(["amixer", "-c", card, "controls"], capture_output=True, text=True)
+    for line in listed.stdout.splitlines():
+        number = line.partition(",")[0]
+        for kind, value in (("Playback Volume", "100%"), ("Playback Switch", "on")):
+            if kind in line:
+                subprocess.run(["amixer", "-q", "-c", card, "cset", number, value], check=True)
+
+
+def mixed(hw: str) -> list[dict[str, Any]]:
+    """What our own mixer reads and sets, beside what ALSA's says of the same."""
+    card = hw.removeprefix("hw:").partition(",")[0]
+    told = []
+    with CardMixer(int(card)) as mixer:
+        (switch,) = mixer.switches
+        mutes = []
+        for muted in (True, False):
+            mixer.set_muted(switch, muted)
+            mutes.append(list(mixer.muted(switch)))
+        for volume in mixer.volumes:
+            decibels = volume.decibels
+            assert decibels is not None
+            set_db = mixer.set_volume_db(volume, 6.0)
+            alsa = subprocess.run(
+                ["amixer", "-c", card, "cget", f"name={volume.name}"],
+                capture_output=True,
+                text=True,
+                check=True,
+            ).stdout
+            levels = re.search(r"min=(-?[\d.]+)dB,max=(-?[\d.]+)dB", alsa)
+            steps = re.search(r": values=([\d,]+)", alsa)
+            assert levels, alsa
+            assert steps, alsa
+            told.append(
+                {
+                    "range_db": [decibels.lowest_db, decibels.highest_db],
+                    "alsa_range_db": [float(level) for level in levels.groups()],
+                    "highest_db": decibels.highest_db,
+                    "set_db": set_db,
+                    "steps": [decibels.step_at_most(set_db)] * volume.channels,
+                    "alsa_steps": [int(step) for step in steps[1].split(",")],
+                    "muted": mutes,
+                }
+            )
+    return told
+
+
+class Run:
+    """A running `cushion run`; states: what it was seen to be in, with the time."""
+
+    def __init__(self, tap: str, *arguments: str) -> None:
+        self.states: list[tuple[float, str]] = []
+        self.statuses: list[dict[str, Any]] = []
+        self.process = subprocess.Popen(
+            [*CUSHION, "run", "--tap", tap, "--record", str(RECORD), *arguments],
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def look(self) -> dict[str, Any] | None:
+        """What it tells of itself, None while it does not."""
+        try:
+            told = ask_status(LIMIT_S, time.monotonic)
+        except CushionError:
+            return None
+        status: dict[str, Any] = json.loads(told.to_json())
+        now_s = time.monotonic()
+        if not self.states or self.states[-1][1] != status["state"]:
+            self.states.append((now_s, status["state"]))
+        self.statuses.append({"time_s": now_s, **status})
+        return status
+
+    def wait(self, condition: Callable[[dict[str, Any]], bool]) -> float:
+        """Wait until it tells so; when that was."""
+        deadline_s = time.monotonic() + LIMIT_S
+        while True:
+            assert self.process.poll() is None, self.process.communicate()
+            status = self.look()
+            if status is not None and condition(status):
+                return time.monotonic()
+            assert time.monotonic() < deadline_s, (self.states, status)
+            time.sleep(POLL_S)
+
+    def end(self) -> str:
+        """Let it end; what it wrote."""
+        self.process.terminate()
+        _, told = self.process.communicate(timeout=LIMIT_S)
+        return told
+
+
+def bits(folder: Path) -> dict[str, Any]:
+    """Two cards alike: one is played to, by its name."""
+    chosen, other = devices(2)
+    settings = mixed(chosen["hw"][0])
+    for device in (chosen, other):
+        full_volume(device["hw"][0])
+    told = cushion_run("--device", chosen["device"], "--seconds", "6")
+    names = [chosen["device"], other["device"]]
+    return {"names": names, "told": told, "hw": chosen["hw"], "mixed": settings}
+
+
+def cushion_run(*arguments: str) -> str:
+    """A run that ends by itself; what it wrote."""
+    run = Run("scene:demo", *arguments)
+    _, told = run.process.communicate()
+    assert run.process.returncode == 0, told
+    return told
+
+
+def pulled(folder: Path) -> dict[str, Any]:
+    """The card that plays is pulled out and plugged into another port."""
+    (device,) = devices(1)
+    full_volume(device["hw"][0])
+    name = device["device"].partition("@")[0]
+    run = Run(sound(60.0), "--device", name)
+    playing = run.wait(lambda status: status["state"] == "running")
+    time.sleep(3.0)
+    order(folder, "unplug", "dac")
+    pulled_s = time.monotonic()
+    noticed = run.wait(lambda status: status["state"] != "running")
+    time.sleep(1.0)
+    run.process.send_signal(signal.SIGSTOP)  # or it would play before the volume is set
+    order(folder, "plug", "dac", "3")
+    (again,) = await_cards(1)
+    full_volume(hw_names(again)[0])
+    run.process.send_signal(signal.SIGCONT)
+    plugged_s = time.monotonic()
+    back = run.wait(lambda status: status["state"] == "running")
+    time.sleep(3.0)
+    last = run.look()
+    told = run.end()
+    return {
+        "name": name,
+        "ports": [device["port"], again.port],
+        "playing_s": playing,
+        "noticed_after_s": noticed - pulled_s,
+        "back_after_s": back - plugged_s,
+        "states": run.states,
+        "last": last,
+        "told": told,
+    }
+
+
+def software(folder: Path, uac: int, ppm: float, seconds: float) -> dict[str, Any]:
+    """A DAC in software, whose clock is off, or which asks for frames by its feedback."""
+    configuration = {1: dac_1, 2: dac_2}[uac]()
+    descriptors = usb_builder.device(product=0xDAC0 + uac) + configuration
+    dac = SoftwareDac(
+        descriptors, uac, ["Soft", f"DAC {uac}", "SN1"], volumes={1: 0, 2: 0}, mutes={0: 0}
+    )
+    with (folder / "taken.raw").open("wb") as taken:
+        plugged = VirtualDac(dac, taken.write, ppm=ppm)
+        with ExitStack() as stack:
+            stack.callback(plugged.unplug)
+            (device,) = devices(1)
+            full_volume(device["hw"][0])
+            run = Run(sound(seconds + 60.0), "--device", device["device"].partition("@")[0])
+            began = run.wait(lambda status: status["state"] == "running")
+            while time.monotonic() < began + seconds:
+                run.look()
+                time.sleep(0.5)
+            told = run.end()
+    return {
+        "statuses": run.statuses,
+        "began_s": began,
+        "told": told,
+        "samplerate": dac.samplerate,
+        "formats": device["formats"],
+    }
+
+
+SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
+    "bits": bits,
+    "pulled": pulled,
+    "fast": lambda folder: software(folder, 1, 200.0, 40.0),
+    "slow": lambda folder: software(folder, 1, -200.0, 40.0),
+    "feedback": lambda folder: software(folder, 2, 150.0, 15.0),
+}
+
+
+def main() -> int:
+    """Do it and leave what came of it."""
+    scene, folder = sys.argv[1], Path(sys.argv[2])
+    result = SCENES[scene](folder)
+    if RECORD.exists():
+        shutil.copytree(RECORD, folder / "record")
+    (folder / "result.json").write_text(json.dumps(result))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,79 @@
+"""Configurations of DACs that a real kernel plays to: stereo, of either class."""
+
+from __future__ import annotations
+
+from tests import usb_builder
+from tests.usb_builder import (
+    ADAPTIVE,
+    ASYNCHRONOUS,
+    FEEDBACK,
+    ISOCHRONOUS,
+    MUTE_1,
+    MUTE_2,
+    SPEAKER,
+    STREAMING_TERMINAL,
+    UAC1,
+    UAC2,
+    VOLUME_1,
+    VOLUME_2,
+    audio_endpoint_1,
+    clock_source,
+    endpoint,
+    feature_1,
+    feature_2,
+    format_1,
+    format_2,
+    general_1,
+    general_2,
+    header_1,
+    header_2,
+    input_1,
+    input_2,
+    output_1,
+    output_2,
+    stream_endpoint_1,
+    stream_endpoint_2,
+    streaming,
+)
+
+STEREO = 0x3
+MILLISECOND_2 = 4
+"""bInterval at high speed: 2^(4-1) microframes."""
+
+
+def dac_1() -> bytes:
+    """1.0, full speed, 16 bits, adaptive: it takes what comes."""
+    units = header_1(
+        [1],
+        input_1(1, STREAMING_TERMINAL, 2, STEREO),
+        feature_1(2, 1, [MUTE_1, VOLUME_1, VOLUME_1]),
+        output_1(3, SPEAKER, 2),
+    )
+    play = (general_1(1), format_1(2, 2, 16, [44_100, 48_000]))
+    data = audio_endpoint_1(1, ISOCHRONOUS | ADAPTIVE, 200)
+    return usb_builder.configuration(
+        usb_builder.control(0, UAC1, units),
+        streaming(1, 0, UAC1),
+        streaming(1, 1, UAC1, *play, data, stream_endpoint_1()),
+    )
+
+
+def dac_2() -> bytes:
+    """2.0, high speed, 24 bits in 4 bytes, asynchronous: its feedback says how much it takes."""
+    units = header_2(
+        clock_source(4),
+        input_2(1, STREAMING_TERMINAL, 4, 2, STEREO),
+        feature_2(2, 1, [MUTE_2, VOLUME_2, VOLUME_2]),
+        output_2(3, SPEAKER, 2, 4),
+    )
+    data = endpoint(1, ISOCHRONOUS | ASYNCHRONOUS, 400, MILLISECOND_2)
+    feedback = endpoint(0x81, ISOCHRONOUS | FEEDBACK, 4, MILLISECOND_2)
+    plays = streaming(
+        1, 1, UAC2, general_2(1, 2, STEREO), format_2(4, 24), data, stream_endpoint_2(), feedback
+    )
+    return usb_builder.configuration(
+        usb_builder.association(0, 2),
+        usb_builder.control(0, UAC2, units),
+        streaming(1, 0, UAC2),
+        plays,
+    )

@@ -1,0 +1,161 @@
+"""`cushion run` plays to USB sound cards of a real kernel, in a virtual machine.
+
+Judged by frames and bits. The machine's own time counts instructions, so that nothing in it is late
+because this one is busy.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile
+from numpy.typing import NDArray
+
+from audioflinger_hook.capture import Capture
+from tests.usbvm.machine import Machine, why_not
+
+pytestmark = [
+    pytest.mark.usbvm,
+    pytest.mark.skipif(bool(why_not()), reason=why_not() or "-"),
+]
+
+RATE_HZ = 48_000
+LIMIT_S = 900.0
+CUT_FRAMES = round(0.03 * RATE_HZ)
+"""What QEMU's card keeps back when its stream is closed."""
+
+OFF_FRAMES_MAX = 48.0
+"""One millisecond: the loop's own wandering beside blocks of 256 frames."""
+WANDERS_PPM = 60.0
+"""Of the mean ratio, asked twice a second, while the loop settles on a drift of 150 or 200."""
+
+Samples = NDArray[np.int64]
+
+
+def done(folder: Path, scene: str, cards: tuple[str, ...] = ()) -> dict[str, Any]:
+    """What came of a scene in a machine with these cards."""
+    machine = Machine(folder, cards)
+    code = machine.run([sys.executable, "-m", "tests.usbvm.guest", scene, str(folder)], LIMIT_S)
+    assert code == 0, (folder / "output").read_text()
+    result: dict[str, Any] = json.loads((folder / "result.json").read_text())
+    return result
+
+
+def sent(folder: Path, bits: int) -> list[Samples]:
+    """The pieces that went to the card, as the integers that they were sent as."""
+    pieces: list[list[NDArray[np.float32]]] = []
+    for buffer in Capture(folder / "record").buffers("device"):
+        if buffer.discontinuity or not pieces:
+            pieces.append([])
+        pieces[-1].append(buffer.frames)
+    scale = 2.0 ** (bits - 1)
+    return [
+        np.rint(np.concatenate(each).astype(np.float64) * scale).astype(np.int64) for each in pieces
+    ]
+
+
+def heard(path: Path) -> Samples:
+    """What one of QEMU's cards was sent."""
+    if not path.exists():
+        return np.zeros((0, 2), np.int64)
+    samples, samplerate = soundfile.read(path, dtype="int16", always_2d=True)
+    assert samplerate == RATE_HZ
+    found: Samples = samples.astype(np.int64)
+    return found
+
+
+def sounding(samples: Samples) -> Samples:
+    """From the first frame that is not silent to the last."""
+    loud = np.flatnonzero(samples.any(axis=1))
+    return samples[loud[0] : loud[-1] + 1] if loud.size else samples[:0]
+
+
+def assert_all_heard(played: Samples, wanted: Samples, cut: int) -> None:
+    """What was played is what was wanted, bit for bit, but for `cut` frames at its end."""
+    played, wanted = sounding(played), sounding(wanted)
+    assert len(played) > RATE_HZ
+    assert len(wanted) - cut <= len(played) <= len(wanted)
+    assert np.array_equal(played, wanted[: len(played)])
+
+
+def test_the_chosen_one_of_two_cards_gets_every_bit_and_the_other_nothing(tmp_path: Path) -> None:
+    result = done(tmp_path, "bits", ("one", "two"))
+    assert result["names"][0] != result["names"][1]
+    (piece,) = sent(tmp_path, 16)
+    cards = [heard(tmp_path / f"{name}.wav") for name in ("one", "two")]
+    loud = [bool(samples.any()) for samples in cards]
+    assert sorted(loud) == [False, True]
+    assert_all_heard(cards[loud.index(True)], piece, CUT_FRAMES)
+    (mixed,) = result["mixed"]
+    assert mixed["range_db"] == pytest.approx(mixed["alsa_range_db"], abs=0.01)
+    assert mixed["highest_db"] > 0.0  # louder than may be set
+    assert -1.0 < mixed["set_db"] <= 0.0
+    assert mixed["steps"] == mixed["alsa_steps"]
+    assert mixed["muted"] == [[True], [False]]
+
+
+def test_a_card_that_is_pulled_out_while_it_plays_is_waited_for_in_any_port(tmp_path: Path) -> None:
+    result = done(tmp_path, "pulled", ("dac",))
+    states = [state for _, state in result["states"]]
+    assert "waiting-for-device" in states
+    assert states[-1] == "running"
+    assert result["ports"][0] != result["ports"][1]
+    pieces = sent(tmp_path, 16)
+    assert len(pieces) >= 2
+    before, after = heard(tmp_path / "dac.wav"), heard(tmp_path / "dac-again.wav")
+    first = sounding(before)
+    assert len(first) > RATE_HZ
+    assert np.array_equal(first, sounding(pieces[0])[: len(first)])
+    assert_all_heard(after, pieces[-1], CUT_FRAMES)
+    print(f"noticed after {result['noticed_after_s']:.2f} s, back {result['back_after_s']:.2f} s")
+
+
+def settled(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """What was told of the delay line while it played, from the middle on; with times."""
+    told = [
+        {"time_s": status["time_s"], **status["delay_line"]}
+        for status in result["statuses"]
+        if status["state"] == "running"
+    ]
+    return told[len(told) // 2 :]
+
+
+def assert_followed(result: dict[str, Any], ppm: float) -> None:
+    """The delay stays on its target, in frames, because what is read goes as the card's clock.
+
+    A target that falls, as lateness is forgotten, is followed by reading that much faster.
+    """
+    lines = settled(result)
+    off = [1e-3 * RATE_HZ * (line["delay_ms"] - line["target_ms"]) for line in lines]
+    first, last = lines[0], lines[-1]
+    fell_ms = first["target_ms"] - last["target_ms"]
+    fell_ppm = 1e3 * fell_ms / (last["time_s"] - first["time_s"])
+    read_ppm = float(np.mean([line["ratio_ppm"] for line in lines])) - fell_ppm
+    print(f"off by {min(off):+.1f} to {max(off):+.1f} frames, reads {read_ppm:+.0f} ppm faster")
+    assert max(map(abs, off)) <= OFF_FRAMES_MAX
+    assert abs(read_ppm + ppm) <= WANDERS_PPM
+    for what in ("resyncs", "underflows", "overflows"):
+        assert first[what] == last[what]
+
+
+@pytest.mark.parametrize(("scene", "ppm"), [("fast", 200.0), ("slow", -200.0)])
+def test_a_card_whose_clock_drifts_is_followed(tmp_path: Path, scene: str, ppm: float) -> None:
+    result = done(tmp_path, scene)
+    taken = np.fromfile(tmp_path / "taken.raw", "<i2").reshape(-1, 2).astype(np.int64)
+    assert_all_heard(taken, np.concatenate(sent(tmp_path, 16)), RATE_HZ)
+    assert_followed(result, ppm)
+
+
+def test_a_dac_of_class_2_gets_what_its_feedback_asks_for_bit_for_bit(tmp_path: Path) -> None:
+    result = done(tmp_path, "feedback")
+    (offered,) = result["formats"]  # its rates are told by its clock alone
+    assert (offered["samplerates"], offered["feedback"]) == ([44_100, 48_000], True)
+    taken = np.fromfile(tmp_path / "taken.raw", "<i4").reshape(-1, 2).astype(np.int64)
+    # all 32 bits are sent, of which such a device heeds 24
+    assert_all_heard(taken, np.concatenate(sent(tmp_path, 32)), RATE_HZ)
+    assert_followed(result, 150.0)
