@@ -16,11 +16,17 @@ install_packages "$who" qemu-system-x86 busybox-static cpio kmod alsa-utils
 [ ! -f "$folder/ready" ] || exit 0
 
 # Debian's meta package, or Ubuntu's, leads to the newest kernel that there is.
-kernel=
-for meta in linux-image-amd64 linux-image-generic; do
-    kernel=$(apt-cache depends "$meta" 2>/dev/null | sed -n 's/^ *Depends: \(linux-image-[0-9].*\)$/\1/p' | head -n 1)
-    [ -z "$kernel" ] || break
-done
+newest_kernel() {
+    for meta in linux-image-amd64 linux-image-generic; do
+        apt-cache depends "$meta" 2>/dev/null | sed -n 's/^ *Depends: \(linux-image-[0-9].*\)$/\1/p'
+    done | head -n 1
+}
+
+kernel=$(newest_kernel)
+if [ -z "$kernel" ]; then
+    apt_get update || true
+    kernel=$(newest_kernel)
+fi
 [ -n "$kernel" ] || without "apt-get knows of no kernel"
 
 scratch=$(mktemp -d)

@@ -7,6 +7,9 @@
 # By apt-get (Debian, Ubuntu; as root or where sudo asks for no password), without their recommendations and
 # without removing anything. The tests skip where something could not be had.
 
+elevate=
+[ "$(id -u)" -eq 0 ] || elevate='sudo -n'
+
 say() { printf '%s: %s\n' "$who" "$*" >&2; }
 
 without() {
@@ -35,11 +38,8 @@ install_packages() {
     missing=$(missing_packages "$@")
     [ -n "$missing" ] || return 0
     command -v apt-get >/dev/null 2>&1 || without "apt-get, which installs it, is not here; missing:$missing"
-    elevate=
-    if [ "$(id -u)" -ne 0 ]; then
-        elevate='sudo -n'
-        $elevate true 2>/dev/null || without "run as root: apt-get install --no-install-recommends$missing"
-    fi
+    [ -z "$elevate" ] || $elevate true 2>/dev/null ||
+        without "run as root: apt-get install --no-install-recommends$missing"
     say "installing:$missing"
     # shellcheck disable=SC2086
     if ! apt_get install --no-install-recommends --no-remove $missing; then
