@@ -28,6 +28,9 @@ MODULES_AT_START = ("virtio_pci", "9pnet_virtio", "9p", "overlay")
 SERIAL = "SN1"
 """Of every card: else QEMU would make one of the port, and a card in another port another card."""
 
+BUFFER_FRAMES = 32 * 48
+"""Of each card, as QEMU has it by itself: 32 packets of 1 ms. It drops them when a stream ends."""
+
 BUS_OF_QEMU, BUS_OF_SOFTWARE = "xhci-pci", "vhci-hcd"
 POLL_S = 0.02
 
@@ -147,6 +150,7 @@ class Machine:
                 path = shared / f"{sound}.wav"
                 arguments += ["-audiodev", f"wav,id={sound},path={path},out.frequency=48000"]
             device = f"usb-audio,audiodev={name},id={name},serial={SERIAL},bus=usb.0,port={port}"
+            device += f",buffer={4 * BUFFER_FRAMES}"
             arguments += ["-device", device]
         return arguments
 
@@ -164,7 +168,7 @@ class Machine:
         self._monitor.readline()
         self._ask("qmp_capabilities")
 
-    def _ask(self, name: str, **arguments: str) -> None:
+    def _ask(self, name: str, **arguments: str | int) -> None:
         order = {"execute": name, "arguments": arguments}
         self._monitor.write(json.dumps(order).encode() + b"\n")
         self._monitor.flush()
@@ -184,6 +188,7 @@ class Machine:
                 self._ask(
                     "device_add",
                     driver="usb-audio",
+                    buffer=4 * BUFFER_FRAMES,
                     audiodev=f"{name}-again",
                     id=name,
                     serial=SERIAL,

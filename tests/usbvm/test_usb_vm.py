@@ -17,7 +17,7 @@ import soundfile
 from numpy.typing import NDArray
 
 from audioflinger_hook.capture import Capture
-from tests.usbvm.machine import Machine, why_not
+from tests.usbvm.machine import BUFFER_FRAMES, Machine, why_not
 
 pytestmark = [
     pytest.mark.usbvm,
@@ -26,8 +26,8 @@ pytestmark = [
 
 RATE_HZ = 48_000
 LIMIT_S = 900.0
-CUT_FRAMES = round(0.03 * RATE_HZ)
-"""What QEMU's card keeps back when its stream is closed."""
+CUT_FRAMES = BUFFER_FRAMES + 3 * 256
+"""What is dropped when a stream ends: the buffer of QEMU's card, and the kernel's, three blocks."""
 
 OFF_FRAMES_MAX = 48.0
 """One millisecond: the loop's own wandering beside blocks of 256 frames."""
