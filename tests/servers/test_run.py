@@ -37,7 +37,7 @@ SCENE_S = 8.0
 PLAYING_PERCENT, IDLE_PERCENT = 8.0, 0.5
 """What the whole daemon may use of one core, sound playing or not."""
 
-TIMES_BARE = 3.5
+TIMES_BARE = 2.7
 """The same as a multiple of what two streams cost that do nothing, at the same time."""
 
 WINDOWS = 5
