@@ -313,6 +313,63 @@ def test_what_an_engine_scribbles_later_into_arrays_it_kept_is_not_heard():
     assert buffer.samples.tobytes() == noise().samples.tobytes()
 
 
+def exchange_and_raise(source, target):
+    exchange(source, target)
+    raise ZeroDivisionError
+
+
+def exchange_and_answer_nonsense(source, target):
+    exchange(source, target)
+    return 7
+
+
+def lock(source, target):
+    target.samples.flags.writeable = False
+    return EINVAL
+
+
+@pytest.mark.parametrize(
+    "misbehave", [exchange, drop, exchange_and_raise, exchange_and_answer_nonsense, lock]
+)
+def test_an_engine_that_is_given_another_chance_is_lent_a_sound_buffer(misbehave):
+    probe = Probe()
+    chains, module = running(probe)
+    probe.act = misbehave
+    chains.process(0, noise(), 0.0)
+    assert module.bypassed
+
+    def halve(source, target):
+        assert target.audio.shape == (FRAMES, 2)
+        target.samples *= 0.5
+        return OK
+
+    probe.act = halve
+    module.enable()
+    chains.end_of_cycle(0.0)
+    buffer = noise()
+    chains.process(0, buffer, 0.0)
+    assert not module.bypassed
+    np.testing.assert_array_equal(buffer.samples, noise().samples * np.float32(0.5))
+
+
+def test_an_engine_that_spoils_what_it_kept_is_blamed_and_the_sound_goes_on():
+    probe = Probe()
+    chains, module = running(probe)
+    kept = []
+
+    def keep(source, target):
+        kept.append(target)
+        return OK
+
+    probe.act = keep
+    chains.process(0, noise(), 0.0)
+    exchange(kept[0], kept[0])
+    buffer = noise()
+    chains.process(0, buffer, 0.0)
+    assert module.bypassed == "exchanged or reshaped the arrays that it was lent"
+    assert buffer.samples.tobytes() == noise().samples.tobytes()
+
+
 def test_not_finite_samples_that_came_with_the_sound_are_not_blamed_on_an_effect():
     probe = Probe()
     chains, module = running(probe)

@@ -66,7 +66,9 @@ class GuardedEngine:
         self._lent, self._mixed = Loan(size), Loan(size)
 
     def forgive(self) -> None:
-        """Lift the bypass; the counters go on."""
+        """Lift the bypass; the counters go on. What it was lent before is not lent again."""
+        self._lent.recall()
+        self._mixed.recall()
         self.fault = ""
         self._late = 0
 
@@ -161,7 +163,7 @@ class Loan:
         self._storage = np.zeros(samples, np.float32)
         self._own = self._storage[:0]
         self._layout: tuple[tuple[int, ...], tuple[int, ...]] | None = None
-        self._recall()
+        self.recall()
 
     def of(self, buffer: MixBuffer) -> MixBuffer:
         """Return a copy of a buffer."""
@@ -185,12 +187,9 @@ class Loan:
             same = lent.samples is samples and lent.audio is audio and lent.haptic is haptic
         except AttributeError:
             same = False
-        if same and same_layout(lent, original):
-            return True
-        self._recall()
-        return False
+        return same and same_layout(lent, original)
 
-    def _recall(self) -> None:
+    def recall(self) -> None:
         """Let the next copy be made of new arrays."""
         self._copy = MixBuffer(0, 0)
         self._arrays = (self._copy.samples, self._copy.audio, self._copy.haptic)
