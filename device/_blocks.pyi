@@ -9,6 +9,14 @@ def peak(frames: Float32Array | FloatArray) -> float:
     float64.
     """
 
+def emptied(frames: Float32Array) -> bytes | None:
+    """Return the bytes of a block, whose samples become 0; None, and nothing changes, where one of
+    them is not finite.
+
+    Raises BufferError, TypeError or ValueError where the array is not contiguous float32 that can
+    be written to.
+    """
+
 def cubic(ring: Float32Array, out: Float32Array, row: int, fraction: float, step: float) -> None:
     """Fill `out` as `CubicReader` does: frame k is at `fraction + k * step` after the one in `row`
     + 1 of the ring.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 from types import ModuleType
 
 import numpy as np
@@ -28,3 +29,18 @@ def peak(frames: Float32Array | FloatArray) -> float:
         except (BufferError, TypeError, ValueError):  # in another layout or of another type
             pass
     return float(np.max(np.abs(frames), initial=0.0))
+
+
+def emptied(frames: Float32Array) -> bytes | None:
+    """Return the bytes of a block, whose samples become 0; None where one is not finite.
+
+    frames: contiguous. Nothing has changed where the answer is None. Any thread may call it.
+    """
+    if compiled is not None:
+        taken: bytes | None = compiled.emptied(frames)
+        return taken
+    if not math.isfinite(peak(frames)):
+        return None
+    stored = frames.tobytes()
+    frames.fill(0.0)
+    return stored

@@ -137,3 +137,23 @@ def test_without_wiring_actuators_repeat_over_all_channels() -> None:
 def test_wiring_that_cannot_be_is_refused(wired, words) -> None:
     with pytest.raises(UsageError, match=words):
         ChannelMap.of(wired, 2)
+
+
+@pytest.mark.parametrize("sample_format", SampleFormat)
+@given(frames=blocks)
+def test_a_block_that_is_taken_is_encoded_likewise_and_leaves_zeros(sample_format, frames) -> None:
+    encoder = Encoder(sample_format, 3, 4)
+    expected = encoder.encode(frames), encoder.encoded().copy()
+    assert encoder.take(frames) == expected[0]
+    np.testing.assert_array_equal(encoder.encoded(), expected[1])
+    assert not frames.any()
+
+
+@pytest.mark.parametrize("sample_format", SampleFormat)
+@pytest.mark.parametrize("spoiled", [np.nan, np.inf, -np.inf])
+def test_a_block_that_is_not_finite_is_not_taken(sample_format, spoiled) -> None:
+    frames = np.full((4, 3), 0.5, np.float32)
+    frames[2, 1] = spoiled
+    before = frames.copy()
+    assert Encoder(sample_format, 3, 4).take(frames) is None
+    np.testing.assert_array_equal(frames, before)

@@ -128,3 +128,37 @@ def test_without_what_is_compiled_the_same_is_done_in_numpy(
     without.read(got, 1.0001)
     np.testing.assert_allclose(got, expected, rtol=0, atol=3e-7)
     assert blocks.peak(ring) == in_numpy(ring)
+
+
+@given(arrays.arrays(np.float32, st.tuples(st.integers(0, 300), st.integers(1, 3))), st.booleans())
+def test_a_block_that_is_taken_is_bytes_then_and_all_zero(
+    frames: Float32Array, in_numpy_alone: bool
+) -> None:
+    before = frames.copy()
+    with pytest.MonkeyPatch.context() as patch:
+        if in_numpy_alone:
+            patch.setattr(blocks, "compiled", None)
+        taken = blocks.emptied(frames)
+    if np.isfinite(before).all():
+        assert taken == before.tobytes()
+        assert frames.tobytes() == bytes(frames.nbytes)
+    else:
+        assert taken is None
+        np.testing.assert_array_equal(frames, before)
+
+
+@needs_compiled
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros(4),
+        np.zeros((4, 2), np.float32)[:, :1],
+        b"1234",
+        None,
+        np.frombuffer(b"1234", np.float32),
+    ],
+)
+def test_what_cannot_be_taken_is_refused(array: object) -> None:
+    assert blocks.compiled is not None
+    with pytest.raises((TypeError, ValueError, BufferError)):
+        blocks.compiled.emptied(array)

@@ -15,7 +15,7 @@ from audioflinger_hook.transform import HapticTransform
 from device.alignment import Aligned
 from device.errors import WriteError
 from device.rig import PAPER
-from device.twin import Twin
+from device.rig.twin import Twin
 from device.wav_output import WavOutput
 from tests.commands import RATE, listing, noise, sound, vibration
 from tests.signals import FORMS

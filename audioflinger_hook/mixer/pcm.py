@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,51 +16,32 @@ FLOAT_LIMIT = 2.0
 
 
 class PcmFormat(Enum):
-    """How one sample is stored, little endian; the value is its name in a dump."""
+    """How one sample is stored, little endian; the value is its name in a dump.
 
-    U8 = "u8"
-    I16 = "i16"
-    I24 = "i24"
-    I32 = "i32"
-    FLOAT = "float"
+    bytes_per_sample: 1, 2, 3 (packed), 4, 4. dtype: what an array of such samples is made of; for
+    I24 its bytes. full_scale: the stored step count of 1.0: 2^7, 2^15, 2^23, 2^31; 1 for float.
+    """
 
-    @property
-    def bytes_per_sample(self) -> int:
-        """Bytes of one sample: 1, 2, 3 (packed), 4, 4."""
-        return _BYTES[self]
+    U8 = "u8", 1, "u1", 2.0**7
+    I16 = "i16", 2, "<i2", 2.0**15
+    I24 = "i24", 3, "u1", 2.0**23
+    I32 = "i32", 4, "<i4", 2.0**31
+    FLOAT = "float", 4, "<f4", 1.0
 
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """What an array of such samples is made of; for I24 its bytes."""
-        return _DTYPES[self]
+    # Attributes of each member, not properties: every block that is mixed asks for them.
+    bytes_per_sample: int
+    dtype: np.dtype[Any]
+    full_scale: float
 
-    @property
-    def full_scale(self) -> float:
-        """The stored step count of 1.0: 2^7, 2^15, 2^23, 2^31; 1 for float."""
-        return _FULL_SCALE[self]
+    def __new__(cls, name: str, bytes_per_sample: int, dtype: str, full_scale: float) -> Self:
+        """Make a member."""
+        member = object.__new__(cls)
+        member._value_ = name
+        member.bytes_per_sample = bytes_per_sample
+        member.dtype = np.dtype(dtype)
+        member.full_scale = full_scale
+        return member
 
-
-_BYTES = {
-    PcmFormat.U8: 1,
-    PcmFormat.I16: 2,
-    PcmFormat.I24: 3,
-    PcmFormat.I32: 4,
-    PcmFormat.FLOAT: 4,
-}
-_DTYPES: dict[PcmFormat, np.dtype[Any]] = {
-    PcmFormat.U8: np.dtype(np.uint8),
-    PcmFormat.I16: np.dtype("<i2"),
-    PcmFormat.I24: np.dtype(np.uint8),
-    PcmFormat.I32: np.dtype("<i4"),
-    PcmFormat.FLOAT: np.dtype("<f4"),
-}
-_FULL_SCALE = {
-    PcmFormat.U8: 2.0**7,
-    PcmFormat.I16: 2.0**15,
-    PcmFormat.I24: 2.0**23,
-    PcmFormat.I32: 2.0**31,
-    PcmFormat.FLOAT: 1.0,
-}
 
 PcmData = bytes | bytearray | memoryview | NDArray[Any]
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from device.blocks import emptied, peak
 from device.rounding import whole_steps
 from device.sample_format import SampleFormat
 from device.units import Float32Array
@@ -25,13 +27,15 @@ class Encoder:
     def __init__(self, sample_format: SampleFormat, channels: int, block_frames: int) -> None:
         self.sample_format = sample_format
         self.channels = channels
+        self._is_float = sample_format is SampleFormat.FLOAT32
         self._make(block_frames)
         self._stored = b""
 
     def _make(self, frames: int) -> None:
         shape = (frames, self.channels)
-        self._silence = bytes(frames * self.channels * self.sample_format.bytes_per_sample)
-        if self.sample_format is SampleFormat.FLOAT32:
+        self._bytes_per_frame = self.channels * self.sample_format.bytes_per_sample
+        self._silence = bytes(frames * self._bytes_per_frame)
+        if self._is_float:
             return
         self._steps, self._rest = np.zeros(shape), np.zeros(shape)
         self._unknown = np.zeros(shape, np.bool_)
@@ -40,7 +44,7 @@ class Encoder:
 
     def encode(self, frames: Float32Array) -> bytes:
         """The bytes of `frames`, (frames, channels) float32, full scale ±1."""
-        if self.sample_format is SampleFormat.FLOAT32:
+        if self._is_float:
             self._stored = frames.tobytes()
             return self._stored
         if len(frames) != len(self._steps):
@@ -54,9 +58,25 @@ class Encoder:
             np.copyto(self._items, self._steps, casting="unsafe")
         return self._items.tobytes()
 
+    def take(self, frames: Float32Array) -> bytes | None:
+        """As `encode`, and `frames`, which are contiguous, become 0.
+
+        None, and nothing has changed, where a sample is not finite.
+        """
+        if self._is_float:
+            stored = emptied(frames)
+            if stored is not None:
+                self._stored = stored
+            return stored
+        if not math.isfinite(peak(frames)):
+            return None
+        stored = self.encode(frames)
+        frames.fill(0.0)
+        return stored
+
     def silence(self, frames: int) -> bytes:
         """The bytes of so many frames of silence."""
-        length = frames * self.channels * self.sample_format.bytes_per_sample
+        length = frames * self._bytes_per_frame
         return self._silence if len(self._silence) == length else bytes(length)
 
     def encoded(self) -> Float32Array:
@@ -65,7 +85,7 @@ class Encoder:
         They would be encoded as the same bytes again. The last step of 32 bits has no float32 of
         its own and stands as 1.0.
         """
-        if self.sample_format is SampleFormat.FLOAT32:
+        if self._is_float:
             return np.frombuffer(self._stored, np.float32).reshape(-1, self.channels)
         frames = np.empty(self._steps.shape, np.float32)
         # a power of two, in float64: only the store can round

@@ -58,6 +58,28 @@ static PyObject *peak(PyObject *Py_UNUSED(module), PyObject *array)
     return PyFloat_FromDouble(magnitude);
 }
 
+PyDoc_STRVAR(emptied_doc, "Return the bytes of a block, or None; see _blocks.pyi.");
+
+static PyObject *emptied(PyObject *Py_UNUSED(module), PyObject *array)
+{
+    Py_buffer view;
+    if (!opened(array, "frames", "f", 1, &view))
+        return NULL;
+    uint32_t largest = 0;
+    LARGEST(uint32_t, 0x80000000u, view.buf, (size_t)view.len / sizeof(float), largest);
+    PyObject *bytes;
+    if (largest >= 0x7F800000u) { /* infinity, or no number */
+        Py_INCREF(Py_None);
+        bytes = Py_None;
+    } else {
+        bytes = PyBytes_FromStringAndSize(view.buf, view.len);
+        if (bytes)
+            memset(view.buf, 0, (size_t)view.len);
+    }
+    PyBuffer_Release(&view);
+    return bytes;
+}
+
 /* Lagrange's weights of the frames at -1, 0, 1 and 2 for a place s from 0 to 1. */
 static void weigh(double s, double weights[4])
 {
@@ -132,6 +154,7 @@ static PyObject *cubic(PyObject *Py_UNUSED(module), PyObject *const *arguments, 
 
 static PyMethodDef METHODS[] = {
     {"peak", peak, METH_O, peak_doc},
+    {"emptied", emptied, METH_O, emptied_doc},
     {"cubic", (PyCFunction)(void (*)(void))cubic, METH_FASTCALL, cubic_doc},
     {NULL, NULL, 0, NULL},
 };
