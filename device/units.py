@@ -1,12 +1,15 @@
 """Units and array types that every module shares. Pure functions; any thread may call them."""
 
 import math
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
+Block = TypeVar("Block", FloatArray, Float32Array)
+"""A block of vibration, (frames, channels), of either precision."""
 
 
 def amplitude_to_db(ratio: float) -> float:

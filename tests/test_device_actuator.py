@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import StateSpace, lsim
 
-from device.actuator import QUANTITIES, LinearActuator
 from device.errors import UsageError
 from device.rig import PAPER
+from device.rig.actuator import LinearActuator
+from device.rig.linear_system import QUANTITIES
 
 ACTUATOR = PAPER.actuator
 UNDAMPED = {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5}  # Qts stays near 1000

@@ -9,14 +9,14 @@ import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.actuator import LinearActuator
-from device.amplifier import Amplifier
-from device.dac import Dac
 from device.errors import InternalError, UsageError, WriteError
-from device.instruments import ACCELERATION_FULL_SCALE_M_S2, AccelerometerChain
 from device.output import VibrationOutput
 from device.rig import PAPER, AmplifierParameters, DacParameters
-from device.twin import Twin
+from device.rig.actuator import LinearActuator
+from device.rig.amplifier import Amplifier
+from device.rig.dac import Dac
+from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2, AccelerometerChain
+from device.rig.twin import Twin
 from device.wav_output import WavOutput
 
 

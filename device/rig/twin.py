@@ -2,13 +2,14 @@
 
 import numpy as np
 
-from device.actuator import LinearActuator
-from device.amplifier import Amplifier
-from device.dac import Dac
 from device.errors import InternalError, UsageError
-from device.instruments import AccelerometerChain
 from device.output import VibrationOutput
-from device.rig import Rig
+from device.rig.actuator import LinearActuator
+from device.rig.amplifier import Amplifier
+from device.rig.dac import Dac
+from device.rig.instruments import AccelerometerChain
+from device.rig.ladder import Ladder
+from device.rig.rig import Rig
 from device.units import Float32Array, FloatArray
 
 
@@ -17,13 +18,16 @@ class Twin:
 
     samplerate: Hz, 1000 or more; channels: 1 or more; recorder: takes the acceleration that the
     instruments show, at the same rate and channels, 1.0 for ACCELERATION_FULL_SCALE_M_S2; the
-    twin closes or aborts it.
+    twin closes or aborts it. tolerance: None for linear actuators, else what `Ladder` may be off
+    by, block by block; then temperature: coils warm up.
 
     One thread calls the methods; any thread may read these while it does:
 
     acceleration_m_s2: (frames, channels) of the last block; a new array each time.
     peak_acceleration_m_s2, peak_displacement_m, peak_current_a: largest magnitude of any channel
-    since the start or `reset`.
+    since the start or `reset`. overcurrent_samples: where the current is beyond the amplifier's
+    limit; a real one would limit it, or switch off. actuators: one a channel, of `LinearActuator`
+    or `Ladder`, for their reports.
 
     Raises
     ------
@@ -40,6 +44,8 @@ class Twin:
         channels: int,
         *,
         recorder: VibrationOutput | None = None,
+        tolerance: float | None = None,
+        temperature: bool = False,
     ) -> None:
         if samplerate < 1_000:
             raise UsageError(f"samplerate={samplerate} Hz is too low; choose 1000 Hz or more")
@@ -56,10 +62,13 @@ class Twin:
         self._recorder = recorder
         self._closed = False
         self._dac = Dac(rig.dac)
-        self._amplifier = Amplifier(rig.amplifier)
+        self._amplifier = Amplifier(rig.amplifier, samplerate)
         source = rig.amplifier.source_impedance_ohm
-        self._actuators = [
-            LinearActuator(rig.actuator, samplerate, source) for _ in range(channels)
+        self.actuators: list[LinearActuator | Ladder] = [
+            LinearActuator(rig.actuator, samplerate, source)
+            if tolerance is None
+            else Ladder(rig, samplerate, tolerance, temperature=temperature)
+            for _ in range(channels)
         ]
         self._instruments = AccelerometerChain()
         self.reset()
@@ -68,12 +77,13 @@ class Twin:
         """Come to rest and forget peaks and counts; what was recorded stays."""
         self._dac.reset()
         self._amplifier.reset()
-        for actuator in self._actuators:
+        for actuator in self.actuators:
             actuator.reset()
         self.acceleration_m_s2: FloatArray = np.zeros((0, self._channels))
         self.peak_acceleration_m_s2 = 0.0
         self.peak_displacement_m = 0.0
         self.peak_current_a = 0.0
+        self.overcurrent_samples = 0
 
     @property
     def samplerate(self) -> int:
@@ -104,13 +114,15 @@ class Twin:
                 f"a block has shape {vibration.shape}: (frames, {self._channels}) was expected"
             )
         # Channels as rows: each actuator then reads and writes one stretch of memory.
-        volts = self._amplifier.drive(self._dac.volts(vibration.T))
+        volts = np.ascontiguousarray(self._amplifier.drive(self._dac.volts(vibration)).T)
         acceleration = np.empty(volts.shape)
-        for row, (actuator, drive) in enumerate(zip(self._actuators, volts, strict=True)):
+        limit_a = self.rig.amplifier.current_limit_a
+        for row, (actuator, drive) in enumerate(zip(self.actuators, volts, strict=True)):
             motion = actuator.move(drive, ("acceleration_m_s2", "displacement_m", "current_a"))
             acceleration[row] = motion.acceleration_m_s2
             self.peak_displacement_m = _larger(self.peak_displacement_m, motion.displacement_m)
             self.peak_current_a = _larger(self.peak_current_a, motion.current_a)
+            self.overcurrent_samples += int(np.count_nonzero(np.abs(motion.current_a) > limit_a))
         self.peak_acceleration_m_s2 = _larger(self.peak_acceleration_m_s2, acceleration)
         self.acceleration_m_s2 = acceleration.T
         if self._recorder:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from device.rig import DacParameters
+from device.rig.parameters import DacParameters
 from device.units import Float32Array, FloatArray, finite_or_zero
 
 

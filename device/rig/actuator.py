@@ -17,20 +17,20 @@ sample of a block is the true state there, not a shifted one.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 from scipy.signal import sosfilt
 
 from device.errors import UsageError
-from device.rig import ActuatorParameters
+from device.rig.linear_system import QUANTITIES, Quantity, first_order_hold, state_space
+from device.rig.parameters import ActuatorParameters
 from device.units import FloatArray, finite_or_zero
 
-Quantity = Literal["displacement_m", "velocity_m_s", "current_a", "acceleration_m_s2"]
-QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+SEAT_ACCELERATION = "seat_acceleration_m_s2"
 
 _TAPS = 4
 _ABSURD_V = 1e100
@@ -45,13 +45,15 @@ At audio rates denormal numbers, slow on many processors, would come far later."
 class Motion:
     """Motion at each sample, float64 arrays of (frames,); what was not asked for has length 0.
 
-    displacement_m is positive where a positive current pushes.
+    displacement_m is positive where a positive current pushes; it and its rate, velocity_m_s, are
+    against the frame. seat_acceleration_m_s2: of the frame, where a rung knows it moves.
     """
 
     displacement_m: FloatArray
     velocity_m_s: FloatArray
     current_a: FloatArray
     acceleration_m_s2: FloatArray
+    seat_acceleration_m_s2: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 class LinearActuator:
@@ -158,14 +160,17 @@ class LinearActuator:
         return float(value[0])
 
 
+# The same few actuators are made again and again, and a matrix exponential waits for all threads
+# of its library. What is kept is never written to.
+@lru_cache(maxsize=256)
 def _filters(
     p: ActuatorParameters, samplerate: float, source_impedance_ohm: float
 ) -> tuple[FloatArray, dict[Quantity, FloatArray]]:
     """The second-order sections (2, 6) of the poles, gain 1 at 0 Hz, and the taps (4,) of each
     quantity, the newest sample's first.
     """
-    rate, drive, rows = _state_space(p, source_impedance_ohm)
-    step, from_last, from_new = _first_order_hold(rate, drive, 1.0 / samplerate)
+    rate, drive, rows = state_space(p, source_impedance_ohm)
+    step, from_last, from_new = first_order_hold(rate, drive, 1.0 / samplerate)
     poles = _sections_of(np.linalg.eigvals(rate), 1.0 / samplerate)
 
     # State after each of the first samples of an impulse; the taps make the poles repeat it.
@@ -179,55 +184,6 @@ def _filters(
         impulse_response = np.array([row @ state for state in states])
         taps[name] = np.convolve(denominator, impulse_response)[:_TAPS] / gain
     return poles, taps
-
-
-def _state_space(
-    p: ActuatorParameters, source_impedance_ohm: float
-) -> tuple[FloatArray, FloatArray, dict[Quantity, FloatArray]]:
-    """s' = rate s + drive v, and the row that gives each quantity from s.
-
-    s = (x sqrt(k), x' sqrt(m), i sqrt(L)): half its square is the stored energy. In these
-    coordinates the exchange of energy is antisymmetric, which keeps the exponential well
-    conditioned whatever the units.
-    """
-    m, c, k = p.moving_mass_kg, p.damping_n_s_per_m, p.stiffness_n_per_m
-    bl, inductance = p.force_factor_n_per_a, p.inductance_h
-    resistance = p.resistance_ohm + source_impedance_ohm
-    w0 = p.resonance_rad_s
-    coupling = bl / np.sqrt(m * inductance)
-    rate = np.array(
-        [
-            [0.0, w0, 0.0],
-            [-w0, -c / m, coupling],
-            [0.0, -coupling, -resistance / inductance],
-        ]
-    )
-    drive = np.array([0.0, 0.0, 1.0 / np.sqrt(inductance)])
-    rows: dict[Quantity, FloatArray] = {
-        "displacement_m": np.array([1.0 / np.sqrt(k), 0.0, 0.0]),
-        "velocity_m_s": np.array([0.0, 1.0 / np.sqrt(m), 0.0]),
-        "current_a": np.array([0.0, 0.0, 1.0 / np.sqrt(inductance)]),
-        "acceleration_m_s2": rate[1] / np.sqrt(m),
-    }
-    return rate, drive, rows
-
-
-def _first_order_hold(
-    rate: FloatArray, drive: FloatArray, period_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(P, A, B) of s[n] = P s[n-1] + A v[n-1] + B v[n], exact for v linear between samples.
-
-    Van Loan, "Computing integrals involving the matrix exponential", 1978: one exponential of the
-    state, the voltage and its slope a sample holds all three.
-    """
-    n = len(rate)
-    whole = np.zeros((n + 2, n + 2))
-    whole[:n, :n] = rate * period_s
-    whole[:n, n] = drive * period_s
-    whole[n, n + 1] = 1.0
-    exponential = expm(whole)
-    level, slope = exponential[:n, n], exponential[:n, n + 1]
-    return exponential[:n, :n], level - slope, slope
 
 
 def _sections_of(rates: NDArray[Any], period_s: float) -> FloatArray:

@@ -1,0 +1,194 @@
+"""The rung that never fails: one sample at a time, passive whatever the step.
+
+The energy H(y, u, lambda) = V(y) + m u^2 / 2 + (lambda - Phi(y))^2 / 2 L(y) is differenced, not
+differentiated (discrete gradient, Itoh and Abe 1988, averaged over both orders, so of second
+order): what a step adds to H is just what came in less what became heat, to rounding. Flux and
+current follow from the excursion in closed form, and so do the frame's two states; what is left is
+one scalar equation for the excursion. Its left side grows without bound either way, so there
+always is a solution, and bisection finds what the secant method does not.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from device.rig.co_energy import magnetic_divided
+from device.rig.equations import Equations
+from device.units import FloatArray
+
+_SECANT_STEPS = 25
+_BISECTIONS = 200
+_EPSILON = float(np.finfo(np.float64).eps)
+
+
+class _Tried(NamedTuple):
+    """What follows from a change of the excursion over one step.
+
+    left_n: by how much the forces then differ from what moves the mass so; 0 solves the step.
+    force_n: that moves the mass so; flux_wb at the end; current_a, the mean.
+    """
+
+    left_n: float
+    force_n: float
+    flux_wb: float
+    current_a: float
+
+
+class PassiveStepper:
+    """An actuator that goes from sample to sample. One thread calls it.
+
+    state: y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat. surplus_j: of
+    the last step, energy that came in and was neither stored nor turned into heat: rounding.
+    bisected: steps so far that the secant method left to bisection.
+    """
+
+    def __init__(self, equations: Equations, step_s: float) -> None:
+        self.equations = equations
+        self.step_s = step_s
+        seat, h = equations.seat, step_s
+        self._frame_mass = seat.mass_kg if seat else 1.0
+        self._frame_spring = seat.stiffness_n_per_m if seat else 0.0
+        self._frame_damping = seat.damping_n_s_per_m if seat else 0.0
+        self._frame_drag = (
+            2.0 * self._frame_mass / h + self._frame_spring * h / 2.0 + self._frame_damping
+        )
+        give = h * h / (2.0 * equations.mass) + (h / self._frame_drag if seat else 0.0)
+        self._inertia = 1.0 / give
+        self.reset()
+
+    def reset(self) -> None:
+        """Come to rest."""
+        self.state = [0.0, 0.0, 0.0, 0.0, 0.0]
+        self.surplus_j = 0.0
+        self.bisected = 0
+        self._energy_j = 0.0
+
+    def begin(self, state: FloatArray) -> None:
+        """Go on from a state, (3,) or (5,)."""
+        self.state = [*state.tolist(), 0.0, 0.0][:5]
+        self._energy_j = self.energy_j()
+
+    def move(self, volts: FloatArray, before_v: float) -> FloatArray:
+        """States and more after each of (frames,) volts, (7, frames).
+
+        Rows: y, u, lambda, z, z', the current, u'. Between samples the voltage is a straight
+        line; before_v is the one before the first. All finite for finite volts.
+        """
+        result = np.empty((7, len(volts)))
+        for frame, volt in enumerate(volts.tolist()):
+            self._step(0.5 * (before_v + volt))
+            before_v = volt
+            result[:5, frame] = self.state
+            result[5:, frame] = self._current_and_acceleration()
+        return result
+
+    def energy_j(self) -> float:
+        """H at the last sample, with the frame's."""
+        y, u, flux, z, zs = self.state
+        e = self.equations.energies
+        linkage = flux - e.co_energy.magnet.value(y)
+        return (
+            e.potential.value(y)
+            + self.equations.mass * u * u / 2.0
+            + linkage * linkage / (2.0 * e.co_energy.inductance.value(y))
+            + (self._frame_spring * z * z + self._frame_mass * zs * zs) / 2.0
+        )
+
+    def _step(self, volt: float) -> None:
+        y0, u0, _, z0, zs0 = self.state
+        h, seat = self.step_s, self.equations.seat
+        # The frame's mean speed were there no force on it.
+        coast = 0.0
+        if seat:
+            coast = (2.0 * self._frame_mass * zs0 / h - self._frame_spring * z0) / self._frame_drag
+        free = h * (u0 - coast)
+        move, (_, force, flux1, current) = self._solve(volt, free)
+        u1 = u0 + h * force / self.equations.mass
+        mean, z1, zs1 = 0.0, 0.0, 0.0
+        if seat:
+            mean = coast - force / self._frame_drag
+            z1, zs1 = z0 + h * mean, 2.0 * mean - zs0
+        before_j = self._energy_j
+        self.state = [y0 + move, u1, flux1, z1, zs1]
+        drag = self.equations.damping + self._stop_drag(y0 + move / 2.0)
+        heat_w = self.equations.resistance_ohm * current * current + drag * (move / h) ** 2
+        heat_w += self._frame_damping * mean * mean
+        self._energy_j = self.energy_j()
+        self.surplus_j = h * (volt * current - heat_w) - (self._energy_j - before_j)
+
+    def _solve(self, volt: float, free: float) -> tuple[float, "_Tried"]:
+        """The excursion's change over the step, and what comes of it."""
+        equations = self.equations
+        stiff = equations.stiffness + equations.damping / self.step_s + self._inertia
+        older, tried = free, self._try(free, volt, free)
+        newer = free - tried.left_n / stiff
+        # Below a rounding of the excursion itself nothing more can be gained.
+        enough = 2.0 * _EPSILON * (abs(self.state[0]) * 1e-3 + abs(free))
+        for _ in range(_SECANT_STEPS):
+            before, tried = tried, self._try(newer, volt, free)
+            if tried.left_n == 0.0 or abs(newer - older) <= enough:
+                return newer, tried
+            slope = (tried.left_n - before.left_n) / (newer - older)
+            if not (math.isfinite(slope) and slope > 0.0):
+                break
+            older, newer = newer, newer - tried.left_n / slope
+        return self._bisect(volt, free)
+
+    def _bisect(self, volt: float, free: float) -> tuple[float, "_Tried"]:
+        self.bisected += 1
+        reach = abs(free) + abs(self.state[0]) + 1e-9
+        while (
+            self._try(reach, volt, free).left_n < 0.0 or self._try(-reach, volt, free).left_n > 0.0
+        ):
+            reach *= 4.0
+        low, high = -reach, reach
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            if middle in (low, high):
+                break
+            if self._try(middle, volt, free).left_n < 0.0:
+                low = middle
+            else:
+                high = middle
+        return high, self._try(high, volt, free)
+
+    def _try(self, move: float, volt: float, free: float) -> "_Tried":
+        """What comes of a change of the excursion."""
+        equations, h = self.equations, self.step_s
+        e = equations.energies
+        y0, _, flux0, _, _ = self.state
+        y1 = y0 + move
+        phi0, phi1, phi_d, g0, g1, g_d = magnetic_divided(e.co_energy, y0, y1)
+        g = 0.5 * (g0 + g1)
+        offset = 0.5 * (g0 * phi0 + g1 * phi1)
+        share = 0.5 * h * equations.resistance_ohm * g
+        driven = h * (volt + equations.resistance_ohm * offset)
+        flux1 = (flux0 * (1.0 - share) + driven) / (1.0 + share)
+        current = g * 0.5 * (flux0 + flux1) - offset
+        field = 0.0
+        for flux in (flux0, flux1):
+            at0, at1 = flux - phi0, flux - phi1
+            field += 0.25 * (g_d * 0.5 * (at0 * at0 + at1 * at1) - g * phi_d * (at0 + at1))
+        drag = equations.damping + self._stop_drag(y0 + 0.5 * move)
+        force = -e.potential.divided(y0, y1) - field - drag * move / h
+        inertial = self._inertia * (move - free)
+        # Of the two the inertial one holds the state together: the rounding goes into the other.
+        return _Tried(inertial - force, inertial, flux1, current)
+
+    def _stop_drag(self, y: float) -> float:
+        e = self.equations.energies
+        depth = abs(y) - e.stops.start
+        if depth <= 0.0:
+            return 0.0
+        return e.stop_loss_s_per_m * e.stops.hardness * depth * depth
+
+    def _current_and_acceleration(self) -> tuple[float, float]:
+        y, u, flux, _, zs = self.state
+        e, w = self.equations.energies, u - zs
+        magnet, inductance = e.co_energy.magnet, e.co_energy.inductance
+        current = (flux - magnet.value(y)) / inductance.value(y)
+        force = magnet.divided(y, y) * current + inductance.divided(y, y) * current * current / 2.0
+        force -= e.potential.divided(y, y)
+        force -= (self.equations.damping + self._stop_drag(y)) * w
+        return current, force / self.equations.mass

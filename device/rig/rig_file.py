@@ -1,0 +1,219 @@
+"""Rig files: a rig in TOML, every value with its unit in its name and, if known, its source.
+
+    [actuator]
+    resonance_hz = { value = 90.0, given = "the paper: about 90 Hz" }
+    q_mechanical = { value = 8.0, assumed = "a rubber suspension" }
+    force_factor_n_per_a = { value = 9.8, measured = "impedance", interval = [9.6, 10.0] }
+    inductance_h = 1e-3
+
+A table a stage, named as the fields of `Rig`. A value may stand alone; the rigs that ship say of
+each where it comes from. `[actuator]` may also state what follows from the rest (stiffness_n_per_m,
+damping_n_s_per_m, q_electrical, q_total): then it has to agree.
+"""
+
+import difflib
+import math
+import tomllib
+from collections.abc import Iterable
+from dataclasses import MISSING, dataclass, field, fields
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from device.errors import UsageError
+from device.rig.contradictions import contradictions
+from device.rig.parameters import (
+    AccelerometerParameters,
+    ActuatorParameters,
+    AmplifierParameters,
+    ConditioningParameters,
+    DacParameters,
+    DaqParameters,
+    LargeSignalParameters,
+    SeatParameters,
+    Stage,
+    ThermalParameters,
+)
+from device.rig.rig import SOURCE_KINDS, Rig, Source
+
+SUFFIX = ".toml"
+SHIPPED = ("paper", "consumer")
+
+STAGES: dict[str, type[Stage]] = {
+    "dac": DacParameters,
+    "amplifier": AmplifierParameters,
+    "actuator": ActuatorParameters,
+    "large_signal": LargeSignalParameters,
+    "thermal": ThermalParameters,
+    "seat": SeatParameters,
+    "accelerometer": AccelerometerParameters,
+    "conditioning": ConditioningParameters,
+    "daq": DaqParameters,
+}
+REQUIRED = ("dac", "amplifier", "actuator")
+FOLLOWING = ("stiffness_n_per_m", "damping_n_s_per_m", "q_electrical", "q_total")
+AGREEMENT = 0.02
+"""How far a stated value may be from what follows: it is usually given with two or three digits."""
+
+
+def read_rig(path: str | Path) -> Rig:
+    """The rig that a file describes; its name is the file's if it states none.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read, or is no TOML; or values are missing, unknown, of the wrong type,
+        out of range or contradict one another: all of them are named.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        reason = error.strerror or type(error).__name__
+        raise UsageError(
+            f"cannot read the rig file {path}: {reason}; check the path, or choose one of: "
+            + ", ".join(SHIPPED)
+        ) from None
+    except UnicodeDecodeError:
+        raise UsageError(f"the rig file {path} is not text in UTF-8; save it as such") from None
+    return parse_rig(text, path.stem, str(path))
+
+
+def parse_rig(text: str, name: str, origin: str) -> Rig:
+    """The rig that a text in TOML describes. name: if it states none; origin: for messages."""
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"the rig file {origin} is not TOML: {error}; correct it") from None
+    reading = _Reading()
+    stages = reading.read(document)
+    stated = document.get("name", name)
+    if not (isinstance(stated, str) and stated):
+        reading.wrong.append(f"name={stated!r} must be a word")
+    reading.wrong += contradictions(stages)
+    if reading.wrong:
+        raise UsageError(f"the rig file {origin}: {'; '.join(reading.wrong)}; correct the file")
+    return Rig(name=stated, sources=tuple(reading.sources), **stages)
+
+
+@dataclass
+class _Reading:
+    """What was found in one file: sources, and all that is wrong."""
+
+    wrong: list[str] = field(default_factory=list)
+    sources: list[Source] = field(default_factory=list)
+
+    def read(self, document: dict[str, Any]) -> dict[str, Any]:
+        """Every stage that is right, by its name."""
+        self._refuse_unknown("", document, [*STAGES, "name", "description"])
+        stages: dict[str, Any] = {}
+        for name, kind in STAGES.items():
+            if name not in document:
+                if name in REQUIRED:
+                    self.wrong.append(f"[{name}] is missing")
+            elif not isinstance(document[name], dict):
+                self.wrong.append(f"{name}={document[name]!r} must be a table, [{name}]")
+            elif stage := self._stage(name, kind, document[name]):
+                stages[name] = stage
+        return stages
+
+    def _stage(self, name: str, kind: type[Stage], table: dict[str, Any]) -> Stage | None:
+        before = len(self.wrong)
+        known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
+        following = FOLLOWING if name == "actuator" else ()
+        self._refuse_unknown(f"{name}.", table, [*known, *following])
+        values = {
+            key: self._value(f"{name}.{key}", table[key])
+            for key in (*known, *following)
+            if key in table
+        }
+        for key, description in known.items():
+            if key not in values and description.default is MISSING:
+                self.wrong.append(f"{name}.{key} is missing")
+        stated = {key: values.pop(key) for key in following if key in values}
+        self.wrong += [f"{name}.{problem}" for problem in kind.problems(values)]
+        if len(self.wrong) > before:
+            return None
+        for key, value in values.items():
+            if known[key].type is float:
+                values[key] = float(value)
+        stage = kind(**values)
+        if isinstance(stage, ActuatorParameters):
+            self._compare(stage, stated)
+        return stage
+
+    def _value(self, parameter: str, stated: object) -> Any:
+        """The bare value; its source, if there is one, is kept."""
+        if not isinstance(stated, dict):
+            return stated
+        kinds = [kind for kind in SOURCE_KINDS if kind in stated]
+        unknown = set(stated) - {"value", "interval", *SOURCE_KINDS}
+        if "value" not in stated or len(kinds) != 1 or unknown:
+            self.wrong.append(
+                f"{parameter} must be a number or {{ value = ..., KIND = 'why' }} with one KIND "
+                f"of {', '.join(SOURCE_KINDS)}"
+            )
+            return stated.get("value", math.nan)
+        value = stated["value"]
+        interval = stated.get("interval")
+        if interval is not None and not _is_interval(interval, value):
+            self.wrong.append(f"{parameter}: interval={interval!r} must be [low, high] around it")
+            interval = None
+        words = str(stated[kinds[0]])
+        bounds = (float(interval[0]), float(interval[1])) if interval else None
+        self.sources.append(Source(parameter, kinds[0], words, bounds))
+        return value
+
+    def _compare(self, actuator: ActuatorParameters, stated: dict[str, Any]) -> None:
+        for key, value in stated.items():
+            follows = getattr(actuator, key)
+            follows = follows() if callable(follows) else follows
+            if not (isinstance(value, float) and abs(value / follows - 1.0) <= AGREEMENT):
+                self.wrong.append(
+                    f"actuator.{key}={value!r} contradicts the rest, from which {follows:.4g} "
+                    "follows: correct one of them, or leave it out"
+                )
+
+    def _refuse_unknown(
+        self, prefix: str, table: Iterable[str], known: list[str] | tuple[str, ...]
+    ) -> None:
+        for key in table:
+            if key not in known:
+                near = difflib.get_close_matches(key, known, 1)
+                hint = f", did you mean {near[0]}?" if near else ""
+                self.wrong.append(f"{prefix}{key} is unknown{hint}")
+
+
+def _is_interval(interval: object, value: object) -> bool:
+    if not (isinstance(interval, list) and len(interval) == 2):
+        return False
+    try:
+        return bool(interval[0] <= value <= interval[1])
+    except TypeError:
+        return False
+
+
+def _shipped(name: str) -> Rig:
+    file = files("device.rig").joinpath(name + SUFFIX)
+    return parse_rig(file.read_text(encoding="utf-8"), name, f"{name}{SUFFIX} of this package")
+
+
+_RIGS = {name: _shipped(name) for name in SHIPPED}
+PAPER, CONSUMER = _RIGS["paper"], _RIGS["consumer"]
+
+
+def rig_by_name(name: str) -> Rig:
+    """The rig that ships under that name, or the one in that file, if the name ends in .toml.
+
+    Raises
+    ------
+    UsageError
+        There is none, with the names there are; or the file is wrong, see `read_rig`.
+    """
+    if name in _RIGS:
+        return _RIGS[name]
+    if name.endswith(SUFFIX):
+        return read_rig(name)
+    raise UsageError(
+        f"no rig is named {name!r}; choose one of: {', '.join(_RIGS)}; or a file, NAME{SUFFIX}"
+    )

@@ -1,0 +1,353 @@
+"""The rungs of the ladder over one stretch of signal: what each adds to the linear solution.
+
+    LINEAR      nothing, but the motion that another rung has left decays by the linear equations
+    CORRECTED   the remainder of the linear solution, passed through the linear equations once
+                (the Born term)
+    NONLINEAR   the equations themselves by collocation; into the end stops at double its rate
+    STEPPED     the equations sample by sample, passive; what the other could not solve
+
+Each begins with the same excursion, speed and flux, so that any may follow any.
+"""
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from device.rig.actuator import SEAT_ACCELERATION
+from device.rig.collocation import Base, Bases, Collocation, Linear, Path
+from device.rig.equations import (
+    EXCURSION,
+    FLUX,
+    FRAME,
+    FRAME_SPEED,
+    SPEED,
+    Equations,
+    Remainder,
+)
+from device.rig.linear_system import QUANTITIES
+from device.rig.node_grid import NodeGrid, cubic, quadratic
+from device.rig.passive_step import PassiveStepper
+from device.units import FloatArray
+
+_ABOVE_THE_NODES = 0.02
+"""Second difference of the current from sample to sample, as a share of its peak, above which it
+has content that nodes and middles at twice 6 kHz would mistake for vibration."""
+
+_SKETCH_STEPS = 4
+_SKETCHED = 1e-4
+"""A first solution with steps that many times as long, to so much, is a quarter of the work and
+leaves one or two changes to the rest."""
+
+_PIECE_NODES = 33
+"""Where a stretch does not converge, it is tried again in pieces of so many nodes."""
+
+
+class Rung(enum.StrEnum):
+    """From the cheapest to the one that never fails."""
+
+    LINEAR = "linear"
+    CORRECTED = "linear and one correction"
+    NONLINEAR = "non-linear"
+    STEPPED = "step by step"
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The linear solution on the ground at each sample of some whole steps: (steps * q + 1,)."""
+
+    volts: FloatArray
+    displacement_m: FloatArray
+    velocity_m_s: FloatArray
+    current_a: FloatArray
+    acceleration_m_s2: FloatArray
+
+    def part(self, start: int, stop: int) -> "Stretch":
+        """Samples start to stop, the last one included."""
+        return Stretch(*(samples[start : stop + 1] for samples in vars(self).values()))
+
+
+class Correction:
+    """What one rung adds to the linear solution, at the samples after the first, (frames,).
+
+    end: d at the last node, (states,); under_end: that of the path whose remainder was taken,
+    else the same. excursion_peak_m: of the sum, at nodes. is_nothing: all samples are 0.
+    """
+
+    def __init__(
+        self, end: FloatArray, samples: dict[str, Callable[[], FloatArray]], peak_m: float
+    ) -> None:
+        self.end = self.under_end = end
+        self.excursion_peak_m = peak_m
+        self.is_nothing = False
+        self._samples = samples
+
+    def samples(self, quantity: str) -> FloatArray:
+        """What to add to a quantity of `Motion`."""
+        return self._samples[quantity]()
+
+
+class Rungs:
+    """Every rung of one actuator on one grid. One thread uses an object."""
+
+    def __init__(self, equations: Equations, grid: NodeGrid) -> None:
+        self.equations = equations
+        self.spacing = grid.spacing
+        self._step_s = 1.0 / grid.samplerate
+        self._coarse = Collocation(equations, grid.spacing * self._step_s)
+        self._fine = Collocation(equations, grid.spacing // 2 * self._step_s)
+        self._sketch = Collocation(equations, _SKETCH_STEPS * grid.spacing * self._step_s)
+        self._stepper = PassiveStepper(equations, self._step_s)
+        self.reset()
+
+    def reset(self) -> None:
+        """Set the counts to 0."""
+        self.iterations = 0
+        self.stepped_samples = 0
+
+    def bases(self, stretch: Stretch, spacing: int) -> Bases:
+        """The linear solution at nodes and middles that far apart."""
+        p = self.equations.actuator
+        nodes, middles = slice(0, None, spacing), slice(spacing // 2, None, spacing)
+        flux = p.force_factor_n_per_a * stretch.displacement_m + p.inductance_h * stretch.current_a
+        return self._base(stretch, flux, nodes), self._base(stretch, flux, middles)
+
+    def linear(self, bases: Bases, start: FloatArray) -> Linear:
+        """d without a remainder."""
+        return self._coarse.linear_path(bases, start)
+
+    def nothing(self, stretch: Stretch) -> Correction:
+        """The linear solution as it is."""
+        frames = len(stretch.volts) - 1
+        end = np.zeros(self.equations.states)
+        peak = float(np.max(np.abs(stretch.displacement_m)))
+        names = (*QUANTITIES, SEAT_ACCELERATION)
+        found = Correction(end, dict.fromkeys(names, lambda: np.zeros(frames)), peak)
+        found.is_nothing = True
+        return found
+
+    def corrected(
+        self, bases: Bases, start: FloatArray, before: Linear
+    ) -> tuple[Linear, tuple[Remainder, Remainder]]:
+        """d under the remainder of another path, and that remainder."""
+        g = self._coarse.remainder(bases, before)
+        return self._coarse.linear_path(bases, start, g), g
+
+    def of_linear(
+        self,
+        bases: Bases,
+        path: Linear,
+        g: tuple[Remainder, Remainder] | None = None,
+        under: Linear | None = None,
+    ) -> Correction:
+        """The correction that a linear path is; under: the path that g belongs to."""
+        p = self.equations.actuator
+        currents = []
+        for k, (base, d) in enumerate(zip(bases, (path.nodes, path.middles), strict=True)):
+            current = (d[FLUX] - p.force_factor_n_per_a * d[EXCURSION]) / p.inductance_h
+            if g is not None and under is not None:
+                # What the current of g's path is beyond the linear one there.
+                other = (under.nodes, under.middles)[k]
+                y, flux = base.excursion_m + other[EXCURSION], base.flux_wb + other[FLUX]
+                linear = (flux - p.force_factor_n_per_a * y) / p.inductance_h
+                current = current + g[k].current_a - linear
+            currents.append(current)
+        found = self._correction(path, bases, currents[0], currents[1], self.spacing)
+        if under is not None:
+            found.under_end = under.nodes[:, -1].copy()
+        return found
+
+    def nonlinear(self, stretch: Stretch, start: FloatArray, guess: Linear) -> Correction:
+        """d of the full equations; where they do not converge, in pieces, at last by steps."""
+        low = self._low_band(stretch) if self._has_more_content(stretch) else stretch
+        bases = self.bases(low, self.spacing)
+        path = self._coarse.newton_path(bases, self._sketched(low, start, guess.nodes))
+        self.iterations += path.iterations
+        if not path.converged:
+            return self._in_pieces(stretch, start)
+        found = self._of_path(path, bases, self.spacing)
+        if found.excursion_peak_m <= self.equations.energies.stops.start:
+            return found
+        return self._refined(low, self._doubled(path)) or self._in_pieces(stretch, start)
+
+    def _sketched(self, stretch: Stretch, start: FloatArray, guess: FloatArray) -> FloatArray:
+        """A better guess at the nodes, if the stretch is long enough for one."""
+        spacing = _SKETCH_STEPS * self.spacing
+        steps = (guess.shape[1] - 1) // _SKETCH_STEPS
+        nodes = guess.copy()
+        nodes[:, 0] = start
+        if steps < _PIECE_NODES:
+            return nodes
+        covered = steps * _SKETCH_STEPS
+        bases = self.bases(stretch.part(0, steps * spacing), spacing)
+        path = self._sketch.newton_path(bases, nodes[:, : covered + 1 : _SKETCH_STEPS], _SKETCHED)
+        self.iterations += path.iterations
+        if path.converged:
+            for row, (known, rates) in enumerate(zip(path.nodes, path.node_rates, strict=True)):
+                between = cubic(known, rates, self._sketch.step_s, _SKETCH_STEPS)
+                nodes[row, 1 : covered + 1] = between
+        return nodes
+
+    def stepped(self, stretch: Stretch, start: FloatArray) -> Correction:
+        """d sample by sample."""
+        state, size = start.copy(), self.equations.states
+        p = self.equations.actuator
+        y, w, i = stretch.displacement_m, stretch.velocity_m_s, stretch.current_a
+        flux = p.force_factor_n_per_a * y + p.inductance_h * i
+        state[:3] += [y[0], w[0], flux[0]]
+        self._stepper.begin(state)
+        whole = self._stepper.move(stretch.volts[1:], float(stretch.volts[0]))
+        self.stepped_samples += whole.shape[1]
+        speed = whole[SPEED] - whole[FRAME_SPEED]
+        end = whole[:size, -1] - np.array([y[-1], w[-1], flux[-1], 0.0, 0.0])[:size]
+        added = whole[6] - stretch.acceleration_m_s2[1:]
+        samples = {
+            "displacement_m": whole[EXCURSION] - y[1:],
+            "velocity_m_s": speed - w[1:],
+            "current_a": whole[5] - i[1:],
+            "acceleration_m_s2": added,
+            SEAT_ACCELERATION: self._frame_acceleration(added, whole[FRAME], whole[FRAME_SPEED]),
+        }
+        peak = float(np.max(np.abs(whole[EXCURSION])))
+        return Correction(end, {name: _held(values) for name, values in samples.items()}, peak)
+
+    def _doubled(self, path: Linear) -> FloatArray:
+        """Nodes and middles as the nodes of the finer grid."""
+        twice = np.empty((len(path.nodes), 2 * path.nodes.shape[1] - 1))
+        twice[:, ::2], twice[:, 1::2] = path.nodes, path.middles
+        return twice
+
+    def _has_more_content(self, stretch: Stretch) -> bool:
+        i = stretch.current_a[:: max(1, self.spacing // 8)]
+        if len(i) < 3:
+            return False
+        bend = float(np.max(np.abs(i[2:] - 2.0 * i[1:-1] + i[:-2])))
+        return bend > _ABOVE_THE_NODES * float(np.max(np.abs(i)))
+
+    def _low_band(self, stretch: Stretch) -> Stretch:
+        """Without what nodes and middles would mistake; the linear solution still has all of it.
+
+        A triangle has double zeros at the multiples of twice their rate; a second difference
+        makes up for its droop. Beyond the ends the signal is mirrored in the end point.
+        """
+        width = self.spacing // 2
+        box = np.full(width, 1.0 / width)
+        droop = (width * width - 1.0) / 12.0
+        kernel = np.convolve(np.convolve(box, box), [-droop, 1.0 + 2.0 * droop, -droop])
+        reach = len(kernel) // 2
+        if len(stretch.volts) <= reach:
+            return stretch
+        smooth = [
+            np.convolve(np.pad(samples, reach, "reflect", reflect_type="odd"), kernel, "valid")
+            for name, samples in vars(stretch).items()
+            if name != "volts"
+        ]
+        return Stretch(stretch.volts, *smooth)
+
+    def frame_share(self, acceleration_m_s2: FloatArray) -> FloatArray:
+        """The frame's acceleration by that of the moving mass alone, (frames,)."""
+        seat = self.equations.seat
+        return acceleration_m_s2 * (-self.equations.mass / seat.mass_kg if seat else 0.0)
+
+    def _frame_acceleration(
+        self, added_m_s2: FloatArray, frame_m: FloatArray, frame_m_s: FloatArray
+    ) -> FloatArray:
+        """What is to be added to the share that the linear solution has in it."""
+        seat = self.equations.seat
+        if seat is None:
+            return np.zeros_like(added_m_s2)
+        force = seat.stiffness_n_per_m * frame_m + seat.damping_n_s_per_m * frame_m_s
+        return np.asarray(self.frame_share(added_m_s2) - force / seat.mass_kg)
+
+    def _refined(self, stretch: Stretch, guess: FloatArray) -> Correction | None:
+        """On the finer grid, None where it does not converge."""
+        spacing = self.spacing // 2
+        bases = self.bases(stretch, spacing)
+        path = self._fine.newton_path(bases, guess)
+        self.iterations += path.iterations
+        return self._of_path(path, bases, spacing) if path.converged else None
+
+    def _in_pieces(self, stretch: Stretch, start: FloatArray) -> Correction:
+        pieces = []
+        length, samples = (_PIECE_NODES - 1) * self.spacing, len(stretch.volts) - 1
+        for first in range(0, samples, length):
+            piece = stretch.part(first, min(first + length, samples))
+            nodes = (len(piece.volts) - 1) // (self.spacing // 2) + 1
+            guess = np.repeat(start[:, None], nodes, axis=1)
+            found = self._refined(piece, guess) or self.stepped(piece, start)
+            pieces.append(found)
+            start = found.end
+        return _joined(pieces)
+
+    def _of_path(self, path: Path, bases: Bases, spacing: int) -> Correction:
+        p = self.equations.actuator
+        currents = []
+        whole = (path.node_currents_a, path.middle_currents_a)
+        for base, current in zip(bases, whole, strict=True):
+            linear = base.flux_wb - p.force_factor_n_per_a * base.excursion_m
+            currents.append(current - linear / p.inductance_h)
+        return self._correction(path, bases, currents[0], currents[1], spacing)
+
+    def _correction(
+        self,
+        path: Linear,
+        bases: Bases,
+        node_currents: FloatArray,
+        middle_currents: FloatArray,
+        spacing: int,
+    ) -> Correction:
+        step_s = spacing * self._step_s
+        speed = self.equations.relative_speed
+
+        def displacement() -> FloatArray:
+            return cubic(path.nodes[EXCURSION], speed(path.nodes), step_s, spacing)
+
+        def velocity() -> FloatArray:
+            return cubic(speed(path.nodes), speed(path.node_rates), step_s, spacing)
+
+        def acceleration() -> FloatArray:
+            return quadratic(path.node_rates[SPEED], path.middle_rates[SPEED], spacing)
+
+        def frame_acceleration() -> FloatArray:
+            if self.equations.seat is None:
+                return np.zeros((path.nodes.shape[1] - 1) * spacing)
+            frame = cubic(path.nodes[FRAME], path.nodes[FRAME_SPEED], step_s, spacing)
+            speeds, rates = path.nodes[FRAME_SPEED], path.node_rates[FRAME_SPEED]
+            moving = cubic(speeds, rates, step_s, spacing)
+            return self._frame_acceleration(acceleration(), frame, moving)
+
+        return Correction(
+            path.nodes[:, -1].copy(),
+            {
+                "displacement_m": displacement,
+                "velocity_m_s": velocity,
+                "current_a": lambda: quadratic(node_currents, middle_currents, spacing),
+                "acceleration_m_s2": acceleration,
+                SEAT_ACCELERATION: frame_acceleration,
+            },
+            float(np.max(np.abs(bases[0].excursion_m + path.nodes[EXCURSION]))),
+        )
+
+    def _base(self, stretch: Stretch, flux: FloatArray, points: slice) -> Base:
+        return Base(
+            stretch.displacement_m[points],
+            stretch.velocity_m_s[points],
+            flux[points],
+            stretch.acceleration_m_s2[points],
+        )
+
+
+def _held(values: FloatArray) -> Callable[[], FloatArray]:
+    return lambda: values
+
+
+def _joined(pieces: list[Correction]) -> Correction:
+    def joined(name: str) -> Callable[[], FloatArray]:
+        return lambda: np.concatenate([piece.samples(name) for piece in pieces])
+
+    return Correction(
+        pieces[-1].end,
+        {name: joined(name) for name in (*QUANTITIES, SEAT_ACCELERATION)},
+        max(piece.excursion_peak_m for piece in pieces),
+    )

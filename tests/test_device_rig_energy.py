@@ -1,0 +1,203 @@
+"""Shapes, co-energy and the passive step: exact derivatives, and not a joule from nowhere."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from device.rig import CONSUMER, PAPER
+from device.rig.co_energy import energies, linear_energies, stored_energy_j
+from device.rig.equations import Equations
+from device.rig.passive_step import PassiveStepper
+from device.rig.shapes import Arctangent, Hardening, Polynomial, Stops, Sum, Tanh
+
+PAPERS = energies(PAPER.actuator, PAPER.large_signal)
+X_MAX = PAPER.actuator.x_max_m
+SHAPES = [
+    Polynomial((0.3, -10.0, 400.0, 5e5)),
+    Hardening(8e4, 2e10),
+    Arctangent(10.0, 2.6e-3),
+    Tanh(1e-3, 0.3, 1.5e-3),
+    Stops(2.2e-3, 1.3e9),
+    Sum((Hardening(8e4, 2e10), Stops(2.2e-3, 1.3e9))),
+]
+NAMES = ["polynomial", "hardening", "arctangent", "tanh", "stops", "sum"]
+EXCURSIONS = st.floats(-3e-3, 3e-3)
+
+
+def scale(shape):
+    """The largest slope of a shape over all excursions."""
+    return float(np.abs(shape.jet(np.linspace(-3e-3, 3e-3, 101))[1]).max())
+
+
+# -------------------------------------------------------------------------------------- shapes
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=NAMES)
+def test_each_derivative_of_a_shape_is_the_slope_of_the_one_before(shape):
+    x = np.linspace(-2.9e-3, 2.9e-3, 801)
+    step = 1e-7
+    before, after, here = shape.jet(x - step), shape.jet(x + step), shape.jet(x)
+    for order in range(2):
+        slope = (after[order] - before[order]) / (2 * step)
+        # Central differences: (step / 1.5 mm)^2 = 4e-9, and rounding of the difference, 1e-16
+        # of 3 mm over the step, 3e-12; where a stop begins f''' jumps, and the slope is off by
+        # one step of f''.
+        allowed = 1e-7 * np.abs(slope).max() + step * 2 * getattr(shape, "hardness", 2.6e9)
+        assert np.abs(slope - here[order + 1]).max() <= allowed
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=NAMES)
+@given(EXCURSIONS, EXCURSIONS)
+def test_a_divided_difference_times_the_way_is_the_difference(shape, a, b):
+    difference = shape.value(b) - shape.value(a)
+    # Rounding of the two values themselves.
+    rounding = 4e-16 * (abs(shape.value(a)) + abs(shape.value(b)))
+    divided = shape.divided(a, b)
+    assert divided * (b - a) == pytest.approx(difference, rel=1e-12, abs=rounding + 1e-30)
+    assert shape.divided(b, a) == pytest.approx(divided, rel=1e-12, abs=1e-12 * scale(shape))
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=NAMES)
+@given(EXCURSIONS, st.floats(-1e-12, 1e-12))
+def test_where_the_ends_meet_a_divided_difference_is_the_derivative(shape, a, way):
+    slope = float(shape.jet(np.array([a]))[1][0])
+    # The slope changes by f'' times the way: 1e-9 of its scale at 1e-12 of 1 mm.
+    assert shape.divided(a, a + way) == pytest.approx(slope, rel=1e-9, abs=1e-8 * scale(shape))
+    assert shape.divided(a, a) == pytest.approx(slope, rel=1e-12, abs=1e-13 * scale(shape))
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=NAMES)
+@given(EXCURSIONS)
+def test_one_value_is_the_same_as_one_of_many(shape, x):
+    expected = float(shape.jet(np.array([x]))[0][0])
+    assert shape.value(x) == pytest.approx(expected, rel=1e-13, abs=1e-300)
+
+
+# ------------------------------------------------------------------------------------ co-energy
+
+
+@given(EXCURSIONS, st.floats(-7, 7))
+def test_force_flux_and_inductance_are_the_derivatives_of_the_co_energy(x, i):
+    w = PAPERS.co_energy
+    dx, di = 1e-6, 1e-4
+    xs, i_s = np.array([x - dx, x, x + dx]), np.array([i - di, i, i + di])
+    by_x, by_i = w.value(xs, np.full(3, i)), w.value(np.full(3, x), i_s)
+    force, flux = float(w.force_n(xs, np.full(3, i))[1]), w.flux_linkage_wb(np.full(3, x), i_s)
+    # Second order in a step of 1e-3 of Xmax; W' is quadratic in i, there only rounding is left.
+    assert (by_x[2] - by_x[0]) / (2 * dx) == pytest.approx(force, abs=1e-5 * 80)
+    assert (by_i[2] - by_i[0]) / (2 * di) == pytest.approx(flux[1], abs=1e-10)
+    inductance = float(w.incremental_inductance_h(xs, np.full(3, i))[1])
+    assert (flux[2] - flux[0]) / (2 * di) == pytest.approx(inductance, rel=1e-9)
+    assert w.current_a(np.array([x]), flux[1:2])[0] == pytest.approx(i, abs=1e-12)
+
+
+@given(EXCURSIONS, st.floats(-7, 7))
+def test_the_flux_changes_with_the_excursion_as_the_force_does_with_the_current(x, i):
+    w = PAPERS.co_energy
+    dx, di = 1e-6, 1e-4
+    flux = w.flux_linkage_wb(np.array([x - dx, x + dx]), np.array([i, i]))
+    force = w.force_n(np.array([x, x]), np.array([i - di, i + di]))
+    at = w.at(np.array([x]), w.flux_linkage_wb(np.array([x]), np.array([i])))
+    both = float(at.flux_slope[0])
+    assert (flux[1] - flux[0]) / (2 * dx) == pytest.approx(both, abs=1e-5)
+    assert (force[1] - force[0]) / (2 * di) == pytest.approx(both, abs=1e-8)
+
+
+@pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=lambda rig: rig.name)
+def test_at_x_max_the_shapes_have_changed_as_the_table_of_the_rig_says(rig):
+    e = energies(rig.actuator, rig.large_signal)
+    x = np.array([0.0, rig.actuator.x_max_m, -rig.actuator.x_max_m])
+    nothing = np.zeros(3)
+    bl = e.co_energy.at(x, e.co_energy.flux_linkage_wb(x, nothing)).flux_slope
+    assert bl / rig.actuator.force_factor_n_per_a == pytest.approx([1.0, 0.75, 0.75])
+    stiffness = e.potential.jet(x)[1][1:] / x[1:]
+    assert stiffness / rig.actuator.stiffness_n_per_m == pytest.approx([1.5, 1.5])
+    inductance = e.co_energy.incremental_inductance_h(x, nothing) / rig.actuator.inductance_h
+    assert inductance == pytest.approx([1.0, 0.77, 1.23], abs=0.002)
+
+
+@given(EXCURSIONS, st.floats(-7, 7))
+def test_the_stored_energy_is_never_negative(x, i):
+    assert stored_energy_j(PAPERS, np.array([x]), np.array([i]))[0] >= 0.0
+
+
+# --------------------------------------------------------------------------------- passive step
+
+CASES = {
+    "paper": {},
+    "Q 1000": {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5},
+    "1 uH": {"inductance_h": 1e-6},
+    "overdamped": {"force_factor_n_per_a": 60.0, "inductance_h": 1e-4},
+}
+RATES = [1_000, 6_000, 48_000, 192_000]
+
+
+def equations_of(changes, seat=None, large=PAPER.large_signal):
+    p = replace(PAPER.actuator, **changes)
+    return Equations(p, energies(p, large), 0.0, seat)
+
+
+@pytest.mark.parametrize("samplerate", RATES)
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("seat", [None, PAPER.seat], ids=["ground", "seat"])
+def test_every_passive_step_balances_its_energy_whatever_the_drive(case, samplerate, seat):
+    stepper = PassiveStepper(equations_of(CASES[case], seat), 1.0 / samplerate)
+    rng = np.random.default_rng(5)
+    volts = 100.0 * rng.standard_normal(120)  # into the stops, where the rate is low
+    volts[40:60], volts[60:80], volts[80:100] = 0.0, 100.0, -100.0
+    before, before_j = 0.0, 0.0
+    for volt in volts:
+        states = stepper.move(np.array([volt]), before)
+        through_j = abs(0.5 * (before + volt) * states[5, 0]) / samplerate
+        assert abs(stepper.surplus_j) <= 1e-10 * max(stepper.energy_j(), before_j, through_j)
+        before, before_j = volt, stepper.energy_j()
+        assert np.isfinite(states).all()
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30),
+    st.sampled_from(sorted(CASES)),
+    st.floats(1_000, 192_000),
+)
+def test_the_passive_step_never_fails(volts, case, samplerate):
+    stepper = PassiveStepper(equations_of(CASES[case]), 1.0 / samplerate)
+    assert np.isfinite(stepper.move(np.array(volts), 0.0)).all()
+    assert math.isfinite(stepper.surplus_j)
+
+
+def test_without_a_voltage_the_energy_of_passive_steps_never_grows():
+    stepper = PassiveStepper(equations_of(CASES["Q 1000"]), 1 / 6_000)
+    stepper.move(np.full(100, 300.0), 0.0)
+    stepper.move(np.zeros(1), 300.0)
+    energy = [stepper.energy_j()]
+    for _ in range(500):
+        stepper.move(np.zeros(1), 0.0)
+        energy.append(stepper.energy_j())
+    # Rounding of the sum.
+    assert np.diff(energy).max() <= 1e-14 * energy[0]
+
+
+def test_passive_steps_are_of_second_order():
+    volts = {}
+    for samplerate in (48_000, 96_000, 192_000):
+        times = np.arange(1, samplerate // 100 + 1) / samplerate
+        stepper = PassiveStepper(equations_of({}), 1.0 / samplerate)
+        drive = 20.0 * np.sin(math.tau * 90.0 * times)
+        volts[samplerate] = stepper.move(drive, 0.0)[0, -1]
+    ratio = (volts[48_000] - volts[192_000]) / (volts[96_000] - volts[192_000])
+    assert ratio == pytest.approx((1 - 1 / 16) / (1 / 4 - 1 / 16), rel=0.02)
+
+
+def test_linear_energies_give_the_linear_actuator():
+    e = linear_energies(PAPER.actuator)
+    g, _ = Equations(PAPER.actuator, e).remainder(
+        np.array([1e-3, -2e-3]), np.array([0.1, -0.5]), np.array([0.02, 0.01])
+    )
+    # Rounding of k x, 80 N, and of R i, 10 V.
+    assert np.abs(g.force_n).max() < 1e-12
+    assert np.abs(g.volts).max() < 1e-13

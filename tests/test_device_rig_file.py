@@ -1,0 +1,197 @@
+"""Rig files: what ships, what is read back, and how a wrong one is refused."""
+
+import math
+from dataclasses import fields
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from device.errors import UsageError
+from device.rig import CONSUMER, PAPER, read_rig, rig_by_name
+from device.rig.rig_file import STAGES, parse_rig
+
+PLAIN = """
+[dac]
+bits = 16
+full_scale_v = 1
+[amplifier]
+gain = 2.0
+output_limit_v = 10.0
+source_impedance_ohm = 0.0
+[actuator]
+moving_mass_kg = 0.2
+resonance_hz = 50.0
+q_mechanical = 5.0
+force_factor_n_per_a = 8.0
+resistance_ohm = 4.0
+inductance_h = 1e-3
+x_max_m = 1e-3
+"""
+
+
+def refused(text):
+    with pytest.raises(UsageError) as caught:
+        parse_rig(text, "mine", "mine.toml")
+    return str(caught.value)
+
+
+def changed(name, value):
+    """The plain rig with one value replaced."""
+    lines = [f"{name} = {value}" if line.startswith(name) else line for line in PLAIN.split("\n")]
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=lambda rig: rig.name)
+def test_every_value_of_a_rig_that_ships_says_where_it_comes_from(rig):
+    values = {
+        f"{name}.{field.name}" for name, stage in rig.stages().items() for field in fields(stage)
+    }
+    sourced = [source.parameter for source in rig.sources]
+    assert len(sourced) == len(set(sourced))
+    assert values <= set(sourced)
+    assert all(source.words for source in rig.sources)
+
+
+def test_of_the_papers_rig_only_the_resonance_and_the_instruments_are_given():
+    given_by_someone = {s.parameter for s in PAPER.sources if s.kind == "given"}
+    assert "actuator.resonance_hz" in given_by_someone
+    assert not {name for name in given_by_someone if name.startswith(("seat", "thermal"))}
+    assert {"actuator.moving_mass_kg", "actuator.q_mechanical"} <= set(PAPER.assumed())
+    # nobody measured the consumer's rig
+    assert len(CONSUMER.assumed()) == len(CONSUMER.sources)
+
+
+def test_the_consumers_rig_has_the_quality_factors_of_its_table():
+    assert CONSUMER.actuator.q_electrical() == pytest.approx(5.9, abs=0.05)
+    assert CONSUMER.actuator.q_total() == pytest.approx(2.7, abs=0.05)
+    assert CONSUMER.amplifier.channels == 2
+    assert rig_by_name("consumer") is CONSUMER
+
+
+def test_a_free_frame_of_the_papers_seat_raises_the_resonance_by_five_per_cent():
+    assert PAPER.seat is not None
+    ratio = math.sqrt(1 + PAPER.actuator.moving_mass_kg / PAPER.seat.mass_kg)
+    assert ratio == pytest.approx(1.05, abs=0.002)
+
+
+def test_a_file_is_found_by_its_path_and_named_after_it(tmp_path):
+    path = tmp_path / "bench one.toml"
+    path.write_text(PLAIN)
+    rig = rig_by_name(str(path))
+    assert rig == read_rig(path)
+    assert rig.name == "bench one"
+    assert rig.dac.full_scale_v == 1.0
+    assert isinstance(rig.dac.full_scale_v, float)
+    assert (rig.seat, rig.sources) == (None, ())
+
+
+def test_a_measured_value_keeps_its_interval():
+    text = changed("resonance_hz", "{value = 51.0, measured = 'sweep', interval = [50.8, 51.2]}")
+    source = parse_rig(text, "mine", "mine.toml").sources[0]
+    assert (source.parameter, source.kind) == ("actuator.resonance_hz", "measured")
+    assert source.interval == (50.8, 51.2)
+
+
+def test_all_that_is_wrong_in_a_file_is_named_at_once():
+    text = changed("moving_mass_kg", "-0.2").replace("q_mechanical = 5.0", "q_mechanical = 0")
+    text = text.replace("gain = 2.0", "gian = 2.0").replace("bits = 16", 'bits = "16"')
+    message = refused(text + "[speaker]\n[thermal]\ncoil_k_per_w = 4.0\n")
+    for part in (
+        "mine.toml",
+        "speaker is unknown",
+        "dac.bits='16' must be a whole number, 8 to 32",
+        "amplifier.gian is unknown, did you mean gain?",
+        "amplifier.gain is missing",
+        "actuator.moving_mass_kg=-0.2 must be above 0",
+        "actuator.q_mechanical=0 must be above 0",
+        "thermal.magnet_j_per_k is missing",
+        "correct the file",
+    ):
+        assert part in message
+    assert "\n" not in message
+
+
+CONTRADICTIONS = {
+    "[large_signal]\nstop_m = 0.9e-3": "stop_m=0.0009 must be above actuator.x_max_m=0.001",
+    "[conditioning]\ngain_v_per_pc = 1.0\nlow_cut_hz = 60.0\nhigh_cut_hz = 1e3\nnoise_pc = 0.0\n"
+    "output_limit_v = 10.0": "inside the band of conditioning, 60.0 to 1000.0 Hz",
+    "[conditioning]\ngain_v_per_pc = 1.0\nlow_cut_hz = 2e3\nhigh_cut_hz = 1e3\nnoise_pc = 0.0\n"
+    "output_limit_v = 10.0": "low_cut_hz=2000.0 must be below high_cut_hz=1000.0",
+    "[conditioning]\ngain_v_per_pc = 1.0\nlow_cut_hz = 1.0\nhigh_cut_hz = 1e3\nnoise_pc = 11.0\n"
+    "output_limit_v = 10.0": "above the noise of the conditioning amplifier, 11 V",
+    "[daq]\nbits = 16\nrange_v = 1e-4\nnoise_v = 3e-4\nmax_samplerate_hz = 1e6": "range_v=0.0001 "
+    "must be above daq.noise_v=0.0003",
+    "[accelerometer]\nsensitivity_pc_per_m_s2 = 0.1\nresonance_hz = 200.0\nq_resonance = 9.0\n"
+    "limit_m_s2 = 1e4": "at least five times actuator.resonance_hz=50.0",
+}
+
+
+@pytest.mark.parametrize("tables", CONTRADICTIONS)
+def test_values_that_contradict_one_another_are_refused(tables):
+    assert CONTRADICTIONS[tables] in refused(PLAIN + tables)
+
+
+def test_an_amplifier_that_contradicts_the_rest_is_refused():
+    assert "at least 10 times makes a current drive" in refused(
+        PLAIN.replace("gain = 2.0", "gain = 2.0\ndrive_mode = 'current'")
+    )
+    assert "that is a current drive" in refused(changed("source_impedance_ohm", "100.0"))
+    assert "must be above one step of the DAC" in refused(changed("output_limit_v", "1e-5"))
+    assert "inside the band of amplifier" in refused(
+        PLAIN.replace("gain = 2.0", "gain = 2.0\nhigh_cut_hz = 20.0")
+    )
+    assert "must be 'voltage' or 'current'" in refused(
+        PLAIN.replace("gain = 2.0", "gain = 2.0\ndrive_mode = 'power'")
+    )
+
+
+def test_what_follows_may_be_stated_and_has_to_agree():
+    assert parse_rig(PLAIN + "q_electrical = 3.93", "mine", "").name == "mine"
+    message = refused(PLAIN + "q_electrical = 4.5\nstiffness_n_per_m = 'stiff'")
+    assert "actuator.q_electrical=4.5 contradicts the rest, from which 3.927 follows" in message
+    assert "actuator.stiffness_n_per_m='stiff' contradicts" in message
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        "{ value = 50.0 }",
+        "{ assumed = 'why' }",
+        "{ value = 50.0, guessed = 'why' }",
+        "{ value = 50.0, given = 'by', assumed = 'too' }",
+        "{ value = 50.0, measured = 'sweep', interval = [51.0, 52.0] }",
+        "{ value = 50.0, measured = 'sweep', interval = ['a', 'b'] }",
+        "[50.0]",
+        "'fifty'",
+        "true",
+        "nan",
+        "inf",
+        "-0.0",
+    ],
+)
+def test_a_value_that_is_stated_wrongly_is_refused_with_its_name(stated):
+    assert "actuator.resonance_hz" in refused(changed("resonance_hz", stated))
+
+
+@pytest.mark.parametrize("content", [b"[dac", b"\xff\xfe", None])
+def test_a_file_that_is_none_is_refused(tmp_path, content):
+    path = tmp_path / "rig.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(UsageError, match=r"rig\.toml"):
+        rig_by_name(str(path))
+
+
+VALUES = st.none() | st.floats() | st.integers() | st.text(max_size=3) | st.lists(st.integers())
+
+
+@given(st.data())
+def test_whatever_a_value_is_a_rig_comes_out_or_a_message(data):
+    stage = data.draw(st.sampled_from(sorted(STAGES)))
+    name = data.draw(st.sampled_from(sorted(STAGES[stage].LIMITS)))
+    value = data.draw(VALUES)
+    problems = STAGES[stage].problems({name: value})
+    assert all(problem.startswith(name) and repr(value) in problem for problem in problems)
+    if value is None or value != value:
+        assert problems

@@ -1,0 +1,496 @@
+"""The rungs against reference solutions, and the ladder that chooses among them."""
+
+import math
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.signal import butter, sosfilt
+
+from device.errors import UsageError
+from device.rig import PAPER
+from device.rig.actuator import LinearActuator
+from device.rig.co_energy import energies, linear_energies, stored_energy_j
+from device.rig.ladder import Ladder
+from device.rig.linear_system import QUANTITIES
+from device.rig.passive_step import PassiveStepper
+from device.rig.rungs import Rung
+from device.rig.thermal import COPPER_PER_K, Temperatures
+
+FS = 48_000
+TONES_HZ = (20.0, 46.6, 92.0, 128.2, 140.9, 182.0, 220.0)
+SEAT = "seat_acceleration_m_s2"
+FLOOR = 0.01
+assert PAPER.seat
+assert PAPER.large_signal
+assert PAPER.thermal
+SITTER, LARGE, THERMAL = PAPER.seat, PAPER.large_signal, PAPER.thermal
+
+
+def tones(level_v, times):
+    return level_v * sum(np.sin(math.tau * hz * times) for hz in TONES_HZ)
+
+
+def times_of(samplerate, duration_s):
+    return np.arange(round(samplerate * duration_s)) / samplerate
+
+
+@cache
+def reference(level_v, samplerate, seat=False, duration_s=0.04):
+    """Columns as QUANTITIES and the seat's acceleration: solve_ivp at 1e-12, true sinusoids.
+
+    Written from the energies and the equations of motion in plain states, apart from the rungs.
+    """
+    p, e = PAPER.actuator, energies(PAPER.actuator, LARGE)
+    m, c = p.moving_mass_kg, p.damping_n_s_per_m
+
+    def rates(t, s):
+        y, u, i, z, zs = s
+        x, current = np.array([y]), np.array([i])
+        w = u - (zs if seat else 0.0)
+        force = e.co_energy.force_n(x, current)[0] - e.potential.jet(x)[1][0] - c * w
+        at = e.co_energy.at(x, e.co_energy.flux_linkage_wb(x, current))
+        change = p.resistance_ohm * i + at.flux_slope[0] * w
+        rate = (tones(level_v, t) - change) / at.inductance_h[0]
+        frame = 0.0
+        if seat:
+            frame = -(force + SITTER.stiffness_n_per_m * z + SITTER.damping_n_s_per_m * zs)
+            frame /= SITTER.mass_kg
+        return [w, force / m, rate, zs if seat else 0.0, frame]
+
+    times = times_of(samplerate, duration_s)
+    solved = solve_ivp(rates, (0, times[-1]), np.zeros(5), "DOP853", times, rtol=1e-12, atol=1e-14)
+    derived = np.array([rates(t, s) for t, s in zip(times, solved.y.T, strict=True)]).T
+    y, _, i, _, _ = solved.y
+    return np.array([y, derived[0], i, derived[1], derived[4]])
+
+
+def columns(motion, names=QUANTITIES):
+    return np.array([getattr(motion, name) for name in names])
+
+
+def errors(got, expected):
+    """Largest error of each row over its largest value."""
+    return np.abs(got - expected).max(axis=1) / np.abs(expected).max(axis=1)
+
+
+# ------------------------------------------------------------------------------------ accuracy
+
+
+# 192 kHz: straight lines lose (pi f / fs)^2 / 3, 4e-6 at 220 Hz. Then there are the fourth order
+# of the nodes (1e-6) and, for current and acceleration, parabolas between them (3e-5 at 6 kHz).
+@pytest.mark.parametrize("level_v", [2.0, 7.0])
+def test_the_non_linear_rung_solves_the_equations(level_v):
+    expected = reference(level_v, 192_000)[:4]
+    volts = tones(level_v, times_of(192_000, 0.04))
+    got = columns(Ladder(PAPER, 192_000, rung=Rung.NONLINEAR).move(volts))
+    displacement, velocity, current, acceleration = errors(got, expected)
+    assert displacement < 1e-5
+    assert velocity < 2e-5
+    assert current < 1e-4
+    assert acceleration < 1e-4
+    # It is worth it: the linear rung is far off at these levels.
+    linear = columns(Ladder(PAPER, 192_000, rung=Rung.LINEAR).move(volts))
+    assert errors(linear, expected)[0] > 0.02
+
+
+def test_at_48_khz_the_non_linear_rung_keeps_a_ten_thousandth_below_the_stops():
+    volts = tones(7.0, times_of(FS, 0.04))
+    got = columns(Ladder(PAPER, FS, rung=Rung.NONLINEAR).move(volts))
+    expected = reference(7.0, FS)[:4]
+    assert 0.5 * PAPER.actuator.x_max_m < np.abs(expected[0]).max()
+    assert np.abs(expected[0]).max() < LARGE.stop_m
+    # Straight lines between samples: 7e-5 at 220 Hz, less where the motion is slower.
+    assert errors(got, expected).max() < 1e-4
+
+
+def test_on_the_seat_the_rungs_solve_the_equations_of_both_masses():
+    expected = reference(5.0, 192_000, seat=True)
+    volts = tones(5.0, times_of(192_000, 0.04))
+    ladder = Ladder(PAPER, 192_000, rung=Rung.NONLINEAR, seat=True)
+    got = columns(ladder.move(volts, (*QUANTITIES, SEAT)), (*QUANTITIES, SEAT))
+    assert errors(got, expected).max() < 1e-4
+    stepped = Ladder(PAPER, 192_000, rung=Rung.STEPPED, seat=True)
+    got = columns(stepped.move(volts, (*QUANTITIES, SEAT)), (*QUANTITIES, SEAT))
+    # Second order: (w / fs)^2 / 12 and its like, grown by a resonance.
+    assert errors(got, expected).max() < 1e-3
+
+
+def test_the_step_by_step_rung_solves_the_same_equations():
+    expected = reference(7.0, 192_000)[:4]
+    volts = tones(7.0, times_of(192_000, 0.04))
+    got = columns(Ladder(PAPER, 192_000, rung=Rung.STEPPED).move(volts))
+    assert errors(got, expected).max() < 1e-3
+
+
+def test_one_correction_leaves_an_error_of_second_order():
+    # Times two in level, the non-linear share is about doubled, where L' i^2 rules, or more.
+    left = []
+    for level_v in (0.1, 0.2, 0.4):
+        volts = tones(level_v, times_of(FS, 0.1))
+        true = Ladder(PAPER, FS, rung=Rung.NONLINEAR).move(volts).displacement_m
+        by_rung = [
+            np.abs(Ladder(PAPER, FS, rung=rung).move(volts).displacement_m - true).max()
+            for rung in (Rung.LINEAR, Rung.CORRECTED)
+        ]
+        left.append(np.array(by_rung) / np.abs(true).max())
+    once, corrected = np.array(left).T
+    assert (corrected < 0.2 * once).all()
+    assert corrected[2] / corrected[0] > 2.5 * (once[2] / once[0]) / 2
+
+
+def test_the_linear_rung_of_a_rig_without_large_signal_is_the_whole_truth():
+    rig = replace(PAPER, large_signal=None)
+    volts = tones(7.0, times_of(FS, 0.1))
+    exact = columns(LinearActuator(PAPER.actuator, FS).move(volts))
+    for rung in (Rung.LINEAR, Rung.CORRECTED, Rung.NONLINEAR):
+        got = columns(Ladder(rig, FS, rung=rung).move(volts))
+        assert errors(got, exact).max() < 1e-12
+    ladder = Ladder(rig, FS, 1e-9)
+    assert np.array_equal(columns(ladder.move(volts)), exact)
+    assert ladder.frames_by_rung[Rung.LINEAR] > 4_000
+
+
+@pytest.mark.parametrize("frequency_hz", [1_000.0, 5_000.0, 11_910.0, 12_090.0])
+def test_content_above_the_nodes_does_not_come_back_as_vibration(frequency_hz):
+    times = times_of(FS, 0.15)
+    volts = 6.0 * np.sin(math.tau * 90.0 * times)
+    volts += 6.0 * np.sin(math.tau * frequency_hz * times)
+    true = Ladder(PAPER, FS, rung=Rung.NONLINEAR, nodes_hz=48_000.0).move(volts)
+    got = Ladder(PAPER, FS, rung=Rung.NONLINEAR).move(volts)
+    error = np.abs(got.displacement_m - true.displacement_m).max()
+    assert error < 1e-4 * np.abs(true.displacement_m).max()
+
+
+# -------------------------------------------------------------------------------------- energy
+
+
+def band_noise(level_v, samplerate, duration_s, seed):
+    noise = np.random.default_rng(seed).standard_normal(round(samplerate * duration_s))
+    band = sosfilt(butter(4, [20, 220], "band", fs=samplerate, output="sos"), noise)
+    return level_v * band / np.abs(band).max()
+
+
+def surplus_of(volts, motion_of, e, fine):
+    """(energy in that was neither stored nor turned into heat, energy in either way), J.
+
+    The straight lines of the voltage at 48 kHz get `fine` points each, where the motion is known
+    too; Simpson's rule then has no corner inside.
+    """
+    p = PAPER.actuator
+    frames = len(volts)
+    lines = np.interp(np.arange(frames * fine) / fine, np.arange(frames), volts)
+    motion = motion_of(FS * fine).move(lines)
+    heat_w = p.resistance_ohm * motion.current_a**2
+    heat_w += p.damping_n_s_per_m * motion.velocity_m_s**2
+    pressed = np.abs(e.stops.jet(motion.displacement_m)[1])
+    heat_w += e.stop_loss_s_per_m * pressed * motion.velocity_m_s**2
+    power_w = lines * motion.current_a - heat_w
+    stored_j = stored_energy_j(e, motion.displacement_m, motion.current_a)
+    stored_j += p.moving_mass_kg * motion.velocity_m_s**2 / 2
+    last = (frames - 2) * fine
+    simpson_w = power_w[:last:2] + 4 * power_w[1:last:2] + power_w[2 : last + 1 : 2]
+    surplus_j = simpson_w.sum() / (3 * FS * fine) - (stored_j[last] - stored_j[0])
+    return surplus_j, np.abs(lines * motion.current_a).sum() / (FS * fine)
+
+
+# The last of the levels goes into the stops.
+@pytest.mark.parametrize("level_v", [5.0, 20.0, 60.0])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_non_linear_rung_is_passive_on_random_drives(level_v, seed):
+    surplus_j, through_j = surplus_of(
+        band_noise(level_v, FS, 0.25, seed),
+        lambda samplerate: Ladder(PAPER, samplerate, rung=Rung.NONLINEAR),
+        energies(PAPER.actuator, LARGE),
+        4,
+    )
+    assert abs(surplus_j) <= 1e-6 * through_j
+
+
+def test_the_linear_rung_is_passive_on_random_drives():
+    volts = np.random.default_rng(6).standard_normal(1_000)
+    surplus_j, through_j = surplus_of(
+        volts,
+        lambda samplerate: LinearActuator(PAPER.actuator, samplerate),
+        linear_energies(PAPER.actuator),
+        32,
+    )
+    assert abs(surplus_j) <= 1e-6 * through_j
+
+
+# ------------------------------------------------------------------------------------ hard cases
+
+HARD = {
+    "Q 1000": {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5},
+    "1 uH": {"inductance_h": 1e-6},
+    "Q 1000 and 1 uH": {
+        "q_mechanical": 1_000.0,
+        "force_factor_n_per_a": 0.5,
+        "inductance_h": 1e-6,
+    },
+    "overdamped": {"force_factor_n_per_a": 60.0, "inductance_h": 1e-4},
+    "hard stops": {},
+}
+
+
+def hard_rig(case):
+    large = replace(LARGE, stop_n_per_m2=1e12 if case == "hard stops" else 1.3e9)
+    return replace(PAPER, actuator=replace(PAPER.actuator, **HARD[case]), large_signal=large)
+
+
+@pytest.mark.parametrize("samplerate", [1_000, 3_000, 8_000, 44_100, 192_000])
+@pytest.mark.parametrize("case", HARD)
+def test_full_scale_steps_noise_and_nan_never_give_anything_but_finite_motion(case, samplerate):
+    frames = samplerate // 10
+    volts = np.full(frames, 60.0)
+    volts[frames // 4 :] = -60.0
+    volts[frames // 2 :] = 40.0 * np.random.default_rng(7).standard_normal(frames - frames // 2)
+    volts[frames // 3], volts[frames // 3 + 1] = math.nan, -math.inf
+    ladder = Ladder(hard_rig(case), samplerate, rung=Rung.NONLINEAR)
+    motion = columns(ladder.move(volts))
+    assert np.isfinite(motion).all()
+    assert ladder.replaced_samples == 2
+    # Finite means bounded as well: even these stops give way by less than their own distance.
+    assert np.abs(motion[0]).max() < 3 * LARGE.stop_m
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(
+        st.floats(-200, 200) | st.sampled_from([math.nan, math.inf, 1e300]), min_size=1, max_size=60
+    ),
+    st.floats(1_000, 192_000),
+    st.sampled_from(sorted(HARD)),
+)
+def test_whatever_comes_in_the_ladder_gives_finite_motion(volts, samplerate, case):
+    motion = columns(Ladder(hard_rig(case), samplerate).move(np.array(volts)))
+    assert motion.shape == (4, len(volts))
+    assert np.isfinite(motion).all()
+
+
+def test_what_does_not_converge_is_stepped_and_counted():
+    ladder = Ladder(hard_rig("hard stops"), 1_000, rung=Rung.NONLINEAR)
+    ladder.move(200.0 * np.random.default_rng(8).standard_normal(300))
+    assert ladder.stepped_frames > 0
+    assert np.isfinite(columns(ladder.move(np.zeros(10)))).all()
+
+
+def test_left_alone_the_motion_dies_away_over_a_million_samples():
+    ladder = Ladder(hard_rig("Q 1000"), FS)
+    ladder.move(tones(1.0, times_of(FS, 0.5)))
+    peaks = [np.abs(ladder.move(np.zeros(FS)).displacement_m).max() for _ in range(20)]
+    assert all(after < before for before, after in pairwise(peaks))
+    # Q 1000 at 90 Hz: amplitude falls by exp(-pi 90 / 1000) a second, a little more by Bl.
+    assert peaks[-1] < peaks[0] * math.exp(-0.27 * 18)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("rung", [Rung.LINEAR, Rung.NONLINEAR])
+def test_over_a_hundred_million_samples_no_energy_creeps_up(rung):
+    # 90 Hz repeats every 1600 samples; once it is steady each ten seconds must be as the others.
+    volts = 8.0 * np.sin(math.tau * 90.0 * np.arange(10 * FS) / FS)
+    ladder = Ladder(PAPER, FS, rung=rung)
+    ladder.move(volts)
+    peaks = []
+    for _ in range(10**8 // len(volts) + 1):
+        motion = ladder.move(volts, ("displacement_m", "current_a"))
+        peaks.append((np.abs(motion.displacement_m).max(), np.abs(motion.current_a).max()))
+    spread = np.ptp(peaks, axis=0) / np.min(peaks, axis=0)
+    # The provisional end of each block, and the end of Newton's method: 1e-4 of the current.
+    assert spread[0] < 1e-7
+    assert spread[1] < 1e-3
+    assert ladder.stepped_frames == 0
+
+
+@pytest.mark.soak
+def test_over_two_million_steps_no_energy_comes_from_nowhere():
+    volts = 60.0 * np.random.default_rng(9).standard_normal(20_000)
+    ladder = Ladder(PAPER, FS, rung=Rung.STEPPED)
+    stepper = PassiveStepper(ladder.equations, 1.0 / FS)
+    surplus_j, before = 0.0, 0.0
+    for _ in range(100):
+        for volt in volts.tolist():
+            stepper.move(np.array([volt]), before)
+            surplus_j, before = surplus_j + stepper.surplus_j, volt
+    # Rounding does not even add up: a millionth of a millionth of what is stored at any time.
+    assert abs(surplus_j) < 1e-9 * stepper.energy_j()
+
+
+# ---------------------------------------------------------------------------------------- ladder
+
+
+def swell(duration_s=1.6):
+    """Tones from a whisper to beyond Xmax and back."""
+    times = times_of(FS, duration_s)
+    shares = np.array([0, 0.3, 0.6, 0.75, 1]) * duration_s
+    return np.interp(times, shares, [0.02, 0.4, 8.0, 0.05, 0.0]) * tones(1.0, times)
+
+
+@cache
+def true_swell():
+    return Ladder(PAPER, FS, rung=Rung.NONLINEAR, nodes_hz=12_000.0).move(swell())
+
+
+def shares_of_tolerance(ladder, motion, true, tolerance):
+    """Each block's true error over what was allowed there, as the ladder measures it."""
+    p, shares = PAPER.actuator, []
+    floors = {"displacement_m": FLOOR * p.x_max_m}
+    floors["acceleration_m_s2"] = floors["displacement_m"] * p.resonance_rad_s**2
+    for block in ladder.reports:
+        part = slice(block.frame, block.frame + block.frames)
+        for name, floor in floors.items():
+            got, expected = getattr(motion, name)[part], getattr(true, name)[part]
+            peak = max(np.abs(expected).max(), floor)
+            shares.append(np.abs(got - expected).max() / peak / tolerance)
+    return np.array(shares)
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 3e-2, 1e-2, 1e-3, 1e-4])
+def test_no_block_is_further_off_than_the_tolerance(tolerance):
+    ladder = Ladder(PAPER, FS, tolerance)
+    motion = ladder.move(swell())
+    shares = shares_of_tolerance(ladder, motion, true_swell(), tolerance)
+    assert len(shares) == 2 * len(ladder.reports) >= 30
+    assert shares.max() <= 1.0
+
+
+@pytest.mark.parametrize("tolerance", [1e-1, 3e-3])
+def test_loud_and_quiet_bursts_in_turn_keep_the_tolerance_too(tolerance):
+    # A quiet block after a loud one has the smaller peak, and what the loud one left behind.
+    random = np.random.default_rng(11)
+    times = times_of(FS, 0.25)
+    edge = np.minimum(1.0, np.minimum(times, times[::-1]) / 0.005)
+    parts = [
+        40.0 * 10.0 ** random.uniform(-3.0, 0.0) * edge
+        * np.sin(math.tau * 20.0 * 11.0 ** random.random() * times)
+        for _ in range(16)
+    ]  # fmt: skip
+    volts = np.concatenate(parts)
+    true = Ladder(PAPER, FS, rung=Rung.NONLINEAR, nodes_hz=12_000.0).move(volts)
+    ladder = Ladder(PAPER, FS, tolerance)
+    shares = shares_of_tolerance(ladder, ladder.move(volts), true, tolerance)
+    assert shares.max() <= 1.0
+
+
+def test_the_ladder_uses_dearer_rungs_only_where_it_has_to():
+    loose, tight = Ladder(PAPER, FS, 3e-2), Ladder(PAPER, FS, 1e-3)
+    for ladder in (loose, tight):
+        ladder.move(swell())
+    used = loose.frames_by_rung
+    assert min(used[Rung.LINEAR], used[Rung.CORRECTED], used[Rung.NONLINEAR]) > 0
+    assert tight.frames_by_rung[Rung.NONLINEAR] > used[Rung.NONLINEAR]
+    assert sum(used.values()) == sum(report.frames for report in loose.reports)
+    for report in loose.reports:
+        assert report.estimate <= 3e-2
+        assert report.rung is not Rung.LINEAR or report.excursion_peak_m < 0.3e-3
+
+
+def test_a_switch_of_rungs_makes_no_click():
+    ladder = Ladder(PAPER, FS, 2e-2)
+    times = times_of(FS, 1.6)
+    envelope = 0.4 + 3.0 * np.sin(math.pi * times / 1.6) ** 2
+    volts = envelope * (np.sin(math.tau * 46.6 * times) + np.sin(math.tau * 92.0 * times))
+    motion = ladder.move(volts).acceleration_m_s2
+    assert len({report.rung for report in ladder.reports}) == 3
+    # Above 800 Hz these two tones have next to nothing, distorted or not: -104 dB.
+    high = sosfilt(butter(8, 800, "high", fs=FS, output="sos"), motion)
+    level_db = 20 * math.log10(np.abs(high[2_000:-2_000]).max() / np.abs(motion).max())
+    assert level_db < -80
+
+
+def test_without_the_fade_the_same_switch_would_click(monkeypatch):
+    monkeypatch.setattr("device.rig.ladder.FADE_S", 1e-4)
+    with pytest.raises(AssertionError):
+        test_a_switch_of_rungs_makes_no_click()
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.lists(st.integers(0, 9_600), max_size=9))
+def test_the_state_does_not_depend_on_how_the_signal_is_split(cuts):
+    volts = tones(6.0, times_of(FS, 0.2))
+    whole = columns(Ladder(PAPER, FS, rung=Rung.NONLINEAR).move(volts))
+    ladder = Ladder(PAPER, FS, rung=Rung.NONLINEAR)
+    parts = [columns(ladder.move(block)) for block in np.split(volts, sorted(cuts))]
+    got = np.concatenate(parts, axis=1)
+    settled = np.ones(len(volts), dtype=bool)
+    for cut in cuts:
+        settled[max(cut - 8, 0) : cut] = False
+    # Where Newton's method ends in blocks of other lengths: 1e-9 of the largest is foretold.
+    largest = np.abs(whole).max(axis=1)
+    assert (np.abs(got - whole)[:, settled].max(axis=1) < 1e-7 * largest).all()
+    # Up to 7 samples before a cut are provisional: there the linear solution went on as a cubic,
+    # which misses its third derivative and less.
+    displacement, velocity, current, acceleration = errors(got, whole)
+    assert displacement < 1e-6
+    assert velocity < 1e-5
+    assert max(current, acceleration) < 3e-4
+    assert columns(ladder.move(np.zeros(0))).shape == (4, 0)
+
+
+def test_after_reset_the_ladder_is_as_new():
+    ladder = Ladder(PAPER, FS, 1e-2, temperature=True)
+    first = columns(ladder.move(swell(0.3)))
+    ladder.reset()
+    assert (len(ladder.reports), ladder.stepped_frames) == (0, 0)
+    assert np.array_equal(columns(ladder.move(swell(0.3))), first)
+
+
+def test_what_the_rig_does_not_describe_cannot_be_asked_for():
+    bare = replace(PAPER, seat=None, thermal=None)
+    with pytest.raises(UsageError, match=r"describes no \[seat\]"):
+        Ladder(bare, FS, seat=True)
+    with pytest.raises(UsageError, match=r"describes no \[thermal\]"):
+        Ladder(bare, FS, temperature=True)
+    with pytest.raises(UsageError, match="tolerance="):
+        Ladder(PAPER, FS, 0.0)
+    with pytest.raises(UsageError, match="samplerate="):
+        Ladder(PAPER, 0.0)
+
+
+# ----------------------------------------------------------------------------------- temperature
+
+
+def test_a_steady_power_warms_coil_and_magnet_by_their_thermal_resistances():
+    warm = Temperatures(THERMAL)
+    for _ in range(400):
+        warm.heat(10.0, 60.0)
+    assert warm.magnet_k == pytest.approx(10.0 * 3.0, rel=1e-6)
+    assert warm.coil_k == pytest.approx(10.0 * (4.0 + 3.0), rel=1e-6)
+    hot = warm.resistance_ohm(3.3)
+    assert hot == pytest.approx(3.3 * (1 + COPPER_PER_K * 70.0))
+    warm.reset()
+    assert warm.resistance_ohm(3.3) == 3.3
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.tuples(st.floats(0, 100), st.floats(1e-3, 100)), min_size=1, max_size=4))
+def test_heat_is_kept_or_given_off_and_time_may_be_cut_anywhere(powers):
+    p = THERMAL
+    whole, cut = Temperatures(p), Temperatures(p)
+    for power_w, duration_s in powers:
+        whole.heat(power_w, duration_s)
+        for _ in range(2):
+            cut.heat(power_w, duration_s / 2)
+    assert whole.coil_k == pytest.approx(cut.coil_k, rel=1e-9, abs=1e-9)
+    put_in_j = sum(power_w * duration_s for power_w, duration_s in powers)
+    kept_j = p.coil_j_per_k * whole.coil_k + p.magnet_j_per_k * whole.magnet_k
+    assert -1e-9 <= kept_j <= put_in_j * (1 + 1e-9) + 1e-9
+
+
+def test_a_warm_coil_draws_less_current_and_moves_less():
+    volts = 12.0 * np.sin(math.tau * 60.0 * times_of(FS, 3.0))
+    cold = Ladder(PAPER, FS, 1e-3).move(volts)
+    ladder = Ladder(PAPER, FS, 1e-3, temperature=True)
+    warm = ladder.move(volts)
+    assert ladder.temperatures is not None
+    coil_k = ladder.temperatures.coil_k
+    assert 2.0 < coil_k < 12.0 * 12.0 / 2 / 3.3 * 3.0 / 8.0  # no more than without any loss
+    last = slice(-FS // 4, None)
+    ratio = np.abs(warm.current_a[last]).max() / np.abs(cold.current_a[last]).max()
+    resisting = 1.0 / (1.0 + COPPER_PER_K * coil_k)
+    assert resisting * 0.99 < ratio < 1.0
