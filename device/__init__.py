@@ -1,14 +1,13 @@
 """Everything behind the vibration signal: where it goes, and what it does there.
 
     vibration -> DAC -> power amplifier -> voice-coil actuator -> accelerometer, amplifier
-                 dac.py  amplifier.py       actuator.py            instruments.py
-    `-------------------------- twin.py, described by rig.py --------------------------'
+                 `---------------------- rig/, with its twin.py ----------------------'
 
 Anything that takes vibration is a `VibrationOutput` (output.py): a WAV file (wav_output.py) and
 the twin, the simulated rig, today; sound cards take the same place. Files appear whole or not at
 all (atomic_file.py). Nothing here imports from audioflinger_hook; both share errors.py, units.py.
 
-The twin is imported from device.twin: it needs SciPy, which takes half a second to load, and
+The twin is imported from device.rig.twin: it needs SciPy, which takes half a second to load, and
 whoever wants only an error or a file should not wait for it.
 """
 

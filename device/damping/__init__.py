@@ -1,0 +1,33 @@
+"""Less residual vibration: what makes the seat stop when the signal stops.
+
+Damping (design.py)   what to do, as numbers: a resonance inverse (inverse.py) or an input
+                      shaper (shaper.py), at the amplifier's source impedance
+Damper (damper.py)    does it live, block by block
+burst_response        what is left after a burst, how long, for how many volts (residual.py)
+choose_damping        the best one for a rig as it was identified, and for the volts there
+                      are (choice.py)
+"""
+
+from device.damping.choice import Candidate, Choice, Uncertainty, choose_damping
+from device.damping.damper import Damper
+from device.damping.design import Damping, inverse_damping, no_damping, shaper_damping
+from device.damping.inverse import Resonance, resonance_of
+from device.damping.residual import BurstResponse, Residual, burst_response, undamped
+
+__all__ = [
+    "BurstResponse",
+    "Candidate",
+    "Choice",
+    "Damper",
+    "Damping",
+    "Residual",
+    "Resonance",
+    "Uncertainty",
+    "burst_response",
+    "choose_damping",
+    "inverse_damping",
+    "no_damping",
+    "resonance_of",
+    "shaper_damping",
+    "undamped",
+]

@@ -1,0 +1,79 @@
+"""The frequency weighting Wk of ISO 2631-1:1997, for vertical vibration of the seat.
+
+Four parts (its annex A): band limits of second order at 0.4 and 100 Hz, the transition from
+acceleration to velocity at 12.5 Hz, and the upward step about 2.37 and 3.35 Hz.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import bilinear
+
+from device.errors import UsageError
+from device.units import FloatArray
+
+HIGHEST_HZ = 80.0
+"""Where the standard's weighting ends; above it the same formula is an extrapolation."""
+
+LOWEST_SAMPLERATE = 2_000.0
+
+_Part = tuple[tuple[float, float, float], tuple[float, float, float], float]
+
+
+def _w(frequency_hz: float) -> float:
+    return math.tau * frequency_hz
+
+
+def _second(frequency_hz: float, q: float) -> tuple[float, float, float]:
+    """1 + s / (Q w) + s^2 / w^2, highest power first."""
+    return (1.0 / _w(frequency_hz) ** 2, 1.0 / (q * _w(frequency_hz)), 1.0)
+
+
+_BAND_Q = math.sqrt(0.5)
+_PARTS: tuple[_Part, ...] = (
+    ((1.0 / _w(0.4) ** 2, 0.0, 0.0), _second(0.4, _BAND_Q), 0.4),
+    ((0.0, 0.0, 1.0), _second(100.0, _BAND_Q), 100.0),
+    ((0.0, 1.0 / _w(12.5), 1.0), _second(12.5, 0.63), 12.5),
+    (
+        tuple(c * (2.37 / 3.35) ** 2 for c in _second(2.37, 0.91)),  # type: ignore[assignment]
+        _second(3.35, 0.91),
+        math.sqrt(2.37 * 3.35),
+    ),
+)
+"""Numerator, denominator (powers of s, highest first) and the frequency that is kept exactly."""
+
+
+def wk_response(frequency_hz: FloatArray) -> NDArray[np.complex128]:
+    """The complex factor of Wk at each frequency, any shape, in Hz: 0.636 at 20 Hz."""
+    s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+    response = np.ones_like(s)
+    for numerator, denominator, _ in _PARTS:
+        response *= np.polyval(numerator, s) / np.polyval(denominator, s)
+    return response
+
+
+def wk_sections(samplerate: float) -> FloatArray:
+    """(4, 6): second-order sections for `scipy.signal.sosfilt`, in float64.
+
+    samplerate: Hz, 2000 or more. Bilinear, each part exact at its own frequency: that frequency
+    is pre-warped. In lower precision, or as one polynomial, poles as close to 1 as those of
+    0.4 Hz would be lost.
+
+    Raises
+    ------
+    UsageError
+        The samplerate is lower.
+    """
+    if not samplerate >= LOWEST_SAMPLERATE:
+        raise UsageError(
+            f"samplerate={samplerate!r} Hz is too low for Wk; choose {LOWEST_SAMPLERATE:.0f} Hz "
+            "or more"
+        )
+    sections = []
+    for numerator, denominator, exact_hz in _PARTS:
+        # s / tan(...) instead of s T / 2: the bilinear transform at this rate, exact at exact_hz.
+        rate = math.pi * exact_hz / math.tan(math.pi * exact_hz / samplerate)
+        b, a = bilinear(numerator, denominator, fs=rate)
+        sections.append(np.concatenate([np.pad(b, (0, 3 - len(b))), a]))
+    return np.array(sections)

@@ -1,0 +1,63 @@
+"""What a rig must not exceed."""
+
+import math
+from dataclasses import dataclass
+
+from device.errors import UsageError
+from device.rig import LargeSignalParameters, Rig
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Each above 0; None: not limited.
+
+    excursion_m: either way; current_a: peak; coil_temperature_c: in degrees C; level: of the
+    vibration, where 1.0 is full scale and the amplifier does not clip below it.
+
+    What they hold for: detuning: share of f0 by which the rig may differ, 0 to 0.5 (at f0, at both
+    ends and half-way, each a model of its own). stiffness_rise, force_factor_loss: see
+    `LargeSignalParameters`; with a large swing the resonance is higher, and a drive there would
+    meet it unforeseen.
+    """
+
+    excursion_m: float
+    current_a: float | None = None
+    coil_temperature_c: float | None = 120.0
+    level: float = 1.0
+    detuning: float = 0.1
+    stiffness_rise: float = LargeSignalParameters.stiffness_rise
+    force_factor_loss: float = LargeSignalParameters.force_factor_loss
+
+    def __post_init__(self) -> None:
+        wrong = [
+            f"{name}={number!r} must be above 0"
+            for name in ("excursion_m", "current_a", "coil_temperature_c", "level")
+            if (number := getattr(self, name)) is not None and not number > 0.0
+        ]
+        if not 0.0 <= self.detuning <= 0.5:
+            wrong.append(f"detuning={self.detuning!r} must be 0 to 0.5, a share of f0")
+        if not 0.0 <= self.stiffness_rise < math.inf:
+            wrong.append(f"stiffness_rise={self.stiffness_rise!r} must be 0 or more")
+        if not 0.0 <= self.force_factor_loss < 1.0:
+            wrong.append(f"force_factor_loss={self.force_factor_loss!r} must be 0 to below 1")
+        if wrong:
+            raise UsageError(f"limits of the rig: {'; '.join(wrong)}; correct the rig")
+
+
+def limits_of(rig: Rig) -> Limits:
+    """The limits that follow from a rig.
+
+    Xmax; the amplifier's current; full scale, or where the amplifier clips; 120 degrees C of the
+    coil where the rig says how it warms up, else none. How it stiffens is what the rig says, or
+    what actuators usually do.
+    """
+    full_scale_v = rig.dac.full_scale_v * rig.amplifier.gain
+    current_a, large = rig.amplifier.current_limit_a, rig.large_signal
+    return Limits(
+        excursion_m=rig.actuator.x_max_m,
+        current_a=None if math.isinf(current_a) else current_a,
+        coil_temperature_c=Limits.coil_temperature_c if rig.thermal else None,
+        level=min(1.0, rig.amplifier.output_limit_v / full_scale_v),
+        stiffness_rise=large.stiffness_rise if large else Limits.stiffness_rise,
+        force_factor_loss=large.force_factor_loss if large else Limits.force_factor_loss,
+    )
