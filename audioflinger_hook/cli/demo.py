@@ -26,9 +26,9 @@ from audioflinger_hook.taps import FramesTap
 from device.alignment import Aligned
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
-from device.instruments import ACCELERATION_FULL_SCALE_M_S2
 from device.rig import rig_by_name
-from device.twin import Twin
+from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.twin import Twin
 from device.units import amplitude_to_db
 from device.wav_output import WavOutput
 

@@ -95,7 +95,16 @@ def build_parser() -> Parser:
         "--seconds", type=_duration, default=math.inf, metavar="S", help="of sound; default: ever"
     )
     run.add_argument("--offset-ms", type=float, metavar="MS", help="delay it more; default: 0")
+    run.add_argument(
+        "--device-volume-db",
+        type=float,
+        metavar="DB",
+        help="set the device's own volume, 0 at most; default: leave it",
+    )
     run.add_argument("--profile", metavar="NAME", help="default: paper")
+    run.add_argument("--rig", metavar="NAME|FILE", help="what is driven; default: paper")
+    run.add_argument("--damping", metavar="off|auto", help="of the rig; default: off")
+    run.add_argument("--protection", metavar="off|on", help="of the rig; default: off")
     run.add_argument(
         "--wait", action="store_true", help="for a server, device or tap that is not there yet"
     )
@@ -125,6 +134,25 @@ def build_parser() -> Parser:
     tone.add_argument("--hz", type=float, default=60.0, metavar="HZ", help="default: 60")
     tone.add_argument("--level", type=float, default=0.2, metavar="L", help="default: 0.2 of 1")
     tone.add_argument("--seconds", type=float, default=2.0, metavar="S", help="default: 2")
+
+    calibrate = _add(commands, "calibrate", "measure a rig by sweeps, from low on", _calibrate)
+    calibrate.add_argument("--device", required=True, metavar="DEVICE", help="twin")
+    calibrate.add_argument(
+        "--rig", default="paper", metavar="NAME|FILE", help="what is known of it; default: paper"
+    )
+    calibrate.add_argument("--seat", action="store_true", help="the twin stands on its seat")
+    calibrate.add_argument(
+        "--share", type=float, default=0.05, metavar="S", help="of Xmax, up to 0.15; default: 0.05"
+    )
+    calibrate.add_argument("--low-hz", type=float, default=15.0, metavar="HZ", help="default: 15")
+    calibrate.add_argument(
+        "--high-hz", type=float, default=400.0, metavar="HZ", help="default: 400"
+    )
+    calibrate.add_argument(
+        "--seconds", type=_duration, default=5.0, metavar="S", help="of each sweep; default: 5"
+    )
+    calibrate.add_argument("--out", type=Path, metavar="FILE", help="the rig's file, to be written")
+    _add_json(calibrate)
 
     service = _add(commands, "install-service", "run from every login on", _install_service)
     service.add_argument(
@@ -163,7 +191,9 @@ def _add_rendering(command: Parser) -> None:
     command.add_argument("--transform", dest="form", metavar="reference|live", help="default: live")
     command.add_argument("--channels", metavar="mono|each", help="default: mono")
     command.add_argument("--profile", metavar="NAME", help="default: paper")
-    command.add_argument("--damping", metavar="off|NAME", help="default: off")
+    command.add_argument("--rig", metavar="NAME|FILE", help="what is driven; default: paper")
+    command.add_argument("--damping", metavar="off|auto", help="of the rig; default: off")
+    command.add_argument("--protection", metavar="off|on", help="of the rig; default: off")
     command.add_argument("--acceleration", type=Path, metavar="FILE", help="what the rig would do")
     command.add_argument("--config", type=Path, metavar="FILE", help="take the settings from it")
     _add_json(command)
@@ -270,6 +300,12 @@ def _test_tone(options: argparse.Namespace) -> int:
     from audioflinger_hook.cli import test_tone
 
     return test_tone.run(options)
+
+
+def _calibrate(options: argparse.Namespace) -> int:
+    from audioflinger_hook.cli import calibrate
+
+    return calibrate.run(options)
 
 
 def _install_service(options: argparse.Namespace) -> int:

@@ -40,7 +40,7 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
     settings = config.load(options.config).settings if options.config else recorded or Settings()
     given = {
         name: getattr(options, name)
-        for name in ("form", "channels", "profile", "damping")
+        for name in ("form", "channels", "profile", "damping", "protection", "rig")
         if getattr(options, name) is not None
     }
     return dataclasses.replace(settings, **given)

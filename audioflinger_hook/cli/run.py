@@ -92,13 +92,14 @@ def _order(options: argparse.Namespace) -> Order:
     path = options.config or config.default_path()
     found = config.load(path) if options.config or path.exists() else config.Config()
     settings, live = found.settings, found.live
-    if options.profile:
-        settings = dataclasses.replace(settings, profile=options.profile)
+    chosen = {name: getattr(options, name) for name in ("profile", "rig", "damping", "protection")}
+    settings = dataclasses.replace(settings, **{name: c for name, c in chosen.items() if c})
     given = {
         "tap": tuple(str(parse_tap(text)) for text in options.tap) if options.tap else None,
         "device": options.device and str(parse_device(options.device)),
         "offset_ms": options.offset_ms,
         "drop_in": options.drop_in,
+        "device_volume_db": options.device_volume_db,
     }
     live = dataclasses.replace(
         live, **{name: value for name, value in given.items() if value is not None}

@@ -1,0 +1,157 @@
+"""The twin's laboratory: a rig's own chain driven by a sweep, read through its instruments."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from device.errors import UsageError
+from device.identification.recording import ComplexArray, Recording
+from device.identification.sweep import Sweep
+from device.rig.amplifier import Amplifier
+from device.rig.dac import Dac
+from device.rig.instruments import Daq, InstrumentChain
+from device.rig.ladder import Ladder
+from device.rig.parameters import DaqParameters
+from device.rig.rig import Rig
+from device.rig.rungs import Rung
+from device.units import FloatArray
+
+LARGEST_SHARE = 0.15
+"""Of Xmax. Louder, the spring that hardens shifts f0 by more than the sweep's noise does."""
+USUAL_SHARE = 0.05
+
+
+class Bench:
+    """One rig with its instruments; every run begins at rest. One thread uses it.
+
+    seat: on the rig's seat; added_mass_kg: fastened to the moving mass; rung: of the ladder, None
+    to let it choose; snr_db: noise added to what is read, in the whole recorded band, relative to
+    the signal during the sweep; seed: of all noise.
+
+    Raises
+    ------
+    UsageError
+        The rig describes no instruments, or no seat where one is asked for.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        *,
+        seat: bool = False,
+        added_mass_kg: float = 0.0,
+        rung: Rung | None = Rung.NONLINEAR,
+        snr_db: float = math.inf,
+        seed: int = 0,
+    ) -> None:
+        self.rig = rig
+        if added_mass_kg:
+            # the spring and the damper stay
+            bare = rig.actuator
+            mass = bare.moving_mass_kg + added_mass_kg
+            ratio = math.sqrt(mass / bare.moving_mass_kg)
+            loaded = replace(
+                bare,
+                moving_mass_kg=mass,
+                resonance_hz=bare.resonance_hz / ratio,
+                q_mechanical=bare.q_mechanical * ratio,
+            )
+            self.rig = replace(rig, actuator=loaded)
+        self._seat, self._rung, self._snr_db, self._seed = seat, rung, snr_db, seed
+        InstrumentChain(rig, 48_000)  # refuses a rig without instruments
+
+    def level(self, sweep: Sweep, share: float = USUAL_SHARE) -> Sweep:
+        """The sweep at the level that, linearly, moves that share of Xmax; full scale at most.
+
+        Raises
+        ------
+        UsageError
+            The share is not above 0, up to 0.15.
+        """
+        if not 0.0 < share <= LARGEST_SHARE:
+            raise UsageError(
+                f"share={share!r} of Xmax must be above 0, up to {LARGEST_SHARE}: louder, f0 "
+                "shifts; choose a lower one"
+            )
+        ladder = Ladder(self.rig, sweep.samplerate, rung=Rung.LINEAR, seat=self._seat)
+        loud = replace(sweep, level=1.0)
+        amplifier = self.rig.amplifier
+        volts = Amplifier(replace(amplifier, output_limit_v=1e9), sweep.samplerate).drive(
+            Dac(self.rig.dac).volts(loud.samples())
+        )
+        peak_m = float(np.abs(ladder.move(volts, ["displacement_m"]).displacement_m).max())
+        return replace(sweep, level=min(1.0, share * self.rig.actuator.x_max_m / peak_m))
+
+    def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
+        """One recording a pair (reference, response) of "voltage", "current", "acceleration".
+
+        All are of the same sweep. Voltage is that at the coil's terminals.
+        """
+        rate = sweep.samplerate
+        amplifier = self.rig.amplifier
+        drive = Amplifier(amplifier, rate).drive(Dac(self.rig.dac).volts(sweep.samples()))
+        ladder = Ladder(self.rig, rate, rung=self._rung, seat=self._seat)
+        motion = ladder.move(drive, ["acceleration_m_s2", "current_a"])
+        voltage = drive - amplifier.source_impedance_ohm * motion.current_a
+
+        chain = InstrumentChain(self.rig, rate, self._seed)
+        daq = self.rig.daq
+        assert daq is not None  # the chain has refused such a rig
+        current_range = min(
+            amplifier.current_limit_a, amplifier.output_limit_v / self.rig.actuator.resistance_ohm
+        )
+        seeds = np.random.SeedSequence(self._seed).spawn(3)
+        noisy = [
+            self._noisy(sweep, signal, np.random.default_rng(seed))
+            for signal, seed in zip(
+                (motion.acceleration_m_s2, motion.current_a, voltage), seeds, strict=True
+            )
+        ]
+        read = {
+            "acceleration": chain.acceleration_m_s2(noisy[0]),
+            "current": _scaled(daq, current_range, rate, self._seed + 2, noisy[1]),
+            # The reference is a divider's volts: loud, and without the noise of the others.
+            "voltage": _scaled(daq, amplifier.output_limit_v, rate, self._seed + 3, voltage),
+        }
+        step = 2.0 ** (1 - daq.bits)
+        limits = {
+            "acceleration": daq.range_v * (1.0 - step) / chain.v_per_m_s2,
+            "current": current_range * (1.0 - step),
+            "voltage": amplifier.output_limit_v * (1.0 - step),
+        }
+        return [
+            Recording(
+                sweep,
+                read[reference],
+                read[response],
+                (reference, response),
+                (limits[reference], limits[response]),
+                _correction(chain, sweep, response),
+            )
+            for reference, response in pairs
+        ]
+
+    def _noisy(self, sweep: Sweep, signal: FloatArray, random: np.random.Generator) -> FloatArray:
+        if math.isinf(self._snr_db):
+            return signal
+        sounding = signal[sweep.lead_frames : len(signal) - round(sweep.tail_s * sweep.samplerate)]
+        rms = float(np.sqrt(np.mean(sounding**2))) * 10.0 ** (-self._snr_db / 20.0)
+        return np.asarray(signal + rms * random.standard_normal(len(signal)))
+
+
+def _scaled(
+    daq: DaqParameters, full_range: float, rate: float, seed: int, signal: FloatArray
+) -> FloatArray:
+    """A signal read through a divider or a shunt whose range is that of the DAQ."""
+    scale = full_range / daq.range_v
+    return np.asarray(Daq(daq, rate, seed).volts(signal / scale) * scale)
+
+
+def _correction(chain: InstrumentChain, sweep: Sweep, response: str) -> ComplexArray | None:
+    """What the conditioning amplifier does to each bin of a recording of acceleration."""
+    if response != "acceleration":
+        return None
+    bins = Recording(sweep, np.zeros(sweep.frames), np.zeros(sweep.frames)).frequencies_hz
+    return chain.conditioning.response(bins)

@@ -1,0 +1,192 @@
+"""Output-error fits: the model's answer to the measured drive against the measured response.
+
+Ljung, "System Identification", 2nd ed. 1999, chapter 7: for noise on the response alone, weighted
+by its spectrum, this is the maximum-likelihood estimate, and its covariance follows from the
+Jacobian. In the frequency domain of a whole recording, silence to silence, the bins of stationary
+noise are independent and no transient is missing.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from device.identification.recording import ComplexArray, IdentificationError, Recording
+from device.identification.responses import Response
+from device.units import FloatArray
+
+Model = Callable[[FloatArray, FloatArray], Response]
+
+_NORMAL_95 = 1.959964
+_WEIGHTINGS = 4
+"""The noise's spectrum is known only after a fit, and a fit needs it: so often both in turn."""
+_SMOOTH_BINS = 101
+_FAR = 25.0
+"""Logarithms this large are no parameters of a rig: they keep exponentials finite."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its interval of 95 %, in the same unit."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def relative(self) -> float:
+        """Half the interval as a share of the value."""
+        return 0.5 * (self.high - self.low) / abs(self.value)
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """low and high."""
+        return self.low, self.high
+
+    def lowered(self, share: float) -> "Estimate":
+        """With an interval that reaches down by a share of the value more."""
+        return Estimate(self.value, self.low - share * self.value, self.high)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Logarithms of the parameters, (parameters,), their covariance, and how well it fits.
+
+    misfit: r.m.s. of what is left beyond noise, as a share of the response's r.m.s.; alike:
+    correlation of neighbouring bins of what is left, 0 for noise; cost: for comparing models.
+    """
+
+    logs: FloatArray
+    covariance: FloatArray
+    misfit: float
+    alike: float
+    cost: float
+    bins: int
+
+    def estimate(self, weights: dict[int, float], factor: float = 1.0) -> Estimate:
+        """factor times the product of parameters to some powers, {index: power}."""
+        return product([(self, weights)], factor)
+
+
+def product(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float = 1.0) -> Estimate:
+    """factor times a product of powers of parameters, of one fit or of several independent ones.
+
+    Powers are linear in logarithms, so that the interval follows without linearising anything.
+    """
+    log, variance = math.log(factor), 0.0
+    for fit, powers in parts:
+        row = np.zeros(len(fit.logs))
+        for index, power in powers.items():
+            row[index] = power
+        log += float(row @ fit.logs)
+        variance += float(row @ fit.covariance @ row)
+    reach = _NORMAL_95 * math.sqrt(variance) if variance >= 0.0 else math.inf
+    if reach > 5.0:
+        return Estimate(math.exp(log), 0.0, math.inf)
+    return Estimate(math.exp(log), math.exp(log - reach), math.exp(log + reach))
+
+
+def fit(
+    recording: Recording,
+    model: Model,
+    starts: Sequence[FloatArray],
+    limits: tuple[FloatArray, FloatArray] | None = None,
+) -> Fit:
+    """The parameters of a model of responses that explain the recording best.
+
+    starts: several guesses; the best two are followed, so that a wrong one does no harm. limits:
+    lowest and highest logarithms, (parameters,) each; one that ends there is held, and is no longer
+    uncertain.
+
+    Raises
+    ------
+    IdentificationError
+        It does not converge.
+    """
+    far = np.full(len(starts[0]), _FAR)
+    low, high = limits or (-far, far)
+    band = recording.band
+    f = recording.frequencies_hz[band]
+    drive, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
+    deviation = np.full(len(f), float(np.sqrt(np.mean(np.abs(measured) ** 2))))
+
+    def left(p: FloatArray) -> ComplexArray:
+        return np.asarray((measured - model(f, p)[0] * drive) / deviation)
+
+    def stacked(p: FloatArray) -> FloatArray:
+        e = left(p)
+        return np.concatenate([e.real, e.imag])
+
+    def jacobian(p: FloatArray) -> FloatArray:
+        slopes = -model(f, p)[1] * (drive / deviation)[:, None]
+        return np.concatenate([slopes.real, slopes.imag])
+
+    def solved(start: FloatArray) -> tuple[float, FloatArray, bool]:
+        inside = np.clip(start, low + 1e-6, high - 1e-6)
+        found = least_squares(
+            stacked, inside, jacobian, (low, high), "trf", 1e-10, 1e-10, 1e-10, max_nfev=200
+        )
+        lost = bool(np.any(np.abs(found.x) > 0.99 * _FAR))
+        return float(found.cost), np.asarray(found.x), bool(found.success) and not lost
+
+    ranked = sorted(starts, key=lambda start: float(np.sum(np.abs(left(start)) ** 2)))
+    tried = [solved(start) for start in ranked[:2]]
+    logs = min(tried, key=lambda one: one[0])[1]
+    converged = False
+    for _ in range(_WEIGHTINGS):
+        deviation = deviation * np.sqrt(_smooth(np.abs(left(logs)) ** 2))
+        _, logs, converged = solved(logs)
+    if not converged:
+        raise IdentificationError(
+            f"the fit of {recording.names[1]} for {recording.names[0]} does not converge: its "
+            "response is not that of one resonance; look at the transfer function, fasten what "
+            "rattles, and sweep around the resonance"
+        )
+    e = left(logs)
+    slopes = jacobian(logs)
+    # Bins of one response are alike where the model cannot follow it; noise has them independent.
+    turned = e * np.exp(-1j * np.angle(drive))
+    alike = float(np.real(np.vdot(turned[1:], turned[:-1])) / np.sum(np.abs(turned) ** 2))
+    held = max(0.0, min(alike, 0.98))
+    variance = 0.5 * float(np.mean(np.abs(e) ** 2)) * (1.0 + held) / (1.0 - held)
+    free = np.flatnonzero(np.minimum(logs - low, high - logs) > 1e-3)
+    covariance = np.zeros((len(logs), len(logs)))
+    information = slopes[:, free].T @ slopes[:, free]
+    covariance[np.ix_(free, free)] = variance * np.linalg.pinv(
+        information, rcond=1e-14, hermitian=True
+    )
+    power = float(np.sum(np.abs(measured) ** 2))
+    misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / power)
+    likelihood = float(np.sum(np.log(deviation**2))) + float(np.sum(np.abs(e) ** 2))
+    return Fit(logs, covariance, misfit, alike, likelihood, len(f))
+
+
+def better(simple: Fit, richer: Fit) -> bool:
+    """Whether the richer model explains more than its parameters would explain of noise."""
+    more = len(richer.logs) - len(simple.logs)
+    return simple.cost - richer.cost > 2.0 * more * math.log(2 * richer.bins)
+
+
+def require(name: str, estimate: Estimate, relative: float, advice: str) -> None:
+    """Refuse an interval that is too wide.
+
+    Raises
+    ------
+    IdentificationError
+        Half the interval is more than that share of the value.
+    """
+    width = estimate.relative if math.isfinite(estimate.high) else math.inf
+    if not width <= relative:
+        raise IdentificationError(
+            f"{name} is not identified: its interval of 95 % is ±{100 * width:.3g} %, at most "
+            f"±{100 * relative:.3g} % is allowed; {advice}"
+        )
+
+
+def _smooth(power: FloatArray) -> FloatArray:
+    width = min(_SMOOTH_BINS, len(power))
+    box = np.ones(width)
+    mean = np.convolve(power, box, "same") / np.convolve(np.ones_like(power), box, "same")
+    return np.asarray(np.maximum(mean, 1e-12 * float(mean.max()) + 1e-300))

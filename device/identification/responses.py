@@ -1,0 +1,92 @@
+"""Frequency responses made of factors, with the derivatives of their logarithms. Pure functions.
+
+All parameters are logarithms, so that each is well scaled, none can become negative, and an
+interval in them is one in per cent. s = j w.
+"""
+
+import math
+
+import numpy as np
+
+from device.identification.recording import ComplexArray
+from device.units import FloatArray
+
+Response = tuple[ComplexArray, ComplexArray]
+"""H at (bins,), and its derivatives with the parameters, (bins, parameters)."""
+
+
+def pair(f: FloatArray, log_hz: float, log_q: float) -> Response:
+    """1 - r^2 + j r / Q, r = f / f0: two poles or zeros, 1 at 0 Hz; derivatives with log f0, Q."""
+    r = f / math.exp(log_hz)
+    damped: ComplexArray = 1j * r / math.exp(log_q)
+    return np.asarray(1.0 - r**2 + damped), np.column_stack([2.0 * r**2 - damped, -damped])
+
+
+def lag(f: FloatArray, log_s: float) -> Response:
+    """1 + s T: one pole or zero; derivative with log T."""
+    turn: ComplexArray = 1j * math.tau * f * math.exp(log_s)
+    return np.asarray(1.0 + turn), turn[:, None]
+
+
+def seat(f: FloatArray, p: FloatArray) -> Response:
+    """What a frame that gives way does: two zeros over two poles, 1 well above them.
+
+    p: log of the zeros' frequency and Q, then of the poles'. The zeros of the response of a mass
+    to a force inside the frame are the frame's own mode.
+    """
+    above, d_above = pair(f, p[0], p[1])
+    below, d_below = pair(f, p[2], p[3])
+    ratio = above / below * math.exp(2.0 * (p[0] - p[2]))
+    slopes = np.column_stack([d_above / above[:, None], -d_below / below[:, None]])
+    slopes[:, 0] += 2.0
+    slopes[:, 2] -= 2.0
+    return ratio, slopes * ratio[:, None]
+
+
+def acceleration(f: FloatArray, p: FloatArray, *, electrical: bool) -> Response:
+    """Acceleration for a drive: S (s/w0)^2 / pair / lag, and the seat's factor where p has it.
+
+    p: log S, f0, Q[, T][, the seat's four]. The lag, the coil's, is there under voltage drive.
+    S is what is left above the resonance.
+    """
+    d, dd = pair(f, p[1], p[2])
+    r2 = -((f / math.exp(p[1])) ** 2)
+    h = math.exp(p[0]) * r2 / d
+    slopes = [np.ones_like(d), -2.0 - dd[:, 0] / d, -dd[:, 1] / d]
+    rest = 3
+    if electrical:
+        turn, d_turn = lag(f, p[3])
+        h = h / turn
+        slopes.append(-d_turn[:, 0] / turn)
+        rest = 4
+    if len(p) > rest:
+        more, d_more = seat(f, p[rest:])
+        h = h * more
+        slopes += list((d_more / more[:, None]).T)
+    return h, h[:, None] * np.column_stack(slopes)
+
+
+def admittance(f: FloatArray, p: FloatArray) -> Response:
+    """Current for voltage at the coil: 1 / (Re + s Le + Res (s / w0 / Qms) / pair).
+
+    p: log Re, Le, f0, Qms, Res[, the seat's four]. Res = Bl^2 Qms / (m w0) is how far the
+    impedance rises at the resonance.
+    """
+    d, dd = pair(f, p[2], p[3])
+    resistance, inductance = math.exp(p[0]), math.exp(p[1])
+    damped = 1j * f / math.exp(p[2] + p[3])
+    motional = math.exp(p[4]) * damped / d
+    slopes = [
+        np.full_like(d, resistance),
+        1j * math.tau * f * inductance,
+        motional * (-1.0 - dd[:, 0] / d),
+        motional * (-1.0 - dd[:, 1] / d),
+        motional,
+    ]
+    if len(p) > 5:
+        more, d_more = seat(f, p[5:])
+        slopes[2:5] = [slope * more for slope in slopes[2:5]]
+        slopes += list((motional[:, None] * d_more).T)
+        motional = motional * more
+    z = resistance + 1j * math.tau * f * inductance + motional
+    return 1.0 / z, -np.column_stack(slopes) / (z**2)[:, None]

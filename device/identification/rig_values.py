@@ -1,0 +1,71 @@
+"""What was identified, written into a rig and its file, each value with its interval."""
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from device.atomic_file import write_bytes_atomically
+from device.errors import UsageError
+from device.identification.output_error import Estimate
+from device.rig.rig import Rig, Source
+
+Values = dict[str, Estimate]
+"""By parameter, "actuator.resonance_hz"."""
+
+
+def with_identified(rig: Rig, values: Values, words: str) -> Rig:
+    """The rig with those values, of origin "identified"; words: by which sweep and how loud.
+
+    Raises
+    ------
+    UsageError
+        A parameter is not there, or the values contradict the rig.
+    """
+    stages = rig.stages()
+    changed: dict[str, dict[str, float]] = {}
+    for parameter, estimate in values.items():
+        stage, _, name = parameter.partition(".")
+        if stage not in stages or not hasattr(stages[stage], name):
+            raise UsageError(f"rig {rig.name!r} has no {parameter}; add [{stage}] to its file")
+        changed.setdefault(stage, {})[name] = estimate.value
+    others = tuple(source for source in rig.sources if source.parameter not in values)
+    known = tuple(
+        Source(parameter, "identified", words, estimate.interval)
+        for parameter, estimate in values.items()
+    )
+    replaced: dict[str, Any] = {
+        stage: replace(stages[stage], **named) for stage, named in changed.items()
+    }
+    return replace(rig, **replaced, sources=others + known)
+
+
+def rig_text(rig: Rig) -> str:
+    """The rig as `read_rig` reads it: TOML, a table a stage, with every source."""
+    sources = {source.parameter: source for source in rig.sources}
+    lines = [f"name = {json.dumps(rig.name)}"]
+    for stage, parameters in rig.stages().items():
+        lines += ["", f"[{stage}]"]
+        for field in fields(parameters):
+            value = _toml(getattr(parameters, field.name))
+            if source := sources.get(f"{stage}.{field.name}"):
+                interval = ""
+                if source.interval:
+                    low, high = source.interval
+                    interval = f", interval = [{_toml(low)}, {_toml(high)}]"
+                value = (
+                    f"{{ value = {value}, {source.kind} = {json.dumps(source.words)}{interval} }}"
+                )
+            lines.append(f"{field.name} = {value}")
+    return "\n".join(lines) + "\n"
+
+
+def write_rig(rig: Rig, path: str | Path) -> None:
+    """The rig's file, whole or not at all; see `write_bytes_atomically` for what it raises."""
+    write_bytes_atomically(path, rig_text(rig).encode())
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, str):
+        return json.dumps(value)
+    return repr(float(value)) if isinstance(value, float) else str(value)

@@ -1,0 +1,86 @@
+"""The exponential sine sweep and the times at which its harmonics appear.
+
+Farina, "Simultaneous measurement of impulse response and distortion with a swept-sine technique",
+AES 108th Convention, 2000: the frequency rises by the same factor in the same time, so what an
+order of distortion adds arrives, after deconvolution, at a time of its own before the response.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from device.errors import UsageError
+from device.units import FloatArray
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep between two silences; full scale is 1.0.
+
+    low_hz, high_hz: where it starts and ends; duration_s: of the sweep itself; level: its
+    amplitude, above 0, up to 1; lead_s: silence before it, in which the noise is heard; tail_s:
+    silence after it, in which the rig comes to rest; samplerate: Hz.
+
+    Raises
+    ------
+    UsageError
+        A value is out of range; all of them are named.
+    """
+
+    low_hz: float = 20.0
+    high_hz: float = 400.0
+    duration_s: float = 5.0
+    level: float = 0.1
+    lead_s: float = 0.2
+    tail_s: float = 0.8
+    samplerate: int = 48_000
+
+    def __post_init__(self) -> None:
+        checks = {
+            f"samplerate={self.samplerate!r} Hz must be 1000 or more": self.samplerate >= 1_000,
+            f"low_hz={self.low_hz!r} must be 1 or more": self.low_hz >= 1.0,
+            f"high_hz={self.high_hz!r} must be at least twice low_hz and at most 0.4 of the "
+            f"sample rate": 2.0 * self.low_hz <= self.high_hz <= 0.4 * self.samplerate,
+            f"duration_s={self.duration_s!r} must be 0.5 to 60": 0.5 <= self.duration_s <= 60.0,
+            f"level={self.level!r} must be above 0, up to 1": 0.0 < self.level <= 1.0,
+            f"lead_s={self.lead_s!r} must be 0.1 to 10": 0.1 <= self.lead_s <= 10.0,
+            f"tail_s={self.tail_s!r} must be 0.1 to 10": 0.1 <= self.tail_s <= 10.0,
+        }
+        if wrong := [words for words, holds in checks.items() if not holds]:
+            raise UsageError(f"sweep: {'; '.join(wrong)}; choose another value")
+
+    @property
+    def rise_s(self) -> float:
+        """Time in which the frequency rises by e."""
+        return self.duration_s / math.log(self.high_hz / self.low_hz)
+
+    @property
+    def lead_frames(self) -> int:
+        """Frames of silence before the sweep."""
+        return round(self.lead_s * self.samplerate)
+
+    @property
+    def frames(self) -> int:
+        """Frames of all of it."""
+        return round((self.lead_s + self.duration_s + self.tail_s) * self.samplerate)
+
+    def samples(self) -> FloatArray:
+        """(frames,) between ±level, faded in over two periods and out over a 1/100."""
+        sounding = round(self.duration_s * self.samplerate)
+        time_s = np.arange(sounding) / self.samplerate
+        rise = self.rise_s
+        wave = np.sin(math.tau * self.low_hz * rise * np.expm1(time_s / rise))
+        fade_in = min(2.0 / self.low_hz, 0.1 * self.duration_s)
+        for frames, part in (
+            (round(fade_in * self.samplerate), wave),
+            (round(0.01 * self.duration_s * self.samplerate), wave[::-1]),
+        ):
+            part[:frames] *= 0.5 - 0.5 * np.cos(np.pi * np.arange(frames) / frames)
+        whole = np.zeros(self.frames)
+        whole[self.lead_frames : self.lead_frames + sounding] = self.level * wave
+        return whole
+
+    def harmonic_lead_s(self, order: int) -> float:
+        """How long before the linear response that of a harmonic appears: 0 for order 1."""
+        return self.rise_s * math.log(order)

@@ -1,0 +1,118 @@
+"""Transfer function with coherence, and distortion by order, from one sweep. Pure functions."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, rfft
+
+from device.identification.recording import ComplexArray, Recording
+from device.units import FloatArray
+
+_BEFORE_S = 0.05
+_FADE_SHARE = 0.2
+_SMOOTH_BINS = 15
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """Response for reference inside the swept band, (bins,) each.
+
+    frequencies_hz; response: complex, in the unit of the response per that of the reference;
+    coherence: 0 to 1, the share of the response's power that follows the sweep linearly.
+    """
+
+    frequencies_hz: FloatArray
+    response: ComplexArray
+    coherence: FloatArray
+
+
+def transfer(recording: Recording) -> Transfer:
+    """The transfer function without what its harmonics and the noise outside its time add.
+
+    The impulse response is cut from shortly before its start to as long as the silence after the
+    sweep. Coherence is of means over 15 bins: of what is left beside that response.
+    """
+    rate = recording.sweep.samplerate
+    impulse = _impulse_response(recording)
+    before, after = round(_BEFORE_S * rate), round(recording.sweep.tail_s * rate)
+    gate = np.zeros(recording.length)
+    gate[:after] = _fade_out(after)
+    gate[-before:] = _fade_out(before)[::-1]
+    response = np.asarray(rfft(impulse * gate))
+    band = recording.band
+    measured = recording.response_spectrum[band]
+    left = measured - response[band] * recording.reference_spectrum[band]
+    share = _smooth(np.abs(left) ** 2) / np.maximum(_smooth(np.abs(measured) ** 2), 1e-300)
+    return Transfer(recording.frequencies_hz[band], response[band], np.clip(1.0 - share, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class Distortion:
+    """What one order adds. order: 2 or more; frequencies_hz: of the drive; share: of the linear
+    response at the drive's frequency, by amplitude, (bins,).
+
+    It is limited by the noise: below `floor`, what silence in its place would show, is nothing.
+    """
+
+    order: int
+    frequencies_hz: FloatArray
+    share: FloatArray
+    floor: FloatArray
+
+
+def distortion(recording: Recording, orders: int = 5) -> list[Distortion]:
+    """Harmonic distortion of orders 2 to `orders`, at drives whose harmonic is in the band.
+
+    A sweep's harmonic of order n runs ahead of it by rise ln n, so its impulse response stands
+    alone there (Farina 2000); the floor is taken half way to the next one.
+    """
+    sweep, rate = recording.sweep, recording.sweep.samplerate
+    impulse = _impulse_response(recording)
+    linear = np.abs(transfer(recording).response)
+    f = recording.frequencies_hz[recording.band]
+    found = []
+    for order in range(2, orders + 1):
+        lead, following = (sweep.harmonic_lead_s(n) for n in (order, order + 1))
+        half = round(0.25 * (following - lead) * rate)
+        at = _cut(impulse, -round(lead * rate), half)
+        beside = _cut(impulse, -round(0.5 * (lead + following) * rate), half)
+        drives = f[f * order <= f[-1]]
+        shares = []
+        for part in (at, beside):
+            spectrum = np.abs(rfft(part))[recording.band]
+            shares.append(np.interp(order * drives, f, spectrum) / np.interp(drives, f, linear))
+        found.append(Distortion(order, drives, *shares))
+    return found
+
+
+def _impulse_response(recording: Recording) -> FloatArray:
+    """(length,) by deconvolution in the swept band; its end is what came before time 0."""
+    reference, response = recording.reference_spectrum, recording.response_spectrum
+    f, sweep = recording.frequencies_hz, recording.sweep
+    # Outside the band there is nothing to divide by; a soft edge does not ring into the response.
+    edge = np.clip((f / sweep.low_hz - 0.8) / 0.2, 0.0, 1.0)
+    edge *= np.clip((1.1 - f / sweep.high_hz) / 0.1, 0.0, 1.0)
+    power = np.abs(reference) ** 2
+    floor = 1e-6 * float(power[recording.band].max(initial=1e-300))
+    return np.asarray(irfft(edge * response * reference.conj() / (power + floor), recording.length))
+
+
+def _fade_out(frames: int) -> FloatArray:
+    window = np.ones(frames)
+    fade = max(1, round(_FADE_SHARE * frames))
+    window[-fade:] = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, fade + 1) / fade)
+    return window
+
+
+def _cut(impulse: FloatArray, centre: int, half: int) -> FloatArray:
+    """What is within half frames of a place, at that place; the rest 0."""
+    frames = np.arange(centre - half, centre + half)
+    part = np.zeros_like(impulse)
+    part[frames] = impulse[frames] * np.hanning(2 * half)
+    return part
+
+
+def _smooth(power: FloatArray) -> FloatArray:
+    box = np.ones(_SMOOTH_BINS)
+    width = np.convolve(np.ones_like(power), box, "same")
+    return np.convolve(power, box, "same") / width
