@@ -1,0 +1,144 @@
+"""The rig's frequency response as a laboratory measures it, by exponential sweeps: Figure 6.
+
+The sweep goes through DAC and amplifier into the actuator, and comes back through accelerometer,
+conditioning amplifier and DAQ; a second input of the DAQ reads the coil's current from a probe.
+Acceleration per ampere is the response of mass, spring and friction, equation (8) of the paper,
+and peaks at their resonance. Per volt the motor brakes as well: that peak is flatter and higher.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import chirp
+
+from audioflinger_hook.transform.arrays import FloatArray
+from device.errors import InternalError
+from device.rig import Rig
+from device.rig.amplifier import Amplifier
+from device.rig.dac import Dac
+from device.rig.instruments import Daq, InstrumentChain
+from device.rig.ladder import Ladder
+
+SAMPLERATE = 48_000
+SWEEP_HZ = (1.0, 500.0)
+SHOWN_HZ = (5.0, 300.0)
+LEVEL = 0.4
+"""Of full scale: the excursion stays under a tenth of Xmax, where the spring is still a straight
+one."""
+
+PROBE_V_PER_A = 1.0
+TAKES = 4
+SWEEP_S = 12.0
+REST_S = 1.0
+FADE_S = 0.25
+COHERENT = 0.95
+
+GATE_S = (0.1, 0.9)
+"""How much of the impulse response before its beginning and after it is kept. What the sweep's
+harmonics excite comes more than a second earlier, as they pass each frequency that much sooner."""
+_GATE_EDGE_S = 0.05
+_EDGES_HZ = (1.5, 4.0, 400.0, 480.0)
+_TOLERANCE = 1e-4
+_SEED = 6
+
+
+Spectrum = np.ndarray[tuple[int, ...], np.dtype[np.complex128]]
+
+
+@dataclass(frozen=True)
+class Response:
+    """A measured response, (bins,) each, at ascending frequencies.
+
+    per_ampere: complex, m/s^2 per A; per_volt: complex, m/s^2 per V at the amplifier's output;
+    coherence: 0 to 1, of the acceleration with the sweep. excursion_share: the largest excursion
+    while it was measured, as a share of Xmax.
+    """
+
+    frequency_hz: FloatArray
+    per_ampere: Spectrum
+    per_volt: Spectrum
+    coherence: FloatArray
+    excursion_share: float
+
+    @property
+    def resonance_hz(self) -> float:
+        """Where the acceleration per ampere is largest."""
+        return float(self.frequency_hz[np.argmax(np.abs(self.per_ampere))])
+
+
+def measure_response(rig: Rig) -> Response:
+    """The response from 5 to 300 Hz; only what is coherent with the sweep is in it.
+
+    Raises
+    ------
+    UsageError
+        The rig describes no instruments.
+    InternalError
+        Something clipped.
+    """
+    dac, amplifier = Dac(rig.dac), Amplifier(rig.amplifier, SAMPLERATE)
+    actuator = Ladder(rig, SAMPLERATE, _TOLERANCE)
+    instruments = InstrumentChain(rig, SAMPLERATE, _SEED)
+    if rig.daq is None:
+        raise InternalError(f"rig {rig.name!r} has instruments without a DAQ")
+    second_input = Daq(rig.daq, SAMPLERATE, _SEED + 2)
+    sweep = _sweep()
+    drive = np.fft.rfft(sweep) * (rig.dac.full_scale_v * rig.amplifier.gain)
+    moved, flowed, largest_m = [], [], 0.0
+    for _ in range(TAKES):
+        motion = actuator.move(amplifier.drive(dac.volts(sweep)))
+        largest_m = max(largest_m, float(np.abs(motion.displacement_m).max()))
+        moved.append(np.fft.rfft(instruments.acceleration_m_s2(motion.acceleration_m_s2)))
+        read_v = second_input.volts(motion.current_a * PROBE_V_PER_A)
+        flowed.append(np.fft.rfft(read_v / PROBE_V_PER_A))
+    clipped = dac.clipped_samples + amplifier.clipped_samples + instruments.clipped_samples
+    if clipped + second_input.clipped_samples:
+        raise InternalError(f"{clipped + second_input.clipped_samples} samples of a sweep clipped")
+
+    frequency_hz: FloatArray = np.fft.rfftfreq(sweep.size, 1.0 / SAMPLERATE).astype(np.float64)
+    acceleration, current = np.mean(moved, axis=0), np.mean(flowed, axis=0)
+    power = np.mean(np.abs(moved) ** 2, axis=0)
+    coherence = np.abs(acceleration) ** 2 / np.maximum(power, np.finfo(float).tiny)
+    per_volt = _gated(acceleration, drive, frequency_hz)
+    amperes_per_volt = _gated(current, drive, frequency_hz)
+    low_hz, high_hz = SHOWN_HZ
+    shown = (frequency_hz >= low_hz) & (frequency_hz <= high_hz) & (coherence >= COHERENT)
+    return Response(
+        frequency_hz=frequency_hz[shown],
+        per_ampere=per_volt[shown] / amperes_per_volt[shown],
+        per_volt=per_volt[shown],
+        coherence=coherence[shown],
+        excursion_share=largest_m / rig.actuator.x_max_m,
+    )
+
+
+def _gated(read: Spectrum, drive: Spectrum, frequency_hz: FloatArray) -> Spectrum:
+    """The ratio of two spectra, (bins,), without the harmonics of what was driven.
+
+    A. Farina, "Simultaneous measurement of impulse response and distortion with a swept-sine
+    technique", 2000: as an impulse response the distortion stands before the beginning.
+    """
+    swept = np.interp(frequency_hz, _EDGES_HZ, (0.0, 1.0, 1.0, 0.0))
+    soft = np.sin(0.5 * np.pi * swept) ** 2
+    ratio = np.zeros_like(read)
+    np.divide(read * soft, drive, out=ratio, where=soft > 0.0)
+    frames = 2 * (frequency_hz.size - 1)
+    impulse = np.fft.irfft(ratio, frames)
+    time_s = np.fft.fftfreq(frames, 1.0 / frames) / SAMPLERATE  # the second half is before 0
+    before_s, after_s = GATE_S
+    room_s = np.minimum(time_s + before_s, after_s - time_s)
+    return np.fft.rfft(
+        impulse * np.sin(0.5 * np.pi * np.clip(room_s / _GATE_EDGE_S, 0.0, 1.0)) ** 2
+    )
+
+
+def _sweep() -> FloatArray:
+    """One exponential sweep with soft ends, then rest, (frames,), full scale 1."""
+    time_s = np.arange(round(SWEEP_S * SAMPLERATE)) / SAMPLERATE
+    low_hz, high_hz = SWEEP_HZ
+    wave = chirp(time_s, low_hz, SWEEP_S, high_hz, method="logarithmic", phi=-90.0)
+    edge = np.minimum(1.0, np.minimum(time_s, time_s[::-1]) / FADE_S)
+    soft = LEVEL * np.sin(0.5 * np.pi * edge) ** 2 * wave
+    return np.concatenate([soft, np.zeros(round(REST_S * SAMPLERATE))])
