@@ -12,15 +12,17 @@ from typing import Any
 
 from audioflinger_hook import live_settings
 from audioflinger_hook.live_settings import LiveSettings
-from audioflinger_hook.settings import CHOICES, Settings, wrong_gain
+from audioflinger_hook.settings import CHOICES, Settings, wrong_gain, wrong_rig
 from audioflinger_hook.transform import LIMITS, TransformParameters
 from audioflinger_hook.transform.parameters import Problem as PartProblem
 from device.errors import UsageError
+from device.rig.rig_file import SHIPPED
 
-TOP_LEVEL = ("profile", "damping", "rig")
+TOP_LEVEL = ("profile", "damping", "protection")
+RIG = "rig"
 GAIN = "gain_db"
 EFFECTS_FILE = "effects_file"
-LIVE = ("tap", "device", "offset_ms", "drop_in", "block_frames", "realtime")
+LIVE = ("tap", "device", "offset_ms", "drop_in", "block_frames", "realtime", "device_volume_db")
 TRANSFORM_CHOICES = ("form", "channels")
 SECTION = "transform"
 LIVE_SECTION = "applications"
@@ -104,6 +106,8 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
     problems += _unknown_keys(document, lines)
     problems += _wrong_choices(document, lines)
     problems += _wrong_effects_file(document, lines, path.parent)
+    if RIG in document and (wrong := wrong_rig(document[RIG], path.parent)):
+        problems.append(_problem(RIG, lines, _shown(document[RIG]), wrong.wrong, wrong.allowed))
     if GAIN in document and (wrong := wrong_gain(document[GAIN])):
         problems.append(_problem(GAIN, lines, _shown(document[GAIN]), wrong.wrong, wrong.allowed))
     parameters = _section(document, SECTION)
@@ -121,6 +125,9 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
         return None, sorted(problems, key=lambda problem: problem.line)
     choices = {name: document[name] for name in (*TOP_LEVEL, GAIN) if name in document}
     choices |= {name: parameters[name] for name in TRANSFORM_CHOICES if name in parameters}
+    if RIG in document:
+        named = document[RIG]
+        choices[RIG] = named if named in SHIPPED else str(path.parent / named)
     effects_file = path.parent / document[EFFECTS_FILE] if EFFECTS_FILE in document else None
     transform = TransformParameters(**numbers)
     settings = Settings(**choices, effects_file=effects_file, parameters=transform)
@@ -229,7 +236,7 @@ def _unknown_keys(document: dict[str, Any], lines: dict[str, int]) -> list[Probl
             continue
         else:
             sections = (f"[{section}]" for section in SECTIONS)
-            known = (*TOP_LEVEL, GAIN, EFFECTS_FILE, *LIVE, *sections)
+            known = (*TOP_LEVEL, RIG, GAIN, EFFECTS_FILE, *LIVE, *sections)
             unknown = {} if name in known else {name: value}
         for key, found in unknown.items():
             shown = "" if isinstance(found, dict) else _shown(found)

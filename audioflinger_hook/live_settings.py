@@ -14,6 +14,8 @@ from device.address import parse_device
 from device.errors import UsageError
 
 OFFSET_MAX_MS = 1_000.0
+DEVICE_VOLUME_LEAST_DB = -96.0
+"""Of any volume control of 16 bits; what a device cannot do becomes its lowest."""
 
 BLOCK_FRAMES = (128, 256, 512, 1024)
 """Frames a callback, of the streams on both sides; fewer are less delay and more work."""
@@ -29,7 +31,8 @@ class LiveSettings:
     tap: where the sound comes from, one address or several of applications; device: where the
     vibration goes, None for not said. offset_ms: delay on top of what is needed; a negative one
     takes drop_in. drop_in: whether to stand between applications and their sink; block_frames:
-    one of `BLOCK_FRAMES`; realtime: whether the audio threads ask for real-time priority. include,
+    one of `BLOCK_FRAMES`; realtime: whether the audio threads ask for real-time priority;
+    device_volume_db: what the device's own volume is set to, None to leave it as it is. include,
     exclude: which applications are felt; their grammar is not checked here.
 
     Raises
@@ -44,6 +47,7 @@ class LiveSettings:
     drop_in: bool = False
     block_frames: int = 256
     realtime: bool = True
+    device_volume_db: float | None = None
     include: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
 
@@ -80,6 +84,7 @@ def problems(values: Mapping[str, Any]) -> dict[str, Problem]:
         "tap": _wrong_tap(values.get("tap", "default")),
         "device": _wrong_device(values.get("device", "twin")),
         "offset_ms": _wrong_offset(values.get("offset_ms", 0.0), values.get("drop_in", False)),
+        "device_volume_db": _wrong_volume(values.get("device_volume_db", 0.0)),
         "block_frames": _wrong_block(values.get("block_frames", 256)),
         **{name: _wrong_list(values.get(name, ())) for name in LISTS},
     }
@@ -94,8 +99,9 @@ def from_document(values: Mapping[str, Any]) -> LiveSettings:
     for name in ("tap", *LISTS):
         if name in chosen:
             chosen[name] = tuple(chosen[name])
-    if "offset_ms" in chosen:
-        chosen["offset_ms"] = float(chosen["offset_ms"])
+    for name in ("offset_ms", "device_volume_db"):
+        if name in chosen:
+            chosen[name] = float(chosen[name])
     return LiveSettings(**chosen)
 
 
@@ -144,6 +150,15 @@ def _wrong_offset(value: Any, drop_in: Any) -> Problem | None:
         return Problem(
             "is below 0 without drop_in", f"0 to {OFFSET_MAX_MS:g} ms, or drop_in = true"
         )
+    return None
+
+
+def _wrong_volume(value: Any) -> Problem | None:
+    allowed = f"{DEVICE_VOLUME_LEAST_DB:g} to 0 dB"
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return Problem("is not a number", allowed)
+    if not DEVICE_VOLUME_LEAST_DB <= value <= 0.0:
+        return Problem("is out of range", allowed)
     return None
 
 

@@ -13,11 +13,13 @@ from audioflinger_hook.framework import OFFLINE_HAL_FRAMES, Framework
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import FileTap
 from device.alignment import Aligned
+from device.driving import driving_for
 from device.errors import UsageError
-from device.instruments import ACCELERATION_FULL_SCALE_M_S2
 from device.output import VibrationOutput
+from device.processing import Processed
 from device.rig import rig_by_name
-from device.twin import Twin
+from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.twin import Twin
 from device.wav_output import WavOutput
 
 Progress = Callable[[int, int | None], None]
@@ -112,7 +114,8 @@ def render(
             recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
             twin = Twin(rig_by_name(settings.rig), rate, channels, recorder=recorder)
             outputs.append(twin)
-        aligned = [Aligned(output, framework.latency_frames) for output in outputs]
+        written = [_driven(output, settings) for output in outputs]
+        aligned = [Aligned(output, framework.latency_frames) for _, output in written]
         chain = Chain(client, framework, aligned)
         frames = 0
         while step := chain.step():
@@ -135,12 +138,30 @@ def render(
         channels=channels,
         transform=settings.form,
         latency_s=framework.latency_s,
-        peak=aligned[0].peak,
+        peak=(written[0][0] or aligned[0]).peak,
         limited_samples=framework.limited_samples,
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
         warnings=[*framework.warnings, *framework.bypassed(), *warnings],
     )
+
+
+def _driven(output: VibrationOutput, settings: Settings) -> tuple[Aligned | None, VibrationOutput]:
+    """Return the output behind what the settings want done for the rig, without its delay.
+
+    First what has the peak of all that is written; None where nothing is done.
+    """
+    driving = driving_for(
+        settings.rig,
+        output.samplerate,
+        output.channels,
+        damping=settings.damping,
+        protection=settings.protection,
+    )
+    if driving is None:
+        return None, output
+    undelayed = Aligned(output, driving.latency_frames)
+    return undelayed, Processed(undelayed, [driving])
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:

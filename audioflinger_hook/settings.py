@@ -1,4 +1,4 @@
-"""What a user may choose: profile, transform, level, damping, rig. Defaults are the paper's."""
+"""What a user may choose: profile, transform, level, rig and what is done for it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from typing import Literal
 from audioflinger_hook.transform import Form, TransformParameters
 from audioflinger_hook.transform.parameters import Problem
 from device.errors import UsageError
+from device.rig.rig_file import SHIPPED, SUFFIX, read_rig
 
 Channels = Literal["mono", "each"]
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "profile": ("paper",),
-    "damping": ("off",),
+    "damping": ("off", "auto"),
+    "protection": ("off", "on"),
     "form": ("live", "reference"),
     "channels": ("mono", "each"),
-    "rig": ("paper",),
 }
-"""Every choice by name, with the values that exist; the first one is the default."""
+"""Every choice by name, with the values that exist; the first one, the paper's, is the default."""
 
 GAIN_MIN_DB = -60.0
 GAIN_MAX_DB = 0.0
@@ -33,9 +34,11 @@ class Settings:
     """One complete set of choices.
 
     profile: a named set of parameters; form: which form of the transform; channels: `mono`
-    mixes before the transform, `each` transforms every channel by itself; damping: how residual
-    vibration is reduced; rig: the simulated device; gain_db: level of the vibration, -60 to 0;
-    effects_file: an audio_effects.xml that says which effects run, None for the bundled one.
+    mixes before the transform, `each` transforms every channel by itself; damping: whether
+    residual vibration is reduced; protection: whether the rig is kept within its limits, which
+    comes with damping; rig: what is driven, one that ships or a file, NAME.toml; gain_db:
+    level of the vibration, -60 to 0; effects_file: an audio_effects.xml that says which effects
+    run, None for the bundled one.
 
     Raises
     ------
@@ -45,9 +48,10 @@ class Settings:
 
     profile: str = CHOICES["profile"][0]
     damping: str = CHOICES["damping"][0]
+    protection: str = CHOICES["protection"][0]
     form: Form = "live"
     channels: Channels = "mono"
-    rig: str = CHOICES["rig"][0]
+    rig: str = SHIPPED[0]
     gain_db: float = GAIN_MAX_DB
     effects_file: Path | None = None
     parameters: TransformParameters = field(default_factory=TransformParameters)
@@ -59,10 +63,28 @@ class Settings:
             for name, allowed in CHOICES.items()
             if getattr(self, name) not in allowed
         ]
+        if wrong := wrong_rig(self.rig):
+            problems.append(f"rig {self.rig!r} {wrong.wrong}; allowed: {wrong.allowed}")
         if wrong := wrong_gain(self.gain_db):
             problems.append(f"gain_db={self.gain_db!r} {wrong.wrong}; allowed: {wrong.allowed}")
         if problems:
             raise UsageError("; ".join(problems))
+
+
+def wrong_rig(value: object, folder: Path | None = None) -> Problem | None:
+    """Return what is wrong with a `rig`, None where nothing is. folder: where files are."""
+    allowed = f"{', '.join(SHIPPED)}, or a file, NAME{SUFFIX}"
+    if not isinstance(value, str):
+        return Problem("is not a name", allowed)
+    if value in SHIPPED:
+        return None
+    if not value.endswith(SUFFIX):
+        return Problem("is not known", allowed)
+    try:
+        read_rig((folder or Path()) / value)
+    except (UsageError, ValueError) as error:  # ValueError: a path that cannot be
+        return Problem(f"cannot be used ({error})", allowed)
+    return None
 
 
 def wrong_gain(value: object) -> Problem | None:

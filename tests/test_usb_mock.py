@@ -104,6 +104,30 @@ def test_two_alike_are_told_apart_by_their_ports() -> None:
     assert names[1] in refused.stderr
 
 
+WHOLE_CARD = """
+import json
+from device.alsa import set_card_volume
+from device.alsa.mixer import CardMixer
+
+told = []
+for wanted_db, limit_db in ((-9.9, 0.0), (12.0, 0.0), (0.0, -20.0)):
+    with CardMixer(1) as mixer:
+        mixer.set_muted(mixer.switches[0], True)
+    told.append(set_card_volume(1, wanted_db, limit_db))
+    with CardMixer(1) as mixer:
+        told.append([mixer.volume_db(mixer.volumes[0]), mixer.muted(mixer.switches[0])])
+print(json.dumps(told))
+"""
+
+
+def test_a_whole_card_is_set_to_a_level_never_above_it_and_its_mute_is_lifted() -> None:
+    done = within([plugged(1)], sys.executable, "-c", WHOLE_CARD)
+    assert done.returncode == 0, done.stderr
+    levels_db, states = json.loads(done.stdout)[::2], json.loads(done.stdout)[1::2]
+    assert levels_db == [[-10.0], [0.0], [-20.0]]
+    assert states == [[[level] * 2, [False]] for (level,) in levels_db]
+
+
 @versions
 def test_while_its_driver_holds_it_nothing_is_asked_of_its_controls(
     uac: int, tmp_path: Path

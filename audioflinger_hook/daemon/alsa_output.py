@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from audioflinger_hook.daemon.device_volume import DeviceVolume, SetVolume
 from audioflinger_hook.daemon.kept import KeptStream
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Fill
@@ -23,6 +24,7 @@ from device.alsa import (
     hw_params,
     offers_of,
     refusal,
+    set_card_volume,
     usb_stream,
 )
 from device.errors import CushionError, LostError, NotFoundError
@@ -44,8 +46,8 @@ class AlsaOutput:
 
     address: of kind hw or usb. recording: takes what is sent. wiring: see `ChannelMap.of`, None to
     leave no channel silent. block_frames: of a callback; priority: what its thread asks for; both
-    of streams that are opened from now on. root, usb_root: what tells of cards and of USB devices;
-    target: what leads to a card.
+    of streams that are opened from now on; volume: the device's own. root, usb_root: what
+    tells of cards and of USB devices; target: what leads to a card.
     """
 
     needs_server = False
@@ -62,12 +64,14 @@ class AlsaOutput:
         wiring: Sequence[Sequence[int]] | None = None,
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
+        volume: DeviceVolume | None = None,
         root: Path = PROC,
         usb_root: Path = ROOT,
         target: Callable[[int, int], Target] = CardDevice,
     ) -> None:
         self.block_frames = block_frames
         self._priority = priority
+        self.volume = volume or DeviceVolume()
         self._address = address
         self._pcm = pcm
         self._states = states
@@ -106,8 +110,8 @@ class AlsaOutput:
 
     @property
     def warnings(self) -> list[str]:
-        """None."""
-        return []
+        """Why the volume is not what was asked for."""
+        return [self.volume.warning] if self.volume.warning else []
 
     def lead(self, address: DeviceAddress) -> None:
         """Fall silent, and go on at another card."""
@@ -149,6 +153,8 @@ class AlsaOutput:
                 self.close()
             else:
                 kept.check(now_s)
+        if kept.stream is not None:
+            self.volume.follow(_set_volume_of(place.playback))
         choice = place.choice
         if kept.stream is not None or choice is None:
             return  # what was located before the mix was known will be located again
@@ -205,6 +211,7 @@ class AlsaOutput:
         return _Place(playback, choice)
 
     def _stream(self, place: _Place, choice: Choice, fill: Fill) -> PlaybackStream:
+        self.volume.set(_set_volume_of(place.playback))
         recording = self._recording
         assert self._mix is not None
         if self._wiring is None:
@@ -261,6 +268,13 @@ class _Place:
     @property
     def channels(self) -> int:
         return self.choice.channels if self.choice else 0
+
+
+def _set_volume_of(playback: Playback) -> SetVolume:
+    def set_volume(wanted_db: float) -> None:
+        set_card_volume(playback.card.number, wanted_db)
+
+    return set_volume
 
 
 class _Spread:

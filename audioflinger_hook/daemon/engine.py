@@ -16,6 +16,7 @@ from audioflinger_hook.service.buffer_times import BufferClock
 from audioflinger_hook.settings import Settings
 from device.clock import DelayLine
 from device.clock.timing import STALLED_S
+from device.driving import driving_for
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
@@ -67,7 +68,8 @@ class Engine:
     buffers, frames: how many were mixed; frames_max: of a cycle. last_sound_s: when they were not
     silent. faded: whether the vibration last looked at was none. sound, vibration: their levels.
     before_fill: called by `fill` before it reads; set it before that. filled_s:
-    when `fill` was called last.
+    when `fill` was called last. driving: what is done to the vibration for its rig, None for
+    nothing; it comes after all that `sound` and `vibration` tell of.
 
     Raises
     ------
@@ -103,6 +105,14 @@ class Engine:
             # Its own time: what the machine spends on others is no fault of an effect.
             clock=clocks.used_s if bypass_late else None,
         )
+        chosen = self.framework.settings
+        self.driving = driving_for(
+            chosen.rig,
+            self.samplerate,
+            self.framework.haptic_channels,
+            damping=chosen.damping,
+            protection=chosen.protection,
+        )
         self.delay_line = self._line(output_samplerate, offset_s)
         self.sound = Gathered(self.samplerate)
         self.vibration = Gathered(self.samplerate)
@@ -119,7 +129,7 @@ class Engine:
         if on_mix is not None:
             self.framework.mixer.on_mix = lambda sound: on_mix(sound, self._into_line.now_s)
         self._read = np.zeros((0, self.framework.haptic_channels), np.float32)
-        self._ahead = self._read
+        self._start = self._end = 0
 
     def _line(self, samplerate: int, offset_s: float) -> DelayLine:
         return DelayLine(
@@ -142,7 +152,7 @@ class Engine:
         if (samplerate, blocks) != (rate, self.block_frames):
             self.block_frames = blocks
             self.delay_line = self._line(samplerate, self.delay_line.offset_s)
-            self._ahead = self._ahead[:0]
+            self._drop_ahead()
 
     def follow(self, settings: Settings, offset_s: float) -> None:
         """Take another level, other parameters and another offset while it runs.
@@ -193,6 +203,8 @@ class Engine:
         held = self._into_line.held = []
         while self.advance(now_s):
             pass
+        if self.driving is not None:
+            held.append(self.driving.owed().astype(np.float32))
         return np.concatenate([self._read[:0], *held])
 
     def send(self, vibration: Float32Array, now_s: float) -> None:
@@ -205,9 +217,19 @@ class Engine:
         The next sound then goes out as soon as both streams run.
         """
         self.delay_line.flush()
-        self._ahead = self._ahead[:0]
+        if self.driving is not None:  # what it still holds is of before
+            self.driving.owed()
+        self._drop_ahead()
         self.sound.reset()
         self.vibration.reset()
+
+    @property
+    def read_ahead(self) -> Float32Array:
+        """The vibration that was read and is not played yet; for the thread of `fill`.
+
+        A view, until the next `fill`.
+        """
+        return self._read[self._start : self._end]
 
     def fill(self, out: Float32Array, now_s: float) -> None:
         """Write what the device plays next into `out`, (frames, channels of the device).
@@ -216,12 +238,14 @@ class Engine:
         out.
         """
         if now_s - self.filled_s > STALLED_S:  # of before a gap
-            self._ahead = self._ahead[:0]
+            self._drop_ahead()
         self.filled_s = now_s
         frames = len(out)
-        if len(self._ahead) < frames:
+        if self._end - self._start < frames:
             self._read_on(frames, now_s)
-        vibration, self._ahead = self._ahead[:frames], self._ahead[frames:]
+        start = self._start
+        self._start = min(start + frames, self._end)
+        vibration = self._read[start : self._start]
         voices = vibration.shape[1]
         if voices in (1, out.shape[1]):
             out[:] = vibration
@@ -231,20 +255,23 @@ class Engine:
 
     def _read_on(self, frames: int, now_s: float) -> None:
         """Have `frames` or more read; more only where the delay line has them already."""
-        held = self._ahead
-        missing = frames - len(held)
+        kept = self.read_ahead
+        held = len(kept)
+        missing = frames - held
         self.before_fill()
         line = self.delay_line
         ahead = (line.readable - missing) // frames
         ahead = frames * max(0, min(READ_BLOCKS - 1, ahead))
         needed = frames + ahead
-        if len(self._read) < needed or len(held):
-            blocks = max(needed, frames * READ_BLOCKS)
-            self._read = np.zeros((blocks, held.shape[1]), np.float32)
-            self._read[: len(held)] = held
-        playing_s = now_s + len(held) / line.samplerate_out
-        read = line.read(self._read[len(held) : needed], playing_s, ahead)
-        self._ahead = self._read[: len(held) + read]
+        if len(self._read) < needed:
+            self._read = np.zeros((frames * READ_BLOCKS, kept.shape[1]), np.float32)
+        self._read[:held] = kept
+        playing_s = now_s + held / line.samplerate_out
+        read = line.read(self._read[held:needed], playing_s, ahead)
+        self._start, self._end = 0, held + read
+
+    def _drop_ahead(self) -> None:
+        self._start = self._end = 0
 
 
 class _IntoLine:
@@ -263,6 +290,8 @@ class _IntoLine:
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take one block."""
+        if self._engine.driving is not None:
+            vibration = self._engine.driving.process(np.array(vibration, np.float32))
         if self.held is not None:
             self.held.append(np.array(vibration, np.float32))
             return

@@ -11,6 +11,7 @@ from audioflinger_hook.capture.format import Facts
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.transform import TransformParameters
 from device.errors import UsageError
+from device.rig.rig_file import SHIPPED
 
 NESTED = "parameters"
 """The field of `Settings` whose own fields stand beside the others."""
@@ -25,6 +26,8 @@ def facts_of(settings: Settings) -> Facts:
     for name, value in chosen.items():
         if isinstance(value, Path):
             value = str(value.absolute())
+        if name == "rig" and value not in SHIPPED:  # a file
+            value = str(Path(value).absolute())
         if value is not None:
             facts[name] = value
     return facts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from audioflinger_hook.daemon.device_volume import DeviceVolume, SetVolume
 from audioflinger_hook.daemon.kept import KeptStream
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Fill
@@ -25,7 +26,7 @@ class LiveOutput:
 
     recording: takes what is sent. name: of the sink that is played to, None while none is.
     block_frames: of a callback; priority: what its thread asks for; both of streams that are
-    opened from now on.
+    opened from now on; volume: the device's own.
     """
 
     needs_server = True
@@ -41,9 +42,11 @@ class LiveOutput:
         *,
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
+        volume: DeviceVolume | None = None,
     ) -> None:
         self.block_frames = block_frames
         self._priority = priority
+        self.volume = volume or DeviceVolume()
         self._address = address
         self._pcm = pcm
         self._recording = recording
@@ -78,8 +81,8 @@ class LiveOutput:
 
     @property
     def warnings(self) -> list[str]:
-        """None."""
-        return []
+        """Why the volume is not what was asked for."""
+        return [self.volume.warning] if self.volume.warning else []
 
     def lead(self, address: DeviceAddress) -> None:
         """Fall silent, and go on at another device."""
@@ -114,10 +117,13 @@ class LiveOutput:
                 kept.close()
             else:
                 kept.check(now_s)
+        set_volume = _set_volume_of(connection, sink)
+        if kept.stream is not None:
+            self.volume.follow(set_volume)
         if kept.stream is None:
             self._pcm.lead(sink.name)
             kept.open(
-                lambda: self._playback(sink, fill),
+                lambda: self._playback(sink, fill, set_volume),
                 connection,
                 sink.name,
                 now_s,
@@ -132,7 +138,8 @@ class LiveOutput:
         """Fall silent."""
         self.close()
 
-    def _playback(self, sink: Sink, fill: Fill) -> PlaybackStream:
+    def _playback(self, sink: Sink, fill: Fill, set_volume: SetVolume) -> PlaybackStream:
+        self.volume.set(set_volume)
         recording = self._recording
         sent = None
         if recording is not None:
@@ -150,3 +157,10 @@ class LiveOutput:
             block_frames=self.block_frames,
             priority=self._priority,
         )
+
+
+def _set_volume_of(connection: PulseConnection, sink: Sink) -> SetVolume:
+    def set_volume(wanted_db: float) -> None:
+        connection.set_sink_volume_db(sink.name, wanted_db)
+
+    return set_volume

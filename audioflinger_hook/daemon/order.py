@@ -85,14 +85,16 @@ class Order:
 class Changes:
     """What is another from one order to the next, by what it takes.
 
-    level, offset, priority: nothing is interrupted; the offset is a jump of the delay, faded over
-    5 ms; a priority that is wanted is that of streams that are opened from now on.
+    level, volume, offset, priority: nothing is interrupted; volume is the device's own; the offset
+    is a jump of the delay, faded over 5 ms; a priority that is wanted is that of streams that are
+    opened from now on.
     transform: the vibration fades out and begins anew after the transform's latency. tap, device:
     the one stream is led elsewhere or opened anew. drop_in: the virtual sink comes or goes.
     blocks: both streams are opened anew. engine: everything but the connection begins anew.
     """
 
     level: bool = False
+    volume: bool = False
     offset: bool = False
     priority: bool = False
     transform: bool = False
@@ -110,6 +112,7 @@ class Changes:
         alike = replace(after, gain_db=before.gain_db, parameters=before.parameters)
         return cls(
             level=before.gain_db != after.gain_db,
+            volume=old.live.device_volume_db != new.live.device_volume_db,
             offset=old.live.offset_ms != new.live.offset_ms,
             priority=old.live.realtime != new.live.realtime,
             transform=before.parameters != after.parameters,
@@ -129,6 +132,7 @@ class Changes:
         """Return what changed, for people, in one line."""
         words = {
             "the level": self.level,
+            "the device's volume": self.volume,
             "the offset": self.offset,
             "the audio threads' priority": self.priority,
             "the transform, which begins anew": self.transform and not self.engine,

@@ -16,8 +16,8 @@ from device.atomic_file import AtomicFile
 from device.errors import InternalError
 from device.output import VibrationOutput
 from device.rig import rig_by_name
+from device.rig.twin import Twin
 from device.server import PulseConnection, ServerSnapshot
-from device.twin import Twin
 from device.wav_output import WavOutput
 
 BLOCK_FRAMES = 256

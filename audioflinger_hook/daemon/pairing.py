@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from audioflinger_hook.daemon.alsa_output import AlsaOutput
 from audioflinger_hook.daemon.app_input import AppFeed, AppInput
+from audioflinger_hook.daemon.device_volume import DeviceVolume
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.feed import Feed
 from audioflinger_hook.daemon.live_input import LiveInput
@@ -18,6 +19,7 @@ from audioflinger_hook.daemon.pulled import PulledFeed
 from audioflinger_hook.daemon.sides import InputSide, OutputSide
 from audioflinger_hook.service.state import StateKeeper
 from device.errors import UsageError
+from device.rig import rig_by_name
 from device.server import AudioPriority, PcmConfig
 
 
@@ -76,6 +78,7 @@ class Sides:
             order.recording,
             block_frames=order.live.block_frames,
             priority=self._priority,
+            volume=_volume_of(order),
         )
 
     def _live_input(self, order: Order) -> LiveInput | AppInput:
@@ -146,11 +149,13 @@ class Sides:
         self.output.close()
         self.output = self._live_output(order)
 
-    def take_blocks_of(self, frames: int) -> None:
-        """Open streams with so many frames a callback from now on."""
+    def take(self, order: Order) -> None:
+        """Open streams with so many frames a callback from now on; set the device's volume."""
         for side in (self.input, self.output):
             if isinstance(side, LiveInput | LiveOutput | AlsaOutput):
-                side.block_frames = frames
+                side.block_frames = order.live.block_frames
+        if isinstance(self.output, LiveOutput | AlsaOutput):
+            self.output.volume.want(_volume_of(order))
 
     def close(self) -> None:
         """Let both fall silent; they go on when they are kept again. Again too."""
@@ -165,6 +170,11 @@ class Sides:
             self._pcms.close()
         self.input.end(keep=keep)
         self.output.end(keep=keep)
+
+
+def _volume_of(order: Order) -> DeviceVolume:
+    limit_db = rig_by_name(order.settings.rig).dac.volume_limit_db
+    return DeviceVolume(order.live.device_volume_db, limit_db)
 
 
 def _address(order: Order) -> str:

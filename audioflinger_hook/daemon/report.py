@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from audioflinger_hook import __version__
 from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.service.rig_figures import ExposureFigures, ProtectionFigures
 from audioflinger_hook.service.status import (
     DelayLineFigures,
     Endpoint,
@@ -15,6 +16,7 @@ from audioflinger_hook.service.status import (
     Status,
     Xruns,
 )
+from device.driving import Driving
 
 
 def status_of(supervisor: Supervisor, now_s: float) -> Status:
@@ -39,6 +41,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     line = engine.delay_line.status
     tap_s, output_s = supervisor.latencies_s
     offset_s = engine.delay_line.offset_s
+    driving = engine.driving
     return replace(
         status,
         levels=Levels(engine.sound.meter.level(), engine.vibration.meter.level()),
@@ -48,6 +51,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
             delay_line_ms=1e3 * (line.delay_s - offset_s),
             output_ms=1e3 * output_s,
             offset_ms=1e3 * supervisor.offset_s,
+            driving_ms=1e3 * driving.latency_frames / engine.samplerate if driving else 0.0,
         ),
         delay_line=DelayLineFigures(
             1e3 * line.target_s,
@@ -62,4 +66,34 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         effects_bypassed=tuple(engine.framework.bypassed()),
         limited_samples=engine.framework.limited_samples,
         replaced_samples=engine.framework.replaced_samples,
+        protection=_protection(driving) if driving else None,
+        exposure=_exposure(driving) if driving else None,
+    )
+
+
+def _protection(driving: Driving) -> ProtectionFigures:
+    seen = driving.protection()
+    return ProtectionFigures(
+        blocks=seen.blocks,
+        limited_blocks=seen.limited_blocks,
+        infeasible_blocks=seen.infeasible_blocks,
+        replaced_samples=seen.replaced_samples,
+        gain=seen.gain,
+        least_gain=seen.least_gain,
+        limited_by=seen.limited_by,
+        excursion_mm=1e3 * seen.excursion_m,
+        coil_c=seen.coil_c,
+    )
+
+
+def _exposure(driving: Driving) -> ExposureFigures:
+    dose = driving.exposure()
+    return ExposureFigures(
+        time_s=dose.time_s,
+        running_m_s2=dose.running_m_s2,
+        a8_m_s2=dose.a8_m_s2,
+        vdv=dose.vdv,
+        above_action=dose.above_action,
+        above_limit=dose.above_limit,
+        extrapolated=dose.extrapolated,
     )

@@ -137,7 +137,7 @@ class Supervisor:
         recording = self._order.recording
         warnings = list(self.engine.framework.warnings) if self.engine else []
         warnings += self._stand_in.warnings if self._stand_in else []
-        warnings += self._input.warnings
+        warnings += [*self._input.warnings, *self._output.warnings]
         if recording:
             warnings += recording.warnings
             if self.engine and self.engine.framework.bypassed():
@@ -227,7 +227,7 @@ class Supervisor:
         elif engine:
             engine.follow(order.settings, offset_s)
         self._order = order
-        self._sides.take_blocks_of(order.live.block_frames)
+        self._sides.take(order)
         if changes.priority:
             self.priority.want(order.live.realtime)
         begins_anew = changes.engine

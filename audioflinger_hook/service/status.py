@@ -9,6 +9,7 @@ from types import MappingProxyType
 from audioflinger_hook.service.buffer_times import BufferTimes
 from audioflinger_hook.service.document import from_json, to_json
 from audioflinger_hook.service.levels import Level
+from audioflinger_hook.service.rig_figures import ExposureFigures, ProtectionFigures
 from audioflinger_hook.service.state import Cause, DaemonState
 
 
@@ -32,8 +33,9 @@ class Levels:
 class LatencyBudget:
     """Where the time goes between a sound and its vibration, in ms.
 
-    offset_ms: what the user added, less what drop-in mode delays the sound by. total_ms: by how
-    much the vibration comes later than the sound is played.
+    offset_ms: what the user added, less what drop-in mode delays the sound by. driving_ms: what
+    damping and protection add. total_ms: by how much the vibration comes later than the sound is
+    played.
     """
 
     tap_ms: float = 0.0
@@ -41,6 +43,7 @@ class LatencyBudget:
     delay_line_ms: float = 0.0
     output_ms: float = 0.0
     offset_ms: float = 0.0
+    driving_ms: float = 0.0
     total_ms: float = 0.0
 
     @classmethod
@@ -52,10 +55,11 @@ class LatencyBudget:
         delay_line_ms: float,
         output_ms: float,
         offset_ms: float,
+        driving_ms: float = 0.0,
     ) -> LatencyBudget:
         """Return the budget with its sum."""
-        total_ms = tap_ms + transform_ms + delay_line_ms + output_ms + offset_ms
-        return cls(tap_ms, transform_ms, delay_line_ms, output_ms, offset_ms, total_ms)
+        parts_ms = (tap_ms, transform_ms, delay_line_ms, output_ms, offset_ms, driving_ms)
+        return cls(*parts_ms, sum(parts_ms))
 
 
 @dataclass(frozen=True)
@@ -90,6 +94,7 @@ class Status:
     version: the program's. pid: its process. since_s: how long the state has lasted.
     recoveries: how many there were, for every cause. effects_bypassed: the names of the effects
     that are. limited_samples, replaced_samples: as of `cushion render --json`, since the start.
+    protection, exposure: None without protection.
     """
 
     version: str
@@ -110,6 +115,8 @@ class Status:
     effects_bypassed: tuple[str, ...] = ()
     limited_samples: int = 0
     replaced_samples: int = 0
+    protection: ProtectionFigures | None = None
+    exposure: ExposureFigures | None = None
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> str:

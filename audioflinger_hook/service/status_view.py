@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from audioflinger_hook.service.levels import FLOOR_DBFS, Level
+from audioflinger_hook.service.rig_figures import ExposureFigures, ProtectionFigures
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Status
 from audioflinger_hook.service.text import one_line
@@ -81,6 +82,10 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
             Text(f"{status.limited_samples} limited, {status.replaced_samples} replaced"),
         ),
     ]
+    if status.protection:
+        rows.append(("protection", _protection(status.protection)))
+    if status.exposure:
+        rows.append(("exposure", _exposure(status.exposure)))
     if status.effects_bypassed:
         names = ", ".join(one_line(name, 60) for name in status.effects_bypassed)
         rows.append(("bypassed", Text(names, "red")))
@@ -121,9 +126,10 @@ def _level(level: Level, colour: str) -> Text:
 
 def _latency(status: Status) -> Text:
     latency = status.latency
+    driving = f"driving {latency.driving_ms:.1f} + " if latency.driving_ms else ""
     return Text(
         f"{latency.total_ms:.1f} ms = tap {latency.tap_ms:.1f} + transform "
-        f"{latency.transform_ms:.1f} + delay line {latency.delay_line_ms:.1f} + output "
+        f"{latency.transform_ms:.1f} + {driving}delay line {latency.delay_line_ms:.1f} + output "
         f"{latency.output_ms:.1f} {'-' if latency.offset_ms < 0 else '+'} offset "
         f"{abs(latency.offset_ms):.1f}"
     )
@@ -132,6 +138,30 @@ def _latency(status: Status) -> Text:
 def _recoveries(status: Status) -> Text:
     counted = [f"{cause.value} {n}" for cause, n in status.recoveries.items() if n]
     return Text(", ".join(counted) or "none")
+
+
+def _protection(protection: ProtectionFigures) -> Text:
+    coil = "" if protection.coil_c is None else f", coil {protection.coil_c:.0f} °C"
+    text = Text(f"{protection.limited_blocks} of {_count(protection.blocks, 'block')} limited")
+    if protection.infeasible_blocks:
+        text.append(f", {protection.infeasible_blocks} silenced", "red")
+    text.append(f"; gain {protection.gain:.2f}")
+    if protection.limited_by:
+        text.append(f" for {one_line(protection.limited_by)}", "yellow")
+    text.append(
+        f", least {protection.least_gain:.2f}; excursion {protection.excursion_mm:.2f} mm{coil}"
+    )
+    return text
+
+
+def _exposure(exposure: ExposureFigures) -> Text:
+    colour = "red" if exposure.above_limit else "yellow" if exposure.above_action else ""
+    above = "above the limit, " if exposure.above_limit else "above action, "
+    return Text.assemble(
+        (above if colour else "", colour),
+        f"A(8) {exposure.a8_m_s2:.3g} m/s², VDV {exposure.vdv:.3g} m/s^1.75 (predicted); "
+        f"now {exposure.running_m_s2:.3g} m/s²",
+    )
 
 
 def _count(number: int, what: str) -> str:

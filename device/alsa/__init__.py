@@ -3,7 +3,8 @@
     cards.py        the cards of this machine, by number or id
     usb_stream.py   what a USB card offers, and its own clock
     use.py          who plays there just now, and how
-    mixer.py        a card's own volume and mute; decibels.py: what its steps mean
+    mixer.py        a card's own volumes and mutes; decibels.py: what their steps mean
+    volume.py       all of them, to one level
     negotiation.py  the format, rate and channels that suit best
     channel_map.py  which actuator each channel drives
     conversion.py   float frames as the card's bytes
@@ -17,6 +18,7 @@ from device.alsa.conversion import Encoder
 from device.alsa.negotiation import Choice, Offer, choose, offers_of
 from device.alsa.usb_stream import UsbFormat, UsbStream, usb_stream
 from device.alsa.use import HwParams, Owner, hw_params, owner, refusal
+from device.alsa.volume import set_card_volume
 
 __all__ = [
     "PROC",
@@ -39,5 +41,6 @@ __all__ = [
     "owner",
     "playbacks",
     "refusal",
+    "set_card_volume",
     "usb_stream",
 ]

@@ -7,6 +7,7 @@ Both kinds of server speak this protocol: PulseAudio, and PipeWire by its pipewi
 
 from __future__ import annotations
 
+import math
 import os
 import queue
 import select
@@ -18,6 +19,7 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from device.errors import CushionError, InternalError, LostError, NotFoundError
+from device.loudest import allowed_db
 from device.server.events import DEFAULT_SETTLES_S, Event, Listener
 from device.server.second_opinion import Defaults, SecondOpinion
 from device.server.snapshot import ServerSnapshot, keep_samplerates, take_snapshot
@@ -98,6 +100,21 @@ class PulseConnection:
         def work(pulse: Any) -> None:
             stream = pulse.sink_input_info(index)
             pulse.volume_set_all_chans(stream, volume)
+
+        self._ask(work)
+
+    def set_sink_volume_db(self, name: str, wanted_db: float) -> None:
+        """Set all channels of a sink, 0 dB at most, and lift its mute. NotFoundError: it is gone.
+
+        The server's scale: 60 log10 of its own number, 1.0 at 0 dB (its `pa_sw_volume_from_dB`).
+        Raises UsageError where wanted_db is no number.
+        """
+        volume = 10.0 ** (allowed_db(wanted_db, -math.inf, name) / 60.0)
+
+        def work(pulse: Any) -> None:
+            sink = pulse.get_sink_by_name(name)
+            pulse.volume_set_all_chans(sink, volume)
+            pulse.sink_mute(sink.index, False)
 
         self._ask(work)
 

@@ -10,7 +10,6 @@ its device raises nothing. Ask `is_lost`, close the stream, open another one.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -19,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from device.alsa.conversion import Encoder
-from device.blocks import peak
 from device.errors import UsageError
 from device.sample_format import SampleFormat
 from device.server.foreign_thread import LET_GO_LIMIT_S, ForeignThread
@@ -246,6 +244,7 @@ class PlaybackStream(_Stream):
         self._fill = fill
         self._on_sent = on_sent
         self._out = np.zeros((block_frames, channels), np.float32)
+        self._used = False  # whether it is not all 0: the last block came to nothing
         self._encoder = Encoder(sample_format, channels, block_frames)
         self._sound: bytes | None = None
         super().__init__(
@@ -260,15 +259,14 @@ class PlaybackStream(_Stream):
         )
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
-        if len(self._out) != frames:
+        if self._used or len(self._out) != frames:
             self._out = np.zeros((frames, self.channels), np.float32)
-        else:
-            self._out.fill(0.0)
-        self._sound = None
+        self._used = True
         self._fill(self._out, now_s)
-        if not math.isfinite(peak(self._out)):
+        self._sound = self._encoder.take(self._out)
+        if self._sound is None:
             raise FloatingPointError("samples that are not finite")
-        self._sound = self._encoder.encode(self._out)
+        self._used = False
 
     def _result(self, frames: int) -> bytes | None:
         sound, self._sound = self._sound, None

@@ -141,6 +141,46 @@ def test_another_parameter_of_the_transform_takes_effect_while_the_streams_stay(
     print(f"{server.kind}: {before:.0f} then {after:.0f} Hz")
 
 
+def volume_of(server: SoundServer, sink: str) -> tuple[float, bool]:
+    """A sink's level in dB, and whether it is muted."""
+    told = server.pactl("get-sink-volume", sink)
+    level = re.search(r"(-?[\d.]+|-inf) dB", told)
+    assert level, told
+    return float(level[1]), server.pactl("get-sink-mute", sink).split()[-1] == "yes"
+
+
+def test_the_device_s_own_volume_is_set_as_asked_and_left_alone_otherwise(
+    server: SoundServer, config: Callable[..., Path]
+) -> None:
+    def is_now(level_db: float, muted: bool = False) -> bool:
+        now_db, is_muted = volume_of(server, "haptic")
+        return abs(now_db - level_db) < 0.02 and is_muted == muted
+
+    server.pactl("set-sink-volume", "haptic", "-30dB")
+    server.pactl("set-sink-mute", "haptic", "1")
+    before = volume_of(server, "desktop")
+    path = config()
+    with (
+        playing(server, "desktop", tone(TONE_HZ, 60.0)),
+        running(server, "--config", str(path), device=None) as daemon,
+    ):
+        daemon.wait_state(DaemonState.RUNNING)
+        assert is_now(-30.0, muted=True)
+        streams = connections(server, "sink-inputs")
+        config("device_volume_db = -12.5")
+        assert "the device's volume" in reload(daemon)
+        wait_for(lambda: is_now(-12.5), "another volume")
+        server.pactl("set-sink-volume", "haptic", "-7.5dB")  # on top of what is set
+        config("device_volume_db = -12.5", "offset_ms = 1")
+        reload(daemon)
+        assert is_now(-20.0)  # set by somebody while it plays: theirs
+        assert connections(server, "sink-inputs") == streams
+    with running(server, "--device-volume-db", "0") as daemon:
+        daemon.wait_state(DaemonState.RUNNING)
+        assert is_now(0.0)
+    assert volume_of(server, "desktop") == before
+
+
 def test_a_config_with_mistakes_changes_nothing_and_is_told(
     server: SoundServer, config: Callable[..., Path], tmp_path: Path
 ) -> None:

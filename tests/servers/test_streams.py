@@ -99,6 +99,7 @@ def test_what_goes_wrong_in_a_callback_is_counted_and_becomes_silence(
     server: SoundServer, pcms: PcmConfig, tmp_path: Path
 ) -> None:
     def fill(out: Float32Array, now_s: float) -> None:
+        stream_blocks["dirty"] += bool(out.any())
         out[:] = 0.5
         if stream_blocks["n"] % 3 == 0:
             out[3, 1] = np.nan
@@ -109,7 +110,7 @@ def test_what_goes_wrong_in_a_callback_is_counted_and_becomes_silence(
     def on_frames(frames: Float32Array, now_s: float) -> None:
         raise RuntimeError("no")
 
-    stream_blocks = {"n": 0}
+    stream_blocks = {"n": 0, "dirty": 0}
     pcms.pcms["cushion_output"].lead("haptic")
     pcms.pcms["cushion_tap"].lead("desktop.monitor")
     with recording(server, "haptic.monitor", tmp_path / "haptic") as felt:
@@ -123,6 +124,7 @@ def test_what_goes_wrong_in_a_callback_is_counted_and_becomes_silence(
         assert capture.close()
         assert np.isfinite(felt()).all()
         assert felt().any()
+    assert not stream_blocks["dirty"]  # what it writes to is all 0, whatever the last one left
     assert stream.errors["KeyError"] == pytest.approx(stream.callbacks / 3, abs=5)
     assert stream.errors["FloatingPointError"] == pytest.approx(stream.callbacks / 3, abs=5)
     # the callbacks of a stream that is being closed do nothing

@@ -97,13 +97,14 @@ class Plugged:
             Path(self.testbed.get_root_dir() + self.node).chmod(0)
 
     def unplug(self) -> None:
+        # As the kernel does: nothing answers any more by the time that anybody is told.
+        self.testbed.detach_ioctl(self.node)
+        if self.card is not None and self.bound_at_plug:
+            self.testbed.detach_ioctl(self.mixer_node)
         paths = [line[3:] for line in self._text().splitlines() if line.startswith("P: ")]
         for path in reversed(paths):  # children first
             self.testbed.uevent(f"/sys{path}", "remove")
             self.testbed.remove_device(f"/sys{path}")
-        self.testbed.detach_ioctl(self.node)
-        if self.card is not None and self.bound_at_plug:
-            self.testbed.detach_ioctl(self.mixer_node)
 
     def _text(self) -> str:
         """The device as umockdev reads it."""
