@@ -5,12 +5,13 @@ import re
 
 import pytest
 
+from audioflinger_hook.config import load
 from audioflinger_hook.transform import LIMITS
 from tests.commands import call, listing, noise, refused, sound
 
 TOP_LEVEL = (
-    "profile, damping, rig, gain_db, effects_file, tap, device, offset_ms, drop_in, block_frames, "
-    "realtime, [transform], [applications]"
+    "profile, damping, protection, rig, gain_db, effects_file, tap, device, offset_ms, drop_in, "
+    "block_frames, realtime, device_volume_db, [transform], [applications]"
 )
 
 FIVE_MISTAKES = """\
@@ -44,8 +45,9 @@ window_s = 9
 
 EVERY_KEY = """\
 profile = "paper"
-damping = "off"
-rig = "paper"
+damping = "auto"
+protection = "on"
+rig = "consumer"
 gain_db = -3
 
 [transform]
@@ -96,7 +98,7 @@ def test_five_mistakes_are_reported_at_once_with_key_line_value_and_what_is_allo
     expected = [
         (2, 'profile = "loud" is not known; allowed: paper'),
         (4, f"volume = 11 is an unknown key; allowed: {TOP_LEVEL}"),
-        (5, 'damping = "on" is not known; allowed: off'),
+        (5, 'damping = "on" is not known; allowed: off, auto'),
         (7, "transform.window_s = 9 is out of range; allowed: 0.01 to 0.2 s"),
         (8, "transform.partials_max = 2.5 is not a whole number; allowed: 1 to 64"),
     ]
@@ -439,3 +441,47 @@ def test_the_users_own_config_is_looked_for_where_the_environment_says(
     done = call("check")
     assert done.code == 2
     assert f"{own}: line 1: profile" in done.stderr
+
+
+# --- rigs
+
+RIG = """\
+[dac]
+bits = 16
+full_scale_v = 1.0
+[amplifier]
+gain = 2.0
+output_limit_v = 10.0
+source_impedance_ohm = 0.0
+[actuator]
+moving_mass_kg = 0.1
+resonance_hz = 50.0
+q_mechanical = 4.0
+force_factor_n_per_a = 8.0
+resistance_ohm = 4.0
+inductance_h = 1e-3
+x_max_m = 1e-3
+"""
+
+
+def test_a_rig_is_a_name_or_a_file_beside_the_config(config, tmp_path):
+    (tmp_path / "mine.toml").write_text(RIG)
+    path = config('rig = "mine.toml"\n')
+    assert load(path).settings.rig == str(tmp_path / "mine.toml")
+    assert load(config('rig = "consumer"\n')).settings.rig == "consumer"
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ('"loud"', "is not known; allowed: paper, consumer, or a file, NAME.toml"),
+        ("3", "is not a name"),
+        ('"none.toml"', "cannot be used (cannot read the rig file"),
+        ('"bad.toml"', "actuator.moving_mass_kg=-0.1 must be above 0"),
+    ],
+)
+def test_a_rig_that_cannot_be_is_a_mistake_of_its_line(config, tmp_path, value, words):
+    (tmp_path / "bad.toml").write_text(RIG.replace("kg = 0.1", "kg = -0.1"))
+    ((line, what),) = mistakes(config(f"gain_db = -3\nrig = {value}\n"))
+    assert line == 2
+    assert words in what

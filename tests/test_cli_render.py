@@ -346,6 +346,30 @@ def test_the_acceleration_has_its_place_under_the_sound_too(tmp_path, out):
     assert onsets[1] == pytest.approx(onsets[0], abs=0.015)  # a few cycles of the actuator
 
 
+# --- rigs
+
+
+def test_protection_of_a_rig_that_nothing_can_harm_changes_no_byte(tmp_path, out):
+    source = sound(tmp_path / "in.wav", noise(RATE))
+    rendered(source, out)
+    usual = out.read_bytes()
+    rendered(source, out, "--protection", "on")
+    assert out.read_bytes() == usual
+
+
+def test_damping_is_heard_by_the_rig_in_file_and_acceleration_alike(tmp_path, out):
+    felt = tmp_path / "felt.wav"
+    source = sound(tmp_path / "in.wav", burst(1_000.0, 0.5, 1.5, RATE, 0.5))
+    rendered(source, out, "--acceleration", felt)
+    usual = [soundfile.read(path)[0] for path in (out, felt)]
+    rendered(source, out, "--acceleration", felt, "--rig", "consumer", "--damping", "auto")
+    damped = [soundfile.read(path)[0] for path in (out, felt)]
+    for before, after in zip(usual, damped, strict=True):
+        assert len(before) == len(after)
+        assert not np.array_equal(before, after)
+    assert np.abs(damped[0]).max() <= 1.0
+
+
 # --- names
 
 
@@ -355,7 +379,9 @@ def test_the_acceleration_has_its_place_under_the_sound_too(tmp_path, out):
         ("--transform", "live, reference"),
         ("--channels", "mono, each"),
         ("--profile", "paper"),
-        ("--damping", "off"),
+        ("--damping", "off, auto"),
+        ("--protection", "off, on"),
+        ("--rig", "paper, consumer, or a file, NAME.toml"),
     ],
 )
 def test_a_name_that_does_not_exist_is_answered_with_those_that_do(tmp_path, out, option, allowed):

@@ -44,6 +44,11 @@ ORDER = Order(TapAddress("default"), DeviceAddress("sink", "a"), Settings(), Liv
         (replace(ORDER, tap=TapAddress("sink", "b")), Changes(tap=True), "the tap"),
         (replace(ORDER, device=DeviceAddress("sink", "b")), Changes(device=True), "the device"),
         (replace(ORDER, live=LiveSettings(offset_ms=5.0)), Changes(offset=True), "the offset"),
+        (
+            replace(ORDER, live=LiveSettings(device_volume_db=-6.0)),
+            Changes(volume=True),
+            "the device's volume",
+        ),
         (replace(ORDER, live=LiveSettings(block_frames=512)), Changes(blocks=True), None),
         (replace(ORDER, live=LiveSettings(realtime=False)), Changes(priority=True), None),
     ],

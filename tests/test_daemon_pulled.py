@@ -128,9 +128,9 @@ def test_what_was_read_ahead_of_a_gap_is_not_played_after_it() -> None:
     live = Live(PulledFeed())
     sound = music(3.0)
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
-    while not len(live.engine._ahead):
+    while not len(live.engine.read_ahead):
         live.fill(live.engine.filled_s + BLOCK_S)
-    stale = live.engine._ahead[:BLOCK, 0].copy()
+    stale = live.engine.read_ahead[:BLOCK, 0].copy()
     assert np.abs(stale).max() > 0.0
     live.fill(live.engine.filled_s + 1.0)
     assert not np.array_equal(live.played[-1][:, 0], stale)
@@ -151,7 +151,7 @@ def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes: list[int
         return count
 
     live.engine.delay_line.read = kept  # type: ignore[method-assign]
-    held = live.engine._ahead.copy()
+    held = live.engine.read_ahead.copy()
     before = len(live.played)
     now_s = 3.0
     for frames in sizes:

@@ -29,11 +29,24 @@ def test_a_negative_offset_takes_drop_in() -> None:
         LiveSettings(offset_ms=-5.0)
 
 
+@pytest.mark.parametrize("volume_db", [0.5, -97.0, float("nan"), float("inf"), True, "loud"])
+def test_the_device_is_never_set_above_0_db(volume_db: object) -> None:
+    with pytest.raises(UsageError, match=r"device_volume_db=.* allowed: -96 to 0 dB"):
+        LiveSettings(device_volume_db=volume_db)  # type: ignore[arg-type]
+    assert problems({"device_volume_db": volume_db}).keys() == {"device_volume_db"}
+
+
 def test_a_document_of_no_mistakes_becomes_settings() -> None:
-    document = {"tap": "app:a", "offset_ms": 5, "include": ["a"], "device": "b"}
+    document = {
+        "tap": "app:a",
+        "device_volume_db": -6,
+        "offset_ms": 5,
+        "include": ["a"],
+        "device": "b",
+    }
     assert problems(document) == {}
     assert from_document(document) == LiveSettings(
-        tap=("app:a",), offset_ms=5.0, include=("a",), device="b"
+        tap=("app:a",), device_volume_db=-6.0, offset_ms=5.0, include=("a",), device="b"
     )
     assert from_document({}) == LiveSettings()
 
@@ -58,6 +71,8 @@ def test_without_a_device_the_error_says_three_ways_to_choose_one(config: Path) 
 def test_options_are_checked_as_the_config_is(config: Path) -> None:
     config.write_text('device = "haptic"\n')
     assert "offset_ms=2000.0 is out of range" in refused(call("run", "--offset-ms", "2000"))
+    louder = refused(call("run", "--device-volume-db", "6"))
+    assert "device_volume_db=6.0 is out of range; allowed: -96 to 0 dB" in louder
     assert "below 0 without drop_in" in refused(call("run", "--offset-ms", "-5"))
     assert "tap=app:a,default are several" in refused(
         call("run", "--tap", "app:a", "--tap", "default")

@@ -200,6 +200,7 @@ def test_a_full_disk_is_the_end_of_a_file_and_of_the_run(tmp_path, folder):
 
 def test_a_running_one_tells_what_it_does(tmp_path, folder):
     options = ["--tap", "scene:demo", "--device", f"wav:{tmp_path / 'out.wav'}"]
+    options += ["--rig", "consumer", "--protection", "on"]
     with start("run", *options, prelude=NO_SERVER, env=folder) as process:
         said: list[Done] = []
 
@@ -213,6 +214,9 @@ def test_a_running_one_tells_what_it_does(tmp_path, folder):
     status = json.loads(said[0].stdout)
     assert status["tap"] == {"address": "scene:demo", "name": "scene:demo"}
     assert status["device"]["address"] == f"wav:{tmp_path / 'out.wav'}"
+    assert status["latency"]["driving_ms"] == 4.0
+    assert status["protection"]["coil_c"] >= 25.0  # the consumer's living room
+    assert not status["exposure"]["above_action"]
 
 
 @pytest.mark.parametrize(
@@ -225,6 +229,8 @@ def test_a_running_one_tells_what_it_does(tmp_path, folder):
         ("capture:{}", "twin", [], 2, "is not a capture"),
         ("capture:{}/cap", "wav:{}/cap/tap-0001.wav", [], 2, "name two files"),
         ("scene:other", "twin", [], 3, "there is no such scene"),
+        ("scene:demo", "twin", ["--rig", "{}/none.toml"], 2, "cannot read the rig file"),
+        ("scene:demo", "twin", ["--protection", "some"], 2, "allowed: off, on"),
         ("scene:demo", "hw:none", [], 3, "there is no sound card 'none'"),
         ("scene:demo", "twin:x", [], 2, "takes no name"),
         ("scene:demo", "twin", ["--record", "{}/cap"], 2, "not empty"),

@@ -14,6 +14,7 @@ from rich.cells import cell_len
 
 from audioflinger_hook.service.buffer_times import BufferTimes
 from audioflinger_hook.service.levels import Level
+from audioflinger_hook.service.rig_figures import ExposureFigures, ProtectionFigures
 from audioflinger_hook.service.state import Cause, DaemonState
 from audioflinger_hook.service.status import (
     DelayLineFigures,
@@ -36,7 +37,12 @@ STATUS = Status(
     device=Endpoint("sink:Cushion", "alsa_output.usb-Amplifier-00.analog-stereo"),
     levels=Levels(Level(-3.1, -14.2), Level(-18.2, -27.0)),
     latency=LatencyBudget.of(
-        tap_ms=21.3, transform_ms=42.7, delay_line_ms=20.0, output_ms=10.7, offset_ms=-5.0
+        tap_ms=21.3,
+        transform_ms=42.7,
+        delay_line_ms=20.0,
+        output_ms=10.7,
+        offset_ms=-5.0,
+        driving_ms=4.0,
     ),
     delay_line=DelayLineFigures(20.0, 20.1, 13.4, 1, 2, 3, "locked"),
     xruns=Xruns(4, 5),
@@ -45,11 +51,22 @@ STATUS = Status(
     effects_bypassed=("loudness",),
     limited_samples=12,
     replaced_samples=1,
+    protection=ProtectionFigures(5000, 12, 1, 3, 0.5, 0.25, "temperature", 1.234, 61.5),
+    exposure=ExposureFigures(10.0, 1.25, 0.6, 9.5, True, False, 0.31),
     warnings=("the sink runs at 44100 Hz",),
 )
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 texts = st.text(max_size=300)
+counts = st.integers(0, 2**40)
+protections = st.builds(
+    ProtectionFigures,
+    *(counts, counts, counts, counts, numbers, numbers, texts, numbers, st.none() | numbers),
+)
+exposures = st.builds(
+    ExposureFigures,
+    *(numbers, numbers, numbers, numbers, st.booleans(), st.booleans(), numbers),
+)
 statuses = st.builds(
     Status,
     version=texts,
@@ -62,6 +79,8 @@ statuses = st.builds(
     levels=st.builds(Levels, st.builds(Level, numbers, numbers), st.builds(Level)),
     delay_line=st.builds(DelayLineFigures, numbers, numbers, numbers, state=texts),
     effects_bypassed=st.lists(texts, max_size=4).map(tuple),
+    protection=st.none() | protections,
+    exposure=st.none() | exposures,
     warnings=st.lists(texts, max_size=30).map(tuple),
 )
 
@@ -80,9 +99,9 @@ def test_every_key_is_there_with_its_unit_and_every_cause_counted():
     assert list(document) == [
         *("version", "pid", "state", "reason", "since_s", "tap", "device", "levels", "latency"),
         *("delay_line", "xruns", "buffer_times", "recoveries", "effects_bypassed"),
-        *("limited_samples", "replaced_samples", "warnings"),
+        *("limited_samples", "replaced_samples", "protection", "exposure", "warnings"),
     ]
-    assert document["latency"]["total_ms"] == pytest.approx(89.7)
+    assert document["latency"]["total_ms"] == pytest.approx(93.7)
     assert list(document["recoveries"]) == [cause.value for cause in Cause]
     assert document["buffer_times"]["share_percent"] == 5.8
 
@@ -167,13 +186,18 @@ def test_the_view_shows_every_figure():
         "device     alsa_output.usb-Amplifier-00.analog-stereo (sink:Cushion)",
         "sound      ███████████████░ peak   -3.1, rms  -14.2 dBFS",
         "vibration  ███████████░░░░░ peak  -18.2, rms  -27.0 dBFS",
-        "latency    89.7 ms = tap 21.3 + transform 42.7 + delay line 20.0 + output 10.7 "
-        "- offset 5.0",
+        "latency    93.7 ms = tap 21.3 + transform 42.7 + driving 4.0 + delay line 20.0 + output "
+        "10.7 -",
+        "           offset 5.0",
         "delay line locked, 20.1 of 20.0 ms, +13.4 ppm; 1 resync, 2 underflows, 3 overflows",
         "xruns      tap 4, output 5",
         "buffers    5.8 % of 21.3 ms; p50 1.20, p99 2.90, max 8.10 ms",
         "recoveries stall 2",
         "samples    12 limited, 1 replaced",
+        "protection 12 of 5000 blocks limited, 1 silenced; gain 0.50 for temperature, least 0.25; "
+        "excursion",
+        "           1.23 mm, coil 62 °C",
+        "exposure   above action, A(8) 0.6 m/s², VDV 9.5 m/s^1.75 (predicted); now 1.25 m/s²",
         "bypassed   loudness",
         "warning    the sink runs at 44100 Hz",
     ]
@@ -227,3 +251,10 @@ def test_of_a_flood_of_warnings_the_last_ones_are_shown():
 )
 def test_a_duration_is_shown_in_its_two_largest_units(time_s, text):
     assert duration(time_s) == text
+
+
+def test_without_a_rig_that_is_driven_nothing_is_said_of_one():
+    text = status_text(replace(STATUS, protection=None, exposure=None, latency=LatencyBudget()))
+    assert "protection" not in text
+    assert "exposure" not in text
+    assert "driving" not in text

@@ -2,7 +2,7 @@
 
     signals, recordings --.
                           |-> benches (tones, fidelity, speed, growth, savings, mixing, rendering,
-    subjects (live, ...) -'        measures, cost        rig)              |
+    subjects (live, ...) -'        measures, cost        rig, ...)         |
                                                                            v
            soak record, live record ------------------------------------> report -> Markdown, JSON
                  ^                                                         '----> drawing
@@ -21,12 +21,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from audioflinger_hook.bench import (
+    damping,
     fidelity,
     growth,
     live_report,
     mixing,
+    precision,
+    protection,
     rendering,
     rig,
+    rungs,
     savings,
     soak,
     speed,
@@ -66,6 +70,13 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("the mixer", mixing.mixing, 6.0),
     ("rendering", rendering.render_speed, 2.0),
     ("simulated rig", rig.linear_rung, 2.0),
+    ("rungs of the rig", precision.work_and_precision, 5.0),
+    ("ladder of the rig", rungs.ladder_of_rungs, 3.0),
+    ("residual vibration", damping.residual_energy, 2.0),
+    ("settling", damping.settling_time, 0.5),
+    ("protection", protection.protection, 1.0),
+    ("live cost of the three", protection.live_cost, 3.0),
+    ("exposure", protection.weighting, 0.1),
     ("memory", growth.memory_held, 4.0),
     ("live record", live_report.live_result, 0.1),
     ("soak record", soak.soak_result, 0.1),
@@ -102,7 +113,7 @@ def run_bench(
 
 
 def plots(report: BenchReport, folder: Path) -> list[Path]:
-    """Write cost.png and lag.png of a report into a folder that exists; return their paths.
+    """Write the pictures of a report, PNG, into a folder that exists; return their paths.
 
     Raises
     ------

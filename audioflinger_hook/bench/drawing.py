@@ -1,4 +1,5 @@
-"""Two pictures of a report: what a second of each scene costs, and how late onsets are felt.
+"""Pictures of a report: what a second of each scene costs, how late onsets are felt, what error
+of the simulated rig costs how much, and what is left of a burst.
 
 Needs matplotlib, an optional extra, and uses only its objects: no pyplot, no global setting.
 """
@@ -11,7 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from audioflinger_hook.bench.damping_figure import damping_figure
 from audioflinger_hook.bench.fidelity import LAG_P95
+from audioflinger_hook.bench.precision import TITLE as RUNGS_TITLE
 from audioflinger_hook.bench.report import BenchReport, Row
 from audioflinger_hook.bench.speed import BLOCKSIZES, SECOND
 from audioflinger_hook.bench.workbench import LIVE, REFERENCE, TWIN
@@ -41,7 +44,13 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
             "install it: .venv/bin/python -m pip install matplotlib"
         ) from None
     paths = []
-    for name, figure in (("cost.png", cost_figure(report)), ("lag.png", lag_figure(report))):
+    figures = {
+        "cost.png": cost_figure(report),
+        "lag.png": lag_figure(report),
+        "rungs.png": rungs_figure(report),
+        "damping.png": damping_figure(report),
+    }
+    for name, figure in figures.items():
         content = io.BytesIO()
         figure.savefig(content, format="png", dpi=DPI)
         paths.append(folder / name)
@@ -136,6 +145,38 @@ def lag_figure(report: BenchReport) -> Figure:
     axis.set_xlim(0.0, 5.0 * np.ceil((latest + 3.0) / 5.0))
     axis.set_ylim(0.0, 102.0)
     axis.set_yticks([0, 25, 50, 75, 95, 100], ["0", "25", "50", "75", "95", "100 %"])
+    axis.set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
+    axis.grid(True, axis="y", color=palette.HAIRLINE, lw=0.8)
+    return figure
+
+
+def rungs_figure(report: BenchReport) -> Figure:
+    """The error of the rig's non-linear rung and of SciPy's integrators over their cost."""
+    from matplotlib.figure import Figure
+
+    from audioflinger_hook.figures import palette
+
+    section = report.section(RUNGS_TITLE)
+    figure = Figure(figsize=(WIDTH_IN, LAG_HEIGHT_IN), facecolor=palette.WHITE)
+    _headline(
+        figure,
+        "What an error of the simulated motion costs",
+        "Non-linear equations of the paper's actuator, driven to nine tenths of Xmax: largest "
+        "error of the displacement over its peak, by CPU time for a second of signal",
+    )
+    axis = figure.subplots()
+    figure.subplots_adjust(left=0.085, right=0.90, top=0.80, bottom=0.125)
+    _plain(axis)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    for place, (name, values) in enumerate(section.series.items()):
+        costs_ms, errors = 1e3 * np.array(values[::2]), np.array(values[1::2])
+        colour = palette.GREY if place else palette.FELT
+        axis.plot(costs_ms, errors, "o-", ms=5, lw=2.2 if place == 0 else 1.2, color=colour)
+        axis.annotate(
+            name, (costs_ms[-1], errors[-1]), xytext=(7, 0), textcoords="offset points",
+            fontsize=SMALL_PT, color=colour, va="center",
+        )  # fmt: skip
     axis.set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
     axis.grid(True, axis="y", color=palette.HAIRLINE, lw=0.8)
     return figure

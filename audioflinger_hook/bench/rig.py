@@ -12,9 +12,10 @@ from audioflinger_hook.bench.report import Must, Row, Section
 from audioflinger_hook.bench.signals import SAMPLERATE
 from audioflinger_hook.bench.workbench import Workbench
 from audioflinger_hook.transform.arrays import FloatArray
-from device.actuator import LinearActuator, Quantity
 from device.rig import PAPER, ActuatorParameters
-from device.twin import Twin
+from device.rig.actuator import LinearActuator
+from device.rig.linear_system import Quantity
+from device.rig.twin import Twin
 
 REAL_TIME = Must(">=", 2_000.0)
 ERROR = Must("<=", 1e-4)
@@ -96,7 +97,7 @@ def drive(duration_s: float) -> FloatArray:
     return volts
 
 
-def _state_space(p: ActuatorParameters) -> tuple[FloatArray, FloatArray]:
+def state_space(p: ActuatorParameters) -> tuple[FloatArray, FloatArray]:
     """Return s' = A s + B v with s = (x, x', i), written from the equations of motion.
 
     On purpose not the actuator's own matrices: both can be wrong only separately.
@@ -124,7 +125,7 @@ def _quantities(states: FloatArray, rate: FloatArray) -> dict[str, FloatArray]:
 
 def _lsim_motion(volts: FloatArray) -> dict[str, FloatArray]:
     """Return the motion by scipy.signal.lsim, the voltage straight between the samples."""
-    rate, into = _state_space(PAPER.actuator)
+    rate, into = state_space(PAPER.actuator)
     system = (rate, into[:, None], np.eye(3), np.zeros((3, 1)))
     time_s = np.arange(volts.size) / SAMPLERATE
     _, _, states = lsim(system, volts, time_s, interp=True)
@@ -137,7 +138,7 @@ def exact_motion(frames: int) -> dict[str, FloatArray]:
     For v = sin(w t) from rest: s = Im[c e^(jwt) - e^(At) c] with c = (jw - A)^-1 B, and e^(At)
     from the eigenvectors of A.
     """
-    rate, into = _state_space(PAPER.actuator)
+    rate, into = state_space(PAPER.actuator)
     time_s = np.arange(frames) / SAMPLERATE
     poles, modes = np.linalg.eig(rate)
     decay = np.exp(np.outer(time_s, poles))
