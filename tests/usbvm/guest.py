@@ -257,7 +257,7 @@ SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "pulled": pulled,
     "fast": lambda folder: software(folder, 1, 200.0, 40.0),
     "slow": lambda folder: software(folder, 1, -200.0, 40.0),
-    "feedback": lambda folder: software(folder, 2, 150.0, 15.0),
+    "feedback": lambda folder: software(folder, 2, 150.0, 30.0),
 }
 
 
