@@ -18,8 +18,11 @@ from device.clock import DelayLine
 from device.clock.timing import STALLED_S
 from device.driving import driving_for
 from device.errors import UsageError
-from device.server.latency import USUAL_LATENESS_S
 from device.units import Float32Array, FloatArray
+
+LATENESS_LEAST_S = 0.0085
+"""An idle machine's callbacks are some ms late now and then: the delay is not to follow that. With
+blocks of 256 frames three of them are then mostly there to be read in one go."""
 
 CYCLE_BLOCKS = 8
 """Blocks that are mixed in one cycle, if so many came since the last one."""
@@ -55,8 +58,7 @@ class Engine:
 
     client: plays into the mix, which has its samplerate (Hz) and channels. output_samplerate: of
     the device, Hz; offset_s: what the user adds to the delay; block_frames: of the streams on
-    both sides; least_lateness_s: of callbacks, which is provided for even where they come in time;
-    clocks: what time it is, and what the thread has used. bypass_late: whether an
+    both sides; clocks: what time it is, and what the thread has used. bypass_late: whether an
     effect that uses too much time is passed by: for sound that plays elsewhere meanwhile. on_step:
     told of every cycle, on the thread that calls `advance`; the arrays are its own. on_mix: told
     the sound before that, as no effect has changed it yet; the array is the mixer's. `advance` is
@@ -84,7 +86,6 @@ class Engine:
         clocks: Clocks,
         offset_s: float = 0.0,
         block_frames: int = 256,
-        least_lateness_s: float = USUAL_LATENESS_S,
         now_s: float = 0.0,
         bypass_late: bool = True,
         on_step: OnStep | None = None,
@@ -112,7 +113,6 @@ class Engine:
             damping=chosen.damping,
             protection=chosen.protection,
         )
-        self._least_lateness_s = least_lateness_s
         self.delay_line = self._line(output_samplerate, offset_s)
         self.sound = Gathered(self.samplerate)
         self.vibration = Gathered(self.samplerate)
@@ -139,7 +139,7 @@ class Engine:
             capture_block=self.block_frames,
             output_block=self.block_frames,
             offset_s=offset_s,
-            lateness_least_s=self._least_lateness_s,
+            lateness_least_s=LATENESS_LEAST_S,
         )
 
     def lead_to(self, samplerate: int, block_frames: int | None = None) -> None:

@@ -17,7 +17,7 @@ from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import AudioPriority, PulseConnection, Refuge, ServerSnapshot
-from device.server.latency import least_lateness_s, tap_latency_s
+from device.server.latency import tap_latency_s
 from device.units import Float32Array
 
 TICK_S = 0.1
@@ -195,7 +195,7 @@ class Supervisor:
         if self._rests(connection, snapshot, now_s):
             return
         try:
-            self._prepare_engine(source, device, snapshot, now_s)
+            self._prepare_engine(source, device, now_s)
             # Sound first: what comes while the output opens is not lost.
             self._input.keep(connection, now_s)
             self._output.keep(connection, self._fill, now_s)
@@ -347,14 +347,11 @@ class Supervisor:
                 engine.rest()
         return True
 
-    def _prepare_engine(
-        self, source: Place, device: Place, snapshot: ServerSnapshot | None, now_s: float
-    ) -> None:
+    def _prepare_engine(self, source: Place, device: Place, now_s: float) -> None:
         """Have an engine, made for the first source: later ones are mixed into its format."""
         engine = self.engine
         if engine is None:
             recording, feed = self._order.recording, self._sides.feed
-            from_server = self._input.needs_server
             on_step, on_mix = None, None
             if recording:
                 on_step, on_mix = recording.hooks(source.samplerate, of_mix=feed.records_mix)
@@ -365,9 +362,8 @@ class Supervisor:
                 clocks=self._clocks,
                 offset_s=max(0.0, self._order.live.offset_s),
                 block_frames=self._order.live.block_frames,
-                least_lateness_s=least_lateness_s(snapshot if from_server else None),
                 now_s=now_s,
-                bypass_late=from_server,
+                bypass_late=self._input.needs_server,
                 on_step=on_step,
                 on_mix=on_mix,
             )

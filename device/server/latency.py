@@ -18,23 +18,6 @@ mixes ahead, and asks once one of two blocks is left.
 """
 
 
-_LATENESS_S = {"PulseAudio": 0.0125}
-"""Kind of server to how late its tap's frames are to be provided for at least, in seconds."""
-
-USUAL_LATENESS_S = 0.0085
-"""The same of any other, and of none."""
-
-
-def least_lateness_s(snapshot: ServerSnapshot | None) -> float:
-    """Seconds by which frames of a tap are to be taken for late at least. Any thread.
-
-    An idle machine's callbacks are some ms late now and then, which the delay is not to follow.
-    And with so much in hand three or four blocks of 256 frames are mostly there to be read in one
-    go, on PulseAudio as well, which hands over two blocks at a time.
-    """
-    return _LATENESS_S.get(snapshot.kind if snapshot else "", USUAL_LATENESS_S)
-
-
 def tap_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) -> float:
     """Seconds from a frame's mixing until a capture of such blocks can have it. Any thread."""
     return _BLOCKS.get(snapshot.kind, (0.0, 0.0))[0] * block_frames / samplerate
