@@ -20,9 +20,9 @@ from device.driving import driving_for
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
-LATENESS_LEAST_S = 0.0085
+LATENESS_LEAST_S = 0.0125
 """An idle machine's callbacks are some ms late now and then: the delay is not to follow that. With
-blocks of 256 frames three of them are then mostly there to be read in one go."""
+blocks of 256 frames four of them are then mostly there to be read in one go."""
 
 CYCLE_BLOCKS = 8
 """Blocks that are mixed in one cycle, if so many came since the last one."""
