@@ -19,7 +19,11 @@ def run(options: argparse.Namespace) -> int:
     if address.kind in LIVE_TAPS:
         from audioflinger_hook.cli import capture_live
 
-        return capture_live.run(address, options.folder, options.seconds, debug=options.debug)
+        writer, live = capture_live.record(
+            address, options.folder, options.seconds, debug=options.debug
+        )
+        _print_summary(writer, live.heard_s, *live.format)
+        return 0
     tap = open_tap(address)
     try:
         with (
@@ -44,11 +48,11 @@ def run(options: argparse.Namespace) -> int:
         tap.close()
     for warning in getattr(tap, "warnings", ()):
         warn(warning)
-    print_summary(writer, heard_s, tap.samplerate, tap.channels)
+    _print_summary(writer, heard_s, tap.samplerate, tap.channels)
     return 0
 
 
-def print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, channels: int) -> None:
+def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, channels: int) -> None:
     """Print what a capture holds; samplerate: of its last buffer, Hz, as the channels."""
     count = writer.buffers("tap")
     print(

@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 from audioflinger_hook.capture import CaptureRecorder, CaptureWriter
-from audioflinger_hook.cli.capture import print_summary
 from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.cli.terminal import progress_bar, warn
 from audioflinger_hook.clients import TapAddress
@@ -16,8 +15,13 @@ from audioflinger_hook.daemon.wake import Wake
 from device.server import quiet_libraries
 
 
-def run(address: TapAddress, folder: Path, seconds: float, *, debug: bool) -> int:
-    """Record for so many seconds of sound, or until somebody ends it; what is there is kept."""
+def record(
+    address: TapAddress, folder: Path, seconds: float, *, debug: bool
+) -> tuple[CaptureWriter, LiveCapture]:
+    """Record for so many seconds of sound; return what was written, and what was heard.
+
+    What is there when somebody ends it is kept.
+    """
     if not debug:
         quiet_libraries()
     with Wake() as wake, Signals(wake) as signals:
@@ -45,5 +49,4 @@ def run(address: TapAddress, folder: Path, seconds: float, *, debug: bool) -> in
     dropped, frames = recorder.dropped("tap")
     if dropped:
         warn(f"{dropped} buffers ({frames} frames) could not be kept: the disk was too slow")
-    print_summary(writer, live.heard_s, *live.format)
-    return 0
+    return writer, live
