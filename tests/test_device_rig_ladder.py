@@ -16,6 +16,7 @@ from device.errors import UsageError
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator
 from device.rig.co_energy import energies, linear_energies, stored_energy_j
+from device.rig.hand_over import fade
 from device.rig.ladder import Ladder
 from device.rig.linear_system import QUANTITIES
 from device.rig.passive_step import PassiveStepper
@@ -390,23 +391,48 @@ def test_the_ladder_uses_dearer_rungs_only_where_it_has_to():
         assert report.rung is not Rung.LINEAR or report.excursion_peak_m < 0.3e-3
 
 
-def test_a_switch_of_rungs_makes_no_click():
-    ladder = Ladder(PAPER, FS, 2e-2)
+# At 3e-2 one correction follows another that is off by almost all that is allowed.
+@pytest.mark.parametrize("tolerance", [5e-2, 3e-2, 2e-2, 1e-2])
+def test_a_switch_of_rungs_makes_no_click(tolerance):
+    ladder = Ladder(PAPER, FS, tolerance)
     times = times_of(FS, 1.6)
     envelope = 0.4 + 3.0 * np.sin(math.pi * times / 1.6) ** 2
     volts = envelope * (np.sin(math.tau * 46.6 * times) + np.sin(math.tau * 92.0 * times))
     motion = ladder.move(volts).acceleration_m_s2
-    assert len({report.rung for report in ladder.reports}) == 3
+    assert len({report.rung for report in ladder.reports}) >= 2
     # Above 800 Hz these two tones have next to nothing, distorted or not: -104 dB.
     high = sosfilt(butter(8, 800, "high", fs=FS, output="sos"), motion)
     level_db = 20 * math.log10(np.abs(high[2_000:-2_000]).max() / np.abs(motion).max())
-    assert level_db < -80
+    assert level_db < -95
 
 
 def test_without_the_fade_the_same_switch_would_click(monkeypatch):
     monkeypatch.setattr("device.rig.ladder.FADE_S", 1e-4)
     with pytest.raises(AssertionError):
-        test_a_switch_of_rungs_makes_no_click()
+        test_a_switch_of_rungs_makes_no_click(2e-2)
+
+
+def test_a_fade_leaves_the_old_path_as_smoothly_as_it_arrives_at_the_new_one():
+    time = np.arange(1, 481) / 480
+    old, new = 3.0 + np.sin(9.0 * time), 0.2 * np.cos(4.0 * time)
+    values = np.concatenate([new, np.full(100, new[-1])])
+    fade(values, old, None, 2.0)
+    for order in range(3):
+        # As a share of the old path's own differences; the weight's own begin with t^3, of which
+        # three samples have seen some per cent. A cosine's curvature would be 36 %, a kink more.
+        begin, path = np.diff(values, order)[:3], np.diff(old, order)[:3]
+        assert np.abs(begin - path).max() <= 0.1 * np.abs(np.diff(old, order)).max()
+    assert np.array_equal(values[480:], np.full(100, new[-1]))
+
+
+@given(st.floats(-1.0, 1.0), st.floats(0.0, 5.0))
+def test_a_fade_is_no_further_off_than_allowed_or_than_the_jump_itself(jump, wrong):
+    old = jump + wrong * np.arange(480) / 100.0
+    values = np.ones(480)
+    fade(values, 1.0 + old, None, 0.1)
+    # Cut to 8 samples at least: there the old path has gone on to be wrong by a twelfth.
+    allowed = max(0.1, 1.25 * abs(jump)) + wrong * 8 / 100.0
+    assert np.abs(values - 1.0).max() <= allowed + 1e-12
 
 
 @settings(max_examples=8, deadline=None)
