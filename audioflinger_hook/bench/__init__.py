@@ -24,6 +24,7 @@ from audioflinger_hook.bench import (
     damping,
     fidelity,
     growth,
+    identification,
     live_report,
     mixing,
     precision,
@@ -32,13 +33,14 @@ from audioflinger_hook.bench import (
     rig,
     rungs,
     savings,
-    soak,
+    soak_report,
     speed,
     tones,
 )
 from audioflinger_hook.bench.machine import machine_facts
 from audioflinger_hook.bench.report import BenchReport, Missing, Must, Row, Section
 from audioflinger_hook.bench.signals import load_recordings
+from audioflinger_hook.bench.soak_record import now
 from audioflinger_hook.bench.workbench import FULL, QUICK, SUBJECTS, Bench, Effort, Workbench
 
 __all__ = [
@@ -77,9 +79,12 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("protection", protection.protection, 1.0),
     ("live cost of the three", protection.live_cost, 3.0),
     ("exposure", protection.weighting, 0.1),
+    ("identification", identification.identification, 8.0),
     ("memory", growth.memory_held, 4.0),
     ("live record", live_report.live_result, 0.1),
-    ("soak record", soak.soak_result, 0.1),
+    ("soak record", soak_report.soak_result, 0.1),
+    ("soak of the rig", soak_report.rig_soak_result, 0.1),
+    ("soak of the identification", soak_report.identified_result, 0.1),
 )
 """Every bench in the order of the report: its name, the bench, and about how long it takes."""
 
@@ -97,7 +102,7 @@ def run_bench(
     """
     start_s = time.monotonic()
     machine = machine_facts()
-    date = soak.now()
+    date = now()
     bench = Workbench(effort or (QUICK if quick else FULL), SUBJECTS, load_recordings())
     total = sum(weight for _, _, weight in BENCHES)
     done = 0.0
