@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -19,6 +18,7 @@ from device.rig import PAPER
 from device.rig.actuator import Motion
 from device.rig.error_estimate import FLOOR
 from device.rig.ladder import Ladder
+from device.rig.report import block_errors
 from device.rig.rungs import Rung
 
 TITLE = "The ladder of rungs"
@@ -33,15 +33,6 @@ FADED_ABOVE_HZ = 800.0
 STEPPED_S = 0.1
 
 
-@dataclass(frozen=True)
-class Told:
-    """What one run of the ladder said and was: errors as shares of the tolerance, by block."""
-
-    ladder: Ladder
-    motion: Motion
-    shares: FloatArray
-
-
 def ladder_of_rungs(bench: Workbench) -> Section:
     """Rungs used, cost and true error at several tolerances; clicks; energy from nowhere."""
     duration_s = bench.effort.rig_s
@@ -52,12 +43,12 @@ def ladder_of_rungs(bench: Workbench) -> Section:
     timings = interleaved([partial(_afresh, ladder, volts) for ladder in (*ladders, whole)], 3)
     rows = []
     for ladder, timing in zip(ladders, timings, strict=False):
-        told = _told(ladder, volts, true)
+        shares = shares_of_tolerance(ladder, volts, true)
         column = f"{ladder.tolerance:g}"
-        beyond = int(np.count_nonzero(told.shares > 1.0))
-        unit = f"of {told.shares.size}"
+        beyond = int(np.count_nonzero(shares > 1.0))
+        unit = f"of {shares.size}"
         rows.append(Row("blocks beyond the tolerance", beyond, unit, column, NO_BLOCK))
-        rows.append(Row("worst block, of the tolerance", float(told.shares.max()), "", column))
+        rows.append(Row("worst block, of the tolerance", float(shares.max()), "", column))
         frames = sum(ladder.frames_by_rung.values())
         for rung in (Rung.LINEAR, Rung.CORRECTED, Rung.NONLINEAR):
             share = 100.0 * ladder.frames_by_rung[rung] / frames
@@ -75,13 +66,13 @@ def ladder_of_rungs(bench: Workbench) -> Section:
         TITLE,
         "Bursts of one tone, 20 to 220 Hz and from a whisper to beyond Xmax, with pauses in which "
         "the motion rings on; the ladder chooses block by block, at the tolerance over each "
-        "column. A block counts twice, by its excursion and by its acceleration; the error of "
-        "either is the largest difference from the non-linear rung at four times its rate, over "
-        f"the block's peak or {FLOOR:g} of Xmax.",
+        "column. A block's error is that of its excursion or of its acceleration, whichever is "
+        "more: the largest difference from the non-linear rung at four times its rate, over the "
+        f"block's peak or {FLOOR:g} of Xmax.",
         tuple(rows),
         footnote="Energy from nowhere: what the amplifier let in during a step, less the heat, "
-        "less what is stored more at its end; the non-linear rung on the drive of the section above, "
-        "the step by step rung on white noise of 60 V.",
+        "less what is stored more at its end; the non-linear rung on the drive of the section "
+        "above, the step by step rung on white noise of 60 V.",
     )
 
 
@@ -104,22 +95,12 @@ def _afresh(ladder: Ladder, volts: FloatArray) -> None:
     ladder.move(volts)
 
 
-def _told(ladder: Ladder, volts: FloatArray, true: Motion) -> Told:
+def shares_of_tolerance(ladder: Ladder, volts: FloatArray, true: Motion) -> FloatArray:
+    """Each block's true error as a share of the tolerance, (blocks,), from rest."""
     ladder.reset()
     motion = ladder.move(volts)
-    p, shares = PAPER.actuator, []
-    floor_m = FLOOR * p.x_max_m
-    pairs = (
-        (motion.displacement_m, true.displacement_m, floor_m),
-        (motion.acceleration_m_s2, true.acceleration_m_s2, floor_m * p.resonance_rad_s**2),
-    )
-    for block in ladder.reports:
-        part = slice(block.frame, block.frame + block.frames)
-        for got, expected, floor in pairs:
-            peak = max(float(np.abs(expected[part]).max()), floor)
-            error = float(np.abs(got[part] - expected[part]).max())
-            shares.append(error / peak / ladder.tolerance)
-    return Told(ladder, motion, np.array(shares))
+    errors = block_errors(ladder.reports, 0, motion, true, ladder.rig.actuator)
+    return errors / ladder.tolerance
 
 
 def _clicks_db(tolerance: float) -> float:

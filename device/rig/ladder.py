@@ -14,6 +14,7 @@ import numpy as np
 
 from device.errors import UsageError
 from device.rig.actuator import SEAT_ACCELERATION, LinearActuator, Motion
+from device.rig.block_report import BlockReport
 from device.rig.choice import Choice
 from device.rig.co_energy import energies
 from device.rig.correction import Correction
@@ -21,7 +22,6 @@ from device.rig.equations import Equations
 from device.rig.hand_over import fade
 from device.rig.linear_system import QUANTITIES
 from device.rig.node_grid import NODES_HZ, NodeGrid
-from device.rig.report import BlockReport
 from device.rig.rig import Rig
 from device.rig.rungs import Rung, Rungs
 from device.rig.stretch import Stretch
