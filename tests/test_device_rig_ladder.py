@@ -387,6 +387,40 @@ def test_the_ladder_uses_dearer_rungs_only_where_it_has_to():
         assert report.rung is not Rung.LINEAR or report.excursion_peak_m < 0.3e-3
 
 
+def test_where_only_the_non_linear_rung_will_do_blocks_are_taken_together_without_estimates():
+    times = times_of(FS, 4.0)
+    volts = 12.0 * np.sin(math.tau * 70.0 * times) * np.minimum(1.0, times / 0.5)
+    true = Ladder(PAPER, FS, rung=Rung.NONLINEAR, nodes_hz=12_000.0).move(volts)
+    early, patient = Ladder(PAPER, FS, 1e-3), Ladder(PAPER, FS, 1e-3, early=False)
+    for ladder in (early, patient):
+        assert shares_of_tolerance(ladder, ladder.move(volts), true, 1e-3).max() <= 1.0
+    # An iteration of Newton's method is over all blocks that are solved together.
+    assert early.iterations < 0.5 * patient.iterations
+    assert [block.frame for block in early.reports] == [block.frame for block in patient.reports]
+    assert len({block.excursion_peak_m for block in early.reports}) == len(early.reports)
+
+
+def test_an_early_decision_only_ever_takes_the_dearer_rung():
+    order = list(Rung)
+    for tolerance in (3e-2, 1e-3):
+        ladders = [Ladder(PAPER, FS, tolerance, early=early) for early in (True, False)]
+        for ladder in ladders:
+            ladder.move(np.concatenate([swell(), swell()[::-1], swell()]))
+        early, patient = (
+            [order.index(block.rung) for block in ladder.reports] for ladder in ladders
+        )
+        assert all(one >= other for one, other in zip(early, patient, strict=True))
+
+
+def test_quiet_blocks_after_loud_ones_go_back_to_the_linear_rung():
+    times = times_of(FS, 3.0)
+    volts = np.where(times < 1.5, 12.0, 0.05) * np.sin(math.tau * 70.0 * times)
+    ladder = Ladder(PAPER, FS, 1e-2)
+    ladder.move(volts)
+    assert {block.rung for block in ladder.reports if block.frame < FS} == {Rung.NONLINEAR}
+    assert {block.rung for block in ladder.reports if block.frame > 2 * FS} == {Rung.LINEAR}
+
+
 # At 3e-2 one correction follows another that is off by almost all that is allowed.
 @pytest.mark.parametrize("tolerance", [5e-2, 3e-2, 2e-2, 1e-2])
 def test_a_switch_of_rungs_makes_no_click(tolerance):

@@ -3,8 +3,13 @@
 The error of the linear rung is estimated by 1.5 times the Born term, that of the Born term by 1.5
 times what a second one would change (error_estimate.py). Both begin with the best that is known
 of the state, so what cheap rungs of earlier blocks have left ringing is in the estimate.
+
+Where blocks that swung no further were beyond all cheap rungs, the estimate is left out and the
+non-linear rung taken at once, for several such blocks together. It is the dearest, so this may
+cost a little and never accuracy; now and then the estimate is made nonetheless.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +22,19 @@ from device.units import FloatArray
 
 _NONLINEAR_ERROR = 1e-6
 """Of the non-linear rung, as a share of the peak: it is carried, too."""
+
+
+_BEYOND = 3.0
+"""A correction's estimated error, over the tolerance, from which on a block is beyond it."""
+_NO_LESS = 0.7
+"""Blocks that swing so much of one that is beyond are taken to be so too: the error of a
+correction goes with the square of the level."""
+_MORE = 1.2
+"""Where one of them turns out not to be, those are that swing so much more than it."""
+_TOGETHER = 6
+"""Blocks of the non-linear rung at once: longer ones save nothing more."""
+_LONGEST_SURE = 16
+"""Blocks from one estimate to the next."""
 
 
 class Chosen(NamedTuple):
@@ -42,12 +60,56 @@ class Quiet(NamedTuple):
 
 
 class Choice:
-    """Chooses among one actuator's rungs for a tolerance. One thread uses an object."""
+    """Chooses among one actuator's rungs for a tolerance. One thread uses an object.
 
-    def __init__(self, rungs: Rungs, tolerance: float) -> None:
-        self.tolerance = tolerance
+    early: whether blocks that are surely beyond all cheap rungs go without an estimate.
+    """
+
+    def __init__(self, rungs: Rungs, tolerance: float, early: bool = True) -> None:
+        self.tolerance, self.early = tolerance, early
         self._rungs = rungs
         self._errors = ErrorEstimate(rungs.equations.actuator)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what blocks were like."""
+        self._beyond_m = math.inf
+        self._sure_for = 1
+        self._left = 0
+
+    def sure(self, stretch: Stretch, block_nodes: int) -> int:
+        """How many of several blocks, from the first on, only the non-linear rung can do."""
+        if not (self.early and self._left):
+            return 0
+        blocks = (len(stretch.volts) - 1) // (block_nodes * self._rungs.spacing)
+        found = 0
+        for block in range(min(blocks, self._left, _TOGETHER)):
+            first = block * block_nodes * self._rungs.spacing
+            last = first + block_nodes * self._rungs.spacing
+            if self._swing_m(stretch.part(first, last)) < self._beyond_m:
+                break
+            found += 1
+        self._left -= found
+        return found
+
+    def dearest(self, stretch: Stretch, better: FloatArray) -> Chosen:
+        """The non-linear rung without an estimate."""
+        found = self._rungs.answer(Rung.NONLINEAR, stretch, better, better)
+        return Chosen(Rung.NONLINEAR, _NONLINEAR_ERROR, found, found.end)
+
+    def _swing_m(self, stretch: Stretch) -> float:
+        return float(np.abs(stretch.displacement_m[:: self._rungs.spacing]).max())
+
+    def _learn(self, stretch: Stretch, beyond: bool) -> None:
+        """Take notice of an estimate that was made."""
+        swing_m = self._swing_m(stretch)
+        if beyond:
+            if swing_m >= self._beyond_m:
+                self._sure_for = min(2 * self._sure_for, _LONGEST_SURE)
+            self._beyond_m = min(self._beyond_m, _NO_LESS * swing_m)
+        elif swing_m >= self._beyond_m:
+            self._beyond_m, self._sure_for = _MORE * swing_m, 1
+        self._left = self._sure_for
 
     def quiet(
         self, stretch: Stretch, start: FloatArray, better: FloatArray, block_nodes: int
@@ -86,6 +148,7 @@ class Choice:
         peaks = self._errors.peaks(bases, born)
         estimate = self._errors.share(first, peaks)
         if estimate <= self.tolerance:
+            self._learn(stretch, beyond=False)
             end = born.nodes[:, -1].copy()
             return Chosen(Rung.LINEAR, estimate, rungs.of_linear(bases, linear), end)
         if np.any(better != start):
@@ -94,6 +157,7 @@ class Choice:
         second, _ = rungs.corrected(bases, better, born)
         then = difference(second, born)
         estimate = self._errors.share(then, peaks)
+        self._learn(stretch, estimate > _BEYOND * self.tolerance)
         if estimate <= self.tolerance:
             found = rungs.of_linear(bases, born, g, linear)
             return Chosen(Rung.CORRECTED, estimate, found, second.nodes[:, -1].copy())

@@ -13,16 +13,28 @@ class Correction:
     """What one rung adds to the linear solution, at the samples after the first, (frames,).
 
     end: d at the last node, (states,); under_end: that of the path whose remainder was taken,
-    else the same. excursion_peak_m: of the sum, at nodes. is_nothing: all samples are 0.
+    else the same. excursions_m: of the sum, at nodes or samples. is_nothing: all samples are 0.
     """
 
     def __init__(
-        self, end: FloatArray, samples: dict[str, Callable[[], FloatArray]], peak_m: float
+        self,
+        end: FloatArray,
+        samples: dict[str, Callable[[], FloatArray]],
+        excursions_m: FloatArray,
     ) -> None:
         self.end = self.under_end = end
-        self.excursion_peak_m = peak_m
+        self.excursions_m = excursions_m
         self.is_nothing = False
         self._samples = samples
+
+    @property
+    def excursion_peak_m(self) -> float:
+        """Of the sum."""
+        return float(np.abs(self.excursions_m).max())
+
+    def excursion_peaks_m(self, parts: int) -> list[float]:
+        """Of the sum, in so many equal parts."""
+        return [float(np.abs(part).max()) for part in np.array_split(self.excursions_m, parts)]
 
     def samples(self, quantity: str) -> FloatArray:
         """What to add to a quantity of `Motion`."""
@@ -43,5 +55,5 @@ def joined(pieces: list[Correction]) -> Correction:
     return Correction(
         pieces[-1].end,
         {name: together(name) for name in (*QUANTITIES, SEAT_ACCELERATION)},
-        max(piece.excursion_peak_m for piece in pieces),
+        np.concatenate([piece.excursions_m for piece in pieces]),
     )

@@ -52,7 +52,8 @@ class Ladder:
 
     tolerance: error of excursion and acceleration as a share of a block's peak, above 0. rung:
     always this one, whatever the error. seat: on the rig's seat, else on the ground; temperature:
-    the coil warms up. nodes_hz: of the non-linear rung.
+    the coil warms up. nodes_hz: of the non-linear rung. early: no estimate where choice.py is sure
+    that only the non-linear rung will do.
 
     Between samples the voltage is a straight line, and it was 0 before the first. The samples
     after the last node, less than one step, are computed provisionally, as if the linear solution
@@ -80,6 +81,7 @@ class Ladder:
         seat: bool = False,
         temperature: bool = False,
         nodes_hz: float = NODES_HZ,
+        early: bool = True,
     ) -> None:
         if not (math.isfinite(tolerance) and tolerance > 0):
             raise UsageError(f"tolerance={tolerance!r} must be above 0; 1e-3 is usual")
@@ -109,7 +111,7 @@ class Ladder:
             self._block_nodes = max(1, round(BLOCK_S / step_s))
         self._fade_nodes = max(1, round(FADE_S / step_s))
         self._step_s = step_s
-        self._choice = Choice(self._rungs, tolerance)
+        self._choice = Choice(self._rungs, tolerance, early)
         self.reset()
 
     def reset(self) -> None:
@@ -117,6 +119,7 @@ class Ladder:
         self._base.reset()
         self._grid.reset()
         self._rungs.reset()
+        self._choice.reset()
         if self.temperatures:
             self.temperatures.reset()
         self.equations.resistance_ohm = self.equations.linear_resistance_ohm
@@ -183,18 +186,21 @@ class Ladder:
         done = 0
         while done < samples // q:
             room = self._block_nodes - self._nodes_done % self._block_nodes
-            quiet = 0
-            if self._together > 1 and room == self._block_nodes:
-                together = min(self._together, (samples // q - done) // room) * room
-                quiet = self._quiet_blocks(whole.part(done * q, (done + together) * q))
-            steps = min(max(quiet, 1) * room, samples // q - done)
+            quiet = sure = 0
+            if self._estimates_several and room == self._block_nodes:
+                blocks = min(_MOST_TOGETHER, (samples // q - done) // room)
+                ahead = whole.part(done * q, (done + blocks * room) * q)
+                sure = self._choice.sure(ahead, room)
+                if self._together > 1 and not sure:
+                    quiet = self._quiet_blocks(ahead.part(0, self._together * room * q))
+            steps = min(max(quiet, sure, 1) * room, samples // q - done)
             stretch = whole.part(done * q, (done + steps) * q)
             if quiet:
                 found = self._rungs.answer(Rung.LINEAR, stretch, self._d, self._d)
                 parts.append(self._part(found, names, steps * q))
                 self._go_on(found, self._better)
             else:
-                parts.append(self._block(stretch, names, steps * q))
+                parts.append(self._block(stretch, names, steps * q, sure))
             done += steps
             self._nodes_done += steps
         self._pending = whole.part(done * q, samples)
@@ -229,12 +235,15 @@ class Ladder:
         self._together = min(2 * self._together, _MOST_TOGETHER) if all_of_them else 1
         return found
 
-    def _block(self, stretch: Stretch, names: Sequence[str], frames: int) -> _Part:
+    def _block(self, stretch: Stretch, names: Sequence[str], frames: int, sure: int) -> _Part:
+        """One block, or several of which it is sure that they need the non-linear rung."""
         steps, start = (len(stretch.volts) - 1) // self._grid.spacing, self._d
         if self.rung:
             rung, estimate = self.rung, 0.0
             found = self._rungs.answer(rung, stretch, start, start)
             better = found.end
+        elif sure:
+            rung, estimate, found, better = self._choice.dearest(stretch, self._better)
         else:
             rung, estimate, found, better = self._choice.one(stretch, start, self._better)
         part = self._part(found, names, frames)
@@ -242,16 +251,21 @@ class Ladder:
         if rung is not self._last_rung or rung is Rung.CORRECTED:
             faded = min(steps, self._fade_nodes) * self._grid.spacing
             old = self._rungs.answer(self._last_rung, stretch.part(0, faded), start, self._under)
+            inside = frames // max(sure, 1)
+            first = stretch.part(0, inside)
             for name, values in part.added.items():
-                base = getattr(stretch, name, None)
-                fade(values, old.samples(name), base, _FADE_SHARE * self.tolerance)
+                base = getattr(first, name, None)
+                fade(values[:inside], old.samples(name), base, _FADE_SHARE * self.tolerance)
         self._together = 2 if rung is Rung.LINEAR and self._estimates_several else 1
         self._last_rung = rung
         self._go_on(found, better)
-        shown = frames // self._grid.upsampling
+        blocks = max(sure, 1)
+        shown = frames // blocks // self._grid.upsampling
         frame = self._nodes_done * self._grid.spacing // self._grid.upsampling
-        self.frames_by_rung[rung] += shown
-        self.reports.append(BlockReport(frame, shown, rung, estimate, found.excursion_peak_m))
+        self.frames_by_rung[rung] += shown * blocks
+        for peak_m in found.excursion_peaks_m(blocks):
+            self.reports.append(BlockReport(frame, shown, rung, estimate, peak_m))
+            frame += shown
         self._warm(stretch, found)
         return part
 

@@ -105,9 +105,10 @@ class Rungs:
         """The linear solution as it is."""
         frames = len(stretch.volts) - 1
         end = np.zeros(self.equations.states)
-        peak = float(np.max(np.abs(stretch.displacement_m)))
         names = (*QUANTITIES, SEAT_ACCELERATION)
-        found = Correction(end, dict.fromkeys(names, lambda: np.zeros(frames)), peak)
+        found = Correction(
+            end, dict.fromkeys(names, lambda: np.zeros(frames)), stretch.displacement_m
+        )
         found.is_nothing = True
         return found
 
@@ -193,8 +194,8 @@ class Rungs:
             "acceleration_m_s2": added,
             SEAT_ACCELERATION: self._frame_acceleration(added, whole[FRAME], whole[FRAME_SPEED]),
         }
-        peak = float(np.max(np.abs(whole[EXCURSION])))
-        return Correction(end, {name: held(values) for name, values in samples.items()}, peak)
+        held_samples = {name: held(values) for name, values in samples.items()}
+        return Correction(end, held_samples, whole[EXCURSION])
 
     def _doubled(self, path: Linear) -> FloatArray:
         """Nodes and middles as the nodes of the finer grid."""
@@ -310,7 +311,7 @@ class Rungs:
                 "acceleration_m_s2": acceleration,
                 SEAT_ACCELERATION: frame_acceleration,
             },
-            float(np.max(np.abs(bases[0].excursion_m + path.nodes[EXCURSION]))),
+            bases[0].excursion_m + path.nodes[EXCURSION],
         )
 
     def _base(self, stretch: Stretch, flux: FloatArray, points: slice) -> Base:
