@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from audioflinger_hook.bench.cost import interleaved, thread_seconds
+from audioflinger_hook.bench.cost import Timings, interleaved, thread_seconds
 from audioflinger_hook.bench.passivity import passive_rows
 from audioflinger_hook.bench.report import Must, Row, Section
 from audioflinger_hook.bench.signals import SAMPLERATE
@@ -44,13 +44,10 @@ def ladder_of_rungs(bench: Workbench) -> Section:
     whole = Ladder(PAPER, SAMPLERATE, rung=Rung.NONLINEAR)
     works = [partial(_afresh, ladder, volts) for ladder in (*ladders, *patient, whole)]
     timings = interleaved(works, REPEATS)
-    estimated_s = {
-        ladder.tolerance: timing.median_s
-        for ladder, timing in zip(patient, timings[len(ladders) :], strict=False)
-    }
-    whole_s = timings[-1].median_s
+    *timings, whole_timing = timings
     rows = []
-    for ladder, timing in zip(ladders, timings, strict=False):
+    pairs = zip(timings[: len(ladders)], timings[len(ladders) :], strict=True)
+    for ladder, (timing, patient_timing) in zip(ladders, pairs, strict=True):
         shares = shares_of_tolerance(ladder, volts, true)
         column = f"{ladder.tolerance:g}"
         beyond = int(np.count_nonzero(shares > 1.0))
@@ -63,12 +60,12 @@ def ladder_of_rungs(bench: Workbench) -> Section:
             rows.append(Row(f"{rung}, share of the time", share, "%", column))
         cost_ms = 1e3 * timing.median_s / duration_s
         rows.append(Row("a second of signal", cost_ms, "ms", column))
-        for name, cost_s in (
-            ("cost, of all non-linear", timing.median_s),
-            ("the same with an estimate of every block", estimated_s[ladder.tolerance]),
+        for name, one in (
+            ("cost, of all non-linear", timing),
+            ("the same with an estimate of every block", patient_timing),
         ):
-            rows.append(Row(name, cost_s / whole_s, "times", column))
-    all_ms = 1e3 * whole_s / duration_s
+            rows.append(Row(name, _times(one, whole_timing), "times", column))
+    all_ms = 1e3 * whole_timing.median_s / duration_s
     rows.append(Row("a second of signal", all_ms, "ms", "all non-linear"))
     for tolerance in TOLERANCES:
         clicks_db = _clicks_db(tolerance)
@@ -101,6 +98,11 @@ def bursts(duration_s: float) -> FloatArray:
         frequency_hz = 20.0 * 11.0 ** random.random()
         parts.append(level_v * edge * np.sin(math.tau * frequency_hz * times))
     return np.concatenate(parts)[: round(duration_s * SAMPLERATE)]
+
+
+def _times(one: Timings, other: Timings) -> float:
+    """The median of the ratios within each round."""
+    return float(np.median(np.array(one.seconds) / np.array(other.seconds)))
 
 
 def _afresh(ladder: Ladder, volts: FloatArray) -> None:

@@ -40,12 +40,15 @@ _LONGEST_SURE = 16
 class Chosen(NamedTuple):
     """A rung for a block, its estimated error, its answer, and what the next one says of d at the
     end, (states,).
+
+    above: the next one's answer, from the better state on, None if it was not computed.
     """
 
     rung: Rung
     estimate: float
     found: Correction
     better: FloatArray
+    above: Correction | None = None
 
 
 class Quiet(NamedTuple):
@@ -149,18 +152,19 @@ class Choice:
         estimate = self._errors.share(first, peaks)
         if estimate <= self.tolerance:
             self._learn(stretch, beyond=False)
-            end = born.nodes[:, -1].copy()
-            return Chosen(Rung.LINEAR, estimate, rungs.of_linear(bases, linear), end)
+            found, above = rungs.of_linear(bases, linear), rungs.of_linear(bases, born, g, linear)
+            return Chosen(Rung.LINEAR, estimate, found, above.end, above)
         if np.any(better != start):
             linear = rungs.linear(bases, better)
             born, g = rungs.corrected(bases, better, linear)
-        second, _ = rungs.corrected(bases, better, born)
+        second, then_g = rungs.corrected(bases, better, born)
         then = difference(second, born)
         estimate = self._errors.share(then, peaks)
         self._learn(stretch, estimate > _BEYOND * self.tolerance)
         if estimate <= self.tolerance:
             found = rungs.of_linear(bases, born, g, linear)
-            return Chosen(Rung.CORRECTED, estimate, found, second.nodes[:, -1].copy())
+            above = rungs.of_linear(bases, second, then_g, born)
+            return Chosen(Rung.CORRECTED, estimate, found, above.end, above)
         # A series that shrinks begins Newton's method well; one that grows begins it badly.
         guess = second if then.displacement < 0.5 * first.displacement else linear
         found = rungs.nonlinear(stretch, better, guess)

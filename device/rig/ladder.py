@@ -238,24 +238,32 @@ class Ladder:
     def _block(self, stretch: Stretch, names: Sequence[str], frames: int, sure: int) -> _Part:
         """One block, or several of which it is sure that they need the non-linear rung."""
         steps, start = (len(stretch.volts) - 1) // self._grid.spacing, self._d
+        above = None
         if self.rung:
             rung, estimate = self.rung, 0.0
             found = self._rungs.answer(rung, stretch, start, start)
             better = found.end
         elif sure:
-            rung, estimate, found, better = self._choice.dearest(stretch, self._better)
+            rung, estimate, found, better, _ = self._choice.dearest(stretch, self._better)
         else:
-            rung, estimate, found, better = self._choice.one(stretch, start, self._better)
+            chosen = self._choice.one(stretch, start, self._better)
+            rung, estimate, found, better, above = chosen
         part = self._part(found, names, frames)
         # A correction does not go on from block to block evenly: each has a remainder of its own.
         if rung is not self._last_rung or rung is Rung.CORRECTED:
             faded = min(steps, self._fade_nodes) * self._grid.spacing
-            old = self._rungs.answer(self._last_rung, stretch.part(0, faded), start, self._under)
+            if above and self._last_rung is Rung.NONLINEAR:
+                # From one state on it begins as the non-linear rung does, and is there already.
+                old = above
+            else:
+                before = stretch.part(0, faded)
+                old = self._rungs.answer(self._last_rung, before, start, self._under)
             inside = frames // max(sure, 1)
             first = stretch.part(0, inside)
             for name, values in part.added.items():
                 base = getattr(first, name, None)
-                fade(values[:inside], old.samples(name), base, _FADE_SHARE * self.tolerance)
+                going_on = old.samples(name)[:faded]
+                fade(values[:inside], going_on, base, _FADE_SHARE * self.tolerance)
         self._together = 2 if rung is Rung.LINEAR and self._estimates_several else 1
         self._last_rung = rung
         self._go_on(found, better)
