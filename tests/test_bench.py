@@ -11,7 +11,16 @@ import pytest
 from scipy.fft import rfft
 
 from audioflinger_hook import bench
-from audioflinger_hook.bench import measures, mixing, rendering, rig, savings, soak
+from audioflinger_hook.bench import (
+    measures,
+    mixing,
+    rendering,
+    rig,
+    savings,
+    soak,
+    soak_record,
+    soak_report,
+)
 from audioflinger_hook.bench.cost import interleaved, rfft_unit_s
 from audioflinger_hook.bench.machine import MachineFacts
 from audioflinger_hook.bench.report import BenchReport, Missing, Must, Row, Section, number
@@ -50,6 +59,7 @@ LEAST = Effort(
     hops_held=200,
     render_s=(1.0,),
     rig_s=0.5,
+    random_rigs=2,
 )
 
 
@@ -405,17 +415,18 @@ def test_a_tone_is_the_same_at_the_end_of_a_short_soak(record):
 
 def test_a_short_soak_of_the_scene_counts_hops_and_memory():
     record = soak.soak_scene(hops=500)
+    assert record.hops is not None
     assert record.hops >= 500
     assert record.memory_growth_kb is not None
 
 
 def test_the_record_keeps_the_latest_of_each_run(record, tmp_path):
     path = tmp_path / "docs" / "soak.json"
-    assert soak.read_records(path) == ()
-    other = soak.SoakRecord("another", "2026-01-01", "cpu", 1, 1.0, 1.0, False)
+    assert soak_record.read_records(path) == ()
+    other = soak_record.SoakRecord("another", "2026-01-01", "cpu", 1.0, 1.0, False, hops=1)
     for kept in (other, record, record):
-        soak.keep_record(kept, path)
-    assert set(soak.read_records(path)) == {other, record}
+        soak_record.keep_record(kept, path)
+    assert set(soak_record.read_records(path)) == {other, record}
     assert [entry.name for entry in path.parent.iterdir()] == ["soak.json"]
 
 
@@ -423,14 +434,14 @@ def test_a_broken_record_is_an_error_to_read_and_replaced_when_written(record, t
     path = tmp_path / "soak.json"
     path.write_text("{")
     with pytest.raises(UsageError, match="no soak record"):
-        soak.read_records(path)
-    soak.keep_record(record, path)
-    assert soak.read_records(path) == (record,)
+        soak_record.read_records(path)
+    soak_record.keep_record(record, path)
+    assert soak_record.read_records(path) == (record,)
 
 
 def test_a_soak_that_never_ran_says_so(monkeypatch, tmp_path):
-    monkeypatch.setattr(soak, "record_path", lambda: tmp_path / "none.json")
-    section = soak.soak_result(Workbench(LEAST, SUBJECTS, ()))
+    monkeypatch.setattr(soak_report, "record_path", lambda: tmp_path / "none.json")
+    section = soak_report.soak_result(Workbench(LEAST, SUBJECTS, ()))
     assert section.missing == ()
     assert "never run" in section.rows[0].shown()
 

@@ -24,21 +24,25 @@ from audioflinger_hook.bench import (
     damping,
     fidelity,
     growth,
+    identification,
     live_report,
     mixing,
     precision,
     protection,
     rendering,
     rig,
+    rig_growth,
     rungs,
+    rungs_by_second,
     savings,
-    soak,
+    soak_report,
     speed,
     tones,
 )
 from audioflinger_hook.bench.machine import machine_facts
 from audioflinger_hook.bench.report import BenchReport, Missing, Must, Row, Section
 from audioflinger_hook.bench.signals import load_recordings
+from audioflinger_hook.bench.soak_record import now
 from audioflinger_hook.bench.workbench import FULL, QUICK, SUBJECTS, Bench, Effort, Workbench
 
 __all__ = [
@@ -72,14 +76,19 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("simulated rig", rig.linear_rung, 2.0),
     ("rungs of the rig", precision.work_and_precision, 5.0),
     ("ladder of the rig", rungs.ladder_of_rungs, 3.0),
+    ("ladder by second", rungs_by_second.rungs_by_second, 1.0),
+    ("growth of the rig's cost", rig_growth.rig_growth, 3.0),
     ("residual vibration", damping.residual_energy, 2.0),
     ("settling", damping.settling_time, 0.5),
     ("protection", protection.protection, 1.0),
     ("live cost of the three", protection.live_cost, 3.0),
     ("exposure", protection.weighting, 0.1),
+    ("identification", identification.identification, 8.0),
     ("memory", growth.memory_held, 4.0),
     ("live record", live_report.live_result, 0.1),
-    ("soak record", soak.soak_result, 0.1),
+    ("soak record", soak_report.soak_result, 0.1),
+    ("soak of the rig", soak_report.rig_soak_result, 0.1),
+    ("soak of the identification", soak_report.identified_result, 0.1),
 )
 """Every bench in the order of the report: its name, the bench, and about how long it takes."""
 
@@ -97,7 +106,7 @@ def run_bench(
     """
     start_s = time.monotonic()
     machine = machine_facts()
-    date = soak.now()
+    date = now()
     bench = Workbench(effort or (QUICK if quick else FULL), SUBJECTS, load_recordings())
     total = sum(weight for _, _, weight in BENCHES)
     done = 0.0

@@ -151,7 +151,7 @@ def lag_figure(report: BenchReport) -> Figure:
 
 
 def rungs_figure(report: BenchReport) -> Figure:
-    """The error of the rig's non-linear rung and of SciPy's integrators over their cost."""
+    """The error of the rig's rungs and of SciPy's integrators over their cost."""
     from matplotlib.figure import Figure
 
     from audioflinger_hook.figures import palette
@@ -161,8 +161,8 @@ def rungs_figure(report: BenchReport) -> Figure:
     _headline(
         figure,
         "What an error of the simulated motion costs",
-        "Non-linear equations of the paper's actuator, driven to nine tenths of Xmax: largest "
-        "error of the displacement over its peak, by CPU time for a second of signal",
+        "The non-linear equations, driven to nine tenths of Xmax: largest error of the "
+        "displacement over its peak, by CPU time for a second of signal",
     )
     axis = figure.subplots()
     figure.subplots_adjust(left=0.085, right=0.90, top=0.80, bottom=0.125)
@@ -173,9 +173,12 @@ def rungs_figure(report: BenchReport) -> Figure:
         costs_ms, errors = 1e3 * np.array(values[::2]), np.array(values[1::2])
         colour = palette.GREY if place else palette.FELT
         axis.plot(costs_ms, errors, "o-", ms=5, lw=2.2 if place == 0 else 1.2, color=colour)
+        # A rung that is one point has its name above or below it, the next one the other way.
+        single = len(costs_ms) == 1
+        beside = (0, 9 if place % 2 else -10) if single else (7, 0)
         axis.annotate(
-            name, (costs_ms[-1], errors[-1]), xytext=(7, 0), textcoords="offset points",
-            fontsize=SMALL_PT, color=colour, va="center",
+            name, (costs_ms[-1], errors[-1]), xytext=beside, textcoords="offset points",
+            fontsize=SMALL_PT, color=colour, va="center", ha="center" if single else "left",
         )  # fmt: skip
     axis.set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
     axis.grid(True, axis="y", color=palette.HAIRLINE, lw=0.8)

@@ -24,7 +24,7 @@ from audioflinger_hook.bench.live_report import LiveRecord, Numbers
 from audioflinger_hook.bench.live_usage import ProcessUse
 from audioflinger_hook.bench.machine import cpu_model
 from audioflinger_hook.bench.pauses import Pause, PauseWitness
-from audioflinger_hook.bench.soak import now
+from audioflinger_hook.bench.soak_record import now
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.transform import HapticTransform

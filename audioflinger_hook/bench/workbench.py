@@ -102,6 +102,7 @@ class Effort:
     hops_held: int
     render_s: tuple[float, ...]
     rig_s: float
+    random_rigs: int
 
 
 QUICK = Effort(
@@ -124,6 +125,7 @@ QUICK = Effort(
     hops_held=20_000,
     render_s=(60.0,),
     rig_s=10.0,
+    random_rigs=8,
 )
 FULL = Effort(
     tones=40,
@@ -145,6 +147,7 @@ FULL = Effort(
     hops_held=100_000,
     render_s=(60.0, 600.0),
     rig_s=60.0,
+    random_rigs=40,
 )
 
 

@@ -2,10 +2,11 @@
 
     dac.py -> amplifier.py -> actuator.py -> instruments.py
     `---- twin.py ----'       |- linear_system.py
-                              ladder.py                     rig.py describes all: rig_file.py
-                              |- node_grid.py, rungs.py     reads paper.toml, consumer.toml or
-                              |  collocation.py             another, within limits.py and without
-                              |  passive_step.py            contradictions.py
+                              ladder.py, report.py          rig.py describes all: rig_file.py
+                              |- choice.py, hand_over.py    reads paper.toml, consumer.toml or
+                              |- node_grid.py, rungs.py     another, within limits.py and without
+                              |  collocation.py             contradictions.py
+                              |  passive_step.py
                               `- equations.py, co_energy.py, shapes.py, thermal.py
 
 The linear actuator is one class; whoever needs more of its physics takes the ladder, which adds to

@@ -1,57 +1,43 @@
 """Model only what a scene needs: block by block the cheapest rung that keeps the tolerance.
 
 The linear solution of the whole signal is always there, exact, and every other rung adds to it
-(rungs.py). Before a block is settled its error is estimated: that of the linear rung by 1.5 times
-the Born term, that of the Born term by 1.5 times what a second one would change. Either begins
-with the best that is known of the state, so what cheap rungs of earlier blocks have left ringing
-is in the estimate; and a dearer rung begins there.
+(rungs.py). Before a block is settled its rung is chosen (choice.py); a dearer one begins with the
+best that is known of the state. At a change of rung both are heard for a while (hand_over.py).
 """
 
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from device.errors import UsageError
 from device.rig.actuator import SEAT_ACCELERATION, LinearActuator, Motion
+from device.rig.block_report import BlockReport
+from device.rig.choice import Choice
 from device.rig.co_energy import energies
+from device.rig.correction import Correction
 from device.rig.equations import Equations
-from device.rig.error_estimate import ErrorEstimate, difference
+from device.rig.hand_over import fade
 from device.rig.linear_system import QUANTITIES
 from device.rig.node_grid import NODES_HZ, NodeGrid
 from device.rig.rig import Rig
-from device.rig.rungs import Correction, Rung, Rungs, Stretch
+from device.rig.rungs import Rung, Rungs
+from device.rig.stretch import Stretch
 from device.rig.thermal import Temperatures
 from device.units import FloatArray, finite_or_zero
 
 BLOCK_S = 0.1
 FADE_S = 0.01
-_NONLINEAR_ERROR = 1e-6
-"""Of the non-linear rung, as a share of the peak: it is carried, too."""
+_FADE_SHARE = 0.5
+"""Of the tolerance, that a fade from rung to rung may be off by."""
 _LONGEST_NODES = 4_096
 _MOST_TOGETHER = 16
 _SILENT = 1e-18
 """Below it, in m, m/s and Wb, what another rung has left is gone."""
 _ABSURD_V = 1e6
 _REPORTS = 4_096
-
-
-@dataclass(frozen=True)
-class BlockReport:
-    """How one block was computed.
-
-    frame: its first one since the start; frames; rung; estimate: of the error, as a share of the
-    block's peak excursion or acceleration, 0 where a rung was asked for; excursion_peak_m.
-    """
-
-    frame: int
-    frames: int
-    rung: Rung
-    estimate: float
-    excursion_peak_m: float
 
 
 class _Part(NamedTuple):
@@ -66,7 +52,8 @@ class Ladder:
 
     tolerance: error of excursion and acceleration as a share of a block's peak, above 0. rung:
     always this one, whatever the error. seat: on the rig's seat, else on the ground; temperature:
-    the coil warms up. nodes_hz: of the non-linear rung.
+    the coil warms up. nodes_hz: of the non-linear rung. early: no estimate where choice.py is sure
+    that only the non-linear rung will do.
 
     Between samples the voltage is a straight line, and it was 0 before the first. The samples
     after the last node, less than one step, are computed provisionally, as if the linear solution
@@ -94,6 +81,7 @@ class Ladder:
         seat: bool = False,
         temperature: bool = False,
         nodes_hz: float = NODES_HZ,
+        early: bool = True,
     ) -> None:
         if not (math.isfinite(tolerance) and tolerance > 0):
             raise UsageError(f"tolerance={tolerance!r} must be above 0; 1e-3 is usual")
@@ -123,7 +111,7 @@ class Ladder:
             self._block_nodes = max(1, round(BLOCK_S / step_s))
         self._fade_nodes = max(1, round(FADE_S / step_s))
         self._step_s = step_s
-        self._errors = ErrorEstimate(rig.actuator)
+        self._choice = Choice(self._rungs, tolerance, early)
         self.reset()
 
     def reset(self) -> None:
@@ -131,6 +119,7 @@ class Ladder:
         self._base.reset()
         self._grid.reset()
         self._rungs.reset()
+        self._choice.reset()
         if self.temperatures:
             self.temperatures.reset()
         self.equations.resistance_ohm = self.equations.linear_resistance_ohm
@@ -197,24 +186,27 @@ class Ladder:
         done = 0
         while done < samples // q:
             room = self._block_nodes - self._nodes_done % self._block_nodes
-            quiet = 0
-            if self._together > 1 and room == self._block_nodes:
-                together = min(self._together, (samples // q - done) // room) * room
-                quiet = self._quiet_blocks(whole.part(done * q, (done + together) * q))
-            steps = min(max(quiet, 1) * room, samples // q - done)
+            quiet = sure = 0
+            if self._estimates_several and room == self._block_nodes:
+                blocks = min(_MOST_TOGETHER, (samples // q - done) // room)
+                ahead = whole.part(done * q, (done + blocks * room) * q)
+                sure = self._choice.sure(ahead, room)
+                if self._together > 1 and not sure:
+                    quiet = self._quiet_blocks(ahead.part(0, self._together * room * q))
+            steps = min(max(quiet, sure, 1) * room, samples // q - done)
             stretch = whole.part(done * q, (done + steps) * q)
             if quiet:
-                found = self._by(Rung.LINEAR, stretch, self._d, self._d)
+                found = self._rungs.answer(Rung.LINEAR, stretch, self._d, self._d)
                 parts.append(self._part(found, names, steps * q))
                 self._go_on(found, self._better)
             else:
-                parts.append(self._block(stretch, names, steps * q))
+                parts.append(self._block(stretch, names, steps * q, sure))
             done += steps
             self._nodes_done += steps
         self._pending = whole.part(done * q, samples)
         if rest := samples - done * q:
-            stretch = _extended(self._pending, q, 1.0 / self._grid.samplerate)
-            found = self._by(self._last_rung, stretch, self._d, self._under)
+            stretch = self._pending.extended(q, 1.0 / self._grid.samplerate)
+            found = self._rungs.answer(self._last_rung, stretch, self._d, self._under)
             parts.append(self._part(found, names, rest))
         return parts
 
@@ -225,74 +217,65 @@ class Ladder:
         return _Part(frames, {name: found.samples(name)[:frames] for name in names})
 
     def _quiet_blocks(self, stretch: Stretch) -> int:
-        """How many of several blocks, from the first on, are linear enough; they are reported.
-
-        One estimate for all of them is cheaper, and what earlier ones leave is in it.
-        """
+        """How many of several blocks, from the first on, are linear enough; they are reported."""
         if len(stretch.volts) == 1:
             return 0
-        rungs, start, length = self._rungs, self._d, self._block_nodes
-        bases = rungs.bases(stretch, self._grid.spacing)
-        linear = rungs.linear(bases, start)
-        born, _ = rungs.corrected(bases, self._better, linear)
-        frames = length * self._grid.spacing // self._grid.upsampling
-        blocks = (len(bases[0].excursion_m) - 1) // length
-        quiet = 0
-        for block in range(blocks):
-            nodes = slice(block * length, (block + 1) * length + 1)
-            change = difference(born, linear, nodes)
-            estimate = self._errors.share(change, self._errors.peaks(bases, born, nodes))
-            if estimate > self.tolerance:
-                break
-            frame = (self._nodes_done + block * length) * frames // length
-            peak_m = float(np.abs(bases[0].excursion_m[nodes] + linear.nodes[0, nodes]).max())
+        length, q = self._block_nodes, self._grid.spacing
+        quiet = self._choice.quiet(stretch, self._d, self._better, length)
+        frames = length * q // self._grid.upsampling
+        frame = self._nodes_done * frames // length
+        for estimate, peak_m in zip(quiet.estimates, quiet.peaks_m, strict=True):
             self.reports.append(BlockReport(frame, frames, Rung.LINEAR, estimate, peak_m))
             self.frames_by_rung[Rung.LINEAR] += frames
-            quiet += 1
-        if quiet:
-            self._better = born.nodes[:, quiet * length].copy()
-        self._together = min(2 * self._together, _MOST_TOGETHER) if quiet == blocks else 1
-        return quiet
+            frame += frames
+        found = len(quiet.estimates)
+        if found:
+            self._better = quiet.better
+        all_of_them = found == (len(stretch.volts) - 1) // (q * length)
+        self._together = min(2 * self._together, _MOST_TOGETHER) if all_of_them else 1
+        return found
 
-    def _block(self, stretch: Stretch, names: Sequence[str], frames: int) -> _Part:
+    def _block(self, stretch: Stretch, names: Sequence[str], frames: int, sure: int) -> _Part:
+        """One block, or several of which it is sure that they need the non-linear rung."""
         steps, start = (len(stretch.volts) - 1) // self._grid.spacing, self._d
+        above = None
         if self.rung:
             rung, estimate = self.rung, 0.0
-            found = self._by(rung, stretch, start, start)
+            found = self._rungs.answer(rung, stretch, start, start)
             better = found.end
+        elif sure:
+            rung, estimate, found, better, _ = self._choice.dearest(stretch, self._better)
         else:
-            rung, estimate, found, better = self._chosen(stretch)
+            chosen = self._choice.one(stretch, start, self._better)
+            rung, estimate, found, better, above = chosen
         part = self._part(found, names, frames)
         # A correction does not go on from block to block evenly: each has a remainder of its own.
         if rung is not self._last_rung or rung is Rung.CORRECTED:
             faded = min(steps, self._fade_nodes) * self._grid.spacing
-            old = self._by(self._last_rung, stretch.part(0, faded), start, self._under)
+            if above and self._last_rung is Rung.NONLINEAR:
+                # From one state on it begins as the non-linear rung does, and is there already.
+                old = above
+            else:
+                before = stretch.part(0, faded)
+                old = self._rungs.answer(self._last_rung, before, start, self._under)
+            inside = frames // max(sure, 1)
+            first = stretch.part(0, inside)
             for name, values in part.added.items():
-                self._fade(values, old.samples(name), getattr(stretch, name, None))
+                base = getattr(first, name, None)
+                going_on = old.samples(name)[:faded]
+                fade(values[:inside], going_on, base, _FADE_SHARE * self.tolerance)
         self._together = 2 if rung is Rung.LINEAR and self._estimates_several else 1
         self._last_rung = rung
         self._go_on(found, better)
-        shown = frames // self._grid.upsampling
+        blocks = max(sure, 1)
+        shown = frames // blocks // self._grid.upsampling
         frame = self._nodes_done * self._grid.spacing // self._grid.upsampling
-        self.frames_by_rung[rung] += shown
-        self.reports.append(BlockReport(frame, shown, rung, estimate, found.excursion_peak_m))
+        self.frames_by_rung[rung] += shown * blocks
+        for peak_m in found.excursion_peaks_m(blocks):
+            self.reports.append(BlockReport(frame, shown, rung, estimate, peak_m))
+            frame += shown
         self._warm(stretch, found)
         return part
-
-    def _fade(self, values: FloatArray, old: FloatArray, base: FloatArray | None) -> None:
-        """From what went on before to what is chosen now, in place.
-
-        Where the old rung goes wrong before it is faded out, as at the beginning of a burst, only
-        the jump between the two is.
-        """
-        frames = len(old)
-        weight = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, frames + 1) / frames)
-        apart = old - values[:frames]
-        whole = values if base is None else values + base[1:]
-        allowed = 0.5 * self.tolerance * float(np.abs(whole).max())
-        if float(np.abs(apart * weight).max()) > allowed:
-            apart = np.full(frames, apart[0])
-        values[:frames] += apart * weight
 
     def _go_on(self, found: Correction, better: FloatArray) -> None:
         """Hand the state over to what comes next.
@@ -303,49 +286,6 @@ class Ladder:
         self._d, self._under, self._better = found.end, found.under_end, better
         if max(np.abs(self._d).max(), np.abs(better).max()) < _SILENT:
             self._d = self._under = self._better = np.zeros_like(self._d)
-
-    def _by(self, rung: Rung, stretch: Stretch, start: FloatArray, under: FloatArray) -> Correction:
-        """One rung's answer; under: where the path begins whose remainder a correction takes."""
-        rungs = self._rungs
-        if rung is Rung.LINEAR and self.equations.seat is None and not np.any(start):
-            return rungs.nothing(stretch)
-        if rung is Rung.STEPPED:
-            return rungs.stepped(stretch, start)
-        bases = rungs.bases(stretch, self._grid.spacing)
-        linear = rungs.linear(bases, under if rung is Rung.CORRECTED else start)
-        if rung is Rung.LINEAR:
-            return rungs.of_linear(bases, linear)
-        if rung is Rung.CORRECTED:
-            born, g = rungs.corrected(bases, start, linear)
-            return rungs.of_linear(bases, born, g, linear)
-        return rungs.nonlinear(stretch, start, linear)
-
-    def _chosen(self, stretch: Stretch) -> tuple[Rung, float, Correction, FloatArray]:
-        """The cheapest rung that keeps the tolerance, its estimated error, its answer, and what
-        the next one says of the state at the end.
-        """
-        rungs, better = self._rungs, self._better
-        bases = rungs.bases(stretch, self._grid.spacing)
-        linear = rungs.linear(bases, self._d)
-        born, g = rungs.corrected(bases, better, linear)
-        first = difference(born, linear)
-        peaks = self._errors.peaks(bases, born)
-        estimate = self._errors.share(first, peaks)
-        if estimate <= self.tolerance:
-            return Rung.LINEAR, estimate, rungs.of_linear(bases, linear), born.nodes[:, -1].copy()
-        if np.any(better != self._d):
-            linear = rungs.linear(bases, better)
-            born, g = rungs.corrected(bases, better, linear)
-        second, _ = rungs.corrected(bases, better, born)
-        then = difference(second, born)
-        estimate = self._errors.share(then, peaks)
-        if estimate <= self.tolerance:
-            found = rungs.of_linear(bases, born, g, linear)
-            return Rung.CORRECTED, estimate, found, second.nodes[:, -1].copy()
-        # A series that shrinks begins Newton's method well; one that grows begins it badly.
-        guess = second if then.displacement < 0.5 * first.displacement else linear
-        found = rungs.nonlinear(stretch, better, guess)
-        return Rung.NONLINEAR, _NONLINEAR_ERROR, found, found.end
 
     def _warm(self, stretch: Stretch, found: Correction) -> None:
         if self.temperatures is None:
@@ -358,24 +298,3 @@ class Ladder:
             self.temperatures.resistance_ohm(self.rig.actuator.resistance_ohm)
             + self.equations.source_impedance_ohm
         )
-
-
-def _extended(stretch: Stretch, samples: int, period_s: float) -> Stretch:
-    """So many samples after the first, going on evenly where there are none yet."""
-    ahead = np.arange(1, samples + 2 - len(stretch.volts))
-    time_s = period_s * ahead
-    w, (before, a) = stretch.velocity_m_s[-1], stretch.acceleration_m_s2[-2:]
-    change = (a - before) / period_s
-    on = (
-        0.0 * time_s,
-        w * time_s + a * time_s**2 / 2.0 + change * time_s**3 / 6.0,
-        a * time_s + change * time_s**2 / 2.0,
-        (stretch.current_a[-1] - stretch.current_a[-2]) * ahead,
-        (a - before) * ahead,
-    )
-    return Stretch(
-        *(
-            np.concatenate([known, known[-1] + more])
-            for known, more in zip(vars(stretch).values(), on, strict=True)
-        )
-    )

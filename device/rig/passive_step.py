@@ -39,7 +39,8 @@ class PassiveStepper:
     """An actuator that goes from sample to sample. One thread calls it.
 
     state: y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat. surplus_j: of
-    the last step, energy that came in and was neither stored nor turned into heat: rounding.
+    the last step, energy that came in and was neither stored nor turned into heat: rounding;
+    worst_share: the largest so far, of the energy stored before or after its step or let in.
     bisected: steps so far that the secant method left to bisection.
     """
 
@@ -61,6 +62,7 @@ class PassiveStepper:
         """Come to rest."""
         self.state = [0.0, 0.0, 0.0, 0.0, 0.0]
         self.surplus_j = 0.0
+        self.worst_share = 0.0
         self.bisected = 0
         self._energy_j = 0.0
 
@@ -115,7 +117,11 @@ class PassiveStepper:
         heat_w = self.equations.resistance_ohm * current * current + drag * (move / h) ** 2
         heat_w += self._frame_damping * mean * mean
         self._energy_j = self.energy_j()
-        self.surplus_j = h * (volt * current - heat_w) - (self._energy_j - before_j)
+        let_in_j = h * volt * current
+        self.surplus_j = let_in_j - h * heat_w - (self._energy_j - before_j)
+        if self.surplus_j:
+            handled_j = max(before_j, self._energy_j, abs(let_in_j))
+            self.worst_share = max(self.worst_share, abs(self.surplus_j) / handled_j)
 
     def _solve(self, volt: float, free: float) -> tuple[float, "_Tried"]:
         """The excursion's change over the step, and what comes of it."""

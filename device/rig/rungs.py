@@ -10,13 +10,12 @@ Each begins with the same excursion, speed and flux, so that any may follow any.
 """
 
 import enum
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from device.rig.actuator import SEAT_ACCELERATION
 from device.rig.collocation import Base, Bases, Collocation, Linear, Path
+from device.rig.correction import Correction, held, joined
 from device.rig.equations import (
     EXCURSION,
     FLUX,
@@ -29,6 +28,7 @@ from device.rig.equations import (
 from device.rig.linear_system import QUANTITIES
 from device.rig.node_grid import NodeGrid, cubic, quadratic
 from device.rig.passive_step import PassiveStepper
+from device.rig.stretch import Stretch
 from device.units import FloatArray
 
 _ABOVE_THE_NODES = 0.02
@@ -53,41 +53,6 @@ class Rung(enum.StrEnum):
     STEPPED = "step by step"
 
 
-@dataclass(frozen=True)
-class Stretch:
-    """The linear solution on the ground at each sample of some whole steps: (steps * q + 1,)."""
-
-    volts: FloatArray
-    displacement_m: FloatArray
-    velocity_m_s: FloatArray
-    current_a: FloatArray
-    acceleration_m_s2: FloatArray
-
-    def part(self, start: int, stop: int) -> "Stretch":
-        """Samples start to stop, the last one included."""
-        return Stretch(*(samples[start : stop + 1] for samples in vars(self).values()))
-
-
-class Correction:
-    """What one rung adds to the linear solution, at the samples after the first, (frames,).
-
-    end: d at the last node, (states,); under_end: that of the path whose remainder was taken,
-    else the same. excursion_peak_m: of the sum, at nodes. is_nothing: all samples are 0.
-    """
-
-    def __init__(
-        self, end: FloatArray, samples: dict[str, Callable[[], FloatArray]], peak_m: float
-    ) -> None:
-        self.end = self.under_end = end
-        self.excursion_peak_m = peak_m
-        self.is_nothing = False
-        self._samples = samples
-
-    def samples(self, quantity: str) -> FloatArray:
-        """What to add to a quantity of `Motion`."""
-        return self._samples[quantity]()
-
-
 class Rungs:
     """Every rung of one actuator on one grid. One thread uses an object."""
 
@@ -106,6 +71,25 @@ class Rungs:
         self.iterations = 0
         self.stepped_samples = 0
 
+    def answer(
+        self, rung: Rung, stretch: Stretch, start: FloatArray, under: FloatArray
+    ) -> Correction:
+        """One rung's answer from d at the first node, (states,); under: where the path begins whose
+        remainder a correction takes.
+        """
+        if rung is Rung.LINEAR and self.equations.seat is None and not np.any(start):
+            return self.nothing(stretch)
+        if rung is Rung.STEPPED:
+            return self.stepped(stretch, start)
+        bases = self.bases(stretch, self.spacing)
+        linear = self.linear(bases, under if rung is Rung.CORRECTED else start)
+        if rung is Rung.LINEAR:
+            return self.of_linear(bases, linear)
+        if rung is Rung.CORRECTED:
+            born, g = self.corrected(bases, start, linear)
+            return self.of_linear(bases, born, g, linear)
+        return self.nonlinear(stretch, start, linear)
+
     def bases(self, stretch: Stretch, spacing: int) -> Bases:
         """The linear solution at nodes and middles that far apart."""
         p = self.equations.actuator
@@ -121,9 +105,10 @@ class Rungs:
         """The linear solution as it is."""
         frames = len(stretch.volts) - 1
         end = np.zeros(self.equations.states)
-        peak = float(np.max(np.abs(stretch.displacement_m)))
         names = (*QUANTITIES, SEAT_ACCELERATION)
-        found = Correction(end, dict.fromkeys(names, lambda: np.zeros(frames)), peak)
+        found = Correction(
+            end, dict.fromkeys(names, lambda: np.zeros(frames)), stretch.displacement_m
+        )
         found.is_nothing = True
         return found
 
@@ -209,8 +194,8 @@ class Rungs:
             "acceleration_m_s2": added,
             SEAT_ACCELERATION: self._frame_acceleration(added, whole[FRAME], whole[FRAME_SPEED]),
         }
-        peak = float(np.max(np.abs(whole[EXCURSION])))
-        return Correction(end, {name: _held(values) for name, values in samples.items()}, peak)
+        held_samples = {name: held(values) for name, values in samples.items()}
+        return Correction(end, held_samples, whole[EXCURSION])
 
     def _doubled(self, path: Linear) -> FloatArray:
         """Nodes and middles as the nodes of the finer grid."""
@@ -278,7 +263,7 @@ class Rungs:
             found = self._refined(piece, guess) or self.stepped(piece, start)
             pieces.append(found)
             start = found.end
-        return _joined(pieces)
+        return joined(pieces)
 
     def _of_path(self, path: Path, bases: Bases, spacing: int) -> Correction:
         p = self.equations.actuator
@@ -326,7 +311,7 @@ class Rungs:
                 "acceleration_m_s2": acceleration,
                 SEAT_ACCELERATION: frame_acceleration,
             },
-            float(np.max(np.abs(bases[0].excursion_m + path.nodes[EXCURSION]))),
+            bases[0].excursion_m + path.nodes[EXCURSION],
         )
 
     def _base(self, stretch: Stretch, flux: FloatArray, points: slice) -> Base:
@@ -336,18 +321,3 @@ class Rungs:
             flux[points],
             stretch.acceleration_m_s2[points],
         )
-
-
-def _held(values: FloatArray) -> Callable[[], FloatArray]:
-    return lambda: values
-
-
-def _joined(pieces: list[Correction]) -> Correction:
-    def joined(name: str) -> Callable[[], FloatArray]:
-        return lambda: np.concatenate([piece.samples(name) for piece in pieces])
-
-    return Correction(
-        pieces[-1].end,
-        {name: joined(name) for name in (*QUANTITIES, SEAT_ACCELERATION)},
-        max(piece.excursion_peak_m for piece in pieces),
-    )

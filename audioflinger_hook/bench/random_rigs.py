@@ -1,16 +1,32 @@
-"""Random rigs for identification, and what their linear equations say of their mode."""
+"""Random rigs for identification, and what their linear equations say of their mode.
+
+Written from the equations of motion, apart from what identifies.
+"""
+
+from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from audioflinger_hook.bench.report import Must
 from device.identification.acceleration import Mode, identify_mode
 from device.identification.bench import Bench
+from device.identification.output_error import Estimate
 from device.identification.sweep import Sweep
 from device.rig import PAPER, ActuatorParameters, LargeSignalParameters, Rig, SeatParameters
 
 SNR_DB = 20.0
+SHARES = (0.05, 0.12)
+"""Of Xmax, that the sweeps move."""
+RIGS = 200
+"""In the soak, at each of these."""
+SWEEP_S = 5.0
+F0_ERROR, Q_ERROR = Must("<=", 0.5), Must("<=", 5.0)
+HELD = Must(">=", 90.0)
+"""Per cent, of intervals of 95 %."""
 
 
 def random_rig(seed: int) -> tuple[Rig, bool]:
@@ -78,8 +94,8 @@ def truth(rig: Rig, seat: bool, *, coil_open: bool = False) -> Truth:
 
 
 def sweep_of(rig: Rig, share: float, bench: Bench) -> Sweep:
-    """Five seconds in all of 15 to 400 Hz, moving that share of Xmax."""
-    return bench.level(Sweep(low_hz=15.0, high_hz=400.0, duration_s=5.0), share)
+    """15 to 400 Hz, moving that share of Xmax."""
+    return bench.level(Sweep(low_hz=15.0, high_hz=400.0, duration_s=SWEEP_S), share)
 
 
 def identified(seed: int, share: float) -> tuple[Mode, Truth]:
@@ -88,3 +104,38 @@ def identified(seed: int, share: float) -> tuple[Mode, Truth]:
     bench = Bench(rig, seat=seat, snr_db=SNR_DB, seed=seed)
     recording = bench.measure(sweep_of(rig, share, bench), [("voltage", "acceleration")])[0]
     return identify_mode(recording, rig.actuator.x_max_m), truth(rig, seat)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What became of some rigs, in per cent: the largest errors, and how many intervals hold."""
+
+    f0_error_percent: float
+    q_error_percent: float
+    f0_held_percent: float
+    q_held_percent: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether every limit is kept."""
+        return (
+            F0_ERROR.met(self.f0_error_percent)
+            and Q_ERROR.met(self.q_error_percent)
+            and HELD.met(self.f0_held_percent)
+            and HELD.met(self.q_held_percent)
+        )
+
+
+def found_of(pairs: Sequence[tuple[Mode, Truth]]) -> Found:
+    """Sum up what was identified of some rigs."""
+    f0 = [(mode.f0_hz, true.f0_hz) for mode, true in pairs]
+    q = [(mode.q, true.q) for mode, true in pairs]
+    return Found(_largest_error(f0), _largest_error(q), _held(f0), _held(q))
+
+
+def _largest_error(pairs: list[tuple[Estimate, float]]) -> float:
+    return 100.0 * float(max(abs(found.value / true - 1.0) for found, true in pairs))
+
+
+def _held(pairs: list[tuple[Estimate, float]]) -> float:
+    return 100.0 * float(sum(found.low <= true <= found.high for found, true in pairs)) / len(pairs)
