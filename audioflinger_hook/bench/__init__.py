@@ -22,6 +22,7 @@ from pathlib import Path
 
 from audioflinger_hook.bench import (
     damping,
+    damping_levels,
     fidelity,
     growth,
     live_report,
@@ -74,6 +75,8 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("ladder of the rig", rungs.ladder_of_rungs, 3.0),
     ("residual vibration", damping.residual_energy, 2.0),
     ("settling", damping.settling_time, 0.5),
+    ("residual vibration by level", damping_levels.residual_energy_by_level, 2.0),
+    ("settling by level", damping_levels.settling_time_by_level, 0.1),
     ("protection", protection.protection, 1.0),
     ("live cost of the three", protection.live_cost, 3.0),
     ("exposure", protection.weighting, 0.1),
