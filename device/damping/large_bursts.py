@@ -95,10 +95,16 @@ def driven_by(rig: Rig, source_impedance_ohm: float) -> Rig:
     )
 
 
-def intended(rig: Rig, damping: Damping, signal: FloatArray, excursion_m: float) -> FloatArray:
+def intended(
+    rig: Rig,
+    damping: Damping,
+    signal: FloatArray,
+    excursion_m: float,
+    samplerate: int = SAMPLERATE,
+) -> FloatArray:
     """The signal damped, (frames,) in V, such that the linear rig reaches the excursion with it."""
-    drive = Damper(damping, SAMPLERATE, 1).process(signal[:, None].astype(np.float64))[:, 0]
+    drive = Damper(damping, samplerate, 1).process(signal[:, None].astype(np.float64))[:, 0]
     source = rig.amplifier.source_impedance_ohm
-    linear = LinearActuator(rig.actuator, SAMPLERATE, source).move(drive, ("displacement_m",))
+    linear = LinearActuator(rig.actuator, samplerate, source).move(drive, ("displacement_m",))
     scaled: FloatArray = drive * (excursion_m / float(np.abs(linear.displacement_m).max()))
     return scaled
