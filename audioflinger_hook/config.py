@@ -18,7 +18,7 @@ from audioflinger_hook.transform.parameters import Problem as PartProblem
 from device.errors import UsageError
 from device.rig.rig_file import SHIPPED
 
-TOP_LEVEL = ("profile", "damping", "protection")
+TOP_LEVEL = ("profile", "damping", "protection", "exposure_cap")
 RIG = "rig"
 GAIN = "gain_db"
 EFFECTS_FILE = "effects_file"

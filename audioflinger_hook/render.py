@@ -157,6 +157,7 @@ def _driven(output: VibrationOutput, settings: Settings) -> tuple[Aligned | None
         output.channels,
         damping=settings.damping,
         protection=settings.protection,
+        exposure_cap=settings.exposure_cap,
     )
     if driving is None:
         return None, output

@@ -17,6 +17,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "profile": ("paper",),
     "damping": ("off", "auto"),
     "protection": ("off", "on"),
+    "exposure_cap": ("off", "action", "limit"),
     "form": ("live", "reference"),
     "channels": ("mono", "each"),
 }
@@ -36,9 +37,10 @@ class Settings:
     profile: a named set of parameters; form: which form of the transform; channels: `mono`
     mixes before the transform, `each` transforms every channel by itself; damping: whether
     residual vibration is reduced; protection: whether the rig is kept within its limits, which
-    comes with damping; rig: what is driven, one that ships or a file, NAME.toml; gain_db:
-    level of the vibration, -60 to 0; effects_file: an audio_effects.xml that says which effects
-    run, None for the bundled one.
+    comes with damping; exposure_cap: the value of 2002/44/EC that all vibration since the start is
+    kept under, which brings protection along; rig: what is driven, one that ships or a file,
+    NAME.toml; gain_db: level of the vibration, -60 to 0; effects_file: an audio_effects.xml that
+    says which effects run, None for the bundled one.
 
     Raises
     ------
@@ -49,6 +51,7 @@ class Settings:
     profile: str = CHOICES["profile"][0]
     damping: str = CHOICES["damping"][0]
     protection: str = CHOICES["protection"][0]
+    exposure_cap: str = CHOICES["exposure_cap"][0]
     form: Form = "live"
     channels: Channels = "mono"
     rig: str = SHIPPED[0]

@@ -6,11 +6,19 @@ import numpy as np
 
 from device.damping import Damper, Damping, choose_damping
 from device.errors import InternalError
-from device.exposure import Exposure, ExposureMeter
+from device.exposure import Exposure, ExposureMeter, cap_gain
+from device.exposure.dose import ACTION_A8_M_S2, ACTION_VDV, LIMIT_A8_M_S2, LIMIT_VDV
 from device.processing import BlockProcessor
 from device.protection import ProtectionStatus, Protector
 from device.rig import ActuatorParameters, Rig, rig_by_name
 from device.units import Block, FloatArray
+
+CAPS: dict[str, tuple[float, float] | None] = {
+    "off": None,
+    "action": (ACTION_A8_M_S2, ACTION_VDV),
+    "limit": (LIMIT_A8_M_S2, LIMIT_VDV),
+}
+"""A(8) and VDV that a cap of the exposure keeps to, by name: those of 2002/44/EC."""
 
 
 class Driving:
@@ -19,7 +27,8 @@ class Driving:
     rig: what is driven, one actuator a channel; samplerate: Hz, 6000 or more; channels: 1 or
     more. damped: whether by the damping that `choose_damping` finds for the rig's own amplifier,
     without any delay. Protection is always there: a damped drive has transients above full scale,
-    which must not be clipped.
+    which must not be clipped. exposure_cap: of `CAPS`, what the vibration since the start is not to
+    exceed; it turns down slowly from half of that dose on.
 
     One thread calls `process`, `reset` and `owed`; any thread may call the rest.
 
@@ -29,11 +38,21 @@ class Driving:
         The samplerate is too low for one of them.
     """
 
-    def __init__(self, rig: Rig, samplerate: int, channels: int, *, damped: bool = False) -> None:
+    def __init__(
+        self,
+        rig: Rig,
+        samplerate: int,
+        channels: int,
+        *,
+        damped: bool = False,
+        exposure_cap: str = "off",
+    ) -> None:
         self.rig = rig
         self.channels = channels
         self._protector = Protector(rig, samplerate, channels)
         self._meter = ExposureMeter(rig, samplerate, channels)
+        self.exposure_cap = exposure_cap
+        self._cap = CAPS[exposure_cap]
         self._processors: list[BlockProcessor] = [self._protector, self._meter]
         if damped:
             damping = damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
@@ -48,6 +67,7 @@ class Driving:
         """Begin anew, at rest: counts and doses are 0."""
         for processor in self._processors:
             processor.reset()
+        self._protector.most = 1.0
 
     def process(self, block: Block) -> Block:
         """Treat a block of (frames, channels) in place, any number of frames, and return it."""
@@ -57,6 +77,9 @@ class Driving:
             )
         for processor in self._processors:
             processor.process(block)
+        if self._cap:
+            # What was last added to the dose; the meter looks ten times a second.
+            self._protector.most = cap_gain(self._meter.exposure(), *self._cap)
         return block
 
     def owed(self) -> FloatArray:
@@ -71,11 +94,27 @@ class Driving:
         """How much vibration there has been so far."""
         return self._meter.exposure()
 
+    @property
+    def knows_seat(self) -> bool:
+        """Whether exposure is that of the rig's own seat; else the seat moves as the mass does."""
+        return self._meter.knows_seat
+
+    @property
+    def exposure_gain(self) -> float:
+        """The gain that the cap leaves, 0 to 1; 1 without a cap."""
+        return self._protector.most
+
 
 def driving_for(
-    rig: str, samplerate: int, channels: int, *, damping: str = "off", protection: str = "off"
+    rig: str,
+    samplerate: int,
+    channels: int,
+    *,
+    damping: str = "off",
+    protection: str = "off",
+    exposure_cap: str = "off",
 ) -> Driving | None:
-    """What is to be done for a rig, None for nothing: where damping and protection are "off".
+    """What is to be done for a rig, None for nothing: where all three are "off".
 
     rig: a name or file, see `rig_by_name`; for the rest see `Driving`.
 
@@ -84,9 +123,10 @@ def driving_for(
     UsageError
         There is no such rig, or the samplerate is too low for it.
     """
-    if (damping, protection) == ("off", "off"):
+    if (damping, protection, exposure_cap) == ("off", "off", "off"):
         return None
-    return Driving(rig_by_name(rig), samplerate, channels, damped=damping != "off")
+    damped = damping != "off"
+    return Driving(rig_by_name(rig), samplerate, channels, damped=damped, exposure_cap=exposure_cap)
 
 
 @lru_cache(maxsize=8)

@@ -12,6 +12,7 @@ from scipy.fft import rfft
 
 from audioflinger_hook import bench
 from audioflinger_hook.bench import (
+    damping_recordings,
     measures,
     mixing,
     rendering,
@@ -81,6 +82,13 @@ def a_report(*rows, missing=(), series=None):
 
 
 # ------------------------------------------------------------------------------------- measures
+
+
+def test_the_error_of_an_acceleration_is_what_no_gain_of_the_intended_one_explains():
+    wanted, other = np.sin(np.arange(0, 200, 0.1)), np.cos(np.arange(0, 200, 0.1))
+    got = 3.0 * wanted + 0.3 * other
+    assert damping_recordings.error_db(got, wanted) == pytest.approx(-20.0, abs=0.1)
+    assert damping_recordings.error_db(5.0 * wanted, wanted) < -100.0
 
 
 @pytest.mark.parametrize("frequency_hz", [21.5, 46.6, 103.737, 219.9])

@@ -10,8 +10,8 @@ from audioflinger_hook.transform import LIMITS
 from tests.commands import call, listing, noise, refused, sound
 
 TOP_LEVEL = (
-    "profile, damping, protection, rig, gain_db, effects_file, tap, device, offset_ms, drop_in, "
-    "block_frames, realtime, device_volume_db, [transform], [applications]"
+    "profile, damping, protection, exposure_cap, rig, gain_db, effects_file, tap, device, "
+    "offset_ms, drop_in, block_frames, realtime, device_volume_db, [transform], [applications]"
 )
 
 FIVE_MISTAKES = """\
@@ -396,6 +396,13 @@ def test_a_config_without_mistakes_passes(config, text):
     assert call("check", "--config", path).stdout == f"{path}: no mistakes\n"
     done = call("check", "--config", path, "--json")
     assert (done.code, json.loads(done.stdout), done.stderr) == (0, [], "")
+
+
+@pytest.mark.parametrize("cap", ["off", "action", "limit"])
+def test_a_cap_of_the_exposure_is_one_of_three(config, cap):
+    assert load(config(f'exposure_cap = "{cap}"\n')).settings.exposure_cap == cap
+    error = refused(call("check", "--config", config('exposure_cap = "0.5"\n')))
+    assert 'exposure_cap = "0.5" is not known; allowed: off, action, limit' in error
 
 
 def test_every_key_of_a_config_has_its_effect(config, tmp_path):

@@ -89,6 +89,40 @@ def test_after_reset_it_is_as_new():
     assert (driving.protection(), driving.exposure()) == counts
 
 
+def test_a_cap_turns_down_what_would_exceed_the_days_dose_and_brings_protection_along():
+    # A small shaker that hits hard: VDV passes its action value, 9.1, within seconds, not hours.
+    hard = replace(
+        CONSUMER,
+        dac=replace(CONSUMER.dac, full_scale_v=1.8),
+        actuator=replace(CONSUMER.actuator, x_max_m=0.1),
+        amplifier=replace(CONSUMER.amplifier, output_limit_v=1e3, current_limit_a=1e3),
+        large_signal=None,
+        thermal=None,
+        seat=None,
+    )
+    rate = 6_000
+    vibration = 0.5 * np.sin(math.tau * 20.0 * np.arange(12 * rate) / rate)[:, None]
+    doses = {}
+    for cap in ("off", "action", "limit"):
+        driving = Driving(hard, rate, 1, exposure_cap=cap)
+        for block in np.split(vibration.copy(), 120):
+            driving.process(block)
+        doses[cap] = driving.exposure()
+        assert driving.exposure_cap == cap
+        assert (driving.exposure_gain < 1.0) == (cap == "action")
+        driving.reset()
+        assert driving.exposure_gain == 1.0
+    assert doses["off"].above_action
+    assert doses["limit"] == doses["off"]  # far from it
+    assert not doses["action"].above_action
+    assert doses["action"].vdv > 0.85 * 9.1
+    capped = driving_for("paper", RATE, 1, exposure_cap="limit")
+    assert capped is not None
+    usual = tone(90.0, 0.5)
+    assert np.array_equal(through(capped, usual), usual)
+    assert capped.knows_seat
+
+
 def test_what_cannot_be_is_refused_by_name():
     with pytest.raises(UsageError, match="'loud'"):
         driving_for("loud", RATE, 1, protection="on")

@@ -7,14 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import sosfilt, sosfreqz
+from scipy.signal import butter, sosfilt, sosfreqz
 
 from device.errors import InternalError, UsageError
 from device.exposure import Dose, ExposureMeter, cap_gain, wk_response, wk_sections
 from device.exposure.decimator import Decimator
 from device.exposure.dose import ACTION_A8_M_S2, DAY_S, LIMIT_A8_M_S2, LIMIT_VDV, Exposure
-from device.rig import PAPER
-from device.rig.actuator import LinearActuator
+from device.rig import CONSUMER, PAPER
+from device.rig.actuator import SEAT_ACCELERATION, LinearActuator
+from device.rig.ladder import Ladder
+from device.rig.rungs import Rung
+from device.rig.seat import SeatMotion
 
 RATES = [8_000, 11_025, 16_000, 22_050, 32_000, 44_100, 48_000, 96_000, 192_000]
 BAND_HZ = np.geomspace(0.5, 80.0, 200)
@@ -189,7 +192,7 @@ def test_a_decimated_stream_keeps_what_is_low_and_folds_nothing_onto_it():
 @pytest.mark.parametrize("samplerate", RATES)
 @pytest.mark.parametrize("frequency_hz", [20.0, 40.0, 80.0])
 def test_the_meter_shows_what_actuator_and_formula_give(samplerate, frequency_hz):
-    meter = ExposureMeter(PAPER, samplerate, 1)
+    meter = ExposureMeter(PAPER, samplerate, 1, transmission=1.0)
     amplitude = 0.5
     meter.process(tone(frequency_hz, amplitude, 6.0, samplerate))
     p = PAPER.actuator
@@ -209,7 +212,7 @@ def test_at_48_khz_it_is_as_good_as_computing_at_the_full_rate():
     drive = np.diff(drive, prepend=0.0)[:, None] * 0.2
     drive = sosfilt(np.array([[1e-4, 2e-4, 1e-4, 1, -1.97, 0.9702]]), drive, axis=0)
     drive /= np.abs(drive).max()
-    meter = ExposureMeter(PAPER, 48_000, 1)
+    meter = ExposureMeter(PAPER, 48_000, 1, transmission=1.0)
     meter.process(drive)
     volts = 2.5 * drive[:, 0]
     acceleration = LinearActuator(PAPER.actuator, 48_000).move(volts).acceleration_m_s2
@@ -217,6 +220,38 @@ def test_at_48_khz_it_is_as_good_as_computing_at_the_full_rate():
     expected = math.sqrt(np.mean(weighted**2))
     # The decimator is 3 frames late: that much of the end is missing.
     assert meter.exposure().rms_m_s2 == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
+@pytest.mark.parametrize("samplerate", [6_000, 7_350, 48_000])
+def test_the_seat_moves_as_that_of_the_ladders_linear_rung(rig, samplerate):
+    noise = np.random.default_rng(4).standard_normal(samplerate // 2)
+    volts = sosfilt(butter(4, 300.0, fs=samplerate, output="sos"), noise)
+    source = rig.amplifier.source_impedance_ohm
+    motion = SeatMotion(rig.actuator, rig.seat, samplerate, source, 2)
+    both = volts[:, None].repeat(2, axis=1)
+    got = np.concatenate([motion.move(part)[:, 1] for part in np.split(both, [100, 1_000])])
+    ladder = Ladder(rig, samplerate, rung=Rung.LINEAR, seat=True)
+    expected = ladder.move(volts, (SEAT_ACCELERATION,)).seat_acceleration_m_s2
+    # The ladder has what the seat adds from nodes at 6 kHz.
+    assert np.abs(got - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+def test_the_rigs_own_seat_is_taken_where_it_is_described_and_else_the_mass():
+    drive = tone(40.0, 0.5, 2.0, 8_000)
+    bare = replace(PAPER, seat=None)
+    meters = [
+        ExposureMeter(PAPER, 8_000, 1),
+        ExposureMeter(bare, 8_000, 1),
+        ExposureMeter(PAPER, 8_000, 1, transmission=1.0),
+    ]
+    for meter in meters:
+        meter.process(drive)
+    assert [meter.knows_seat for meter in meters] == [True, False, False]
+    seat, mass, asked = (meter.exposure().rms_m_s2 for meter in meters)
+    assert mass == asked
+    # Well above its resonance a seat of 2.4 kg gives way to 0.25 kg by their ratio, roughly.
+    assert 0.05 < seat / mass < 0.2
 
 
 def test_transmission_scales_the_reading():

@@ -66,6 +66,7 @@ protections = st.builds(
 exposures = st.builds(
     ExposureFigures,
     *(numbers, numbers, numbers, numbers, st.booleans(), st.booleans(), numbers),
+    *(st.booleans(), texts, numbers),
 )
 statuses = st.builds(
     Status,
@@ -197,7 +198,9 @@ def test_the_view_shows_every_figure():
         "protection 12 of 5000 blocks limited, 1 silenced; gain 0.50 for temperature, least 0.25; "
         "excursion",
         "           1.23 mm, coil 62 °C",
-        "exposure   above action, A(8) 0.6 m/s², VDV 9.5 m/s^1.75 (predicted); now 1.25 m/s²",
+        "exposure   above action, A(8) 0.6 m/s², VDV 9.5 m/s^1.75 (predicted, as if the seat moved "
+        "as the",
+        "           mass); now 1.25 m/s²",
         "bypassed   loudness",
         "warning    the sink runs at 44100 Hz",
     ]

@@ -22,6 +22,8 @@ from pathlib import Path
 
 from audioflinger_hook.bench import (
     damping,
+    damping_levels,
+    damping_recordings,
     fidelity,
     growth,
     identification,
@@ -80,6 +82,9 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("growth of the rig's cost", rig_growth.rig_growth, 3.0),
     ("residual vibration", damping.residual_energy, 2.0),
     ("settling", damping.settling_time, 0.5),
+    ("residual vibration by level", damping_levels.residual_energy_by_level, 2.0),
+    ("settling by level", damping_levels.settling_time_by_level, 0.1),
+    ("damping on recordings", damping_recordings.damping_on_recordings, 7.0),
     ("protection", protection.protection, 1.0),
     ("live cost of the three", protection.live_cost, 3.0),
     ("exposure", protection.weighting, 0.1),

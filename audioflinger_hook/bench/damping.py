@@ -85,7 +85,7 @@ def residual_energy(_bench: Workbench) -> Section:
             must = None
             if way.asked and abs(detuning) <= 0.1:
                 must = DETUNED_DB if detuning else EXACT_DB
-            rows.append(Row(way.name, residual.residual_db, "dB", _column(detuning), must))
+            rows.append(Row(way.name, residual.residual_db, "dB", detuning_column(detuning), must))
         volts_db = at[0.0].peak_volts_db
         rows.append(
             Row(way.name, volts_db, "dB", "peak volts", VOLTS_DB if way.asked else None,
@@ -110,7 +110,12 @@ def residual_energy(_bench: Workbench) -> Section:
 def settling_time(_bench: Workbench) -> Section:
     """Time until the acceleration stays under a tenth, of each way at every detuning."""
     rows = [
-        Row(way.name, 1e3 * way.against_undamped(detuning).settling_s, "ms", _column(detuning))
+        Row(
+            way.name,
+            1e3 * way.against_undamped(detuning).settling_s,
+            "ms",
+            detuning_column(detuning),
+        )
         for way in ways()
         for detuning in DETUNINGS
     ]
@@ -122,7 +127,8 @@ def settling_time(_bench: Workbench) -> Section:
     )
 
 
-def _column(detuning: float) -> str:
+def detuning_column(detuning: float) -> str:
+    """Return the heading of a column for one detuning."""
     return f"{100.0 * detuning:+.0f} %" if detuning else "exact"
 
 

@@ -112,6 +112,7 @@ class Engine:
             self.framework.haptic_channels,
             damping=chosen.damping,
             protection=chosen.protection,
+            exposure_cap=chosen.exposure_cap,
         )
         self.delay_line = self._line(output_samplerate, offset_s)
         self.sound = Gathered(self.samplerate)

@@ -96,4 +96,7 @@ def _exposure(driving: Driving) -> ExposureFigures:
         above_action=dose.above_action,
         above_limit=dose.above_limit,
         extrapolated=dose.extrapolated,
+        knows_seat=driving.knows_seat,
+        cap=driving.exposure_cap,
+        cap_gain=driving.exposure_gain,
     )

@@ -33,7 +33,9 @@ class ExposureFigures:
 
     time_s: of vibration; running_m_s2: r.m.s. of the last second; a8_m_s2: A(8); vdv: m/s^1.75;
     above_action, above_limit: whether 2002/44/EC says so; extrapolated: share of the energy above
-    80 Hz, where the weighting is an extrapolation.
+    80 Hz, where the weighting is an extrapolation. knows_seat: whether the seat is the rig file's,
+    else it is taken to move as the mass does. cap, cap_gain: what `exposure_cap` says, and the gain
+    that is left by it, 0 to 1.
     """
 
     time_s: float
@@ -43,3 +45,6 @@ class ExposureFigures:
     above_action: bool
     above_limit: bool
     extrapolated: float
+    knows_seat: bool = False
+    cap: str = "off"
+    cap_gain: float = 1.0

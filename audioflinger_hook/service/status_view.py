@@ -157,11 +157,16 @@ def _protection(protection: ProtectionFigures) -> Text:
 def _exposure(exposure: ExposureFigures) -> Text:
     colour = "red" if exposure.above_limit else "yellow" if exposure.above_action else ""
     above = "above the limit, " if exposure.above_limit else "above action, "
-    return Text.assemble(
+    seat = "by the rig file's seat" if exposure.knows_seat else "as if the seat moved as the mass"
+    text = Text.assemble(
         (above if colour else "", colour),
-        f"A(8) {exposure.a8_m_s2:.3g} m/s², VDV {exposure.vdv:.3g} m/s^1.75 (predicted); "
+        f"A(8) {exposure.a8_m_s2:.3g} m/s², VDV {exposure.vdv:.3g} m/s^1.75 (predicted, {seat}); "
         f"now {exposure.running_m_s2:.3g} m/s²",
     )
+    if exposure.cap != "off":
+        colour = "yellow" if exposure.cap_gain < 1.0 else ""
+        text.append(f"; cap {one_line(exposure.cap)}, gain {exposure.cap_gain:.2f}", colour)
+    return text
 
 
 def _count(number: int, what: str) -> str:

@@ -6,12 +6,16 @@ Damper (damper.py)    does it live, block by block
 burst_response        what is left after a burst, how long, for how many volts (residual.py)
 choose_damping        the best one for a rig as it was identified, and for the volts there
                       are (choice.py)
+FlatInverse           makes a rig that stiffens move as the linear one (flat_inverse.py)
+large_burst_response  what is left after a burst at any level (large_bursts.py)
 """
 
 from device.damping.choice import Candidate, Choice, Uncertainty, choose_damping
 from device.damping.damper import Damper
 from device.damping.design import Damping, inverse_damping, no_damping, shaper_damping
+from device.damping.flat_inverse import FlatInverse
 from device.damping.inverse import Resonance, resonance_of
+from device.damping.large_bursts import LargeBurst, large_burst_response, undamped_large
 from device.damping.residual import BurstResponse, Residual, burst_response, undamped
 
 __all__ = [
@@ -20,14 +24,18 @@ __all__ = [
     "Choice",
     "Damper",
     "Damping",
+    "FlatInverse",
+    "LargeBurst",
     "Residual",
     "Resonance",
     "Uncertainty",
     "burst_response",
     "choose_damping",
     "inverse_damping",
+    "large_burst_response",
     "no_damping",
     "resonance_of",
     "shaper_damping",
     "undamped",
+    "undamped_large",
 ]

@@ -28,7 +28,7 @@ SETTLED = 0.1
 CURRENT_DRIVE_OHM = 1e5
 """A source impedance with which the actuator's own 3.3 ohm count for nothing (3e-5)."""
 
-_SAMPLERATE = 48_000
+SAMPLERATE = 48_000
 _DECAYS = 12.0
 """Time constants of the slowest mode that are watched: e^-24 of its energy is left then."""
 
@@ -78,24 +78,30 @@ def burst_response(
     """
     true = detuned(p, detuning)
     frequency_hz = frequency_hz or p.resonance_hz
-    longest_s = _DECAYS * true.q_total(damping.source_impedance_ohm) / (math.pi * true.resonance_hz)
-    frames = round((burst_s + max(longest_s, burst_s) + damping.latency_s) * _SAMPLERATE)
-    burst = _burst(frames, round(burst_s * _SAMPLERATE), frequency_hz)
+    longest_s = decay_s(true, damping.source_impedance_ohm)
+    frames = round((burst_s + max(longest_s, burst_s) + damping.latency_s) * SAMPLERATE)
+    burst = sine_burst(frames, burst_s, frequency_hz)
     source = damping.source_impedance_ohm
     # As a current source the amplifier gives so many amperes: the same order of volts.
-    drive = Damper(damping, _SAMPLERATE, 1).process(burst[:, None])[:, 0] * (1.0 + source)
-    motion = LinearActuator(true, _SAMPLERATE, source).move(
+    drive = Damper(damping, SAMPLERATE, 1).process(burst[:, None])[:, 0] * (1.0 + source)
+    motion = LinearActuator(true, SAMPLERATE, source).move(
         drive.astype(np.float64), ("acceleration_m_s2", "current_a")
     )
     volts = drive - source * motion.current_a
-    acceleration = motion.acceleration_m_s2
-    end = round((burst_s + damping.latency_s) * _SAMPLERATE)
-    within, after = acceleration[:end], acceleration[end:]
-    rms_m_s2 = math.sqrt(np.sum(within**2) / (burst_s * _SAMPLERATE))
+    return measured(motion.acceleration_m_s2, volts, burst_s, damping.latency_s)
+
+
+def measured(
+    acceleration_m_s2: FloatArray, volts: FloatArray, burst_s: float, latency_s: float
+) -> BurstResponse:
+    """What acceleration and volts at the terminals, (frames,) each, say of a burst from 0 on."""
+    end = round((burst_s + latency_s) * SAMPLERATE)
+    within, after = acceleration_m_s2[:end], acceleration_m_s2[end:]
+    rms_m_s2 = math.sqrt(np.sum(within**2) / (burst_s * SAMPLERATE))
     loud = np.flatnonzero(np.abs(after) > SETTLED * np.abs(within).max())
     return BurstResponse(
         residual=float(np.sum(after**2) / np.sum(within**2)),
-        settling_s=float((loud[-1] + 1) / _SAMPLERATE) if loud.size else 0.0,
+        settling_s=float((loud[-1] + 1) / SAMPLERATE) if loud.size else 0.0,
         peak_v=float(np.abs(volts).max()) / rms_m_s2,
         rms_m_s2=rms_m_s2,
     )
@@ -106,9 +112,15 @@ def undamped(p: ActuatorParameters, *, detuning: float = 0.0) -> BurstResponse:
     return burst_response(p, no_damping(CURRENT_DRIVE_OHM), detuning=detuning)
 
 
-def _burst(frames: int, burst_frames: int, frequency_hz: float) -> FloatArray:
+def decay_s(p: ActuatorParameters, source_impedance_ohm: float) -> float:
+    """How long an actuator is watched after a burst: e^-24 of the energy is left then."""
+    return _DECAYS * p.q_total(source_impedance_ohm) / (math.pi * p.resonance_hz)
+
+
+def sine_burst(frames: int, burst_s: float, frequency_hz: float) -> FloatArray:
     """(frames,): a sine from 0, then silence."""
     burst = np.zeros(frames)
-    phase = math.tau * frequency_hz / _SAMPLERATE * np.arange(burst_frames)
+    burst_frames = round(burst_s * SAMPLERATE)
+    phase = math.tau * frequency_hz / SAMPLERATE * np.arange(burst_frames)
     burst[:burst_frames] = np.sin(phase)
     return burst

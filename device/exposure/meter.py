@@ -9,6 +9,7 @@ from device.exposure.dose import Dose, Exposure
 from device.exposure.weighting import wk_sections
 from device.rig import Rig
 from device.rig.actuator import LinearActuator
+from device.rig.seat import SeatMotion
 from device.units import Block, FloatArray, finite_or_zero
 
 _LOWEST_HZ = 6_000
@@ -23,7 +24,8 @@ class ExposureMeter:
 
     rig: what is driven, one actuator a channel; samplerate: Hz, 6000 or more; channels: 1 or
     more, each a dose of its own, of which the worst is shown. transmission: acceleration of the
-    seat over that of the moving mass; unknown until measured, and 1 as the careful assumption.
+    seat over that of the moving mass on the ground; None for what the rig says of its seat, and 1,
+    the careful assumption, where it says nothing. knows_seat: whether the rig's seat was taken.
 
     Frames are gathered and looked at ten times a second: that costs less than in every block.
     One thread calls `process`; any thread may call `exposure`.
@@ -35,12 +37,14 @@ class ExposureMeter:
     """
 
     def __init__(
-        self, rig: Rig, samplerate: int, channels: int, *, transmission: float = 1.0
+        self, rig: Rig, samplerate: int, channels: int, *, transmission: float | None = None
     ) -> None:
         if samplerate < _LOWEST_HZ:
             raise UsageError(
                 f"samplerate={samplerate} Hz is too low; choose {_LOWEST_HZ} Hz or more"
             )
+        self.knows_seat = transmission is None and rig.seat is not None
+        transmission = 1.0 if transmission is None else transmission
         if not (np.isfinite(transmission) and transmission >= 0.0):
             raise UsageError(f"transmission={transmission!r} must be 0 or more; correct it")
         if channels < 1:
@@ -51,7 +55,12 @@ class ExposureMeter:
         self._decimator = Decimator(factor, channels)
         rate = samplerate / factor
         source = rig.amplifier.source_impedance_ohm
-        self._actuators = [LinearActuator(rig.actuator, rate, source) for _ in range(channels)]
+        self._actuators: list[LinearActuator] = []
+        self._seat: SeatMotion | None = None
+        if self.knows_seat and rig.seat:
+            self._seat = SeatMotion(rig.actuator, rig.seat, rate, source, channels)
+        else:
+            self._actuators = [LinearActuator(rig.actuator, rate, source) for _ in range(channels)]
         self._sections = wk_sections(rate)
         self._m_s2_v = transmission * rig.dac.full_scale_v * rig.amplifier.gain
         self._dose = Dose(rate, channels)
@@ -69,6 +78,8 @@ class ExposureMeter:
         self._decimator.reset()
         for actuator in self._actuators:
             actuator.reset()
+        if self._seat:
+            self._seat.reset()
         self._state = np.zeros((len(self._sections), 2, self.channels))
         self._dose.reset()
 
@@ -100,13 +111,20 @@ class ExposureMeter:
     def _add(self, part: FloatArray) -> None:
         drive, _ = finite_or_zero(part, 1e6)
         volts = self._decimator.process(drive) * self._m_s2_v
-        acceleration = np.column_stack(
+        weighted, self._state = sosfilt(
+            self._sections, self._acceleration(volts), axis=0, zi=self._state
+        )
+        if np.abs(self._state).max() < _SILENT:
+            self._state[:] = 0.0
+        self._dose.add(weighted)
+
+    def _acceleration(self, volts: FloatArray) -> FloatArray:
+        """(frames, channels): of the seat or, where none is described, of the moving masses."""
+        if self._seat:
+            return self._seat.move(volts)
+        return np.column_stack(
             [
                 actuator.move(column, ("acceleration_m_s2",)).acceleration_m_s2
                 for actuator, column in zip(self._actuators, volts.T, strict=True)
             ]
         )
-        weighted, self._state = sosfilt(self._sections, acceleration, axis=0, zi=self._state)
-        if np.abs(self._state).max() < _SILENT:
-            self._state[:] = 0.0
-        self._dose.add(weighted)

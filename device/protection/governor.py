@@ -21,7 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from device.protection.prediction import STATES, Prediction
+from device.protection.chain import ACTUATOR_STATES, LAST
+from device.protection.prediction import Prediction
 from device.units import FloatArray
 
 _ROUNDING = 1e-6
@@ -74,13 +75,14 @@ class Governor:
         frames = prediction.block_frames
         self._rise = (np.arange(1, frames + 1) / frames)[:, None]
         self._fall = 1.0 - self._rise
-        ends = np.arange(len(prediction.moved_by_drive)).reshape(-1, prediction.rows)[:, -STATES:]
+        states = self._of_state = slice(-prediction.states, None)
+        ends = np.arange(len(prediction.moved_by_drive)).reshape(-1, prediction.rows)[:, states]
         self._state_rows = ends.size
         # Where nothing is in reach, the states and the believed model's current are all.
         self._calm_by_drive = np.vstack(
             [prediction.moved_by_drive[ends.ravel()], prediction.current_by_drive[:frames]]
         )
-        self._end_freely = np.ascontiguousarray(prediction.moved_freely[:, -STATES:])
+        self._end_freely = np.ascontiguousarray(prediction.moved_freely[:, states])
         self.reset()
 
     def reset(self) -> None:
@@ -88,7 +90,7 @@ class Governor:
         models, channels = len(self._prediction.models), self._channels
         self.gain: FloatArray = np.ones(channels)
         self._ones: FloatArray = np.ones(channels)
-        self._states: FloatArray = np.zeros((models, STATES, channels))
+        self._states: FloatArray = np.zeros((models, self._prediction.states, channels))
         # The same models without any gain; None while they are one and the same.
         self._alone: FloatArray | None = None
         self._known = _Block(np.zeros((self._prediction.block_frames, channels)))
@@ -116,13 +118,14 @@ class Governor:
         )
         (fall, current_fall), (rise, current_rise) = self._halves(self._known)
         now = self._three(self._prediction.moved_freely @ states, fall, rise)
-        self._end = now[:, -STATES:]
+        self._end = now[:, self._of_state]
         freely = self._prediction.current_freely
         current = self._three(freely @ states[: len(freely)], current_fall, current_rise)
-        a, b, demand = self._bounded(now, current)
+        a, b, demand = self._bounded(now, current, most)
         power_a2 = _mean_squares(current[0], channels)
-        highest = _highest(a, b) if np.abs(a + most * b).max() > 1.0 else self._ones
-        gain = np.clip(np.minimum(most, highest), 0.0, 1.0)
+        if np.abs(a + most * b).max() <= 1.0:
+            return Verdict(np.clip(most, 0.0, 1.0), demand, 0, power_a2)
+        gain = np.clip(np.minimum(most, _highest(a, b)), 0.0, 1.0)
         hopeless = np.abs(a + gain * b).max(axis=0) > 1.0 + _ROUNDING
         return Verdict(np.where(hopeless, 0.0, gain), demand, int(hopeless.sum()), power_a2)
 
@@ -154,7 +157,7 @@ class Governor:
         self._alone = end[:, :, 2 * channels :]
         if min(gain.min(), self.gain.min()) < 1.0:
             drive = drive * (self.gain * self._fall + gain * self._rise)
-        elif self._swing(self._states - self._alone).max() < _TOGETHER:
+        elif self._freely(self._states - self._alone).max() < _TOGETHER:
             self._alone = None
         self.gain = gain
         self._known = self._ahead
@@ -162,11 +165,9 @@ class Governor:
 
     def settle(self) -> bool:
         """Come to rest where all that is left moves less than 1e-9 of the limit; whether it did."""
-        if self._known.loudest or self._states[:, 3].any():
+        if self._known.loudest or self._freely(self._states).max() > _TOGETHER:
             return False
-        if self._swing(self._states).max() > _TOGETHER:
-            return False
-        if self._alone is not None and self._swing(self._alone).max() > _TOGETHER:
+        if self._alone is not None and self._freely(self._alone).max() > _TOGETHER:
             return False
         self._states = np.zeros_like(self._states)
         self._alone = None
@@ -178,16 +179,23 @@ class Governor:
         loudest = max(self._known.loudest, self._ahead.loudest)
         if self._current_a is not None or loudest > self._level:
             return False
-        # The drive began with the straight line from the last volt.
-        loudest = max(loudest, float(np.abs(self._states[:, 3]).max()))
-        most = self._swing(self._states) + self._prediction.reach * loudest
+        most = self._freely(self._states) + self._prediction.reach * loudest
         return bool(most.max() <= 1.0)
 
-    def _swing(self, states: FloatArray) -> FloatArray:
-        """(models, channels): amplitude that the energy suffices for, as a share of the limit."""
-        energy = np.einsum("msc,msc->mc", states[:, :3], states[:, :3])
-        swing: FloatArray = self._prediction.swing * np.sqrt(energy)
-        return swing
+    def _freely(self, states: FloatArray) -> FloatArray:
+        """(models, channels): what excursion cannot exceed without a drive, in shares of the limit.
+
+        The actuator's energy, what the straight line from the last output adds to it, and what
+        the amplifier still gives out.
+        """
+        p = self._prediction
+        own, amplifier = states[:, :ACTUATOR_STATES], states[:, LAST + 1 :]
+        energy = np.einsum("msc,msc->mc", own, own)
+        kick = p.last_kick * np.abs(states[:, LAST])
+        freely: FloatArray = p.swing * (np.sqrt(energy) + kick)
+        if amplifier.shape[1]:
+            freely += p.ring * np.sqrt(np.einsum("msc,msc->mc", amplifier, amplifier))
+        return freely
 
     def _halves(self, block: _Block) -> tuple[tuple[FloatArray, FloatArray], ...]:
         """What the falling and the rising half of a block do: (models, rows, channels) each."""
@@ -207,16 +215,19 @@ class Governor:
         return np.concatenate([driven + self.gain * fall, rise, alone + fall + rise], axis=2)
 
     def _bounded(
-        self, now: FloatArray, current: FloatArray
+        self, now: FloatArray, current: FloatArray, most: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """a and b, (n, channels), of all that is limited, and the demand, in shares of limits."""
+        """a and b, (n, channels), of all that is limited, and the demand, in shares of limits.
+
+        most: (channels,), the largest gain that is of interest.
+        """
         p, channels = self._prediction, self._channels
         (stop, current_stop), _ = self._halves(self._ahead)
         then = p.moved_freely @ self._end
         then[..., channels : 2 * channels] += stop
         then[..., 2 * channels :] += stop
-        tail = p.tail @ then[:, -STATES:]
-        parts = [now[:, :-STATES], then[:, :-STATES], tail]
+        end = then[:, self._of_state]
+        parts = [now[:, : -p.states], then[:, : -p.states], p.tail @ end]
         if max(self._known.loudest, self._ahead.loudest) > self._level:
             parts += self._levels()
         if self._current_a is not None:
@@ -226,7 +237,22 @@ class Governor:
             parts += [current / self._current_a, next_current / self._current_a]
         whole = np.vstack([part.reshape(-1, 3 * channels) for part in parts])
         demand = np.abs(whole[:, 2 * channels :]).max(axis=0)
+        if p.late.size and self._comes_late(end, most, demand):
+            late = (p.late @ end).reshape(-1, 3 * channels)
+            whole = np.vstack([whole, late])
+            demand = np.maximum(demand, np.abs(late[:, 2 * channels :]).max(axis=0))
         return whole[:, :channels], whole[:, channels : 2 * channels], demand
+
+    def _comes_late(self, end: FloatArray, most: FloatArray, demand: FloatArray) -> bool:
+        """Whether what an amplifier gives out late might bind a gain or raise the demand.
+
+        By the largest entry of each column of `late`, which is cheap; as a rule it does neither.
+        """
+        largest = (self._prediction.latest @ np.abs(end)).max(axis=0)[0]
+        channels = self._channels
+        driven = largest[:channels] + most * largest[channels : 2 * channels]
+        alone = largest[2 * channels :]
+        return bool(driven.max() > 1.0 or (alone > np.maximum(1.0, demand)).any())
 
     def _levels(self) -> list[FloatArray]:
         """The drive itself, of both blocks, as a share of the level."""

@@ -1,28 +1,33 @@
 """What a block of drive does to a stack of linear models of one actuator, by matrices.
 
-Each model is equations (8)-(10) with a force linear in the current, stepped exactly for a voltage
-that is straight between samples (Van Loan 1978), as `device.rig.actuator` does it. Its state is
-(x sqrt(k), x' sqrt(m), i sqrt(L), last volt), so that half the square of the first three is the
-stored energy. All that is asked of a block is linear in the state before it and in its drive:
-one matrix for each, made beforehand.
+Each model is the amplifier's band and equations (8)-(10) with a force linear in the current,
+stepped exactly for a voltage that is straight between samples (chain.py). Half the square of the
+first three states is the actuator's stored energy. All that is asked of a block is linear in the
+state before it and in its drive: one matrix for each, made beforehand.
 """
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
+from scipy.signal import sosfilt
 
+from device.protection.chain import Chain, rings
 from device.rig import ActuatorParameters
 from device.rig.actuator import LinearActuator
-from device.rig.linear_system import Quantity, first_order_hold, state_space
+from device.rig.linear_system import Quantity
 from device.units import FloatArray
 
-STATES = 4
 _WATCHED_HZ = 12_000.0
 """Excursion is looked at no less often than this; what lies between is bounded, see `slack`."""
 _TAIL_POINTS = 48
-_HORIZON_FRAMES = 1 << 18
+_TAIL_PERIODS = 1.25
+_SWINGS_BACK = 0.78
+"""Periods of its corner for which an amplifier's section is watched: half a turn of its own, and a
+tenth more. Whatever comes later is e^-3.4 of what has been, 3 %."""
+_DECAYED = 25.0
+_HORIZON_FRAMES = 1 << 20
 
 
 class Prediction:
@@ -30,19 +35,23 @@ class Prediction:
 
     models: rigs that the actuator may be, the believed one first; samplerate: Hz; block_frames:
     1 or more; volts: at the actuator for full scale; source_impedance_ohm: of the amplifier;
-    excursion_m: the limit; current_models: of how many of the models the current is wanted.
+    sections: of its band, (n, 6); excursion_m: the limit; current_models: of how many of the
+    models the current is wanted.
 
     Excursion is in shares of the limit, less what it may be between two frames; current in A.
-    Rows of `moved`: excursion at some frames of the block, the last among them, then STATES rows
+    Rows of `moved`: excursion at some frames of the block, the last among them, then `states` rows
     of the state at its end. For the drive of a block, (block_frames,), and the state before it:
 
-    moved_by_drive: (models * rows, block_frames); moved_freely: (models, rows, STATES).
+    moved_by_drive: (models * rows, block_frames); moved_freely: (models, rows, states).
     current_by_drive: (current_models * block_frames, block_frames); current_freely:
-    (current_models, block_frames, STATES).
-    tail: (models, points, STATES), excursion from a state on with no drive.
+    (current_models, block_frames, states).
+    tail: (models, points, states), excursion from a state on with no drive, for the period in
+    which a swing is largest; late: the same after it, while an amplifier swings back, no points
+    without a band; latest: (models, 1, states), its largest magnitudes.
     reach: (models, 1), the largest excursion that a drive within ±1 can ever cause from rest.
     swing: (models, 1), amplitude of a swing over the square root of twice its energy; swing_m is
-    the believed model's in m.
+    the believed model's in m. last_kick: (models, 1), such a root for a last output of 1.
+    ring: (models, 1), the largest excursion that an amplifier's state of length 1 can cause.
     """
 
     def __init__(
@@ -53,6 +62,7 @@ class Prediction:
         *,
         volts: float,
         source_impedance_ohm: float,
+        sections: FloatArray,
         excursion_m: float,
         current_models: int = 1,
     ) -> None:
@@ -60,34 +70,60 @@ class Prediction:
         self.block_frames = block_frames
         stride = max(1, int(samplerate // _WATCHED_HZ))
         slack_m, tail_slack_m = _slacks_m(self.models, excursion_m, volts, samplerate, stride)
+        slow_hz = _slowest_hz(sections, samplerate)
+        if len(sections):
+            # What the amplifier swings back bends in its own time, with no force to bend it more.
+            apart_s = max(1.0 / samplerate, 1.0 / slow_hz / _TAIL_POINTS)
+            tail_slack_m += excursion_m * (math.tau * slow_hz * apart_s) ** 2 / 8.0
         share = 1.0 / (excursion_m - slack_m)
-        tail_share = 1.0 / (excursion_m - slack_m - tail_slack_m)
+        chains = [
+            Chain(model, samplerate, source_impedance_ohm, sections, volts) for model in self.models
+        ]
+        self.states = chains[0].states
         # Back from the last frame of the block.
         watched = np.arange(block_frames - 1, -1, -stride)[::-1]
-        self.rows = len(watched) + STATES
-        moved, moved_freely, current, current_freely, tail = [], [], [], [], []
-        for model in self.models:
-            step, drive, x_row, i_row = _step(model, samplerate, source_impedance_ohm)
-            drive = drive * volts
-            powers = _powers(step, block_frames)
-            impulse = np.array([power @ drive for power in powers[:-1]])
+        self.rows = len(watched) + self.states
+        moved, moved_freely, current, current_freely = [], [], [], []
+        tail, late = [], []
+        for model, chain in zip(self.models, chains, strict=True):
+            powers = _powers(chain.step, block_frames)
+            impulse = np.array([power @ chain.drive for power in powers[:-1]])
             after = np.array(powers[1:])
-            moved += [_convolution(impulse @ x_row)[watched] * share, impulse[::-1].T]
-            moved_freely.append(np.vstack([x_row @ after[watched] * share, powers[-1]]))
-            current.append(_convolution(impulse @ i_row))
-            current_freely.append(i_row @ after)
-            tail.append(_tail(model, step, samplerate, x_row) * tail_share)
+            moved += [_convolution(impulse @ chain.x_row)[watched] * share, impulse[::-1].T]
+            moved_freely.append(np.vstack([chain.x_row @ after[watched] * share, powers[-1]]))
+            current.append(_convolution(impulse @ chain.i_row))
+            current_freely.append(chain.i_row @ after)
+            decay_s = model.q_total(source_impedance_ohm) / (math.pi * model.resonance_hz)
+            places = _places(model, samplerate, block_frames, decay_s, slow_hz)
+            rows = _tail(chain, [frame for frame, _ in places])
+            # Each wider grid keeps off by as much again as lies between two of its places, so that
+            # whatever the narrower ones find there in blocks to come is within theirs.
+            grades = np.array([grade for _, grade in places])
+            kept = np.minimum((1.0 + grades) * tail_slack_m, excursion_m / 2.0)
+            rows /= (excursion_m - slack_m - kept)[:, None]
+            swings = math.floor(_TAIL_PERIODS * samplerate / model.resonance_hz)
+            early = np.array([frame for frame, _ in places]) <= swings
+            tail.append(rows[early])
+            late.append(rows[~early])
         self.moved_by_drive: FloatArray = np.vstack(moved)
         self.moved_freely: FloatArray = np.array(moved_freely)
         self.current_by_drive: FloatArray = np.vstack(current[:current_models])
         self.current_freely: FloatArray = np.array(current_freely[:current_models])
-        self.tail: FloatArray = np.array(tail)
+        self.tail: FloatArray = _padded(tail)
+        self.late: FloatArray = _padded(late)
+        self.latest: FloatArray = np.abs(self.late).max(axis=1, keepdims=True, initial=0.0)
         self.swing_m = 1.0 / math.sqrt(models[0].stiffness_n_per_m)
         self.swing = share / np.sqrt([[model.stiffness_n_per_m] for model in models])
-        reach_m = [
-            _reach(model, samplerate, source_impedance_ohm, "displacement_m") for model in models
-        ]
-        self.reach = share * volts * np.array(reach_m)[:, None]
+        self.last_kick: FloatArray = np.array([[chain.last_kick] for chain in chains])
+        self.reach: FloatArray = (share * volts) * np.array(
+            [
+                [_reach(model, samplerate, source_impedance_ohm, sections, "displacement_m")]
+                for model in models
+            ]
+        )
+        self.ring: FloatArray = (share * volts) * np.array(
+            [[_ring(model, samplerate, source_impedance_ohm, sections)] for model in models]
+        )
 
 
 def _slacks_m(
@@ -116,24 +152,9 @@ def _slacks_m(
     return min(worst_m, limit_m / 4.0), min(tail_m, limit_m / 4.0)
 
 
-@lru_cache(maxsize=64)  # as in actuator.py
-def _step(
-    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(STATES, STATES) and (STATES,): S[n] = step S[n-1] + drive v[n]; what x and i are of S."""
-    rate, drive, rows = state_space(p, source_impedance_ohm)
-    last = STATES - 1
-    step = np.zeros((STATES, STATES))
-    step[:last, :last], step[:last, last], from_new = first_order_hold(
-        rate, drive, 1.0 / samplerate
-    )
-    x_row, i_row = (np.append(rows[name], 0.0) for name in ("displacement_m", "current_a"))
-    return step, np.append(from_new, 1.0), x_row, i_row
-
-
 def _powers(step: FloatArray, count: int) -> list[FloatArray]:
     """The powers 0 to `count` of a matrix."""
-    powers = [np.eye(STATES)]
+    powers = [np.eye(len(step))]
     for _ in range(count):
         powers.append(step @ powers[-1])
     return powers
@@ -146,41 +167,118 @@ def _convolution(impulse: FloatArray) -> FloatArray:
     return np.where(delay >= 0, impulse[np.abs(delay)], 0.0)
 
 
-def _tail(
-    p: ActuatorParameters, step: FloatArray, samplerate: float, x_row: FloatArray
-) -> FloatArray:
-    """(points, STATES): x over one period of a free swing; it is never larger afterwards.
+def _places(
+    p: ActuatorParameters, samplerate: float, block_frames: int, decay_s: float, slow_hz: float
+) -> list[tuple[int, int]]:
+    """Frames after a stop at which x is looked at, each with the grade of its grid, 0 the finest.
 
-    The coil's current, and the straight line down from the last volt, act within its beginning.
+    x is never larger afterwards. For that one period of the actuator is enough; the coil's
+    current, and the straight line down from the last output, act within its beginning. An
+    amplifier that swings back takes longer. There the places are the further apart the more of the
+    swing has decayed, as what lies between two of them grows with the square of their distance;
+    but no further than the amplifier's own motion allows. slow_hz: its slowest corner, infinite
+    where there is none.
+
+    All distances divide a block's length, and each the next one: a block later the same places are
+    looked at again, and where nothing new has come they have the answer that they had.
     """
-    frames = max(1, math.ceil(samplerate / p.resonance_hz / (1.25 * _TAIL_POINTS)))
-    stride = np.linalg.matrix_power(step, frames)
-    rows = [x_row]
-    for _ in range(math.ceil(1.25 * _TAIL_POINTS)):
-        rows.append(rows[-1] @ stride)
+    divisors = [d for d in range(1, block_frames + 1) if block_frames % d == 0]
+    wanted = max(1.0, samplerate / p.resonance_hz / _TAIL_POINTS)
+    first = max(d for d in divisors if d <= wanted)
+    most = max(wanted, samplerate / slow_hz / _TAIL_POINTS)
+    swings, end = (_TAIL_PERIODS * samplerate / p.resonance_hz, _SWINGS_BACK * samplerate / slow_hz)
+    places, gap, grade = [(0, 0)], first, 0
+    while places[-1][0] < max(swings, end):
+        frame = places[-1][0]
+        if frame > swings:
+            allowed = min(most, wanted * math.exp(frame / samplerate / (2.0 * decay_s)))
+            wider = [d for d in divisors if d <= allowed and d % gap == 0 and frame % d == 0]
+            grade += wider[-1] > gap
+            gap = wider[-1]
+        places.append((frame + gap, grade))
+    return places
+
+
+def _tail(chain: Chain, frames: list[int]) -> FloatArray:
+    """(points, states): x so many frames after a state, in m, with no drive."""
+    rows, strides = [chain.x_row], dict[int, FloatArray]()
+    for first, second in pairwise(frames):
+        length = second - first
+        if length not in strides:
+            strides[length] = np.linalg.matrix_power(chain.step, length)
+        rows.append(rows[-1] @ strides[length])
     return np.array(rows)
 
 
+def _padded(tails: list[FloatArray]) -> FloatArray:
+    """(models, points, states): nothing where one has fewer points than another."""
+    longest = max(map(len, tails))
+    return np.array([np.pad(rows, ((0, longest - len(rows)), (0, 0))) for rows in tails])
+
+
 def most_current_a(
-    models: Sequence[ActuatorParameters], samplerate: float, source_impedance_ohm: float
+    models: Sequence[ActuatorParameters],
+    samplerate: float,
+    source_impedance_ohm: float,
+    sections: FloatArray,
 ) -> float:
     """The largest current that a drive within ±1 V can ever cause in any of the models, A."""
-    return max(_reach(p, samplerate, source_impedance_ohm, "current_a") for p in models)
+    return max(_reach(p, samplerate, source_impedance_ohm, sections, "current_a") for p in models)
+
+
+def _slowest_hz(sections: FloatArray, samplerate: float) -> float:
+    """The lowest corner of the sections, Hz; infinity where there is none."""
+    poles = [math.sqrt(float(a2)) for a2 in sections[:, 5]]
+    # A Butterworth pair shrinks by 1 / sqrt(2) of its corner, in rad/s.
+    return min((-math.log(r) * samplerate * math.sqrt(2.0) / math.tau for r in poles),
+               default=math.inf)  # fmt: skip
+
+
+def _horizon(
+    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float, sections: FloatArray
+) -> int:
+    """Frames until e^-25 of whatever rings is left; 0 where that is too long to compute."""
+    decay = math.pi * p.resonance_hz / p.q_total(source_impedance_ohm)
+    slow = math.tau * _slowest_hz(sections, samplerate) / math.sqrt(2.0)
+    # One rings after the other.
+    frames = math.ceil(_DECAYED * samplerate * (1.0 / decay + 1.0 / slow))
+    return frames if frames <= _HORIZON_FRAMES else 0
 
 
 def _reach(
-    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float, quantity: Quantity
+    p: ActuatorParameters,
+    samplerate: float,
+    source_impedance_ohm: float,
+    sections: FloatArray,
+    quantity: Quantity,
 ) -> float:
     """The largest |quantity| per volt of peak drive: the sum of the impulse response's magnitudes.
 
     Infinity where it has not decayed after some seconds: then every block is looked at.
     """
-    decay = math.pi * p.resonance_hz / p.q_total(source_impedance_ohm) / samplerate
-    frames = math.ceil(25.0 / decay)
-    if frames > _HORIZON_FRAMES:
+    frames = _horizon(p, samplerate, source_impedance_ohm, sections)
+    if not frames:
         return math.inf
     impulse = np.zeros(frames)
     impulse[0] = 1.0
+    if len(sections):
+        impulse = sosfilt(sections, impulse)
     response = LinearActuator(p, samplerate, source_impedance_ohm).move(impulse, (quantity,))
     # e^-25 of it is left out.
     return float(np.abs(getattr(response, quantity)).sum()) * (1.0 + 1e-9)
+
+
+def _ring(
+    p: ActuatorParameters, samplerate: float, source_impedance_ohm: float, sections: FloatArray
+) -> float:
+    """The largest |x| that an amplifier's state of length 1 and no drive can cause, m per volt."""
+    if not len(sections):
+        return 0.0
+    frames = _horizon(p, samplerate, source_impedance_ohm, sections)
+    if not frames:
+        return math.inf
+    squares = np.zeros(frames)
+    for volts in rings(sections, frames):
+        actuator = LinearActuator(p, samplerate, source_impedance_ohm)
+        squares += actuator.move(volts, ("displacement_m",)).displacement_m ** 2
+    return math.sqrt(float(squares.max()))

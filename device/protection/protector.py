@@ -6,6 +6,7 @@ import numpy as np
 
 from device.detuning import detuned, stiffened
 from device.errors import InternalError, UsageError
+from device.protection.chain import amplifier_sections
 from device.protection.governor import Governor
 from device.protection.limits import Limits, limits_of
 from device.protection.prediction import Prediction, most_current_a
@@ -90,9 +91,11 @@ class Protector:
         volts = rig.dac.full_scale_v * rig.amplifier.gain
         models = _models(rig.actuator, self.limits)
         source = rig.amplifier.source_impedance_ohm
+        sections = amplifier_sections(rig.amplifier, models, samplerate)
         current_a = self.limits.current_a
         if current_a is not None:
-            most_a = self.limits.level * volts * most_current_a(models, samplerate, source)
+            most_a = most_current_a(models, samplerate, source, sections)
+            most_a *= self.limits.level * volts
             # Beyond what any drive can reach it is no limit, and costs nothing then.
             current_a = current_a if most_a > current_a else None
         prediction = Prediction(
@@ -101,6 +104,7 @@ class Protector:
             self._frames,
             volts=volts,
             source_impedance_ohm=source,
+            sections=sections,
             excursion_m=(1.0 - _RESERVE) * self.limits.excursion_m,
             # Warmth asks for that of the believed one alone.
             current_models=1 if current_a is None else len(models),

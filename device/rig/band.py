@@ -29,6 +29,11 @@ class Band:
         self._sections = np.concatenate(sections) if sections else np.empty((0, 6))
         self.reset()
 
+    @property
+    def sections(self) -> FloatArray:
+        """(n, 6): the second-order sections, n 0 to 2; not to be written to."""
+        return self._sections
+
     def reset(self) -> None:
         """Come to rest; the next block may have another number of channels."""
         self._state: FloatArray | None = None

@@ -1,0 +1,103 @@
+"""The flat inverse: the drive with which a non-linear actuator moves just as a linear one would.
+
+The excursion is a flat output of the actuator (Fliess et al., "Flatness and defect of non-linear
+systems", 1995): a wanted x, with its derivatives up to the third, gives force, current and voltage
+by the equations of motion alone, without integrating or looking ahead,
+
+    F = m x'' + c x' + V'(x),    dW'/dx (x, i) = F,    v = R i + d/dt dW'/di (x, i)
+
+and W' (rig/co_energy.py) is quadratic in i, so the current is in closed form. What is wanted is
+what the linear rung does with the same drive; its state gives all three derivatives exactly. So a
+damping that was designed for the linear actuator holds at any level, and distortion is gone, as
+far as the rig is the one described.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from device.errors import UsageError
+from device.rig import Rig
+from device.rig.actuator import LinearActuator
+from device.rig.co_energy import energies
+from device.units import FloatArray, finite_or_zero
+
+_ABSURD_V = 1e6
+
+_WEAKEST = 0.25
+"""Share of Bl at rest that the root in the current is at least: where there is no current for a
+force, since it lies far beyond the stops, the nearest one is taken."""
+
+
+class FlatInverse:
+    """Turns the drive of a linear actuator into that of the rig's own; holds its state.
+
+    rig: with its [large_signal]; samplerate: Hz, as of `LinearActuator`. Both drives are the
+    amplifier's open-circuit volts, (frames,); the source impedance is the amplifier's. It adds no
+    delay: a sample in is a sample out, and no byte depends on how the stream is cut into blocks.
+
+    It asks for more volts than it was given, at Xmax up to three times, and knows nothing of the
+    amplifier's limits. Beyond the stops, against which no drive helps, it goes on as if there were
+    none. One thread calls it.
+
+    beyond_samples: those, so far, for which the wanted excursion lies beyond the stops.
+
+    Raises
+    ------
+    UsageError
+        The rig describes no large-signal behaviour; the samplerate is out of range.
+    """
+
+    def __init__(self, rig: Rig, samplerate: float) -> None:
+        if rig.large_signal is None:
+            raise UsageError(
+                f"rig {rig.name!r} describes no [large_signal], so nothing is known to invert; "
+                "add it to its file"
+            )
+        p, source = rig.actuator, rig.amplifier.source_impedance_ohm
+        self._linear = LinearActuator(p, samplerate, source)
+        self._p = p
+        self._ohm = p.resistance_ohm + source
+        self._stop_m = rig.large_signal.stop_m
+        # Without the stops: against those no drive helps.
+        self._energies = energies(p, replace(rig.large_signal, stop_n_per_m2=0.0))
+        self.reset()
+
+    def reset(self) -> None:
+        """Come to rest; the count is 0."""
+        self._linear.reset()
+        self.beyond_samples = 0
+
+    @property
+    def latency_frames(self) -> int:
+        """0: it looks at nothing to come."""
+        return 0
+
+    def process(self, volts: FloatArray) -> FloatArray:
+        """The volts, (frames,), with which the rig moves as a linear one with `volts`; finite.
+
+        What is not finite in `volts`, or beyond 1e6 V, counts as 0.
+        """
+        p = self._p
+        drive, _ = finite_or_zero(np.asarray(volts, dtype=np.float64), _ABSURD_V)
+        motion = self._linear.move(drive)
+        x, v, a = motion.displacement_m, motion.velocity_m_s, motion.acceleration_m_s2
+        bl, friction = p.force_factor_n_per_a, p.damping_n_s_per_m
+        slope = (drive - self._ohm * motion.current_a - bl * v) / p.inductance_h
+        jerk = (bl * slope - friction * a - p.stiffness_n_per_m * v) / p.moving_mass_kg
+        self.beyond_samples += int(np.count_nonzero(np.abs(x) > self._stop_m))
+
+        _, spring_n, spring_n_m = self._energies.potential.jet(x)
+        force_n = p.moving_mass_kg * a + friction * v + spring_n
+        force_slope = p.moving_mass_kg * jerk + friction * a + spring_n_m * v
+        co_energy = self._energies.co_energy
+        _, force_factor, force_factor_slope = co_energy.magnet.jet(x)
+        inductance, gradient, curvature = co_energy.inductance.jet(x)
+        # The root that is F / Bl where the inductance does not change, written without a loss.
+        least = (_WEAKEST * force_factor) ** 2
+        root = np.sqrt(np.maximum(force_factor**2 + 2.0 * gradient * force_n, least))
+        current_a = 2.0 * force_n / (force_factor + root)
+        moved = (force_factor_slope + 0.5 * curvature * current_a) * current_a * v
+        current_slope = (force_slope - moved) / root
+        found: FloatArray = self._ohm * current_a + root * v + inductance * current_slope
+        return found
