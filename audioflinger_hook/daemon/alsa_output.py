@@ -13,10 +13,10 @@ from audioflinger_hook.daemon.kept import KeptStream
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Fill
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from device.actuators import ChannelMap
 from device.address import DeviceAddress
 from device.alsa import (
     PROC,
-    ChannelMap,
     Choice,
     Playback,
     choose,
