@@ -12,6 +12,9 @@ from audioflinger_hook.clients import Client, TapClient
 from audioflinger_hook.framework import OFFLINE_HAL_FRAMES, Framework
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import FileTap
+from device.actuators.actuators import Actuators
+from device.actuators.driven import Driven
+from device.actuators.twins import Twins, twins_for
 from device.alignment import Aligned
 from device.driving import driving_for
 from device.errors import UsageError
@@ -85,7 +88,9 @@ def render(
 ) -> RenderReport:
     """Write the vibration of what a client plays as float32 WAV of the mix's rate and length.
 
-    The transform's latency is taken out: the vibration stands under its sound. `acceleration`
+    The transform's latency is taken out: the vibration stands under its sound, but for the delays
+    that actuators were given. With actuators the file has the channels of the device, up to the
+    last that one of them drives; else one, or with `channels` = "each" the mix's. `acceleration`
     also runs the vibration through the simulated rig and writes what its accelerometer records,
     full scale = 100 m/s^2. wait: called before every buffer, where the pace is to be kept;
     warnings: what the source has found wrong by the end. Memory does not depend on the length.
@@ -108,11 +113,13 @@ def render(
             client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
         rate, channels = framework.samplerate, framework.haptic_channels
+        if settings.actuators:
+            channels = settings.numbered_channels.channels
         outputs.append(WavOutput(target, rate, channels))
-        twin = None
+        twin: Twin | Twins | None = None
         if acceleration is not None:
             recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
-            twin = Twin(rig_by_name(settings.rig), rate, channels, recorder=recorder)
+            twin = _twin(settings, rate, channels, recorder)
             outputs.append(twin)
         written = [_driven(output, settings) for output in outputs]
         aligned = [Aligned(output, framework.latency_frames) for _, output in written]
@@ -151,6 +158,10 @@ def _driven(output: VibrationOutput, settings: Settings) -> tuple[Aligned | None
 
     First what has the peak of all that is written; None where nothing is done.
     """
+    if settings.actuators:
+        actuators = actuators_of(settings, output.samplerate)
+        undelayed = Aligned(output, actuators.latency_frames)
+        return undelayed, Driven(undelayed, actuators, settings.numbered_channels)
     driving = driving_for(
         settings.rig,
         output.samplerate,
@@ -162,6 +173,35 @@ def _driven(output: VibrationOutput, settings: Settings) -> tuple[Aligned | None
         return None, output
     undelayed = Aligned(output, driving.latency_frames)
     return undelayed, Processed(undelayed, [driving])
+
+
+def actuators_of(settings: Settings, samplerate: int) -> Actuators:
+    """Return the actuators that the settings name, for a mix of this rate, Hz.
+
+    UsageError: there is no such rig, or the samplerate is too low for what is to be done.
+    """
+    return Actuators(
+        settings.actuators,
+        samplerate,
+        rig=settings.rig,
+        damping=settings.damping,
+        protection=settings.protection,
+    )
+
+
+def _twin(
+    settings: Settings, samplerate: int, channels: int, recorder: VibrationOutput
+) -> Twin | Twins:
+    """Return the simulated rig, or those of all actuators."""
+    if not settings.actuators:
+        return Twin(rig_by_name(settings.rig), samplerate, channels, recorder=recorder)
+    return twins_for(
+        settings.actuators,
+        settings.numbered_channels,
+        samplerate,
+        rig=settings.rig,
+        recorder=recorder,
+    )
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:
