@@ -15,6 +15,7 @@ from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.settings import CHOICES, Settings, wrong_gain, wrong_rig
 from audioflinger_hook.transform import LIMITS, TransformParameters
 from audioflinger_hook.transform.parameters import Problem as PartProblem
+from device.actuators.settings import KEYS as ACTUATOR_KEYS
 from device.errors import UsageError
 from device.rig.rig_file import SHIPPED
 
@@ -262,7 +263,7 @@ def _unknown_keys(document: dict[str, Any], lines: dict[str, int]) -> list[Probl
             if actuator_tables.are_no_tables(document):
                 allowed = actuator_tables.HEADER
                 problems.append(_problem(name, lines, "", "is no array of tables", allowed))
-            known = actuator_tables.KEYS
+            known = ACTUATOR_KEYS
             unknown = actuator_tables.unknown_of(actuator_tables.tables_of(document))
         else:
             sections = (f"[{section}]" for section in SECTIONS)

@@ -9,18 +9,16 @@ from pathlib import Path
 
 from audioflinger_hook.chain import Chain
 from audioflinger_hook.clients import Client, TapClient
+from audioflinger_hook.driven import actuators_of, driving_of, twin_of
 from audioflinger_hook.framework import OFFLINE_HAL_FRAMES, Framework
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import FileTap
-from device.actuators.actuators import Actuators
 from device.actuators.driven import Driven
-from device.actuators.twins import Twins, twins_for
+from device.actuators.twins import Twins
 from device.alignment import Aligned
-from device.driving import driving_for
 from device.errors import UsageError
 from device.output import VibrationOutput
 from device.processing import Processed
-from device.rig import rig_by_name
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
 from device.rig.twin import Twin
 from device.wav_output import WavOutput
@@ -119,7 +117,7 @@ def render(
         twin: Twin | Twins | None = None
         if acceleration is not None:
             recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
-            twin = _twin(settings, rate, channels, recorder)
+            twin = twin_of(settings, rate, channels, recorder)
             outputs.append(twin)
         written = [_driven(output, settings) for output in outputs]
         aligned = [Aligned(output, framework.latency_frames) for _, output in written]
@@ -158,50 +156,15 @@ def _driven(output: VibrationOutput, settings: Settings) -> tuple[Aligned | None
 
     First what has the peak of all that is written; None where nothing is done.
     """
-    if settings.actuators:
-        actuators = actuators_of(settings, output.samplerate)
+    actuators = actuators_of(settings, output.samplerate)
+    if actuators is not None:
         undelayed = Aligned(output, actuators.latency_frames)
         return undelayed, Driven(undelayed, actuators, settings.numbered_channels)
-    driving = driving_for(
-        settings.rig,
-        output.samplerate,
-        output.channels,
-        damping=settings.damping,
-        protection=settings.protection,
-    )
+    driving = driving_of(settings, output.samplerate, output.channels)
     if driving is None:
         return None, output
     undelayed = Aligned(output, driving.latency_frames)
     return undelayed, Processed(undelayed, [driving])
-
-
-def actuators_of(settings: Settings, samplerate: int) -> Actuators:
-    """Return the actuators that the settings name, for a mix of this rate, Hz.
-
-    UsageError: there is no such rig, or the samplerate is too low for what is to be done.
-    """
-    return Actuators(
-        settings.actuators,
-        samplerate,
-        rig=settings.rig,
-        damping=settings.damping,
-        protection=settings.protection,
-    )
-
-
-def _twin(
-    settings: Settings, samplerate: int, channels: int, recorder: VibrationOutput
-) -> Twin | Twins:
-    """Return the simulated rig, or those of all actuators."""
-    if not settings.actuators:
-        return Twin(rig_by_name(settings.rig), samplerate, channels, recorder=recorder)
-    return twins_for(
-        settings.actuators,
-        settings.numbered_channels,
-        samplerate,
-        rig=settings.rig,
-        recorder=recorder,
-    )
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:

@@ -110,7 +110,9 @@ class Settings:
         UsageError: one of them goes by a name, and a file's channels have none.
         """
         wiring = wiring_of(self.actuators)
-        return ChannelMap.of(wiring, channels_needed(wiring), device="a file or the twin")
+        return ChannelMap.of(
+            wiring, channels_needed(wiring), device="a file, a card itself or the twin"
+        )
 
 
 def wrong_rig(value: object, folder: Path | None = None) -> Problem | None:

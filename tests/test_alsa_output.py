@@ -16,6 +16,7 @@ import pytest
 from audioflinger_hook.daemon.alsa_output import AlsaOutput
 from audioflinger_hook.mixer.pcm import PcmFormat, encode
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from device.actuators import ActuatorSettings
 from device.address import DeviceAddress
 from device.errors import LostError, NotFoundError
 from device.server.pcms import PcmConfig
@@ -106,7 +107,7 @@ def test_a_card_gets_the_vibration_in_its_own_format(rig: Rig) -> None:
 def test_actuators_reach_the_channels_that_they_are_wired_to(
     tmp_path: Path, pcms: PcmConfig
 ) -> None:
-    rig = Rig(tmp_path, pcms, "30,0", wiring=[[5], [0, 1]])
+    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0, 1))])
     rig.cards.plug(30, "DAC", stream=ADAPTIVE)
     rig.output.suit(RATE, 2)
     rig.tick()
