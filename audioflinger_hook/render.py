@@ -119,9 +119,9 @@ def render(
             recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
             twin = twin_of(settings, rate, channels, recorder)
             outputs.append(twin)
-        written = [_driven(output, settings) for output in outputs]
-        aligned = [Aligned(output, framework.latency_frames) for _, output in written]
-        chain = Chain(client, framework, aligned)
+        latency = framework.latency_frames
+        written = [_driven(output, settings, latency) for output in outputs]
+        chain = Chain(client, framework, [taken for _, taken in written])
         frames = 0
         while step := chain.step():
             framework.refuse_without_haptics()
@@ -143,7 +143,7 @@ def render(
         channels=channels,
         transform=settings.form,
         latency_s=framework.latency_s,
-        peak=(written[0][0] or aligned[0]).peak,
+        peak=written[0][0].peak,
         limited_samples=framework.limited_samples,
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
@@ -151,20 +151,25 @@ def render(
     )
 
 
-def _driven(output: VibrationOutput, settings: Settings) -> tuple[Aligned | None, VibrationOutput]:
-    """Return the output behind what the settings want done for the rig, without its delay.
+def _driven(
+    output: VibrationOutput, settings: Settings, latency_frames: int
+) -> tuple[Aligned, VibrationOutput]:
+    """Return what has the peak of all that is written, and what takes the vibration.
 
-    First what has the peak of all that is written; None where nothing is done.
+    Between them and the output is what the settings want done for rigs. latency_frames: of the
+    vibration; it is taken out, and all that is done adds.
     """
     actuators = actuators_of(settings, output.samplerate)
     if actuators is not None:
-        undelayed = Aligned(output, actuators.latency_frames)
-        return undelayed, Driven(undelayed, actuators, settings.numbered_channels)
+        # Behind them: an actuator that is to be late begins with what comes before the sound.
+        written = Aligned(output, latency_frames + actuators.latency_frames)
+        return written, Driven(written, actuators, settings.numbered_channels)
     driving = driving_of(settings, output.samplerate, output.channels)
     if driving is None:
-        return None, output
-    undelayed = Aligned(output, driving.latency_frames)
-    return undelayed, Processed(undelayed, [driving])
+        written = Aligned(output, latency_frames)
+        return written, written
+    written = Aligned(output, driving.latency_frames)
+    return written, Aligned(Processed(written, [driving]), latency_frames)
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:
