@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook import live_settings
+from audioflinger_hook import actuator_tables, live_settings
 from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.settings import CHOICES, Settings, wrong_gain, wrong_rig
 from audioflinger_hook.transform import LIMITS, TransformParameters
 from audioflinger_hook.transform.parameters import Problem as PartProblem
+from device.actuators.settings import KEYS as ACTUATOR_KEYS
 from device.errors import UsageError
 from device.rig.rig_file import SHIPPED
 
@@ -121,6 +122,13 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
     }
     problems += _from_part(live_settings.problems(live), live, "", lines)
     problems += _from_part(live_settings.problems(rules), rules, f"{LIVE_SECTION}.", lines)
+    tables = actuator_tables.tables_of(document)
+    wrong_tables = actuator_tables.problems(tables, path.parent)
+    problems += _from_part(wrong_tables, actuator_tables.values_of(tables), "", lines)
+    if tables and parameters.get("channels") == "each":
+        allowed = f"mono: the source of every {actuator_tables.HEADER} says what it plays"
+        key = f"{SECTION}.channels"
+        problems.append(_problem(key, lines, '"each"', "cannot be with actuators", allowed))
     if problems:
         return None, sorted(problems, key=lambda problem: problem.line)
     choices = {name: document[name] for name in (*TOP_LEVEL, GAIN) if name in document}
@@ -130,7 +138,12 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
         choices[RIG] = named if named in SHIPPED else str(path.parent / named)
     effects_file = path.parent / document[EFFECTS_FILE] if EFFECTS_FILE in document else None
     transform = TransformParameters(**numbers)
-    settings = Settings(**choices, effects_file=effects_file, parameters=transform)
+    settings = Settings(
+        **choices,
+        effects_file=effects_file,
+        parameters=transform,
+        actuators=actuator_tables.from_tables(tables, path.parent),
+    )
     return Config(settings, live_settings.from_document(live | rules)), []
 
 
@@ -177,8 +190,10 @@ def _parse(text: str) -> tuple[dict[str, Any], list[Problem]]:
             problems.append(
                 Problem(shown or "(empty)", number, "", f"is not TOML ({reason})", "key = value")
             )
-            header = re.match(r"\s*\[+\s*([\w-]+)", lines[number - 1])
-            repaired = f"[{header[1]}]" if header else ""
+            header = re.match(r"\s*(\[+)\s*([\w-]+)", lines[number - 1])
+            repaired = f"[{header[2]}]" if header else ""
+            if header and header[1] == "[[":
+                repaired = f"[{repaired}]"
             lines[number - 1] = repaired if repaired != lines[number - 1] else ""
     problems.append(
         Problem("the rest", len(lines), "", "was not read, so broken is this file", "TOML")
@@ -200,13 +215,22 @@ def _line_of_error(message: str, lines: list[str]) -> int:
 
 
 def _lines_of_keys(text: str) -> dict[str, int]:
-    """Return the line of every `key` and `section.key`, as far as one can tell from its start."""
+    """Return the line of every `key` and `section.key`, as far as one can tell from its start.
+
+    Of an array of tables it is `section[1].key`, `section[2].key` and so on.
+    """
     lines: dict[str, int] = {}
     section = ""
+    tables: dict[str, int] = {}
     for number, line in enumerate(text.split("\n"), 1):
         if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]*\s*(#.*)?$", line):
-            section = _bare(header[1]) + "."
-            lines.setdefault(section[:-1], number)
+            name = _bare(header[1])
+            lines.setdefault(name, number)
+            if line.lstrip().startswith("[["):
+                tables[name] = tables.get(name, 0) + 1
+                name = f"{name}[{tables[name]}]"
+                lines.setdefault(name, number)
+            section = name + "."
         elif key := re.match(r"\s*([^=#]+?)\s*=", line):
             name = section + _bare(key[1])
             lines.setdefault(name, number)
@@ -221,7 +245,8 @@ def _bare(key: str) -> str:
 
 def _problem(key: str, lines: dict[str, int], value: str, problem: str, allowed: str) -> Problem:
     """Return a problem with its line: that of the key, or of the section that holds it inline."""
-    line = lines.get(key) or lines.get(key.partition(".")[0], 0)
+    section = key.partition(".")[0]
+    line = lines.get(key) or lines.get(section) or lines.get(section.partition("[")[0], 0)
     return Problem(_printable(key), line, value, problem, allowed)
 
 
@@ -234,9 +259,15 @@ def _unknown_keys(document: dict[str, Any], lines: dict[str, int]) -> list[Probl
         elif name in SECTIONS:
             problems.append(_problem(name, lines, _shown(value), "is not a section", f"[{name}]"))
             continue
+        elif name == actuator_tables.ACTUATOR:
+            if actuator_tables.are_no_tables(document):
+                allowed = actuator_tables.HEADER
+                problems.append(_problem(name, lines, "", "is no array of tables", allowed))
+            known = ACTUATOR_KEYS
+            unknown = actuator_tables.unknown_of(actuator_tables.tables_of(document))
         else:
             sections = (f"[{section}]" for section in SECTIONS)
-            known = (*TOP_LEVEL, RIG, GAIN, EFFECTS_FILE, *LIVE, *sections)
+            known = (*TOP_LEVEL, RIG, GAIN, EFFECTS_FILE, *LIVE, *sections, actuator_tables.HEADER)
             unknown = {} if name in known else {name: value}
         for key, found in unknown.items():
             shown = "" if isinstance(found, dict) else _shown(found)

@@ -33,7 +33,8 @@ class Framework:
     """One mix with its effects, as audio_effects.xml declares them, ours running.
 
     samplerate: Hz; channels: of the mix. The mix has one haptic channel, or with
-    `settings.channels` = "each" as many as there are channels. clock: seconds, by which an effect
+    `settings.channels` = "each" as many as there are channels; with `settings.actuators` one for
+    each of `settings.sources`. clock: seconds, by which an effect
     that takes too long is bypassed; None for sound that is not played as it is made: then time
     changes nothing. standby_delay_s: see `Mixer`; a file keeps its silence, a device may rest.
     `warnings`: what was left out of the effects, or is slower than it could be, a line each.
@@ -73,7 +74,7 @@ class Framework:
             samplerate,
             channels,
             hal_frames=hal_frames,
-            haptic_channels=channels if each else 1,
+            haptic_channels=channels if each else max(1, len(self.settings.sources)),
             effects=self._chains,
             standby_delay_s=standby_delay_s,
         )

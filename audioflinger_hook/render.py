@@ -9,15 +9,16 @@ from pathlib import Path
 
 from audioflinger_hook.chain import Chain
 from audioflinger_hook.clients import Client, TapClient
+from audioflinger_hook.driven import actuators_of, driving_of, twin_of
 from audioflinger_hook.framework import OFFLINE_HAL_FRAMES, Framework
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import FileTap
+from device.actuators.driven import Driven
+from device.actuators.twins import Twins
 from device.alignment import Aligned
-from device.driving import driving_for
 from device.errors import UsageError
 from device.output import VibrationOutput
 from device.processing import Processed
-from device.rig import rig_by_name
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
 from device.rig.twin import Twin
 from device.wav_output import WavOutput
@@ -85,7 +86,9 @@ def render(
 ) -> RenderReport:
     """Write the vibration of what a client plays as float32 WAV of the mix's rate and length.
 
-    The transform's latency is taken out: the vibration stands under its sound. `acceleration`
+    The transform's latency is taken out: the vibration stands under its sound, but for the delays
+    that actuators were given. With actuators the file has the channels of the device, up to the
+    last that one of them drives; else one, or with `channels` = "each" the mix's. `acceleration`
     also runs the vibration through the simulated rig and writes what its accelerometer records,
     full scale = 100 m/s^2. wait: called before every buffer, where the pace is to be kept;
     warnings: what the source has found wrong by the end. Memory does not depend on the length.
@@ -108,15 +111,17 @@ def render(
             client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
         rate, channels = framework.samplerate, framework.haptic_channels
+        if settings.actuators:
+            channels = settings.numbered_channels.channels
         outputs.append(WavOutput(target, rate, channels))
-        twin = None
+        twin: Twin | Twins | None = None
         if acceleration is not None:
             recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
-            twin = Twin(rig_by_name(settings.rig), rate, channels, recorder=recorder)
+            twin = twin_of(settings, rate, channels, recorder)
             outputs.append(twin)
-        written = [_driven(output, settings) for output in outputs]
-        aligned = [Aligned(output, framework.latency_frames) for _, output in written]
-        chain = Chain(client, framework, aligned)
+        latency = framework.latency_frames
+        written = [_driven(output, settings, latency) for output in outputs]
+        chain = Chain(client, framework, [taken for _, taken in written])
         frames = 0
         while step := chain.step():
             framework.refuse_without_haptics()
@@ -138,7 +143,7 @@ def render(
         channels=channels,
         transform=settings.form,
         latency_s=framework.latency_s,
-        peak=(written[0][0] or aligned[0]).peak,
+        peak=written[0][0].peak,
         limited_samples=framework.limited_samples,
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
@@ -146,23 +151,25 @@ def render(
     )
 
 
-def _driven(output: VibrationOutput, settings: Settings) -> tuple[Aligned | None, VibrationOutput]:
-    """Return the output behind what the settings want done for the rig, without its delay.
+def _driven(
+    output: VibrationOutput, settings: Settings, latency_frames: int
+) -> tuple[Aligned, VibrationOutput]:
+    """Return what has the peak of all that is written, and what takes the vibration.
 
-    First what has the peak of all that is written; None where nothing is done.
+    Between them and the output is what the settings want done for rigs. latency_frames: of the
+    vibration; it is taken out, and all that is done adds.
     """
-    driving = driving_for(
-        settings.rig,
-        output.samplerate,
-        output.channels,
-        damping=settings.damping,
-        protection=settings.protection,
-        exposure_cap=settings.exposure_cap,
-    )
+    actuators = actuators_of(settings, output.samplerate)
+    if actuators is not None:
+        # Behind them: an actuator that is to be late begins with what comes before the sound.
+        written = Aligned(output, latency_frames + actuators.latency_frames)
+        return written, Driven(written, actuators, settings.numbered_channels)
+    driving = driving_of(settings, output.samplerate, output.channels)
     if driving is None:
-        return None, output
-    undelayed = Aligned(output, driving.latency_frames)
-    return undelayed, Processed(undelayed, [driving])
+        written = Aligned(output, latency_frames)
+        return written, written
+    written = Aligned(output, driving.latency_frames)
+    return written, Aligned(Processed(written, [driving]), latency_frames)
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:

@@ -8,6 +8,14 @@ from typing import Literal
 
 from audioflinger_hook.transform import Form, TransformParameters
 from audioflinger_hook.transform.parameters import Problem
+from device.actuators import (
+    ActuatorSettings,
+    ChannelMap,
+    channels_needed,
+    problems_together,
+    sources_of,
+    wiring_of,
+)
 from device.errors import UsageError
 from device.rig.rig_file import SHIPPED, SUFFIX, read_rig
 
@@ -40,7 +48,9 @@ class Settings:
     comes with damping; exposure_cap: the value of 2002/44/EC that all vibration since the start is
     kept under, which brings protection along; rig: what is driven, one that ships or a file,
     NAME.toml; gain_db: level of the vibration, -60 to 0; effects_file: an audio_effects.xml that
-    says which effects run, None for the bundled one.
+    says which effects run, None for the bundled one. actuators: what each gets that the device
+    drives, on which of its channels; none: the vibration, on all of them. With actuators, their
+    sources say what is transformed, and `channels` is `mono`.
 
     Raises
     ------
@@ -58,6 +68,7 @@ class Settings:
     gain_db: float = GAIN_MAX_DB
     effects_file: Path | None = None
     parameters: TransformParameters = field(default_factory=TransformParameters)
+    actuators: tuple[ActuatorSettings, ...] = ()
 
     def __post_init__(self) -> None:
         problems = [
@@ -70,8 +81,41 @@ class Settings:
             problems.append(f"rig {self.rig!r} {wrong.wrong}; allowed: {wrong.allowed}")
         if wrong := wrong_gain(self.gain_db):
             problems.append(f"gain_db={self.gain_db!r} {wrong.wrong}; allowed: {wrong.allowed}")
+        for number, actuator in enumerate(self.actuators, 1):
+            if actuator.rig is not None and (wrong := wrong_rig(actuator.rig)):
+                problems.append(
+                    f"rig {actuator.rig!r} of actuator {number} {wrong.wrong}; "
+                    f"allowed: {wrong.allowed}"
+                )
+        problems += [
+            f"actuator {number} {wrong_wiring}; allowed: {allowed}"
+            for number, (wrong_wiring, allowed) in problems_together(
+                wiring_of(self.actuators)
+            ).items()
+        ]
+        if self.actuators and self.channels != "mono":
+            problems.append(
+                f"channels {self.channels!r} cannot be with [[actuator]]; allowed: mono, since "
+                "every actuator's source says what it plays"
+            )
         if problems:
             raise UsageError("; ".join(problems))
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The sources that the actuators play, one vibration each; none without actuators."""
+        return sources_of(self.actuators)
+
+    @property
+    def numbered_channels(self) -> ChannelMap:
+        """The actuators on a device of as many channels as they need, such as a file.
+
+        UsageError: one of them goes by a name, and a file's channels have none.
+        """
+        wiring = wiring_of(self.actuators)
+        return ChannelMap.of(
+            wiring, channels_needed(wiring), device="a file, a card itself or the twin"
+        )
 
 
 def wrong_rig(value: object, folder: Path | None = None) -> Problem | None:

@@ -12,9 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from audioflinger_hook.mixer.pcm import PcmFormat, decode
 from audioflinger_hook.mixer.pcm import encode as mixer_encode
-from device.alsa.channel_map import ChannelMap
 from device.alsa.conversion import Encoder
-from device.errors import UsageError
 from device.sample_format import SampleFormat
 
 INTEGERS = {
@@ -111,49 +109,3 @@ def test_floats_pass_bit_for_bit(frames) -> None:
     encoder = Encoder(SampleFormat.FLOAT32, 2, 4)
     assert encoder.encode(frames) == frames.tobytes()
     assert encoder.encoded().tobytes() == frames.tobytes()
-
-
-def test_actuators_reach_the_channels_they_are_wired_to_and_others_stay_silent() -> None:
-    vibration = np.array([[1.0, 2.0], [3.0, 4.0]], np.float32)
-    out = np.full((2, 5), 9.0, np.float32)
-    ChannelMap.of([[3, 0], [1]], 5).spread(vibration, out)
-    assert out.tolist() == [[1.0, 2.0, 0.0, 1.0, 0.0], [3.0, 4.0, 0.0, 3.0, 0.0]]
-
-
-def test_without_wiring_actuators_repeat_over_all_channels() -> None:
-    assert ChannelMap.repeated(2, 5) == ChannelMap(2, (0, 1, 0, 1, 0))
-    assert ChannelMap.repeated(1, 2).channels == 2
-
-
-@pytest.mark.parametrize(
-    ("wired", "words"),
-    [
-        ([[0], [2]], "there is no channel 2; the card has 2, counted from 0"),
-        ([[0], [-1]], "there is no channel -1"),
-        ([[0], []], "actuator 1 has no channel"),
-        ([[0], [0]], "channel 0 cannot drive actuators 0 and 1 at once"),
-    ],
-)
-def test_wiring_that_cannot_be_is_refused(wired, words) -> None:
-    with pytest.raises(UsageError, match=words):
-        ChannelMap.of(wired, 2)
-
-
-@pytest.mark.parametrize("sample_format", SampleFormat)
-@given(frames=blocks)
-def test_a_block_that_is_taken_is_encoded_likewise_and_leaves_zeros(sample_format, frames) -> None:
-    encoder = Encoder(sample_format, 3, 4)
-    expected = encoder.encode(frames), encoder.encoded().copy()
-    assert encoder.take(frames) == expected[0]
-    np.testing.assert_array_equal(encoder.encoded(), expected[1])
-    assert not frames.any()
-
-
-@pytest.mark.parametrize("sample_format", SampleFormat)
-@pytest.mark.parametrize("spoiled", [np.nan, np.inf, -np.inf])
-def test_a_block_that_is_not_finite_is_not_taken(sample_format, spoiled) -> None:
-    frames = np.full((4, 3), 0.5, np.float32)
-    frames[2, 1] = spoiled
-    before = frames.copy()
-    assert Encoder(sample_format, 3, 4).take(frames) is None
-    np.testing.assert_array_equal(frames, before)

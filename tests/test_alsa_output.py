@@ -16,8 +16,9 @@ import pytest
 from audioflinger_hook.daemon.alsa_output import AlsaOutput
 from audioflinger_hook.mixer.pcm import PcmFormat, encode
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from device.actuators import ActuatorSettings
 from device.address import DeviceAddress
-from device.errors import LostError, NotFoundError
+from device.errors import LostError, NotFoundError, UsageError
 from device.server.pcms import PcmConfig
 from device.server.targets import CardDevice, Target
 from device.units import Float32Array
@@ -106,7 +107,7 @@ def test_a_card_gets_the_vibration_in_its_own_format(rig: Rig) -> None:
 def test_actuators_reach_the_channels_that_they_are_wired_to(
     tmp_path: Path, pcms: PcmConfig
 ) -> None:
-    rig = Rig(tmp_path, pcms, "30,0", wiring=[[5], [0, 1]])
+    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0, 1))])
     rig.cards.plug(30, "DAC", stream=ADAPTIVE)
     rig.output.suit(RATE, 2)
     rig.tick()
@@ -114,6 +115,40 @@ def test_actuators_reach_the_channels_that_they_are_wired_to(
     rig.output.close()
     block = np.zeros((256, 8), np.float32)
     block[:, 5], block[:, 0], block[:, 1] = TONE, TONE / 2, TONE / 2
+    assert encode(block, PcmFormat.I24) in rig.path(30).read_bytes()
+
+
+def test_a_card_with_too_few_channels_for_the_actuators_is_none(
+    tmp_path: Path, pcms: PcmConfig
+) -> None:
+    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((0,)), ActuatorSettings((2,))])
+    rig.cards.plug(30, "DAC", stream=ASYNC)
+    for known in (False, True):  # the mix
+        if known:
+            rig.output.suit(RATE, 2)
+        with pytest.raises(NotFoundError, match="need 3 channels: name others in"):
+            rig.output.locate(None)
+    wrong = [ActuatorSettings((0,)), ActuatorSettings((5,))]
+    rig.output.wire([ActuatorSettings((0,)), ActuatorSettings((1,))])
+    rig.output.locate(None)
+    with pytest.raises(UsageError, match="need 6 channels"):
+        rig.output.refuse(wrong)
+
+
+def test_other_channels_are_gone_over_to_while_the_stream_stays_open(
+    tmp_path: Path, pcms: PcmConfig
+) -> None:
+    rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0,))])
+    rig.cards.plug(30, "DAC", stream=ADAPTIVE)
+    rig.output.suit(RATE, 2)
+    rig.tick()
+    rig.play()
+    rig.output.wire([ActuatorSettings((1,)), ActuatorSettings((7, 2))])
+    assert rig.output.is_open
+    rig.play()
+    rig.output.close()
+    block = np.zeros((256, 8), np.float32)
+    block[:, 1], block[:, 2], block[:, 7] = TONE, TONE / 2, TONE / 2
     assert encode(block, PcmFormat.I24) in rig.path(30).read_bytes()
 
 

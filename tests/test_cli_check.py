@@ -7,11 +7,13 @@ import pytest
 
 from audioflinger_hook.config import load
 from audioflinger_hook.transform import LIMITS
+from device.actuators import ActuatorSettings
 from tests.commands import call, listing, noise, refused, sound
 
 TOP_LEVEL = (
     "profile, damping, protection, exposure_cap, rig, gain_db, effects_file, tap, device, "
-    "offset_ms, drop_in, block_frames, realtime, device_volume_db, [transform], [applications]"
+    "offset_ms, drop_in, block_frames, realtime, device_volume_db, [transform], [applications], "
+    "[[actuator]]"
 )
 
 FIVE_MISTAKES = """\
@@ -492,3 +494,87 @@ def test_a_rig_that_cannot_be_is_a_mistake_of_its_line(config, tmp_path, value, 
     ((line, what),) = mistakes(config(f"gain_db = -3\nrig = {value}\n"))
     assert line == 2
     assert words in what
+
+
+# --- actuators
+
+
+TEN_MISTAKES_OF_ACTUATORS = """\
+[[actuator]]
+source = "middle"
+channels = [0]
+gain_db = 3
+
+[[actuator]]
+channels = [0, "front-left"]
+delay_ms = 900
+volume = 3
+
+[[ actuator ]]  # no channels
+polarity = "up"
+rig = "loud"
+damping = "on"
+[transform]
+channels = "each"
+"""
+
+
+def test_mistakes_of_actuators_are_found_at_once_with_the_table_s_number(config):
+    found = mistakes(config(TEN_MISTAKES_OF_ACTUATORS))
+    starts = [
+        (2, 'actuator[1].source = "middle" is not known; allowed: mix, left, right, front, back'),
+        (4, "actuator[1].gain_db = 3 is out of range; allowed: -60 to 0 dB"),
+        (7, 'actuator[2].channels = [0, "front-left"] wants channel 0, which drives actuator 1'),
+        (8, "actuator[2].delay_ms = 900 is out of range; allowed: 0 to 500 ms"),
+        (9, "actuator[2].volume = 3 is an unknown key; allowed: channels, source, rig"),
+        (11, "actuator[3].channels names no channel; allowed: a list of the device's channels"),
+        (12, 'actuator[3].polarity = "up" is not known; allowed: normal, inverted'),
+        (13, 'actuator[3].rig = "loud" is not known'),
+        (14, 'actuator[3].damping = "on" is not known; allowed: off, auto'),
+        (16, 'transform.channels = "each" cannot be with actuators; allowed: mono'),
+    ]
+    assert len(found) == len(starts)
+    for (line, what), (wanted, start) in zip(found, starts, strict=True):
+        assert line == wanted
+        assert what.startswith(start)
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ("actuator = 3\n", "actuator"),
+        ("actuator = []\n", "actuator"),
+        ("[actuator]\nchannels = [0]\n", "actuator"),
+        ('actuator = [{channels = [0]}, "left"]\n', "actuator"),
+        ('actuator = [{channels = "0"}]\n', "actuator[1].channels"),
+        ("[[actuator]]\nchannels = [0.0]\n", "actuator[1].channels"),
+        ("[[actuator]]\nchannels = [true]\n", "actuator[1].channels"),
+        ("[[actuator]]\nchannels = [0, 0]\n", "actuator[1].channels"),
+        ("[[actuator]]\nchannels = [32]\n", "actuator[1].channels"),
+        ("[[actuator]]\nchannels = [0]\ngain_db = true\n", "actuator[1].gain_db"),
+        ("[[actuator]]\nchannels = [0]\nrig = 3\n", "actuator[1].rig"),
+        ("[[actuator]]\nchannels = [0]\n[[actuator\nchannels = [1]\n", "[[actuator"),
+    ],
+)
+def test_an_actuator_that_is_none_is_one_mistake(config, text, key):
+    ((_, what),) = mistakes(config(text))
+    assert what.partition(" ")[0] == key
+
+
+def test_actuators_are_read_with_their_defaults_and_rigs_beside_the_config(config, tmp_path):
+    for line in ('rig = "seat.toml"\n', ""):
+        path = config(f'rig = "consumer"\n[[actuator]]\nsource = "all"\nchannels = [1, 0]\n{line}')
+        if line:
+            ((number, what),) = mistakes(path)
+            assert (number, what.partition(" ")[0]) == (5, "actuator[1].rig")
+    path = config(
+        '[[actuator]]\nsource = "left"\nchannels = ["rear-left", 3]\ngain_db = -3\n'
+        'polarity = "inverted"\ndelay_ms = 5\nrig = "consumer"\nprotection = "on"\n'
+        '[[actuator]]\nsource = "all"\nchannels = [0]\n'
+    )
+    first, second = load(path).settings.actuators
+    assert first == ActuatorSettings(
+        ("rear-left", 3), "left", "consumer", -3.0, "inverted", 5.0, None, "on"
+    )
+    assert second == ActuatorSettings((0,))
+    assert load(path).settings.sources == ("mix", "left")

@@ -9,8 +9,10 @@ import pytest
 
 from audioflinger_hook.clients import TapClient
 from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.service.levels import FLOOR_DBFS
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import PushTap
+from device.actuators import ActuatorSettings
 from device.units import Float32Array
 from tests.commands import noise
 
@@ -110,3 +112,71 @@ def test_what_protection_holds_when_it_goes_to_rest_does_not_come_with_the_next_
     engine.rest()
     assert not engine.driving.process(np.zeros((256, 1), np.float32)).any()
     assert engine.driving.protection().blocks > blocks  # counts go on
+
+
+LEFT = ActuatorSettings((0,), "left")
+RIGHT = ActuatorSettings((1,), "right", polarity="inverted", delay_ms=10.0)
+
+
+def test_actuators_get_their_sources_and_what_is_recorded_is_the_vibration_before_them() -> None:
+    _, each = heard(Settings(channels="each"))
+    engine, driven = heard(Settings(actuators=(RIGHT, LEFT)))
+    assert engine.actuators is not None
+    assert engine.driving is None
+    assert engine.outputs == 2
+    assert engine.framework.haptic_channels == 2
+    assert np.array_equal(driven[: len(each), 1], each[:, 0])
+    late = engine.actuators.delays_frames[0]
+    assert late == 480
+    assert np.array_equal(driven[late:, 0], -each[:, 1])
+    assert not driven[:late, 0].any()
+
+
+def test_one_with_protection_keeps_all_of_them_together() -> None:
+    _, plain = heard(Settings(actuators=(LEFT, RIGHT)))
+    protected = ActuatorSettings((0,), "left", protection="on")
+    engine, driven = heard(Settings(actuators=(protected, RIGHT)))
+    assert engine.actuators is not None
+    late = engine.actuators.latency_frames
+    assert late == 192
+    assert np.array_equal(driven[late:], plain)
+
+
+def test_actuators_follow_another_order_and_each_one_s_level_is_told() -> None:
+    tap = PushTap(RATE_HZ, 2)
+    settings = Settings(actuators=(LEFT, RIGHT))
+    clocks = Clocks(lambda: 0.0, lambda: 0.0)
+    engine = Engine(TapClient(tap), RATE_HZ, settings, clocks=clocks)
+    sent: list[Float32Array] = []
+    into_line = engine.delay_line.write
+
+    def write(vibration, now_s, earlier=()):
+        sent.append(vibration.copy())
+        into_line(vibration, now_s, earlier)
+
+    engine.delay_line.write = write  # type: ignore[method-assign]
+    wave = 0.3 * np.sin(2.0 * np.pi * 110.0 * np.arange(RATE_HZ) / RATE_HZ).astype(np.float32)
+    for start in range(0, RATE_HZ // 256 * 256, 256):
+        if start == 94 * 256:
+            silent = ActuatorSettings((0,), "left", gain_db=-60.0)
+            engine.follow(Settings(actuators=(silent, RIGHT)), 0.0)
+        tap.push(np.column_stack([wave[start : start + 256]] * 2))
+        engine.advance(start / RATE_HZ)
+    before, after = np.concatenate(sent[60:94]), np.concatenate(sent[-60:])
+    assert np.abs(after[:, 0]).max() == pytest.approx(1e-3 * np.abs(before[:, 0]).max(), rel=0.1)
+    assert np.abs(after[:, 1]).max() == pytest.approx(np.abs(before[:, 1]).max(), rel=0.1)
+    quiet, loud = (gathered.meter.level() for gathered in engine.driven)
+    # Half a second on, with a time constant of 0.3 s for the power: 7 dB.
+    assert quiet.rms_dbfs == pytest.approx(loud.rms_dbfs - 7.2, abs=1.0)
+    engine.rest()
+    assert engine.driven[1].meter.level().rms_dbfs == FLOOR_DBFS
+    assert engine.actuators is not None
+    assert not engine.actuators.process(np.zeros((2_000, 2), np.float32)).any()
+
+
+def test_a_device_is_filled_with_a_column_for_each_actuator() -> None:
+    engine, _ = heard(Settings(actuators=(LEFT, RIGHT, ActuatorSettings((2,), "mix"))))
+    out = np.zeros((256, 3), np.float32)
+    engine.fill(out, 0.0)
+    assert np.isfinite(out).all()
+    assert engine.read_ahead.shape[1] == 3

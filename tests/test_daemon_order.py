@@ -15,6 +15,7 @@ from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import PushTap
 from audioflinger_hook.transform import TransformParameters
+from device.actuators import ActuatorSettings
 from device.address import DeviceAddress
 from device.errors import UsageError
 from device.units import Float32Array
@@ -59,6 +60,51 @@ def test_an_order_changes_what_is_another_in_it(
     found = Changes.between(ORDER, order)
     assert found == changed
     assert found.any == (changed != Changes())
+    if words is not None:
+        assert str(found) == words
+
+
+LEFT = ActuatorSettings((0,), "left")
+RIGHT = ActuatorSettings((1,), "right")
+
+
+def with_actuators(*actuators: ActuatorSettings) -> Order:
+    return replace(ORDER, settings=Settings(actuators=actuators))
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "changed", "words"),
+    [
+        ((LEFT,), (LEFT,), Changes(), "nothing"),
+        (
+            (LEFT, RIGHT),
+            (replace(LEFT, gain_db=-3.0, polarity="inverted", delay_ms=4.0, channels=(3,)), RIGHT),
+            Changes(actuators=True),
+            "the actuators",
+        ),
+        (
+            (LEFT, RIGHT),
+            (replace(LEFT, source="right"), replace(RIGHT, source="left")),
+            Changes(actuators=True),
+            None,
+        ),
+        ((LEFT, RIGHT), (LEFT, replace(RIGHT, source="left")), Changes(engine=True), None),
+        ((LEFT,), (LEFT, RIGHT), Changes(engine=True), None),
+        ((), (LEFT,), Changes(engine=True), None),
+        ((LEFT,), (), Changes(engine=True), None),
+        ((LEFT,), (replace(LEFT, rig="consumer"),), Changes(engine=True), None),
+        ((LEFT,), (replace(LEFT, damping="auto", gain_db=-1.0),), Changes(engine=True), None),
+        ((LEFT,), (replace(LEFT, protection="on"),), Changes(engine=True), None),
+    ],
+)
+def test_actuators_follow_while_they_play_unless_others_are_to_be_there(
+    before: tuple[ActuatorSettings, ...],
+    after: tuple[ActuatorSettings, ...],
+    changed: Changes,
+    words: str | None,
+) -> None:
+    found = Changes.between(with_actuators(*before), with_actuators(*after))
+    assert found == changed
     if words is not None:
         assert str(found) == words
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.buffers import MixBuffer
+from audioflinger_hook.layouts import sides
 from audioflinger_hook.mixer import (
     AudioSink,
     HapticSink,
@@ -20,7 +21,6 @@ from audioflinger_hook.mixer import (
     PcmFormat,
     PcmSink,
 )
-from audioflinger_hook.mixer.channels import sides
 from audioflinger_hook.mixer.pcm import decode, encode
 from device.errors import InternalError, UsageError
 

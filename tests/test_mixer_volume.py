@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from audioflinger_hook.mixer.channels import layout, sides
+from audioflinger_hook.layouts import layout, sides
 from audioflinger_hook.mixer.volume import VolumeRamp, gains_of, usable_gain
 
 SMALLEST_NORMAL = 2.0**-126

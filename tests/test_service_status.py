@@ -14,7 +14,11 @@ from rich.cells import cell_len
 
 from audioflinger_hook.service.buffer_times import BufferTimes
 from audioflinger_hook.service.levels import Level
-from audioflinger_hook.service.rig_figures import ExposureFigures, ProtectionFigures
+from audioflinger_hook.service.rig_figures import (
+    ActuatorFigures,
+    ExposureFigures,
+    ProtectionFigures,
+)
 from audioflinger_hook.service.state import Cause, DaemonState
 from audioflinger_hook.service.status import (
     DelayLineFigures,
@@ -68,6 +72,12 @@ exposures = st.builds(
     *(numbers, numbers, numbers, numbers, st.booleans(), st.booleans(), numbers),
     *(st.booleans(), texts, numbers),
 )
+actuators = st.builds(
+    ActuatorFigures,
+    *(texts, st.lists(texts, max_size=4).map(tuple), texts, numbers, texts, numbers),
+    st.builds(Level, numbers, numbers),
+    *(st.none() | protections, st.none() | exposures),
+)
 statuses = st.builds(
     Status,
     version=texts,
@@ -82,6 +92,7 @@ statuses = st.builds(
     effects_bypassed=st.lists(texts, max_size=4).map(tuple),
     protection=st.none() | protections,
     exposure=st.none() | exposures,
+    actuators=st.lists(actuators, max_size=3).map(tuple),
     warnings=st.lists(texts, max_size=30).map(tuple),
 )
 
@@ -100,7 +111,8 @@ def test_every_key_is_there_with_its_unit_and_every_cause_counted():
     assert list(document) == [
         *("version", "pid", "state", "reason", "since_s", "tap", "device", "levels", "latency"),
         *("delay_line", "xruns", "buffer_times", "recoveries", "effects_bypassed"),
-        *("limited_samples", "replaced_samples", "protection", "exposure", "warnings"),
+        *("limited_samples", "replaced_samples", "protection", "exposure", "actuators"),
+        "warnings",
     ]
     assert document["latency"]["total_ms"] == pytest.approx(93.7)
     assert list(document["recoveries"]) == [cause.value for cause in Cause]
@@ -261,3 +273,36 @@ def test_without_a_rig_that_is_driven_nothing_is_said_of_one():
     assert "protection" not in text
     assert "exposure" not in text
     assert "driving" not in text
+
+
+def test_several_actuators_are_shown_each_with_its_own_figures():
+    left = ActuatorFigures(
+        *("left", ("0", "front-left"), "paper", -3.0, "inverted", 5.0),
+        Level(-12.0, -20.0),
+        STATUS.protection,
+        STATUS.exposure,
+    )
+    mix = ActuatorFigures("mix", ("1",), "consumer", 0.0, "normal", 0.0, Level(), None, None)
+    latency = LatencyBudget.of(
+        tap_ms=1.0,
+        transform_ms=2.0,
+        delay_line_ms=3.0,
+        output_ms=4.0,
+        offset_ms=0.0,
+        driving_ms=4.0,
+        delay_ms=5.0,
+    )
+    status = replace(STATUS, actuators=(left, mix), latency=latency)
+    lines = status_text(status, 140).splitlines()
+    (first,) = (number for number, line in enumerate(lines) if line.startswith("actuator 1"))
+    assert lines[first].split(maxsplit=2)[2] == (
+        "left on 0, front-left, paper, -3.0 dB, inverted, 5.0 ms later"
+    )
+    assert "peak  -12.0, rms  -20.0 dBFS" in lines[first + 1]
+    assert "12 of 5000 blocks limited" in lines[first + 2]
+    assert "A(8) 0.6" in lines[first + 3]
+    assert lines[first + 4].split(maxsplit=2)[2] == "mix on 1, consumer"
+    assert "silence" in lines[first + 5]
+    assert sum("protection" in line for line in lines) == 1
+    (told,) = (line for line in lines if line.startswith("latency"))
+    assert "19.0 ms = tap 1.0 + transform 2.0 + driving 4.0 + actuator 5.0 +" in told

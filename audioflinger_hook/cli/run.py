@@ -130,6 +130,8 @@ def _refuse_what_is_not_there(order: Order) -> None:
     if order.tap.kind not in LIVE_TAPS + PACED_TAPS:
         raise NotFoundError(f"tap {str(order.tap)!r}: `cushion run` cannot listen to it")
     _ = order.rules
+    if order.settings.actuators and (order.device_is_a_card or not order.device_is_live):
+        _ = order.settings.numbered_channels  # raises: one goes by a name that only sinks have
     if order.live.drop_in and order.tap.kind not in ("default", "app"):
         raise UsageError(
             f"tap {str(order.tap)!r}: drop-in mode stands in front of the default sink; the tap "

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from audioflinger_hook.daemon.device_volume import DeviceVolume, SetVolume
 from audioflinger_hook.daemon.kept import KeptStream
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.daemon.sides import Fill
+from audioflinger_hook.daemon.sides import Actuated, Fill
+from audioflinger_hook.daemon.wired import Wired
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from device.actuators import ChannelMap, channels_needed, wiring_of
 from device.address import DeviceAddress
 from device.alsa import (
     PROC,
-    ChannelMap,
     Choice,
     Playback,
     choose,
@@ -27,7 +27,7 @@ from device.alsa import (
     set_card_volume,
     usb_stream,
 )
-from device.errors import CushionError, LostError, NotFoundError
+from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.sample_format import SampleFormat
 from device.server import AudioPriority, Pcm, PlaybackStream, PulseConnection, ServerSnapshot
 from device.server.portaudio import BLOCK_FRAMES
@@ -44,10 +44,10 @@ class AlsaOutput:
     It is opened as the card's own formats allow, and nobody else can play there meanwhile. No
     other card is ever taken instead, so that the stream needs no guard.
 
-    address: of kind hw or usb. recording: takes what is sent. wiring: see `ChannelMap.of`, None to
-    leave no channel silent. block_frames: of a callback; priority: what its thread asks for; both
-    of streams that are opened from now on; volume: the device's own. root, usb_root: what
-    tells of cards and of USB devices; target: what leads to a card.
+    address: of kind hw or usb. recording: takes what is sent. actuators: what hangs at its
+    channels; none to leave no channel silent. block_frames: of a callback; priority: what its
+    thread asks for; both of streams that are opened from now on; volume: the device's own. root,
+    usb_root: what tells of cards and of USB devices; target: what leads to a card.
     """
 
     needs_server = False
@@ -61,7 +61,7 @@ class AlsaOutput:
         states: StateKeeper,
         recording: RunRecording | None = None,
         *,
-        wiring: Sequence[Sequence[int]] | None = None,
+        actuators: Actuated = (),
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
         volume: DeviceVolume | None = None,
@@ -76,7 +76,7 @@ class AlsaOutput:
         self._pcm = pcm
         self._states = states
         self._recording = recording
-        self._wiring = wiring
+        self._wired = Wired(actuators)
         self._root = root
         self._usb_root = usb_root
         self._presence: PresenceWatch | None = None
@@ -118,6 +118,25 @@ class AlsaOutput:
         self.close()
         self._address = address
         self._lacking.clear()
+
+    def refuse(self, actuators: Actuated) -> None:
+        """Raise UsageError if the card has no channels for these actuators."""
+        if self._found is None or not actuators:
+            return
+        try:
+            self._choice(self._found.playback, actuators)
+        except NotFoundError as error:
+            raise UsageError(str(error)) from None
+
+    def wire(self, actuators: Actuated) -> None:
+        """Take these actuators, without a gap where as many go on, on channels that are open."""
+        channel_map = None
+        choice = self._playing.choice if self._playing else None
+        if choice is not None and actuators:
+            with suppress(UsageError):  # more channels are to be opened
+                channel_map = ChannelMap.of(wiring_of(actuators), choice.channels)
+        if not self._wired.change(actuators, channel_map):
+            self.close()
 
     def suit(self, samplerate: int, channels: int) -> None:
         """Be told the mix's rate, Hz, and the vibration's channels, before the first `keep`."""
@@ -197,27 +216,37 @@ class AlsaOutput:
         refused = refusal(playback)
         if refused is not None:
             raise NotFoundError(refused)
-        if self._mix is None:
-            return _Place(playback, None)
-        samplerate, actuators = self._mix
-        least = None
-        if self._wiring is not None:
-            least = 1 + max(max(channels) for channels in self._wiring)
-        offers = offers_of(usb_stream(playback))
+        choice = self._choice(playback, self._wired.actuators)
+        return _Place(playback, choice if self._mix else None)
+
+    def _choice(self, playback: Playback, actuators: Actuated) -> Choice:
+        """Return how the card suits, or NotFoundError; before the mix is known, for any mix."""
+        samplerate, channels = self._mix or (48_000, 1)
+        if actuators:
+            wiring = wiring_of(actuators)
+            channels = max(len(actuators), channels_needed(wiring))
         try:
-            choice = choose(offers, samplerate, actuators, least, self._lacking)
-        except NotFoundError as error:
-            raise NotFoundError(f"{playback}: {error}") from None
-        return _Place(playback, choice)
+            offers = offers_of(usb_stream(playback))
+            choice = choose(offers, samplerate, channels, without=self._lacking)
+            if actuators:
+                ChannelMap.of(wiring, choice.channels, device=str(playback))
+        except (NotFoundError, UsageError) as error:
+            advice = (
+                f"; the actuators need {channels} channels: name others in [[actuator]], or "
+                "another card"
+            )
+            raise NotFoundError(f"{playback}: {error}{advice if actuators else ''}") from None
+        return choice
 
     def _stream(self, place: _Place, choice: Choice, fill: Fill) -> PlaybackStream:
         self.volume.set(_set_volume_of(place.playback))
         recording = self._recording
         assert self._mix is not None
-        if self._wiring is None:
-            channel_map = ChannelMap.repeated(self._mix[1], choice.channels)
+        actuators = self._wired.actuators
+        if actuators:
+            channel_map = ChannelMap.of(wiring_of(actuators), choice.channels)
         else:
-            channel_map = ChannelMap.of(self._wiring, choice.channels)
+            channel_map = ChannelMap.repeated(self._mix[1], choice.channels)
         sent = None
         if recording is not None:
             recording.reopened()
@@ -229,7 +258,7 @@ class AlsaOutput:
             self._pcm,
             choice.samplerate,
             choice.channels,
-            _Spread(fill, channel_map, self.block_frames).fill,
+            self._wired.spread(fill, channel_map, self.block_frames),
             sent,
             block_frames=self.block_frames,
             priority=self._priority,
@@ -275,21 +304,3 @@ def _set_volume_of(playback: Playback) -> SetVolume:
         set_card_volume(playback.card.number, wanted_db)
 
     return set_volume
-
-
-class _Spread:
-    """Vibration on the card's channels, block by block. `fill`: for the output's thread."""
-
-    def __init__(self, fill: Fill, channel_map: ChannelMap, block_frames: int) -> None:
-        self._fill = fill
-        self._map = channel_map
-        self._vibration = np.zeros((block_frames, channel_map.actuators), np.float32)
-
-    def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write what is played next."""
-        if len(self._vibration) != len(out):
-            self._vibration = np.zeros((len(out), self._map.actuators), np.float32)
-        else:
-            self._vibration[:] = np.float32(0.0)
-        self._fill(self._vibration, now_s)
-        self._map.spread(self._vibration, out)

@@ -11,12 +11,12 @@ import numpy as np
 from audioflinger_hook.chain import Chain
 from audioflinger_hook.clients import Client
 from audioflinger_hook.daemon.gathering import Gathered
+from audioflinger_hook.driven import actuators_of, driving_of
 from audioflinger_hook.framework import Framework
 from audioflinger_hook.service.buffer_times import BufferClock
 from audioflinger_hook.settings import Settings
 from device.clock import DelayLine
 from device.clock.timing import STALLED_S
-from device.driving import driving_for
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
@@ -69,7 +69,9 @@ class Engine:
     silent. faded: whether the vibration last looked at was none. sound, vibration: their levels.
     before_fill: called by `fill` before it reads; set it before that. filled_s:
     when `fill` was called last. driving: what is done to the vibration for its rig, None for
-    nothing; it comes after all that `sound` and `vibration` tell of.
+    nothing; it comes after all that `sound` and `vibration` tell of. actuators: stand in its place
+    where the settings name some; driven: the level of what each gets. outputs: columns of what
+    `fill` gives: the actuators, or the haptic channels.
 
     Raises
     ------
@@ -106,14 +108,10 @@ class Engine:
             clock=clocks.used_s if bypass_late else None,
         )
         chosen = self.framework.settings
-        self.driving = driving_for(
-            chosen.rig,
-            self.samplerate,
-            self.framework.haptic_channels,
-            damping=chosen.damping,
-            protection=chosen.protection,
-            exposure_cap=chosen.exposure_cap,
-        )
+        self.driving = driving_of(chosen, self.samplerate, self.framework.haptic_channels)
+        self.actuators = actuators_of(chosen, self.samplerate)
+        self.driven = [Gathered(self.samplerate) for _ in chosen.actuators]
+        self.outputs = len(chosen.actuators) or self.framework.haptic_channels
         self.delay_line = self._line(output_samplerate, offset_s)
         self.sound = Gathered(self.samplerate)
         self.vibration = Gathered(self.samplerate)
@@ -129,12 +127,12 @@ class Engine:
         self._chain = Chain(client, self.framework, [self._into_line])
         if on_mix is not None:
             self.framework.mixer.on_mix = lambda sound: on_mix(sound, self._into_line.now_s)
-        self._read = np.zeros((0, self.framework.haptic_channels), np.float32)
+        self._read = np.zeros((0, self.outputs), np.float32)
         self._start = self._end = 0
 
     def _line(self, samplerate: int, offset_s: float) -> DelayLine:
         return DelayLine(
-            self.framework.haptic_channels,
+            self.outputs,
             self.samplerate,
             samplerate,
             capture_block=self.block_frames,
@@ -158,6 +156,7 @@ class Engine:
     def follow(self, settings: Settings, offset_s: float) -> None:
         """Take another level, other parameters and another offset while it runs.
 
+        Of actuators level, polarity, delay and source, if their sources stay the same together.
         For the thread that made it. UsageError: they cannot be had, and nothing has changed.
         """
         before_s = self.delay_line.offset_s
@@ -167,6 +166,8 @@ class Engine:
         except UsageError:
             self.delay_line.offset_s = before_s
             raise
+        if self.actuators is not None:
+            self.actuators.change(settings.actuators)
 
     def advance(self, now_s: float, earlier: Sequence[tuple[float, int]] = ()) -> bool:
         """Do one cycle with what the client has; False once it has come to its end.
@@ -204,7 +205,9 @@ class Engine:
         held = self._into_line.held = []
         while self.advance(now_s):
             pass
-        if self.driving is not None:
+        if self.actuators is not None:
+            held.append(self.actuators.owed())
+        elif self.driving is not None:
             held.append(self.driving.owed().astype(np.float32))
         return np.concatenate([self._read[:0], *held])
 
@@ -220,6 +223,10 @@ class Engine:
         self.delay_line.flush()
         if self.driving is not None:  # what it still holds is of before
             self.driving.owed()
+        if self.actuators is not None:
+            self.actuators.flush()
+        for gathered in self.driven:
+            gathered.reset()
         self._drop_ahead()
         self.sound.reset()
         self.vibration.reset()
@@ -291,12 +298,17 @@ class _IntoLine:
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take one block."""
-        if self._engine.driving is not None:
-            vibration = self._engine.driving.process(np.array(vibration, np.float32))
+        engine = self._engine
+        if engine.actuators is not None:
+            vibration = engine.actuators.process(vibration)
+            for index, gathered in enumerate(engine.driven):
+                gathered.add(vibration[:, index : index + 1])
+        elif engine.driving is not None:
+            vibration = engine.driving.process(np.array(vibration, np.float32))
         if self.held is not None:
             self.held.append(np.array(vibration, np.float32))
             return
-        self._engine.delay_line.write(vibration, self.now_s, self.earlier)
+        engine.delay_line.write(vibration, self.now_s, self.earlier)
 
     def close(self) -> None:
         """Nothing is held."""

@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.capture.format import Facts
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.transform import TransformParameters
+from device.actuators import ActuatorSettings
 from device.errors import UsageError
 from device.rig.rig_file import SHIPPED
 
 NESTED = "parameters"
 """The field of `Settings` whose own fields stand beside the others."""
 
+ACTUATORS = "actuators"
+"""The field that is kept as JSON: a list of tables, as in a config file."""
+
 
 def facts_of(settings: Settings) -> Facts:
-    """Return every setting by its name; a path is absolute, what is not set is left out."""
+    """Return every setting by its name; a path is absolute, what is not set is left out.
+
+    Actuators, where there are any, are one text.
+    """
     chosen = {field.name: getattr(settings, field.name) for field in fields(settings)}
     parameters = chosen.pop(NESTED)
+    chosen[ACTUATORS] = _as_text(chosen[ACTUATORS])
     chosen |= {field.name: getattr(parameters, field.name) for field in fields(parameters)}
     facts: dict[str, str | int | float | bool] = {}
     for name, value in chosen.items():
         if isinstance(value, Path):
             value = str(value.absolute())
-        if name == "rig" and value not in SHIPPED:  # a file
-            value = str(Path(value).absolute())
+        if name == "rig":
+            value = _absolute(value)
         if value is not None:
             facts[name] = value
     return facts
@@ -49,11 +58,30 @@ def settings_from(facts: Facts) -> Settings | None:
         chosen.pop(NESTED, None)
         if "effects_file" in chosen:
             chosen["effects_file"] = Path(chosen["effects_file"])
+        if ACTUATORS in chosen:
+            tables = json.loads(chosen[ACTUATORS])
+            chosen[ACTUATORS] = tuple(ActuatorSettings.from_document(table) for table in tables)
         return Settings(**chosen, parameters=parameters)
-    except (UsageError, TypeError) as error:
+    except (UsageError, TypeError, ValueError, KeyError) as error:
         raise UsageError(
             f"the settings in the capture cannot be used ({error}); give others with --config"
         ) from None
+
+
+def _as_text(actuators: tuple[ActuatorSettings, ...]) -> str | None:
+    if not actuators:
+        return None
+    tables = [
+        asdict(replace(one, rig=None if one.rig is None else _absolute(one.rig)))
+        for one in actuators
+    ]
+    said = [{key: value for key, value in one.items() if value is not None} for one in tables]
+    return json.dumps(said)
+
+
+def _absolute(rig: str) -> str:
+    """A rig's name, or the absolute path of its file."""
+    return rig if rig in SHIPPED else str(Path(rig).absolute())
 
 
 def _named(kind: type[Any], facts: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from audioflinger_hook.daemon.device_volume import DeviceVolume, SetVolume
 from audioflinger_hook.daemon.kept import KeptStream
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.daemon.sides import Fill
+from audioflinger_hook.daemon.sides import Actuated, Fill
+from audioflinger_hook.daemon.wired import Wired
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.address import DeviceAddress
+from device.errors import NotFoundError, UsageError
 from device.server import (
     AudioPriority,
     Pcm,
@@ -18,6 +22,7 @@ from device.server import (
 )
 from device.server.latency import output_latency_s
 from device.server.portaudio import BLOCK_FRAMES
+from device.server.positions import map_on
 from device.units import Float32Array
 
 
@@ -26,7 +31,7 @@ class LiveOutput:
 
     recording: takes what is sent. name: of the sink that is played to, None while none is.
     block_frames: of a callback; priority: what its thread asks for; both of streams that are
-    opened from now on; volume: the device's own.
+    opened from now on; volume: the device's own. actuators: what hangs at its channels.
     """
 
     needs_server = True
@@ -43,8 +48,10 @@ class LiveOutput:
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
         volume: DeviceVolume | None = None,
+        actuators: Actuated = (),
     ) -> None:
         self.block_frames = block_frames
+        self._wired = Wired(actuators)
         self._priority = priority
         self.volume = volume or DeviceVolume()
         self._address = address
@@ -89,6 +96,20 @@ class LiveOutput:
         self.close()
         self._address = address
 
+    def refuse(self, actuators: Actuated) -> None:
+        """Raise UsageError if the sink has no channels for these actuators."""
+        if actuators and self._found is not None:
+            map_on(self._found, actuators)
+
+    def wire(self, actuators: Actuated) -> None:
+        """Take these actuators, without a gap where as many go on."""
+        channel_map = None
+        if actuators and self._sink is not None:
+            with suppress(UsageError):  # another device is to follow
+                channel_map = map_on(self._sink, actuators)
+        if not self._wired.change(actuators, channel_map):
+            self.close()
+
     def suit(self, samplerate: int, channels: int) -> None:
         """A sink has a format of its own."""
 
@@ -99,10 +120,20 @@ class LiveOutput:
         return output_latency_s(snapshot, self.block_frames, self._found.samplerate)
 
     def locate(self, snapshot: ServerSnapshot | None) -> Sink:
-        """Find the sink. NotFoundError: it is not there; no other is taken instead."""
+        """Find the sink.
+
+        NotFoundError: it is not there, or has no channels for the actuators; no other is taken
+        instead.
+        """
         assert snapshot is not None
-        self._found = self._address.sink(snapshot)
-        return self._found
+        found = self._address.sink(snapshot)
+        try:
+            if self._wired.actuators:
+                map_on(found, self._wired.actuators)
+        except UsageError as error:
+            raise NotFoundError(str(error)) from None
+        self._found = found
+        return found
 
     def keep(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
         """Bring the playback nearer to what was located.
@@ -148,6 +179,9 @@ class LiveOutput:
             def sent(frames: Float32Array, now_s: float) -> None:
                 recording.sent(frames, sink.samplerate, now_s)
 
+        if self._wired.actuators:
+            channel_map = map_on(sink, self._wired.actuators)
+            fill = self._wired.spread(fill, channel_map, self.block_frames)
         return PlaybackStream(
             self._pcm,
             sink.samplerate,

@@ -8,6 +8,7 @@ from audioflinger_hook.clients import TapAddress, parse_tap
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.settings import Settings
+from device.actuators import ActuatorSettings
 from device.address import DeviceAddress
 from device.errors import UsageError
 from device.server import AppRules
@@ -86,14 +87,16 @@ class Changes:
     """What is another from one order to the next, by what it takes.
 
     level, volume, offset, priority: nothing is interrupted; volume is the device's own; the offset
-    is a jump of the delay, faded over 5 ms; a priority that is wanted is that of streams that are
-    opened from now on.
+    is a jump of the delay, faded over 5 ms; actuators: level, polarity, delay, source or channels
+    of some, each faded over one block or 10 ms; a priority that is wanted is that of streams that
+    are opened from now on.
     transform: the vibration fades out and begins anew after the transform's latency. tap, device:
     the one stream is led elsewhere or opened anew. drop_in: the virtual sink comes or goes.
     blocks: both streams are opened anew. engine: everything but the connection begins anew.
     """
 
     level: bool = False
+    actuators: bool = False
     volume: bool = False
     offset: bool = False
     priority: bool = False
@@ -110,8 +113,12 @@ class Changes:
         before, after = old.settings, new.settings
         # The effect takes another level and other parameters while it runs, and nothing else.
         alike = replace(after, gain_db=before.gain_db, parameters=before.parameters)
+        follow = _can_follow(before, after)
+        if follow:
+            alike = replace(alike, actuators=before.actuators)
         return cls(
             level=before.gain_db != after.gain_db,
+            actuators=follow and before.actuators != after.actuators,
             volume=old.live.device_volume_db != new.live.device_volume_db,
             offset=old.live.offset_ms != new.live.offset_ms,
             priority=old.live.realtime != new.live.realtime,
@@ -132,6 +139,7 @@ class Changes:
         """Return what changed, for people, in one line."""
         words = {
             "the level": self.level,
+            "the actuators": self.actuators,
             "the device's volume": self.volume,
             "the offset": self.offset,
             "the audio threads' priority": self.priority,
@@ -144,6 +152,17 @@ class Changes:
         }
         changed = [text for text, is_so in words.items() if is_so]
         return ", ".join(changed) or "nothing"
+
+
+def _can_follow(before: Settings, after: Settings) -> bool:
+    """Whether the actuators can go over while they play: as many, the same rigs and sources."""
+    were, are = before.actuators, after.actuators
+    return before.sources == after.sources and [_fixed(a) for a in were] == [_fixed(a) for a in are]
+
+
+def _fixed(actuator: ActuatorSettings) -> tuple[str | None, ...]:
+    """What stays as it is while it plays."""
+    return actuator.rig, actuator.damping, actuator.protection, actuator.exposure_cap
 
 
 def _what_is_heard(order: Order) -> tuple[object, ...]:

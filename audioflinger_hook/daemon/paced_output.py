@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from audioflinger_hook.daemon.pacing import FrameTime, Pacer
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.daemon.sides import Fill
+from audioflinger_hook.daemon.sides import Actuated, Fill
+from audioflinger_hook.daemon.wired import Wired
+from audioflinger_hook.driven import twin_of
+from audioflinger_hook.settings import Settings
+from device.actuators.twins import Twins
 from device.address import DeviceAddress
 from device.atomic_file import AtomicFile
-from device.errors import InternalError
+from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name
 from device.rig.twin import Twin
@@ -27,8 +31,9 @@ BLOCK_FRAMES = 256
 class PacedOutput:
     """A WAV file or the twin, asked for by nobody: blocks are taken as their time comes.
 
-    address: of kind wav or twin; rig: the twin's. It has the mix's rate and the vibration's
-    channels. A file appears with `end(keep=True)`, whole, and has a silence its length. Closed,
+    address: of kind wav or twin; settings: say what rigs the twin has, and what actuators hang at
+    which channels. It has the mix's rate and the vibration's channels, or as many as the actuators
+    need. A file appears with `end(keep=True)`, whole, and has a silence its length. Closed,
     it pauses. For the supervising thread alone; the pacer's thread writes.
 
     Raises
@@ -44,14 +49,16 @@ class PacedOutput:
         self,
         address: DeviceAddress,
         pacer: Pacer,
-        rig: str = "paper",
+        settings: Settings | None = None,
         recording: RunRecording | None = None,
     ) -> None:
         self._address = address
         self._pacer = pacer
         self._recording = recording
         self._job: _Taking | None = None
-        self._make = _maker(address, rig)
+        self._settings = settings or Settings()
+        self._wired = Wired(self._settings.actuators)
+        self._make = _maker(address, self._settings)
         self._format: tuple[int, int] | None = None
 
     def __str__(self) -> str:
@@ -81,7 +88,7 @@ class PacedOutput:
     def summary(self) -> str:
         """What the rig did, one line; empty for a file, and before the first block."""
         output = self._job.output if self._job else None
-        if not isinstance(output, Twin):
+        if not isinstance(output, Twin | Twins):
             return ""
         return (
             f"twin (predicted): peak acceleration {output.peak_acceleration_m_s2:.1f} m/s^2, "
@@ -91,7 +98,27 @@ class PacedOutput:
 
     def suit(self, samplerate: int, channels: int) -> None:
         """Be told the mix's rate, Hz, and the vibration's channels, before the first `keep`."""
+        if self._wired.actuators:
+            channels = self._settings.numbered_channels.channels
         self._format = (samplerate, channels)
+
+    def refuse(self, actuators: Actuated) -> None:
+        """Raise UsageError if these do not fit what is written, or the rigs that are simulated."""
+        before, after = self._settings, replace(self._settings, actuators=tuple(actuators))
+        if before.numbered_channels.channels != after.numbered_channels.channels:
+            raise UsageError(
+                f"{self} has {before.numbered_channels.channels} channels for the actuators, and "
+                f"cannot have {after.numbered_channels.channels} while it runs; start it anew"
+            )
+        if self._address.kind == "twin" and _rigs(before) != _rigs(after):
+            raise UsageError(
+                "the simulated rigs stay on their channels while they run; start it anew"
+            )
+
+    def wire(self, actuators: Actuated) -> None:
+        """Take these actuators, without a gap."""
+        self._settings = replace(self._settings, actuators=tuple(actuators))
+        self._wired.change(self._settings.actuators, self._settings.numbered_channels)
 
     def delay_s(self, snapshot: ServerSnapshot | None) -> float:
         """Nothing is on its way."""
@@ -106,6 +133,9 @@ class PacedOutput:
         job = self._job
         if job is None:
             assert self._format is not None
+            if self._wired.actuators:
+                channel_map = self._settings.numbered_channels
+                fill = self._wired.spread(fill, channel_map, BLOCK_FRAMES)
             job = self._job = _Taking(self._make(*self._format), fill, self._recording)
         if job.error is not None:
             raise job.error
@@ -165,13 +195,24 @@ class _Taking:
         return True
 
 
-def _maker(address: DeviceAddress, rig: str) -> Callable[[int, int], VibrationOutput]:
+def _rigs(settings: Settings) -> list[str | None]:
+    """The rig at every channel, None for none."""
+    return [
+        None if index is None else settings.actuators[index].rig or settings.rig
+        for index in settings.numbered_channels.sources
+    ]
+
+
+def _maker(address: DeviceAddress, settings: Settings) -> Callable[[int, int], VibrationOutput]:
     """Return what opens the output for a rate in Hz and channels; what is wrong shows at once."""
+    if settings.actuators:
+        _ = settings.numbered_channels  # raises: one of them goes by a name
     if address.kind == "wav":
         path = Path(address.name)
         AtomicFile(path).abort()
         return lambda samplerate, channels: WavOutput(path, samplerate, channels)
     if address.kind == "twin":
-        simulated = rig_by_name(rig)
-        return lambda samplerate, channels: Twin(simulated, samplerate, channels)
+        for rig in (settings.rig, *(one.rig for one in settings.actuators if one.rig)):
+            rig_by_name(rig)
+        return lambda samplerate, channels: twin_of(settings, samplerate, channels)
     raise InternalError(f"device {str(address)!r} is none that is paced")

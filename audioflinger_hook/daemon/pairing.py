@@ -52,8 +52,8 @@ class Sides:
         self._pcms: PcmConfig | None = None
         self.output: OutputSide
         if not order.device_is_live:
-            rig = order.settings.rig
-            self.output = PacedOutput(order.device, self._pacer, rig, order.recording)
+            chosen = order.settings
+            self.output = PacedOutput(order.device, self._pacer, chosen, order.recording)
         self.feed: Feed | AppFeed
         self.input: InputSide
         if not order.tap_is_live:
@@ -79,6 +79,7 @@ class Sides:
             block_frames=order.live.block_frames,
             priority=self._priority,
             volume=_volume_of(order),
+            actuators=order.settings.actuators,
         )
 
     def _live_input(self, order: Order) -> LiveInput | AppInput:
@@ -118,9 +119,11 @@ class Sides:
         paced = [old.tap] * (not old.tap_is_live) + [old.device] * (not old.device_is_live)
         if paced and Changes.between(old, new).engine:
             raise UsageError(
-                f"form, channels and effects_file stay as they are while {str(paced[0])!r} is in "
-                "use; start it anew"
+                "form, channels, effects_file, rig, damping, protection, and which actuators there "
+                f"are, stay as they are while {str(paced[0])!r} is in use; start it anew"
             )
+        if old.device == new.device and old.settings.actuators != new.settings.actuators:
+            self.output.refuse(new.settings.actuators)
         if old.recording and old.settings != new.settings:
             raise UsageError(
                 "settings cannot change while --record keeps what they make; start it anew"
@@ -150,12 +153,16 @@ class Sides:
         self.output = self._live_output(order)
 
     def take(self, order: Order) -> None:
-        """Open streams with so many frames a callback from now on; set the device's volume."""
+        """Open streams with so many frames a callback from now on; set the device's volume.
+
+        And take what hangs at its channels.
+        """
         for side in (self.input, self.output):
             if isinstance(side, LiveInput | LiveOutput | AlsaOutput):
                 side.block_frames = order.live.block_frames
         if isinstance(self.output, LiveOutput | AlsaOutput):
             self.output.volume.want(_volume_of(order))
+        self.output.wire(order.settings.actuators)
 
     def close(self) -> None:
         """Let both fall silent; they go on when they are kept again. Again too."""
@@ -173,7 +180,10 @@ class Sides:
 
 
 def _volume_of(order: Order) -> DeviceVolume:
-    limit_db = rig_by_name(order.settings.rig).dac.volume_limit_db
+    settings = order.settings
+    rigs = {actuator.rig or settings.rig for actuator in settings.actuators} or {settings.rig}
+    # One volume for all channels: that of the rig which bears least.
+    limit_db = min(rig_by_name(rig).dac.volume_limit_db for rig in rigs)
     return DeviceVolume(order.live.device_volume_db, limit_db)
 
 

@@ -6,8 +6,13 @@ import os
 from dataclasses import replace
 
 from audioflinger_hook import __version__
+from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.service.rig_figures import ExposureFigures, ProtectionFigures
+from audioflinger_hook.service.rig_figures import (
+    ActuatorFigures,
+    ExposureFigures,
+    ProtectionFigures,
+)
 from audioflinger_hook.service.status import (
     DelayLineFigures,
     Endpoint,
@@ -41,7 +46,8 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     line = engine.delay_line.status
     tap_s, output_s = supervisor.latencies_s
     offset_s = engine.delay_line.offset_s
-    driving = engine.driving
+    actuators = _actuators(engine)
+    later_ms, delay_ms = _later_ms(engine)
     return replace(
         status,
         levels=Levels(engine.sound.meter.level(), engine.vibration.meter.level()),
@@ -51,7 +57,8 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
             delay_line_ms=1e3 * (line.delay_s - offset_s),
             output_ms=1e3 * output_s,
             offset_ms=1e3 * supervisor.offset_s,
-            driving_ms=1e3 * driving.latency_frames / engine.samplerate if driving else 0.0,
+            driving_ms=later_ms,
+            delay_ms=delay_ms,
         ),
         delay_line=DelayLineFigures(
             1e3 * line.target_s,
@@ -66,8 +73,56 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         effects_bypassed=tuple(engine.framework.bypassed()),
         limited_samples=engine.framework.limited_samples,
         replaced_samples=engine.framework.replaced_samples,
-        protection=_protection(driving) if driving else None,
-        exposure=_exposure(driving) if driving else None,
+        protection=_worst_protection(engine),
+        exposure=_worst_exposure(engine),
+        actuators=actuators,
+    )
+
+
+def _later_ms(engine: Engine) -> tuple[float, float]:
+    """What is done for the rigs adds, and what the last of the actuators was asked to add, ms."""
+    ms = 1e3 / engine.samplerate
+    if engine.actuators is not None:
+        actuators = engine.actuators
+        return ms * actuators.latency_frames, ms * max(actuators.delays_frames)
+    return (ms * engine.driving.latency_frames if engine.driving else 0.0), 0.0
+
+
+def _drivings(engine: Engine) -> list[Driving]:
+    """What is done for rigs, one or several."""
+    every = engine.actuators.drivings if engine.actuators else (engine.driving,)
+    return [driving for driving in every if driving is not None]
+
+
+def _worst_protection(engine: Engine) -> ProtectionFigures | None:
+    found = [_protection(driving) for driving in _drivings(engine)]
+    return min(found, key=lambda one: (one.gain, one.least_gain), default=None)
+
+
+def _worst_exposure(engine: Engine) -> ExposureFigures | None:
+    found = [_exposure(driving) for driving in _drivings(engine)]
+    return max(found, key=lambda one: one.a8_m_s2, default=None)
+
+
+def _actuators(engine: Engine) -> tuple[ActuatorFigures, ...]:
+    actuators = engine.actuators
+    if actuators is None:
+        return ()
+    return tuple(
+        ActuatorFigures(
+            source=chosen.source,
+            channels=tuple(map(str, chosen.channels)),
+            rig=chosen.rig or engine.framework.settings.rig,
+            gain_db=chosen.gain_db,
+            polarity=chosen.polarity,
+            delay_ms=chosen.delay_ms,
+            level=gathered.meter.level(),
+            protection=_protection(driving) if driving else None,
+            exposure=_exposure(driving) if driving else None,
+        )
+        for chosen, driving, gathered in zip(
+            actuators.settings, actuators.drivings, engine.driven, strict=True
+        )
     )
 
 

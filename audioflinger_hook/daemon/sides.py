@@ -5,14 +5,19 @@ Live sides belong to the sound server, a card and paced sides need none; each ki
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from device.actuators import ActuatorSettings
 from device.server import PulseConnection, ServerSnapshot
 from device.units import Float32Array
 
 Fill = Callable[[Float32Array, float], None]
 """(out, now_s): writes what is played next."""
+
+
+Actuated = Sequence[ActuatorSettings]
+"""What hangs at a device's channels; empty where all of them get the vibration as it is."""
 
 
 class Place(Protocol):
@@ -132,6 +137,17 @@ class OutputSide(Side, Protocol):
 
     def suit(self, samplerate: int, channels: int) -> None:
         """Be told the mix's rate, Hz, and the vibration's channels, before the first `keep`."""
+        ...
+
+    def refuse(self, actuators: Actuated) -> None:
+        """Raise UsageError if what is there has no channels for these actuators."""
+        ...
+
+    def wire(self, actuators: Actuated) -> None:
+        """Take these actuators from now on, which `refuse` let pass.
+
+        Without a gap where as many go on, on channels that are open; else it is closed, for `keep`.
+        """
         ...
 
     def delay_s(self, snapshot: ServerSnapshot | None) -> float:

@@ -236,7 +236,7 @@ class Supervisor:
         if changes.device:
             self._sides.lead_output(order)
             if engine:
-                self._output.suit(engine.samplerate, engine.framework.haptic_channels)
+                self._output.suit(engine.samplerate, engine.outputs)
         if changes.drop_in:
             if self._stand_in:
                 self._stand_in.close()
@@ -368,7 +368,7 @@ class Supervisor:
                 on_mix=on_mix,
             )
             feed.serve(engine)
-            self._output.suit(engine.samplerate, engine.framework.haptic_channels)
+            self._output.suit(engine.samplerate, engine.outputs)
         elif not self._output.is_open:
             engine.lead_to(device.samplerate or engine.samplerate, self._order.live.block_frames)
 

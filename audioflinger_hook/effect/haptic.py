@@ -15,6 +15,7 @@ from audioflinger_hook.effect.haptic_parameters import (
     RESTARTING,
     amplitude,
     is_possible,
+    sources,
     transform_parameters,
 )
 from audioflinger_hook.effect.interface import (
@@ -32,6 +33,7 @@ from audioflinger_hook.effect.interface import (
 from audioflinger_hook.effect.library import EffectLibrary
 from audioflinger_hook.effect.parameters import ParameterValues, Value, Values
 from audioflinger_hook.effect.vibration import Vibration
+from audioflinger_hook.layouts import source_weights
 from audioflinger_hook.transform import Form, HapticTransform
 from device.errors import UsageError
 
@@ -226,6 +228,9 @@ class HapticEffect:
 
 def transform_for(config: EffectConfig, values: Values) -> HapticTransform | None:
     """Return a transform for a stream, about 6 ms of work, or None where none can be."""
+    chosen = sources(values)
+    # The mix alone is what every transform makes that is told nothing else.
+    mixed = chosen not in ((), ("mix",))
     try:
         return HapticTransform(
             config.samplerate,
@@ -233,6 +238,7 @@ def transform_for(config: EffectConfig, values: Values) -> HapticTransform | Non
             transform_parameters(values),
             form=cast(Form, values["form"]),
             per_channel=values["per_channel"] is True,
+            weights=source_weights(config.channels, chosen) if mixed else None,
         )
     except (UsageError, ValueError):
         # ValueError: a band that a low sample rate cannot hold has no filter.

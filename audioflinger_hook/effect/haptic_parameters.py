@@ -8,11 +8,12 @@ from typing import Any
 from audioflinger_hook.effect.parameters import Parameter, Value, Values
 from audioflinger_hook.settings import CHOICES, GAIN_MAX_DB, GAIN_MIN_DB, Settings
 from audioflinger_hook.transform import LIMITS, TransformParameters
+from device.actuators import SOURCES
 from device.units import db_to_amplitude
 
 TRANSFORM_FIELDS = tuple(field.name for field in fields(TransformParameters))
 
-RESTARTING = frozenset({*TRANSFORM_FIELDS, "form", "per_channel"})
+RESTARTING = frozenset({*TRANSFORM_FIELDS, "form", "per_channel", "sources"})
 """Parameters whose change takes another transform."""
 
 HAPTIC_PARAMETERS = (
@@ -36,6 +37,12 @@ HAPTIC_PARAMETERS = (
         bool,
         False,
         meaning="every channel by itself instead of the mean of all",
+    ),
+    Parameter(
+        "sources",
+        str,
+        "",
+        meaning="what each haptic channel is made of instead, such as left,right; empty: the above",
     ),
     Parameter(
         "gain_db",
@@ -70,7 +77,15 @@ def transform_parameters(values: Values) -> TransformParameters:
 
 def is_possible(values: Values) -> bool:
     """Return whether the values go together."""
+    if not {*sources(values)} <= {*SOURCES} or (values["sources"] and values["per_channel"]):
+        return False
     return not TransformParameters.problems({name: values[name] for name in TRANSFORM_FIELDS})
+
+
+def sources(values: Values) -> tuple[str, ...]:
+    """Return the source of each haptic channel, nothing where none is chosen."""
+    chosen = values["sources"]
+    return tuple(chosen.split(",")) if isinstance(chosen, str) and chosen else ()
 
 
 def amplitude(values: Values) -> float:
@@ -86,5 +101,6 @@ def from_settings(settings: Settings) -> dict[str, Value]:
         **asdict(settings.parameters),
         "form": settings.form,
         "per_channel": settings.channels == "each",
+        "sources": ",".join(settings.sources),
         "gain_db": settings.gain_db,
     }

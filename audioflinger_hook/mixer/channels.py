@@ -1,4 +1,4 @@
-"""Where channels stand: the layouts that Android expects, and tracks laid over another layout."""
+"""Tracks laid over another layout of channels."""
 
 from __future__ import annotations
 
@@ -7,64 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-CHANNELS_MAX = 64
-"""Android stops at 32; sound files do not."""
-
-MINUS_3_DB = 0.5**0.5
-
-# AOSP's canonical positions by channel count, in the order of their mask bits.
-_FRONT = "FL FR FC LFE BL BR SL SR"
-_CANONICAL = {
-    1: "FC",
-    2: "FL FR",
-    3: "FL FR LFE",
-    4: "FL FR BL BR",
-    5: "FL FR FC BL BR",
-    6: "FL FR FC LFE BL BR",
-    7: "FL FR FC LFE BL BR BC",
-    8: _FRONT,
-    12: f"{_FRONT} TFL TFR TBL TBR",
-    14: f"{_FRONT} TFL TFR TBL TBR FWL FWR",
-    16: f"{_FRONT} TFL TFR TBL TBR TSL TSR FWL FWR",
-    24: "FL FR FC LFE BL BR FLC FRC BC SL SR TC TFL TFC TFR TBL TBC TBR TSL TSR BFL BFC BFR LFE2",
-}
-
-
-@cache
-def layout(channels: int) -> tuple[str, ...]:
-    """The positions of 1 to 64 channels: those of AOSP where it knows that count.
-
-    For the others (9 to 11, 13, 15, 17 to 23, from 25) 7.1 is followed by pairs `L9 R10`, ...
-    and, for an odd count, one `C`.
-    """
-    if channels in _CANONICAL:
-        return tuple(_CANONICAL[channels].split())
-    positions = _FRONT.split()
-    while len(positions) + 2 <= channels:
-        positions += [f"L{len(positions) + 1}", f"R{len(positions) + 2}"]
-    return (*positions, f"C{channels}") if len(positions) < channels else tuple(positions)
-
-
-@cache
-def sides(channels: int) -> str:
-    """One letter a channel: on whose volume it hangs, L, R, or C for the mean of both.
-
-    As in AudioFlinger, except that the one channel of a mono mix is C there L: a sound panned
-    right must not vanish. With two LFE channels (22.2) the first is L, the second R.
-    """
-    positions = layout(channels)
-    two_lfe = "LFE2" in positions
-    return "".join(
-        {"LFE": "L", "LFE2": "R"}[position] if two_lfe and "LFE" in position else _side(position)
-        for position in positions
-    )
-
-
-def _side(position: str) -> str:
-    name = position.rstrip("0123456789")
-    if name in ("FLC", "FRC"):
-        return name[1]
-    return name[-1] if name[-1] in "LR" else "C"
+from audioflinger_hook.layouts import MINUS_3_DB, layout, sides
 
 
 class ChannelMap:

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from audioflinger_hook.buffers import MixBuffer
+from audioflinger_hook.layouts import CHANNELS_MAX
 from audioflinger_hook.mixer.buffer_size import normal_buffer_frames
-from audioflinger_hook.mixer.channels import CHANNELS_MAX
 from audioflinger_hook.mixer.effects_port import EffectsPort, NoEffects
 from audioflinger_hook.mixer.lane import Lane, Readiness
 from audioflinger_hook.mixer.pcm import PcmFormat

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from audioflinger_hook.service.levels import Level
+
 
 @dataclass(frozen=True)
 class ProtectionFigures:
@@ -48,3 +50,23 @@ class ExposureFigures:
     knows_seat: bool = False
     cap: str = "off"
     cap_gain: float = 1.0
+
+
+@dataclass(frozen=True)
+class ActuatorFigures:
+    """One of several actuators: what was asked for, and what it gets.
+
+    source: of its vibration; channels: of the device, as the config names them; rig: by its own
+    name or its file's. level: of what it gets, protection and its own level included. protection,
+    exposure: None where nothing is done for it.
+    """
+
+    source: str
+    channels: tuple[str, ...]
+    rig: str
+    gain_db: float
+    polarity: str
+    delay_ms: float
+    level: Level
+    protection: ProtectionFigures | None
+    exposure: ExposureFigures | None

@@ -9,7 +9,11 @@ from types import MappingProxyType
 from audioflinger_hook.service.buffer_times import BufferTimes
 from audioflinger_hook.service.document import from_json, to_json
 from audioflinger_hook.service.levels import Level
-from audioflinger_hook.service.rig_figures import ExposureFigures, ProtectionFigures
+from audioflinger_hook.service.rig_figures import (
+    ActuatorFigures,
+    ExposureFigures,
+    ProtectionFigures,
+)
 from audioflinger_hook.service.state import Cause, DaemonState
 
 
@@ -34,8 +38,8 @@ class LatencyBudget:
     """Where the time goes between a sound and its vibration, in ms.
 
     offset_ms: what the user added, less what drop-in mode delays the sound by. driving_ms: what
-    damping and protection add. total_ms: by how much the vibration comes later than the sound is
-    played.
+    damping and protection add. delay_ms: what was asked for by the actuator that comes last.
+    total_ms: by how much the vibration comes later than the sound is played, that of this actuator.
     """
 
     tap_ms: float = 0.0
@@ -44,6 +48,7 @@ class LatencyBudget:
     output_ms: float = 0.0
     offset_ms: float = 0.0
     driving_ms: float = 0.0
+    delay_ms: float = 0.0
     total_ms: float = 0.0
 
     @classmethod
@@ -56,9 +61,11 @@ class LatencyBudget:
         output_ms: float,
         offset_ms: float,
         driving_ms: float = 0.0,
+        delay_ms: float = 0.0,
     ) -> LatencyBudget:
         """Return the budget with its sum."""
-        parts_ms = (tap_ms, transform_ms, delay_line_ms, output_ms, offset_ms, driving_ms)
+        in_order = (tap_ms, transform_ms, delay_line_ms, output_ms, offset_ms)
+        parts_ms = (*in_order, driving_ms, delay_ms)
         return cls(*parts_ms, sum(parts_ms))
 
 
@@ -94,7 +101,9 @@ class Status:
     version: the program's. pid: its process. since_s: how long the state has lasted.
     recoveries: how many there were, for every cause. effects_bypassed: the names of the effects
     that are. limited_samples, replaced_samples: as of `cushion render --json`, since the start.
-    protection, exposure: None without protection.
+    protection, exposure: None without protection; of several actuators those of the one with the
+    least gain, and of the one with the largest dose. actuators: each of them, in the config's
+    order.
     """
 
     version: str
@@ -117,6 +126,7 @@ class Status:
     replaced_samples: int = 0
     protection: ProtectionFigures | None = None
     exposure: ExposureFigures | None = None
+    actuators: tuple[ActuatorFigures, ...] = ()
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> str:

@@ -9,7 +9,11 @@ from rich.table import Table
 from rich.text import Text
 
 from audioflinger_hook.service.levels import FLOOR_DBFS, Level
-from audioflinger_hook.service.rig_figures import ExposureFigures, ProtectionFigures
+from audioflinger_hook.service.rig_figures import (
+    ActuatorFigures,
+    ExposureFigures,
+    ProtectionFigures,
+)
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Status
 from audioflinger_hook.service.text import one_line
@@ -82,9 +86,11 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
             Text(f"{status.limited_samples} limited, {status.replaced_samples} replaced"),
         ),
     ]
-    if status.protection:
+    for number, actuator in enumerate(status.actuators, 1):
+        rows += _actuator(number, actuator)
+    if status.protection and not status.actuators:
         rows.append(("protection", _protection(status.protection)))
-    if status.exposure:
+    if status.exposure and not status.actuators:
         rows.append(("exposure", _exposure(status.exposure)))
     if status.effects_bypassed:
         names = ", ".join(one_line(name, 60) for name in status.effects_bypassed)
@@ -127,12 +133,33 @@ def _level(level: Level, colour: str) -> Text:
 def _latency(status: Status) -> Text:
     latency = status.latency
     driving = f"driving {latency.driving_ms:.1f} + " if latency.driving_ms else ""
+    driving += f"actuator {latency.delay_ms:.1f} + " if latency.delay_ms else ""
     return Text(
         f"{latency.total_ms:.1f} ms = tap {latency.tap_ms:.1f} + transform "
         f"{latency.transform_ms:.1f} + {driving}delay line {latency.delay_line_ms:.1f} + output "
         f"{latency.output_ms:.1f} {'-' if latency.offset_ms < 0 else '+'} offset "
         f"{abs(latency.offset_ms):.1f}"
     )
+
+
+def _actuator(number: int, actuator: ActuatorFigures) -> list[tuple[str, Text]]:
+    """Return what it is, how strong, and what its own rig's protection and exposure say."""
+    words = [
+        f"{one_line(actuator.source)} on {', '.join(one_line(c, 40) for c in actuator.channels)}",
+        one_line(actuator.rig),
+    ]
+    words += [f"{actuator.gain_db:.1f} dB"] if actuator.gain_db else []
+    words += [one_line(actuator.polarity)] if actuator.polarity != "normal" else []
+    words += [f"{actuator.delay_ms:.1f} ms later"] if actuator.delay_ms else []
+    rows = [
+        (f"actuator {number}", Text(", ".join(words))),
+        ("  level", _level(actuator.level, "yellow")),
+    ]
+    if actuator.protection:
+        rows.append(("  protection", _protection(actuator.protection)))
+    if actuator.exposure:
+        rows.append(("  exposure", _exposure(actuator.exposure)))
+    return rows
 
 
 def _recoveries(status: Status) -> Text:

@@ -7,6 +7,7 @@
 
     haptic (what users hold) -> voices (NumPy: intake, then one transform a channel)
                              -> kernel (live, compiled: all of it in one call a block)
+                             mixdown (before either, where voices are not the channels)
 
 Pure: samples in, samples out; no clock, no I/O, no mixer.
 """

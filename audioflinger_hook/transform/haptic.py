@@ -7,6 +7,7 @@ from typing import Literal, Protocol
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.kernel import KernelStream, kernel_warning
 from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.mixdown import Mixdown
 from audioflinger_hook.transform.parameters import TransformParameters, check_format
 from audioflinger_hook.transform.reference import ReferenceTransform
 from audioflinger_hook.transform.voices import VoiceStream
@@ -59,7 +60,9 @@ class HapticTransform:
 
     samplerate: Hz, 1 000 to 768 000; channels: 1 to 64. parameters: the paper's where not given.
     form: `live`, what a cushion plays, or `reference`, the paper's equations literally.
-    per_channel: each channel is transformed by itself instead of their mean. Any split of the
+    per_channel: each channel is transformed by itself instead of their mean. weights: instead of
+    that (channels, voices), by which the channels are mixed, each voice then transformed by itself;
+    the weights of a voice add up to 1 or less, so that none exceeds full scale. Any split of the
     stream into blocks gives the same bytes. Held by one thread at a time.
 
     implementation: how the live form is computed. Where it is not given, `compiled`, or `numpy`
@@ -80,6 +83,7 @@ class HapticTransform:
         *,
         form: Form = "live",
         per_channel: bool = False,
+        weights: FloatArray | None = None,
         implementation: Implementation | None = None,
     ) -> None:
         check_format(samplerate, channels)
@@ -89,18 +93,21 @@ class HapticTransform:
         self.channels = channels
         self.parameters = parameters or TransformParameters()
         self.form = form
-        self.channels_out = channels if per_channel else 1
         self.implementation = _implementation(form, implementation)
-        self._stream = self._begun(per_channel)
+        self._mixdown = None if weights is None else Mixdown(weights)
+        streamed = self._mixdown.voices if self._mixdown else channels
+        per_channel |= self._mixdown is not None
+        self.channels_out = streamed if per_channel else 1
+        self._stream = self._begun(streamed, per_channel)
 
-    def _begun(self, per_channel: bool) -> Stream:
+    def _begun(self, channels: int, per_channel: bool) -> Stream:
         """Return a new stream."""
         if self.implementation == "compiled":
             settings = LiveTransform(self.parameters, self.samplerate)
-            return KernelStream(settings, self.channels, per_channel)
+            return KernelStream(settings, channels, per_channel)
         form = FORMS[self.form]
         voices = [form(self.parameters, self.samplerate) for _ in range(self.channels_out)]
-        return VoiceStream(voices, self.channels)
+        return VoiceStream(voices, channels)
 
     @property
     def latency_frames(self) -> int:
@@ -123,7 +130,7 @@ class HapticTransform:
     @property
     def replaced_samples(self) -> int:
         """Samples of sound that were unusable and counted as 0 so far."""
-        return self._stream.replaced_samples
+        return (self._mixdown or self._stream).replaced_samples
 
     def process(self, frames: Frames) -> FloatArray:
         """Return the vibration due, (frames, channels_out) float64, full scale +-1.
@@ -131,7 +138,7 @@ class HapticTransform:
         frames: (frames, channels), or (frames,) for one channel; float32 or float64, 0 frames
         upwards. Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
         """
-        return self._stream.process(frames)
+        return self._stream.process(self._mixdown.process(frames) if self._mixdown else frames)
 
     def finish(self) -> FloatArray:
         """Return the last `latency_frames` of vibration, (frames, channels_out), and begin anew."""

@@ -6,14 +6,12 @@
     mixer.py        a card's own volumes and mutes; decibels.py: what their steps mean
     volume.py       all of them, to one level
     negotiation.py  the format, rate and channels that suit best
-    channel_map.py  which actuator each channel drives
     conversion.py   float frames as the card's bytes
 
 PCMs and streams are those of `device.server`; nothing here plays.
 """
 
 from device.alsa.cards import PROC, Card, Playback, all_cards, find_card, find_playback, playbacks
-from device.alsa.channel_map import ChannelMap
 from device.alsa.conversion import Encoder
 from device.alsa.negotiation import Choice, Offer, choose, offers_of
 from device.alsa.usb_stream import UsbFormat, UsbStream, usb_stream
@@ -23,7 +21,6 @@ from device.alsa.volume import set_card_volume
 __all__ = [
     "PROC",
     "Card",
-    "ChannelMap",
     "Choice",
     "Encoder",
     "HwParams",

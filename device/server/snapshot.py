@@ -28,6 +28,11 @@ class Sink:
     properties: Mapping[str, str]
     channel_map: str = ""
 
+    @property
+    def positions(self) -> tuple[str, ...]:
+        """What its channels are called, in their order; nothing where that is not told."""
+        return tuple(self.channel_map.split(",")) if self.channel_map else ()
+
 
 @dataclass(frozen=True)
 class Source:
