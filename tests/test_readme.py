@@ -18,6 +18,7 @@ from audioflinger_hook.cli.parser import build_parser
 from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.transform import LIMITS
+from device.actuators.settings import DELAY_MAX_MS, GAIN_MIN_DB, KEYS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -55,6 +56,22 @@ def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) ->
         off = key in config.LIVE and getattr(LiveSettings(device="a"), key) is None
         shown = rf"^{'# ' * off}{key} = "
         assert re.search(shown, block("toml"), re.MULTILINE), f"{key} is missing"
+
+
+def test_the_example_of_several_actuators_is_valid_and_names_every_key(tmp_path: Path) -> None:
+    after = README[README.index("\n### Several actuators") :]
+    found = re.search(r"```toml\n(.*?)```", after, re.DOTALL)
+    assert found
+    path = tmp_path / "config.toml"
+    path.write_text(found[1])
+    done, problems = config.check(path)
+    assert problems == []
+    assert done is not None
+    assert [actuator.source for actuator in done.settings.actuators] == ["left", "right"]
+    told = {key for key in KEYS if re.search(rf"^{key} = ", found[1], re.MULTILINE)}
+    assert told == {*KEYS} - {"damping"}  # named beside rig and protection
+    for limit in (GAIN_MIN_DB, DELAY_MAX_MS):
+        assert f"{limit:g}" in found[1]
 
 
 def test_every_limit_in_the_config_example_is_the_real_one() -> None:

@@ -30,7 +30,9 @@ class Mixdown:
         """
         usable, replaced = replace_unusable(fitting(frames, self.channels))
         self.replaced_samples += replaced
-        mixed = np.zeros((len(usable), self.voices))
+        # Channels as rows: each is one stretch of memory.
+        rows = np.asarray(usable.T, np.float64, order="C")
+        mixed, weighted = np.zeros((self.voices, len(usable))), np.empty(len(usable))
         for channel, voice, weight in self._routes:
-            mixed[:, voice] += weight * usable[:, channel].astype(np.float64)
-        return mixed
+            mixed[voice] += np.multiply(rows[channel], weight, out=weighted)
+        return np.ascontiguousarray(mixed.T)
