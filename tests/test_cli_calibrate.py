@@ -90,7 +90,8 @@ def test_clipping_at_the_lowest_level_is_the_last_that_is_played():
 
 
 def test_a_response_that_does_not_grow_with_the_level_ends_it():
-    laboratory = Tampered("acceleration", lambda a, level: a / level)
+    lowest = STEPS[0] * Bench(PAPER).level(SHORT).level
+    laboratory = Tampered("acceleration", lambda a, level: a * lowest / level)
     message = refused(laboratory)
     assert "acceleration grew by 1 where the level grew by 2" in message
     assert len(laboratory.levels) == 2

@@ -142,7 +142,7 @@ def build_parser() -> Parser:
     )
     calibrate.add_argument("--seat", action="store_true", help="the twin stands on its seat")
     calibrate.add_argument(
-        "--share", type=float, default=0.05, metavar="S", help="of Xmax, up to 0.15; default: 0.05"
+        "--share", type=float, metavar="S", help="of Xmax, up to 0.15; default: 0.05"
     )
     calibrate.add_argument("--low-hz", type=float, default=15.0, metavar="HZ", help="default: 15")
     calibrate.add_argument(
