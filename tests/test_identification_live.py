@@ -243,6 +243,7 @@ def test_no_signal_is_told_by_the_channels_name():
     silent = SimulatedDevices(PAPER, ALONE, gains={"acceleration": 0.0}, noise=0.0)
     assert refused(silent).startswith("acceleration: no signal")
     assert silent.runs == 1
+    assert silent.ended_at < 2 * RATE  # nobody waits for the end of the sweep
 
 
 def test_a_channel_of_other_sound_is_no_acceleration():

@@ -5,14 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from audioflinger_hook.cli.calibrate_report import document, table
 from audioflinger_hook.cli.terminal import warn
 from device.address import parse_device
-from device.errors import NotFoundError, UsageError
+from device.errors import UsageError
 from device.identification.bench import USUAL_SHARE, Bench
 from device.identification.calibration import Calibration, calibrate
+from device.identification.live.laboratory import Devices
 from device.identification.rig_values import write_rig
 from device.identification.sweep import Sweep
 from device.rig import Rig, rig_by_name
@@ -31,15 +33,19 @@ def run(options: argparse.Namespace) -> int:
         if not options.json:
             print(f"sweep {sweep.low_hz:g} to {sweep.high_hz:g} Hz, level {level:.4f}", flush=True)
 
+    devices = None
     if device.kind == "twin":
         bench = Bench(rig, seat=options.seat)
         share = USUAL_SHARE if options.share is None else options.share
         found = calibrate(bench, rig, bench.level(sweep, share), tell)
     else:
-        raise NotFoundError(
-            f"device {str(device)!r} cannot be calibrated, only the twin can: choose --device twin"
-        )
-    return _conclude(found, rig, options)
+        from audioflinger_hook.cli.calibrate_live import calibrate_live
+
+        found, devices = calibrate_live(device, rig, sweep, options, tell)
+        rig = replace(rig, name=options.out.stem) if options.out else rig
+        if found.rig:
+            found = replace(found, rig=replace(found.rig, name=rig.name))
+    return _conclude(found, rig, devices, options)
 
 
 def _check_out(path: Path | None) -> None:
@@ -52,10 +58,15 @@ def _check_out(path: Path | None) -> None:
         raise UsageError(f"out={path}: the folder {path.parent} cannot be written; choose another")
 
 
-def _conclude(found: Calibration, rig: Rig, options: argparse.Namespace) -> int:
+def _conclude(
+    found: Calibration, rig: Rig, devices: Devices | None, options: argparse.Namespace
+) -> int:
     if options.out and found.rig:
         write_rig(found.rig, options.out)
-    print(json.dumps(document(found, rig), indent=2) if options.json else table(found))
+    if options.json:
+        print(json.dumps(document(found, rig, devices), indent=2))
+    else:
+        print(table(found, devices))
     if found.on_seat and found.impedance and not found.force_factor:
         warn(
             "Bl and moving mass are not identified on a seat that gives way; put the actuator on "

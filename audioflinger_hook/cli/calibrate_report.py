@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from device.identification.acceleration import Mode
 from device.identification.calibration import Calibration
+from device.identification.live.laboratory import Devices
 from device.identification.output_error import Estimate
 from device.identification.quality import LOW_COHERENCE, Quality
 from device.rig import Rig
 
 
-def document(found: Calibration, rig: Rig) -> dict[str, object]:
+def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str, object]:
     """For --json; null is what was not measured or does not follow from it."""
     driven, scaled = found.driven, found.level_of_x_max is not None
     return {
@@ -24,6 +27,7 @@ def document(found: Calibration, rig: Rig) -> dict[str, object]:
         "driven_sensitivity": _estimate(driven.sensitivity) if driven and scaled else None,
         "values": {parameter: _estimate(estimate) for parameter, estimate in found.values.items()},
         "matched": found.matched,
+        "devices": devices and asdict(devices),
         "recordings": [_quality(one) for one in found.qualities],
     }
 
@@ -49,7 +53,7 @@ def _quality(one: Quality) -> dict[str, object]:
     }
 
 
-def table(found: Calibration) -> str:
+def table(found: Calibration, devices: Devices | None) -> str:
     """For people."""
     rows = [
         f"{parameter:<32} {estimate.value:>12.5g}   {estimate.low:.5g} to {estimate.high:.5g}"
@@ -64,6 +68,11 @@ def table(found: Calibration) -> str:
         rows.append(
             f"swept at {found.sweep.level:.3g} of full scale; how far that moved is not known, so "
             "the intervals of 95 % are without what the level shifts"
+        )
+    if devices:
+        rows.append(
+            f"{devices.output} to {devices.input}: {1e3 * devices.delay_s:.1f} ms later, clocks "
+            f"{devices.drift_ppm:+.1f} ppm apart"
         )
     return "\n".join(rows)
 

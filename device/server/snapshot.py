@@ -31,7 +31,10 @@ class Sink:
 
 @dataclass(frozen=True)
 class Source:
-    """A place to record from. monitor_of: the name of the sink that it monitors, None if none."""
+    """A place to record from. monitor_of: the name of the sink that it monitors, None if none.
+
+    channel_map: as of a `Sink`.
+    """
 
     index: int
     name: str
@@ -40,6 +43,7 @@ class Source:
     samplerate: int
     channels: int
     properties: Mapping[str, str]
+    channel_map: str = ""
 
 
 @dataclass(frozen=True)
@@ -165,6 +169,7 @@ def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
         samplerate=item.samplerate,
         channels=item.channel_count,
         properties=dict(item.proplist),
+        channel_map=",".join(item.channel_list),
     )
 
 

@@ -16,10 +16,10 @@ from device.errors import CushionError, LostError
 from device.identification.recording import IdentificationError
 from device.units import Float32Array, FloatArray
 
-BACKGROUND_S = 0.5
+BACKGROUND_S = 0.4
 """For so long nothing is played, to hear what is there already."""
 
-MOST_LATENCY_S = 1.0
+MOST_LATENCY_S = 0.8
 """From a frame that is played until it comes back."""
 
 STALL_S = 0.5
@@ -27,6 +27,9 @@ STALL_S = 0.5
 
 LOUDEST_BACKGROUND = 0.02
 """R.m.s. of what is there before the sweep, as a share of the input's full scale."""
+
+NO_SIGNAL_S = 1.1
+"""What is digital silence for so long since something was played will stay silent."""
 
 _CLIPPED = 0.999
 
@@ -61,6 +64,8 @@ class Exchange:
         self._recorded = np.zeros((capacity, len(self._names)), np.float32)
         self._sum = np.zeros(len(self._names))
         self._squares = np.zeros(len(self._names))
+        self._heard = [False] * len(self._names)
+        self._heard_by = self.background_frames + round(NO_SIGNAL_S * samplerate)
         self._got = 0
         self._played = 0
         self._begun = self._may_play = False
@@ -75,6 +80,10 @@ class Exchange:
         if self.error is None and not self.ended.is_set():
             self.error = error
         self.ended.set()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for the end so long; whether it has ended. Any thread but the streams'."""
+        return self.ended.wait(seconds)
 
     @property
     def sounding(self) -> bool:
@@ -124,12 +133,21 @@ class Exchange:
             return
         if not self._may_play:
             self._listen(frames[:take])
+        elif self._got >= self._heard_by and not all(self._heard[i] for i in self._used):
+            silent = next(i for i in self._used if not self._heard[i])
+            self.abort(
+                IdentificationError(
+                    f"{self._names[silent]}: no signal, nothing but zeros; check power, cables and "
+                    "that channel, and that the input is not muted"
+                )
+            )
         if self._got == len(self._recorded):
             self.ended.set()
 
     def _look(self, frames: Float32Array) -> None:
         for channel in self._used:
             peak = float(np.abs(frames[:, channel]).max(initial=0.0))
+            self._heard[channel] |= peak > 0.0
             if not peak < _CLIPPED:
                 what = "is not a number" if math.isnan(peak) else f"clips at {peak:.4g}"
                 self.abort(

@@ -13,7 +13,7 @@ import numpy as np
 from device.identification.sweep import Sweep
 from device.units import FloatArray
 
-MARK_S, GAP_S, REST_S = 0.25, 0.5, 0.3
+MARK_S, GAP_S, REST_S = 0.25, 0.4, 0.2
 """Of a mark, of the silence behind the first one, and behind the last one."""
 
 

@@ -1,6 +1,7 @@
 """A laboratory of real devices: an output that plays the sweep, an input that hears the rig."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -38,6 +39,16 @@ class Transport(Protocol):
         Raises LostError or NotFoundError where a stream cannot be had or was lost.
         """
         ...
+
+
+@dataclass(frozen=True)
+class Devices:
+    """What was used: names, and drift of the input's clock against the output's."""
+
+    output: str
+    input: str
+    delay_s: float
+    drift_ppm: float
 
 
 class LiveLaboratory:
