@@ -129,6 +129,8 @@ def calibrate_live(
         )
     if laboratory.current_turned:
         warn("the current's sign was turned: a coil takes power; swap the shunt's two wires")
+    if laboratory.repeated:
+        warn(f"frames were lost in {laboratory.repeated} sweeps, which were repeated")
     drift = laboratory.drift.value if laboratory.drift else 0.0
     return found, Devices(output.name, heard.name, laboratory.delay_s, drift)
 

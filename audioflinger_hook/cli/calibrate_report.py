@@ -81,7 +81,7 @@ def _mode(mode: Mode, *, scaled: bool, found: Calibration) -> list[str]:
     f0, q, s = mode.f0_hz, mode.q, mode.sensitivity
     rows = [f"driven by its amplifier: {f0.value:.2f} Hz, Q {q.value:.2f}"]
     if found.mode is None and found.impedance is None:
-        rows[0] += f" ({f0.low:.2f} to {f0.high:.2f} Hz, Q {q.low:.2f} to {q.high:.2f})"
+        rows[0] += f" ({f0.low:.3f} to {f0.high:.3f} Hz, Q {q.low:.3f} to {q.high:.3f})"
         if scaled:
             unit = "V" if ("voltage", "acceleration") in _names(found) else "full scale"
             rows.append(

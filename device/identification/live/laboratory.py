@@ -10,7 +10,13 @@ from device.errors import UsageError
 from device.identification.live.channels import DRIVE, Inputs
 from device.identification.live.exchange import Exchange
 from device.identification.live.excitation import Excitation
-from device.identification.live.two_clocks import Drift, find_delay, find_drift, on_played_clock
+from device.identification.live.two_clocks import (
+    Drift,
+    DropoutError,
+    find_delay,
+    find_drift,
+    on_played_clock,
+)
 from device.identification.recording import IdentificationError, Recording
 from device.identification.sweep import Sweep
 from device.rig.band import Band
@@ -19,6 +25,9 @@ from device.units import FloatArray
 
 MOST_CHANGE_PPM = 40.0
 """Between two sweeps: crystals do not change by that; frames that are lost look like it."""
+
+MOST_TRIES = 3
+"""Of one sweep, at the same level, where frames are lost: a busy machine loses some."""
 
 _AUDIBLE = 1.5
 _BEGAN = 0.1
@@ -58,8 +67,8 @@ class LiveLaboratory:
     its corners are taken out where the response is that for what was played.
 
     delay_s: of the last sweep, from a frame that is played until it is recorded; drift: of the two
-    clocks in it; current_turned: whether the current was taken the other way round, since a coil
-    takes power.
+    clocks in it; repeated: how many sweeps had to be, since frames were lost; current_turned:
+    whether the current was taken the other way round, since a coil takes power.
     """
 
     def __init__(
@@ -76,6 +85,7 @@ class LiveLaboratory:
         self._drifts: list[Drift] = []
         self.delay_s = 0.0
         self.current_turned = False
+        self.repeated = 0
 
     @property
     def drift(self) -> Drift | None:
@@ -91,7 +101,8 @@ class LiveLaboratory:
         Raises
         ------
         IdentificationError
-            Something clips, is already there, does not follow the sweep, or frames were lost.
+            Something clips, is already there, does not follow the sweep, or frames were lost each
+            time (`DropoutError`).
         LostError, NotFoundError
             As `Transport.run`.
         """
@@ -100,6 +111,16 @@ class LiveLaboratory:
                 f"samplerate={sweep.samplerate!r} Hz of the sweep must be that of the streams, "
                 f"{self._transport.samplerate} Hz"
             )
+        for tries in range(1, MOST_TRIES + 1):
+            try:
+                return self._measured(sweep, pairs)
+            except DropoutError:
+                if tries == MOST_TRIES:
+                    raise
+                self.repeated += 1
+        raise AssertionError("the last try returns or raises")
+
+    def _measured(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         excitation = Excitation(sweep)
         exchange = Exchange(
             excitation.samples, sweep.samplerate, self._inputs.names, self._output_channel
@@ -177,7 +198,7 @@ class LiveLaboratory:
         for before in self._drifts:
             change = abs(drift.value - before.value)
             if change > MOST_CHANGE_PPM + drift.reach + before.reach:
-                raise IdentificationError(
+                raise DropoutError(
                     f"{name}: the clocks differ by {drift.value:+.0f} ppm, in an earlier sweep by "
                     f"{before.value:+.0f}: frames were lost or added; close other programs, and "
                     "sweep again"

@@ -30,6 +30,10 @@ _EARLY_S = 0.6
 _BELOW = 1e-2
 
 
+class DropoutError(IdentificationError):
+    """Frames were lost or added between the marks: a sweep that can be repeated."""
+
+
 @dataclass(frozen=True)
 class Drift:
     """By how much a frame of the recording is shorter than a played one: both in ppm.
@@ -81,7 +85,7 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
 
     Raises
     ------
-    IdentificationError
+    DropoutError
         It is not to be told, or larger than two clocks can be: frames were lost or inserted.
     """
     rate = excitation.sweep.samplerate
@@ -112,14 +116,14 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
     found = Drift(ppm * (coarse + fine), 1.96 * ppm * math.sqrt(variance))
     frames = coarse + fine
     if not found.reach <= MOST_UNSURE_PPM:
-        raise IdentificationError(
+        raise DropoutError(
             f"{name}: the two clocks cannot be compared, to ±{found.reach:.3g} ppm, "
             f"±{MOST_UNSURE_PPM:g} is needed: the marks before and after the sweep are too weak, "
             "or frames were lost between them; raise the level a little, or close other programs"
         )
     if abs(found.value) > MOST_DRIFT_PPM:
         what = "added" if frames > 0 else "lost"
-        raise IdentificationError(
+        raise DropoutError(
             f"{name}: {abs(frames):.0f} frames were {what} during the sweep ({found.value:+.0f} "
             f"ppm, two clocks differ by {MOST_DRIFT_PPM:g} at most): a dropout; close other "
             "programs, and sweep again"
