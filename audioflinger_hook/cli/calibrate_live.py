@@ -211,6 +211,13 @@ def _input(
                 "name the input that the accelerometer or the shunt is connected to"
             )
         _enough(source, needed, found.channels)
+        if found.mute:
+            raise UsageError(f"input {source!r} is muted; unmute it")
+        if abs(found.volume - 1.0) > 0.005:
+            warn(
+                f"the volume of input {source!r} is {100 * found.volume:.0f} %: volts and what "
+                "follows from them are right only if its full scale was found at that volume"
+            )
         plain = PLAIN_MAPS.get(found.channels)
         if found.channel_map != plain:
             raise UsageError(

@@ -6,6 +6,7 @@ import numpy as np
 
 from device.identification.recording import Recording
 from device.identification.transfer import distortion, transfer
+from device.units import FloatArray
 
 LOW_COHERENCE = 0.9
 """Below, a tenth of the response's power is noise, distortion or something else."""
@@ -14,6 +15,8 @@ ABOVE_FLOOR = 3.0
 """Distortion below so many times what silence in its place shows is noise."""
 
 _JOINED_HZ = 2.0
+_SMOOTH_HZ = 5.0
+"""Shares are r.m.s. values over so much: the largest of many bins of noise would look like one."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,8 @@ class Harmonic:
 @dataclass(frozen=True)
 class Quality:
     """Of one recording. names: its reference and response; coherence: the median; low_hz: the
-    ranges, Hz, in which it is below LOW_COHERENCE; harmonics: by order.
+    ranges, Hz, in which it is below LOW_COHERENCE; harmonics: by order,
+    those that the band has room for.
     """
 
     names: tuple[str, str]
@@ -51,13 +55,19 @@ def quality(recording: Recording, orders: int = 5) -> Quality:
             ranges.append((float(hz), float(hz)))
     harmonics = []
     for one in distortion(recording, orders):
-        clear = one.share > ABOVE_FLOOR * one.floor
-        if np.any(clear):
-            at = int(np.argmax(np.where(clear, one.share, 0.0)))
-            share, hz = float(one.share[at]), float(one.frequencies_hz[at])
-            harmonics.append(Harmonic(one.order, share, hz))
-        else:
-            harmonics.append(Harmonic(one.order, 0.0, 0.0))
+        step_hz = float(f[1] - f[0])
+        share, floor = (_smooth(values, _SMOOTH_HZ / step_hz) for values in (one.share, one.floor))
+        clear = np.where(share > ABOVE_FLOOR * floor, share, 0.0)
+        at = int(np.argmax(clear))
+        hz = float(one.frequencies_hz[at]) if clear[at] > 0.0 else 0.0
+        harmonics.append(Harmonic(one.order, float(clear[at]), hz))
     return Quality(
         recording.names, float(np.median(found.coherence)), tuple(ranges), tuple(harmonics)
     )
+
+
+def _smooth(values: FloatArray, bins: float) -> FloatArray:
+    """R.m.s. over so many bins around each."""
+    box = np.ones(max(1, min(round(bins), len(values))))
+    mean = np.convolve(values**2, box, "same") / np.convolve(np.ones_like(values), box, "same")
+    return np.asarray(np.sqrt(mean))

@@ -33,7 +33,7 @@ class Sink:
 class Source:
     """A place to record from. monitor_of: the name of the sink that it monitors, None if none.
 
-    channel_map: as of a `Sink`.
+    channel_map: as of a `Sink`. volume: the server's number, 1.0 for 100 %; mute: whether it is.
     """
 
     index: int
@@ -44,6 +44,8 @@ class Source:
     channels: int
     properties: Mapping[str, str]
     channel_map: str = ""
+    volume: float = 1.0
+    mute: bool = False
 
 
 @dataclass(frozen=True)
@@ -170,6 +172,8 @@ def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
         channels=item.channel_count,
         properties=dict(item.proplist),
         channel_map=",".join(item.channel_list),
+        volume=float(item.volume.value_flat),
+        mute=bool(item.mute),
     )
 
 
