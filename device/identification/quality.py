@@ -34,7 +34,7 @@ class Harmonic:
 class Quality:
     """Of one recording. names: its reference and response; coherence: the median; low_hz: the
     ranges, Hz, in which it is below LOW_COHERENCE; harmonics: by order,
-    those that the band has room for.
+    those that band and length of the sweep have room for.
     """
 
     names: tuple[str, str]
@@ -54,7 +54,11 @@ def quality(recording: Recording, orders: int = 5) -> Quality:
         else:
             ranges.append((float(hz), float(hz)))
     harmonics = []
+    sweep = recording.sweep
     for one in distortion(recording, orders):
+        apart_s = sweep.harmonic_lead_s(one.order + 1) - sweep.harmonic_lead_s(one.order)
+        if 0.5 * apart_s < 1.0 / sweep.low_hz:
+            break  # the sweep is too quick to tell such orders apart
         step_hz = float(f[1] - f[0])
         share, floor = (_smooth(values, _SMOOTH_HZ / step_hz) for values in (one.share, one.floor))
         clear = np.where(share > ABOVE_FLOOR * floor, share, 0.0)

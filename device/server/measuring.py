@@ -26,6 +26,9 @@ OUTPUT, INPUT = "cushion_output", "cushion_input"
 SETTLE_S = 5.0
 """For so long streams may take until they run where they belong."""
 
+BLOCK_FRAMES = 1024
+"""Four times the usual: a measurement has time, and what comes late would be lost to it."""
+
 _LOOK_S = 0.02
 
 
@@ -116,13 +119,18 @@ class Measuring:
                 self._samplerate,
                 self._output.channels,
                 exchange.fill,
+                block_frames=BLOCK_FRAMES,
                 sample_format=self._output.sample_format,
             )
             stack.callback(playback.close)
             inward = self._pcms.pcms[INPUT]
             inward.lead_to(self._source.target)
             capture = CaptureStream(
-                inward, self._samplerate, self._source.channels, exchange.on_frames
+                inward,
+                self._samplerate,
+                self._source.channels,
+                exchange.on_frames,
+                block_frames=BLOCK_FRAMES,
             )
             stack.callback(capture.close)
             guards = []

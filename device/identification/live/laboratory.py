@@ -185,7 +185,8 @@ class LiveLaboratory:
         if whole <= _AUDIBLE * noise or whole == 0.0:
             raise IdentificationError(
                 f"{name}: no signal, {whole:.3g} r.m.s. of full scale during the sweep and "
-                f"{noise:.3g} before it; check power, cables and that channel, or raise the level"
+                f"{noise:.3g} before it; check power, volume, cables and that channel, or raise "
+                "the level"
             )
         after = float(np.std(samples[-round(_REST_S * self._transport.samplerate) :]))
         if after > max(3.0 * noise, _BEGAN * whole):
