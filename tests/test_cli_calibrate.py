@@ -13,6 +13,8 @@ from device.identification.sweep import Sweep
 from device.rig import PAPER, read_rig
 from tests.commands import call
 
+HEARD = ("--input", "source:none")
+ALONE = ("--channels", "acceleration")
 SHORT = Sweep(low_hz=15.0, high_hz=400.0, duration_s=2.0)
 
 
@@ -68,7 +70,24 @@ def test_on_a_seat_neither_force_factor_nor_mass_is_given():
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["--device", "sink:none"], 3, "only the twin"),
+        (["--device", "sink:none"], 2, "no microphone is ever chosen by itself"),
+        (["--device", "wav:a.wav"], 3, "nothing moves there"),
+        (["--device", "sink:none", "--input", "mic", *ALONE], 2, "allowed: source:NAME or hw:"),
+        (["--device", "sink:none", "--input", "source:", *ALONE], 2, "input 'source:' is none"),
+        (["--device", "sink:none", *HEARD, *ALONE, "--level", "0.5"], 2, "only with --loud"),
+        (["--device", "sink:none", *HEARD, *ALONE, "--share", "0.1"], 2, "are the twin's"),
+        (["--device", "sink:none", *HEARD, "--channels", "sound"], 2, "'sound' is unknown"),
+        (
+            ["--device", "sink:none", *HEARD, "--channels", "voltage"],
+            2,
+            "nothing can be identified",
+        ),
+        (
+            ["--device", "sink:none", *HEARD, *ALONE, "--moving-mass-kg", "-1"],
+            2,
+            "weigh what moves",
+        ),
+        (["--device", "hw:none", "--input", "hw:none", *ALONE], 3, "no sound card"),
         (["--device", "twin", "--share", "0.5"], 2, "share=0.5 of Xmax must be"),
         (["--device", "twin", "--rig", "consumer"], 2, "describes no [accelerometer]"),
         (["--device", "twin", "--low-hz", "150", "--high-hz", "500"], 2, "cushion: error: "),
@@ -83,6 +102,28 @@ def test_what_cannot_be_calibrated_is_one_line_and_no_file(tmp_path, arguments, 
     assert not path.exists()
 
 
+def test_a_file_that_could_not_be_used_or_written_is_refused_before_anything_is_played(tmp_path):
+    for path, words in (
+        (tmp_path / "mine.txt", "ends in .toml"),
+        (tmp_path / "no" / "a.toml", "no"),
+    ):
+        done = call("calibrate", "--device", "twin", "--out", path)
+        assert done.code == 2
+        assert words in done.stderr
+        assert "sweep" not in done.stdout
+
+
+def test_distortion_and_coherence_are_told_as_text_and_as_json():
+    done = call("calibrate", "--device", "twin", "--json")
+    recordings = json.loads(done.stdout)["recordings"]
+    assert [one["response"] for one in recordings] == ["acceleration", "current", "acceleration"]
+    assert all(one["coherence"] > 0.9 for one in recordings)
+    assert [one["order"] for one in recordings[0]["distortion"]] == [2, 3, 4, 5]
+    done = call("calibrate", "--device", "twin")
+    assert "acceleration for voltage: coherence 1.0000" in done.stdout
+    assert "distortion by order" in done.stdout
+
+
 def test_clipping_at_the_lowest_level_is_the_last_that_is_played():
     laboratory = Tampered("acceleration", lambda a, _: np.clip(a, -0.5 * a.max(), 0.5 * a.max()))
     assert "acceleration: " in refused(laboratory)
@@ -90,7 +131,8 @@ def test_clipping_at_the_lowest_level_is_the_last_that_is_played():
 
 
 def test_a_response_that_does_not_grow_with_the_level_ends_it():
-    laboratory = Tampered("acceleration", lambda a, level: a / level)
+    lowest = STEPS[0] * Bench(PAPER).level(SHORT).level
+    laboratory = Tampered("acceleration", lambda a, level: a * lowest / level)
     message = refused(laboratory)
     assert "acceleration grew by 1 where the level grew by 2" in message
     assert len(laboratory.levels) == 2

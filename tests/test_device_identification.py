@@ -17,6 +17,7 @@ from device.identification.impedance import identify_impedance
 from device.identification.mechanical import mechanical
 from device.identification.moving_mass import by_acceleration, by_added_mass, by_known_mass
 from device.identification.output_error import Estimate
+from device.identification.quality import quality
 from device.identification.recording import Recording
 from device.identification.rig_values import rig_text, with_identified, write_rig
 from device.identification.sweep import Sweep
@@ -160,6 +161,22 @@ def test_a_spring_that_hardens_adds_the_third_order_and_a_linear_one_adds_none()
     assert at_30_hz[Rung.NONLINEAR] > 5.0 * at_30_hz[Rung.LINEAR]
     third = orders[Rung.NONLINEAR][3]
     assert np.interp(30.0, third.frequencies_hz, third.share / third.floor) > 3.0
+
+
+def test_what_a_linear_twin_does_is_not_called_distortion():
+    for rung, least, most in ((Rung.LINEAR, 0.0, 0.001), (Rung.NONLINEAR, 0.005, 0.05)):
+        bench = Bench(PAPER, rung=rung)
+        recording = bench.measure(bench.level(SWEEP), [ACCELERATION])[0]
+        second = quality(recording).harmonics[0]
+        assert least <= second.largest_share < most
+
+
+@pytest.mark.parametrize("low_hz", [60.0, 150.0, 199.0])
+def test_a_narrow_band_has_room_for_fewer_orders(low_hz):
+    sweep = Sweep(low_hz=low_hz, high_hz=400.0, duration_s=20.0, level=0.01)
+    found = quality(Bench(PAPER, rung=Rung.LINEAR).measure(sweep, [ACCELERATION])[0])
+    assert len(found.harmonics) < 5
+    assert all(order <= 400.0 / low_hz for order in (h.order for h in found.harmonics))
 
 
 @settings(max_examples=25)

@@ -4,71 +4,82 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+from dataclasses import replace
+from pathlib import Path
 
+from audioflinger_hook.cli.calibrate_report import document, table
 from audioflinger_hook.cli.terminal import warn
 from device.address import parse_device
-from device.errors import NotFoundError
-from device.identification.bench import Bench
+from device.errors import UsageError
+from device.identification.bench import USUAL_SHARE, Bench
 from device.identification.calibration import Calibration, calibrate
+from device.identification.live.laboratory import Devices
 from device.identification.rig_values import write_rig
 from device.identification.sweep import Sweep
-from device.rig import rig_by_name
+from device.rig import Rig, rig_by_name
+
+SUFFIX = ".toml"
 
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, from low levels on; whatever is unexpected ends it before it becomes loud."""
     device = parse_device(options.device)
-    if device.kind != "twin":
-        raise NotFoundError(
-            f"device {str(device)!r} cannot be calibrated, only the twin can: choose --device twin"
-        )
     rig = rig_by_name(options.rig)
-    bench = Bench(rig, seat=options.seat)
-    sweep = bench.level(
-        Sweep(low_hz=options.low_hz, high_hz=options.high_hz, duration_s=options.seconds),
-        options.share,
-    )
+    _check_out(options.out)
+    sweep = Sweep(low_hz=options.low_hz, high_hz=options.high_hz, duration_s=options.seconds)
 
     def tell(level: float) -> None:
         if not options.json:
             print(f"sweep {sweep.low_hz:g} to {sweep.high_hz:g} Hz, level {level:.4f}", flush=True)
 
-    found = calibrate(bench, rig, sweep, tell)
-    if options.out:
+    devices = None
+    if device.kind == "twin":
+        bench = Bench(rig, seat=options.seat)
+        share = USUAL_SHARE if options.share is None else options.share
+        found = calibrate(bench, rig, bench.level(sweep, share), tell)
+    else:
+        from audioflinger_hook.cli.calibrate_live import calibrate_live
+
+        found, devices = calibrate_live(device, rig, sweep, options, tell)
+        rig = replace(rig, name=options.out.stem) if options.out else rig
+        if found.rig:
+            found = replace(found, rig=replace(found.rig, name=rig.name))
+    return _conclude(found, rig, devices, options)
+
+
+def _check_out(path: Path | None) -> None:
+    """Refuse a file that could not be written, before anything is played."""
+    if path is None:
+        return
+    if path.suffix != SUFFIX:
+        raise UsageError(f"out={path}: a rig's file ends in {SUFFIX}, so that --rig takes it")
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise UsageError(f"out={path}: the folder {path.parent} cannot be written; choose another")
+
+
+def _conclude(
+    found: Calibration, rig: Rig, devices: Devices | None, options: argparse.Namespace
+) -> int:
+    if options.out and found.rig:
         write_rig(found.rig, options.out)
     if options.json:
-        print(json.dumps(_document(found), indent=2))
+        print(json.dumps(document(found, rig, devices), indent=2))
     else:
-        print(_table(found))
-    if found.force_factor is None:
+        print(table(found, devices))
+    if found.on_seat and found.impedance and not found.force_factor:
         warn(
             "Bl and moving mass are not identified on a seat that gives way; put the actuator on "
             "solid ground for them"
         )
+    if found.matched:
+        warn(
+            "f0 and Qms follow from this mode only with the coil's assumed values, so the file "
+            "calls them assumed; measure voltage and current to identify them"
+        )
+    if found.why_not:
+        message = f"f0 and Qms do not follow from this mode: {found.why_not}"
+        if options.out:
+            raise UsageError(f"{options.out} is not written: {message}")
+        warn(message)
     return 0
-
-
-def _document(found: Calibration) -> dict[str, object]:
-    return {
-        "rig": found.rig.name,
-        "level": found.sweep.level,
-        "level_of_x_max": found.mode.level_of_x_max,
-        "on_seat": found.force_factor is None,
-        "driven_f0_hz": found.driven.f0_hz.value,
-        "driven_q": found.driven.q.value,
-        "values": {
-            parameter: {"value": estimate.value, "interval": list(estimate.interval)}
-            for parameter, estimate in found.values.items()
-        },
-    }
-
-
-def _table(found: Calibration) -> str:
-    rows = [
-        f"{parameter:<32} {estimate.value:>12.5g}   {estimate.low:.5g} to {estimate.high:.5g}"
-        for parameter, estimate in found.values.items()
-    ]
-    mode = found.driven
-    rows.append(f"driven by its amplifier: {mode.f0_hz.value:.2f} Hz, Q {mode.q.value:.2f}")
-    rows.append(f"swept at {found.mode.level_of_x_max:.3f} Xmax; intervals are of 95 %")
-    return "\n".join(rows)

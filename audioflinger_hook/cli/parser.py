@@ -136,13 +136,52 @@ def build_parser() -> Parser:
     tone.add_argument("--seconds", type=float, default=2.0, metavar="S", help="default: 2")
 
     calibrate = _add(commands, "calibrate", "measure a rig by sweeps, from low on", _calibrate)
-    calibrate.add_argument("--device", required=True, metavar="DEVICE", help="twin")
+    calibrate.add_argument(
+        "--device",
+        required=True,
+        metavar="DEVICE",
+        help="see `cushion devices`, or twin",
+    )
+    calibrate.add_argument(
+        "--input", metavar="INPUT", help="what hears it: source:NAME or hw:CARD[,DEVICE]"
+    )
+    calibrate.add_argument(
+        "--channels",
+        metavar="A,B,...",
+        help="what each input channel is: acceleration, current, voltage, loopback, or -",
+    )
+    calibrate.add_argument(
+        "--input-full-scale-v", type=float, metavar="V", help="peak volts at the input's full scale"
+    )
+    calibrate.add_argument(
+        "--acceleration-mv-per-m-s2", type=float, metavar="MV", help="of the accelerometer"
+    )
+    calibrate.add_argument(
+        "--shunt-ohm", type=float, metavar="OHM", help="what the current's channel is across"
+    )
+    calibrate.add_argument(
+        "--voltage-ratio",
+        type=float,
+        default=1.0,
+        metavar="X",
+        help="volts at the coil per volt at the input; default: 1",
+    )
+    calibrate.add_argument(
+        "--moving-mass-kg", type=float, metavar="KG", help="what moves, if it was weighed: gives Bl"
+    )
+    calibrate.add_argument(
+        "--output-channel", type=int, default=1, metavar="N", help="that plays, from 1; default: 1"
+    )
+    calibrate.add_argument(
+        "--level", type=float, metavar="L", help="of full scale, up to 0.25; default: 0.05"
+    )
+    calibrate.add_argument("--loud", action="store_true", help="allow a --level up to 1")
     calibrate.add_argument(
         "--rig", default="paper", metavar="NAME|FILE", help="what is known of it; default: paper"
     )
     calibrate.add_argument("--seat", action="store_true", help="the twin stands on its seat")
     calibrate.add_argument(
-        "--share", type=float, default=0.05, metavar="S", help="of Xmax, up to 0.15; default: 0.05"
+        "--share", type=float, metavar="S", help="the twin: of Xmax, up to 0.15; default: 0.05"
     )
     calibrate.add_argument("--low-hz", type=float, default=15.0, metavar="HZ", help="default: 15")
     calibrate.add_argument(

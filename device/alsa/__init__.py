@@ -1,6 +1,7 @@
 """Sound cards themselves: which there are, what they offer, and what is sent to them.
 
     cards.py        the cards of this machine, by number or id
+    captures.py     where they record
     usb_stream.py   what a USB card offers, and its own clock
     use.py          who plays there just now, and how
     mixer.py        a card's own volumes and mutes; decibels.py: what their steps mean
@@ -11,6 +12,7 @@
 PCMs and streams are those of `device.server`; nothing here plays.
 """
 
+from device.alsa.captures import Capture, captures, find_capture, usb_capture_stream
 from device.alsa.cards import PROC, Card, Playback, all_cards, find_card, find_playback, playbacks
 from device.alsa.conversion import Encoder
 from device.alsa.negotiation import Choice, Offer, choose, offers_of
@@ -20,6 +22,7 @@ from device.alsa.volume import set_card_volume
 
 __all__ = [
     "PROC",
+    "Capture",
     "Card",
     "Choice",
     "Encoder",
@@ -30,7 +33,9 @@ __all__ = [
     "UsbFormat",
     "UsbStream",
     "all_cards",
+    "captures",
     "choose",
+    "find_capture",
     "find_card",
     "find_playback",
     "hw_params",
@@ -39,5 +44,6 @@ __all__ = [
     "playbacks",
     "refusal",
     "set_card_volume",
+    "usb_capture_stream",
     "usb_stream",
 ]

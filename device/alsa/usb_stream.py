@@ -75,11 +75,14 @@ def usb_stream(playback: Playback) -> UsbStream | None:
     return parse_usb_stream(text) if text else None
 
 
-def parse_usb_stream(text: str) -> UsbStream:
-    """What the text says of playback; without any `formats` if it says nothing. Any thread."""
+def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:
+    """What the text says of that side; without any `formats` if it says nothing. Any thread.
+
+    side: "Playback:" or "Capture:".
+    """
     status: dict[str, str] = {}
     blocks: list[dict[str, str]] = []
-    for line in _playback_lines(text):
+    for line in _lines_of(text, side):
         if line.startswith("Interface ") and "=" not in line:
             blocks.append({"Interface": line.removeprefix("Interface ")})
         elif line.startswith("Altset ") and "=" not in line:
@@ -97,12 +100,12 @@ def parse_usb_stream(text: str) -> UsbStream:
     )
 
 
-def _playback_lines(text: str) -> Iterator[str]:
-    """The lines below "Playback:", up to "Capture:", stripped."""
+def _lines_of(text: str, side: str) -> Iterator[str]:
+    """The lines below "Playback:" or "Capture:", up to the other one, stripped."""
     inside = False
     for line in map(str.strip, text.splitlines()):
         if line in ("Playback:", "Capture:"):
-            inside = line == "Playback:"
+            inside = line == side
         elif inside and line:
             yield line
 

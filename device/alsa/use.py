@@ -89,7 +89,7 @@ def refusal(
 
     devices: the folder of device files. Any thread.
     """
-    node = devices / f"pcmC{playback.card.number}D{playback.device}p"
+    node = devices / f"pcmC{playback.card.number}D{playback.device}{playback.folder.name[-1]}"
     if node.exists() and not os.access(node, os.R_OK | os.W_OK):
         return (
             f"this user may not open {playback} ({node}); log in at the machine itself, or join "

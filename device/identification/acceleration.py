@@ -24,6 +24,9 @@ F0_BY_LEVEL, Q_BY_LEVEL = 0.19, 0.4
 stiff again at Xmax raises f0 by 3/8 of that half while it moves so far (describing function); Q
 rises with it, and as a quarter of Bl is lost at Xmax. The intervals go down by so much: they are
 of the rig at rest, and noise is not all that a sweep of some level is wrong by."""
+_DELAYS_S = np.arange(-8e-3, 4e-3, 0.25e-3)
+"""Of starts, where it is not known: it was measured at the peak of the impulse response, which
+comes later than its beginning by up to a quarter of a period."""
 _ADVICE = "raise the level a little, make the sweep longer or bring it closer to the resonance"
 
 
@@ -37,7 +40,7 @@ class Mode:
     on_seat: a frame that gives way was needed to explain the response: f0_hz and q are those of
     the actuator on it. level_of_x_max: the largest excursion of the moving mass in the sweep, as
     a share of Xmax; the frame's, which goes against it, is not in it. fit: for what follows from
-    several.
+    several. inverted: the accelerometer shows the other sign, where that was not known.
     """
 
     drive: Drive
@@ -47,6 +50,7 @@ class Mode:
     on_seat: bool
     level_of_x_max: float
     fit: Fit
+    inverted: bool = False
 
 
 def identify_mode(
@@ -64,7 +68,7 @@ def identify_mode(
     """
     recording.check()
     electrical = drive == "voltage"
-    found, on_seat = _fitted(recording, electrical)
+    recording, found, on_seat, inverted = _fitted(recording, electrical)
     refuse_outside(recording, found.logs[1])
     if found.misfit > MOST_MISFIT:
         raise IdentificationError(
@@ -81,17 +85,38 @@ def identify_mode(
     share = moved / x_max_m
     square = bent_square(share, on_seat)
     f0, q = f0.lowered(F0_BY_LEVEL * square), q.lowered(Q_BY_LEVEL * square)
-    return Mode(drive, f0, q, sensitivity, on_seat, share, found)
+    return Mode(drive, f0, q, sensitivity, on_seat, share, found, inverted)
 
 
-def _fitted(recording: Recording, electrical: bool) -> tuple[Fit, bool]:
-    """The plain fit, or the one with a seat, where that explains more."""
+def _model(recording: Recording, electrical: bool) -> Model:
+    if recording.delayed:
+        return responses.delayed_acceleration
 
     def model(f: FloatArray, p: FloatArray) -> responses.Response:
         return responses.acceleration(f, p, electrical=electrical)
 
-    simple = fit(recording, model, _starts(recording, electrical))
-    return with_seat(recording, model, simple, simple.logs[1])
+    return model
+
+
+def _fitted(recording: Recording, electrical: bool) -> tuple[Recording, Fit, bool, bool]:
+    """The plain fit, or the one with a seat, where that explains more; with its recording.
+
+    Where the polarity is not known, the one that explains more; whether that is upside down.
+    """
+    ways = [recording] if recording.polarity_known else [recording, recording.inverted()]
+    model = _model(recording, electrical)
+    found: list[tuple[Recording, Fit]] = []
+    errors: list[IdentificationError] = []
+    for way in ways:
+        try:
+            found.append((way, fit(way, model, _starts(way, electrical))))
+        except IdentificationError as error:
+            errors.append(error)
+    if not found:
+        raise errors[0]
+    way, simple = min(found, key=lambda one: one[1].cost)
+    best, on_seat = with_seat(way, model, simple, simple.logs[1])
+    return way, best, on_seat, way is not recording
 
 
 def bent_square(level_of_x_max: float, on_seat: bool) -> float:
@@ -138,8 +163,14 @@ def _starts(recording: Recording, electrical: bool) -> list[FloatArray]:
     ):
         p = np.array([0.0, math.log(hz), math.log(q), *lags])
         explained = responses.acceleration(f, p, electrical=electrical)[0] * drive
-        scale = float(np.abs(np.vdot(explained, measured)) / np.vdot(explained, explained).real)
-        starts.append(np.array([math.log(max(scale, 1e-10)), *p[1:]]))
+        agreement, late = np.vdot(explained, measured), []
+        if recording.delayed:
+            turned = explained.conj() * measured
+            agreements = [np.sum(turned * np.exp(1j * math.tau * f * s)) for s in _DELAYS_S]
+            best = int(np.argmax(np.real(agreements)))
+            agreement, late = agreements[best], [_DELAYS_S[best] / responses.DELAY_S]
+        scale = float(np.abs(agreement) / np.vdot(explained, explained).real)
+        starts.append(np.array([math.log(max(scale, 1e-10)), *p[1:], *late]))
     return starts
 
 
@@ -166,6 +197,6 @@ def _excursion_m(recording: Recording, found: Fit, electrical: bool) -> float:
     band = recording.band
     f = recording.frequencies_hz[band]
     spectrum = np.zeros(len(recording.frequencies_hz), complex)
-    h = responses.acceleration(f, found.logs, electrical=electrical)[0]
+    h = _model(recording, electrical)(f, found.logs)[0]
     spectrum[band] = h * recording.reference_spectrum[band] / -((math.tau * f) ** 2)
     return float(np.abs(irfft(spectrum, recording.length)).max())

@@ -70,19 +70,7 @@ class Bench:
         UsageError
             The share is not above 0, up to 0.15.
         """
-        if not 0.0 < share <= LARGEST_SHARE:
-            raise UsageError(
-                f"share={share!r} of Xmax must be above 0, up to {LARGEST_SHARE}: louder, f0 "
-                "shifts; choose a lower one"
-            )
-        ladder = Ladder(self.rig, sweep.samplerate, rung=Rung.LINEAR, seat=self._seat)
-        loud = replace(sweep, level=1.0)
-        amplifier = self.rig.amplifier
-        volts = Amplifier(replace(amplifier, output_limit_v=1e9), sweep.samplerate).drive(
-            Dac(self.rig.dac).volts(loud.samples())
-        )
-        peak_m = float(np.abs(ladder.move(volts, ["displacement_m"]).displacement_m).max())
-        return replace(sweep, level=min(1.0, share * self.rig.actuator.x_max_m / peak_m))
+        return at_share(self.rig, sweep, share, seat=self._seat)
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """One recording a pair (reference, response) of "voltage", "current", "acceleration".
@@ -139,6 +127,27 @@ class Bench:
         sounding = signal[sweep.lead_frames : len(signal) - round(sweep.tail_s * sweep.samplerate)]
         rms = float(np.sqrt(np.mean(sounding**2))) * 10.0 ** (-self._snr_db / 20.0)
         return np.asarray(signal + rms * random.standard_normal(len(signal)))
+
+
+def at_share(rig: Rig, sweep: Sweep, share: float, *, seat: bool = False) -> Sweep:
+    """The sweep that, linearly, moves that share of the rig's Xmax; full scale at most.
+
+    Raises
+    ------
+    UsageError
+        The share is not above 0, up to 0.15.
+    """
+    if not 0.0 < share <= LARGEST_SHARE:
+        raise UsageError(
+            f"share={share!r} of Xmax must be above 0, up to {LARGEST_SHARE}: louder, f0 "
+            "shifts; choose a lower one"
+        )
+    ladder = Ladder(rig, sweep.samplerate, rung=Rung.LINEAR, seat=seat)
+    loud = replace(sweep, level=1.0)
+    amplifier = Amplifier(replace(rig.amplifier, output_limit_v=1e9), sweep.samplerate)
+    volts = amplifier.drive(Dac(rig.dac).volts(loud.samples()))
+    peak_m = float(np.abs(ladder.move(volts, ["displacement_m"]).displacement_m).max())
+    return replace(sweep, level=min(1.0, share * rig.actuator.x_max_m / peak_m))
 
 
 def _scaled(

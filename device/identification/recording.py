@@ -1,6 +1,6 @@
 """What was read while a sweep was played, and whether anything can be identified from it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,6 +33,8 @@ class Recording:
     reference: what drove the rig, V or A; response: what came of it, m/s^2 or A. names: of both,
     for messages. limits: magnitudes at which the inputs of both clip, if known.
     correction: (bins,) what the instruments did to the response, to be divided out; None: nothing.
+    delayed: the response comes later by some ms that nobody knows; polarity_known: else it may be
+    upside down.
 
     Raises
     ------
@@ -46,6 +48,8 @@ class Recording:
     names: tuple[str, str] = ("drive", "acceleration")
     limits: tuple[float, float] = (float("inf"), float("inf"))
     correction: Any = None
+    delayed: bool = False
+    polarity_known: bool = True
 
     def __post_init__(self) -> None:
         for name, samples in zip(self.names, (self.reference, self.response), strict=True):
@@ -58,6 +62,10 @@ class Recording:
                 raise IdentificationError(
                     f"{name}: {lost} samples are not finite; check the input and record again"
                 )
+
+    def inverted(self) -> "Recording":
+        """The same with the response upside down."""
+        return replace(self, response=-self.response)
 
     @cached_property
     def length(self) -> int:
@@ -111,7 +119,7 @@ class Recording:
                     "the silence before it; check power, cables and that channel, or raise the "
                     "level"
                 )
-        found = transfer(self)
+        found = transfer(replace(self, correction=None))  # as it was read
         coherent = float(np.median(found.coherence))
         if coherent < 0.3:
             raise IdentificationError(

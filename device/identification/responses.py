@@ -66,6 +66,22 @@ def acceleration(f: FloatArray, p: FloatArray, *, electrical: bool) -> Response:
     return h, h[:, None] * np.column_stack(slopes)
 
 
+DELAY_S = 1e-3
+"""The unit of the delay in `delayed_acceleration`."""
+
+
+def delayed_acceleration(f: FloatArray, p: FloatArray) -> Response:
+    """`acceleration` for a voltage, later by p[4] ms: that parameter is no logarithm.
+
+    p: log S, f0, Q, T, the delay[, the seat's four].
+    """
+    h, slopes = acceleration(f, np.delete(p, 4), electrical=True)
+    rate: ComplexArray = -1j * math.tau * f * DELAY_S
+    h = h * np.exp(rate * p[4])
+    slopes = slopes * np.exp(rate * p[4])[:, None]
+    return h, np.insert(slopes, 4, rate * h, axis=1)
+
+
 def admittance(f: FloatArray, p: FloatArray) -> Response:
     """Current for voltage at the coil: 1 / (Re + s Le + Res (s / w0 / Qms) / pair).
 

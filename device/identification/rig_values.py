@@ -22,6 +22,25 @@ def with_identified(rig: Rig, values: Values, words: str) -> Rig:
     UsageError
         A parameter is not there, or the values contradict the rig.
     """
+    known = tuple(
+        Source(parameter, "identified", words, estimate.interval)
+        for parameter, estimate in values.items()
+    )
+    return _replaced(rig, values, known)
+
+
+def with_matched(rig: Rig, values: Values, words: str) -> Rig:
+    """The rig with those values, still assumed, as they hold with others that are; words: how.
+
+    Raises
+    ------
+    UsageError
+        As `with_identified`.
+    """
+    return _replaced(rig, values, tuple(Source(name, "assumed", words) for name in values))
+
+
+def _replaced(rig: Rig, values: Values, known: tuple[Source, ...]) -> Rig:
     stages = rig.stages()
     changed: dict[str, dict[str, float]] = {}
     for parameter, estimate in values.items():
@@ -30,10 +49,6 @@ def with_identified(rig: Rig, values: Values, words: str) -> Rig:
             raise UsageError(f"rig {rig.name!r} has no {parameter}; add [{stage}] to its file")
         changed.setdefault(stage, {})[name] = estimate.value
     others = tuple(source for source in rig.sources if source.parameter not in values)
-    known = tuple(
-        Source(parameter, "identified", words, estimate.interval)
-        for parameter, estimate in values.items()
-    )
     replaced: dict[str, Any] = {
         stage: replace(stages[stage], **named) for stage, named in changed.items()
     }

@@ -63,8 +63,11 @@ class Distortion:
 def distortion(recording: Recording, orders: int = 5) -> list[Distortion]:
     """Harmonic distortion of orders 2 to `orders`, at drives whose harmonic is in the band.
 
+    Orders that have none are left out.
+
     A sweep's harmonic of order n runs ahead of it by rise ln n, so its impulse response stands
-    alone there (Farina 2000); the floor is taken half way to the next one.
+    alone there (Farina 2000). The floor is taken half way to the next one and to the one before,
+    whichever is more: a response that rings at the ends of the band reaches far ahead of itself.
     """
     sweep, rate = recording.sweep, recording.sweep.samplerate
     impulse = _impulse_response(recording)
@@ -72,16 +75,19 @@ def distortion(recording: Recording, orders: int = 5) -> list[Distortion]:
     f = recording.frequencies_hz[recording.band]
     found = []
     for order in range(2, orders + 1):
-        lead, following = (sweep.harmonic_lead_s(n) for n in (order, order + 1))
-        half = round(0.25 * (following - lead) * rate)
-        at = _cut(impulse, -round(lead * rate), half)
-        beside = _cut(impulse, -round(0.5 * (lead + following) * rate), half)
+        before, lead, after = (sweep.harmonic_lead_s(n) for n in (order - 1, order, order + 1))
+        half = round(0.25 * (after - lead) * rate)
         drives = f[f * order <= f[-1]]
         shares = []
-        for part in (at, beside):
+        times_s = [lead, 0.5 * (lead + before), 0.5 * (lead + after)]
+        fit = [time_s for time_s in times_s if round(time_s * rate) + half <= recording.length]
+        if not len(drives) or lead not in fit:
+            break  # this one and all above have no place in the band, or in the recording
+        for time_s in fit:
+            part = _cut(impulse, -round(time_s * rate), half)
             spectrum = np.abs(rfft(part))[recording.band]
             shares.append(np.interp(order * drives, f, spectrum) / np.interp(drives, f, linear))
-        found.append(Distortion(order, drives, *shares))
+        found.append(Distortion(order, drives, shares[0], np.max(shares[1:], axis=0)))
     return found
 
 

@@ -5,6 +5,7 @@
     streams.py    CaptureStream, PlaybackStream: a block a callback
     pulse.py      PulseConnection: what the server holds (snapshot.py) and what changes (events.py)
     identity.py   sinks by exact name, monitors, our own streams, real devices
+    measuring.py  two streams for one measurement, which end it on anything unexpected
     guard.py      a stream is where it belongs, or silent
     applications.py  which applications are captured by themselves, before the mix
     app_captures.py  AppCaptures opens an AppCapture (app_capture.py) for each
@@ -28,6 +29,7 @@ from device.server.identity import (
     default_monitor,
     find_monitor,
     find_sink,
+    find_source,
     identity_of,
     is_ours,
     monitor_of,
@@ -64,6 +66,7 @@ __all__ = [
     "default_monitor",
     "find_monitor",
     "find_sink",
+    "find_source",
     "identity_of",
     "is_ours",
     "monitor_of",

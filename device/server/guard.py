@@ -59,9 +59,9 @@ class Place:
     """What is known of one stream; a value, changed by `after_...`, judged by `hold`.
 
     tag: the stream's; name: of the device where it belongs, which is a sink if it plays, else a
-    source. Of a source only a monitor counts. stream, device: their indexes and on: the index of
-    the device that the stream is on, as last seen. unsettled: number of the event that has to be
-    looked into, 0 if none.
+    source. Of a source only a monitor counts, unless any_source: for measuring. stream, device:
+    their indexes and on: the index of the device that the stream is on, as last seen. unsettled:
+    number of the event that has to be looked into, 0 if none.
     """
 
     tag: str
@@ -72,6 +72,7 @@ class Place:
     device: int | None = None
     on: int | None = None
     unsettled: int = 0
+    any_source: bool = False
 
     @property
     def hold(self) -> Hold:
@@ -117,7 +118,11 @@ class Place:
         devices = (
             {sink.name: sink.index for sink in snapshot.sinks}
             if self.plays
-            else {source.name: source.index for source in snapshot.sources if source.monitor_of}
+            else {
+                source.name: source.index
+                for source in snapshot.sources
+                if source.monitor_of or self.any_source
+            }
         )
         stream = tagged(streams, self.tag)
         return replace(
@@ -137,7 +142,8 @@ class Place:
 class StreamGuard(Listener):
     """Silences a stream unless it is known to be on the device of this name.
 
-    device_name: of the haptic sink for a `PlaybackStream`, of a monitor for a `CaptureStream`.
+    device_name: of the haptic sink for a `PlaybackStream`, of a monitor for a `CaptureStream`, or
+    of any source where any_source is True, for measuring.
     It sets `stream.audible` from the moment it is made, and is the only one that may. on_hold:
     called with every change of the decision, by the connection's thread (or by the one that makes
     the guard or calls `lead`); it must return at once. Any thread but the connection's makes,
@@ -150,13 +156,16 @@ class StreamGuard(Listener):
         stream: PlaybackStream | CaptureStream,
         device_name: str,
         on_hold: Callable[[Hold], None] | None = None,
+        *,
+        any_source: bool = False,
     ) -> None:
         self._connection = connection
         self._stream = stream
         self._on_hold = on_hold
         self._lock = threading.Lock()
         self._released = False
-        self._place = Place(stream.tag, device_name, isinstance(stream, PlaybackStream))
+        plays = isinstance(stream, PlaybackStream)
+        self._place = Place(stream.tag, device_name, plays, any_source=any_source)
         self.hold = self._place.hold
         self._misplaced_at_s: float | None = None
         self._judge(lambda place: place)

@@ -68,6 +68,20 @@ def find_monitor(snapshot: ServerSnapshot, source_name: str) -> Source:
     raise NotFoundError(_no_such("monitor", source_name, monitors))
 
 
+def find_source(snapshot: ServerSnapshot, name: str) -> Source:
+    """The source with exactly this name, be it a monitor or an input: for measuring alone.
+
+    Raises
+    ------
+    NotFoundError
+        There is none; the nearest names are offered. Nothing is ever taken instead.
+    """
+    for source in snapshot.sources:
+        if source.name == name:
+            return source
+    raise NotFoundError(_no_such("source", name, (source.name for source in snapshot.sources)))
+
+
 def default_monitor(snapshot: ServerSnapshot, haptic_sink: str | None = None) -> Source:
     """The monitor of the default sink: what a tap on "everything that is heard" records from.
 

@@ -36,7 +36,10 @@ class Sink:
 
 @dataclass(frozen=True)
 class Source:
-    """A place to record from. monitor_of: the name of the sink that it monitors, None if none."""
+    """A place to record from. monitor_of: the name of the sink that it monitors, None if none.
+
+    channel_map: as of a `Sink`. volume: the server's number, 1.0 for 100 %; mute: whether it is.
+    """
 
     index: int
     name: str
@@ -45,6 +48,9 @@ class Source:
     samplerate: int
     channels: int
     properties: Mapping[str, str]
+    channel_map: str = ""
+    volume: float = 1.0
+    mute: bool = False
 
 
 @dataclass(frozen=True)
@@ -170,6 +176,9 @@ def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
         samplerate=item.samplerate,
         channels=item.channel_count,
         properties=dict(item.proplist),
+        channel_map=",".join(item.channel_list),
+        volume=float(item.volume.value_flat),
+        mute=bool(item.mute),
     )
 
 

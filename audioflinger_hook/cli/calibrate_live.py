@@ -1,0 +1,246 @@
+"""`cushion calibrate` on real devices: what is opened, how loud at most, which input is what."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+
+from audioflinger_hook.cli.terminal import warn
+from device.address import DeviceAddress
+from device.alsa import (
+    Choice,
+    choose,
+    find_capture,
+    find_playback,
+    offers_of,
+    refusal,
+    usb_capture_stream,
+    usb_stream,
+)
+from device.errors import NotFoundError, UsageError
+from device.identification.bench import LARGEST_SHARE, at_share
+from device.identification.calibration import Calibration, calibrate
+from device.identification.live.channels import UNUSED, Inputs
+from device.identification.live.laboratory import Devices, LiveLaboratory
+from device.identification.output_error import Estimate
+from device.identification.sweep import Sweep
+from device.rig import Rig
+from device.server import (
+    PcmConfig,
+    PulseConnection,
+    ServerSnapshot,
+    find_source,
+    is_ours,
+    quiet_libraries,
+)
+from device.server.measuring import INPUT, OUTPUT, Measuring, Way
+from device.server.targets import CardDevice, ServerDevice
+
+USUAL_LEVEL, MOST_LEVEL = 0.05, 0.25
+"""Of full scale, unless asked for, and unless --loud is."""
+
+RATE_HZ = 48_000
+WEIGHED_SHARE = 0.02
+"""Half the interval of a mass that was weighed."""
+
+INPUT_GRAMMAR = "source:NAME or hw:CARD[,DEVICE]"
+
+_QUAD = "front-left,front-right,rear-left,rear-right"
+PLAIN_MAPS = {
+    1: "mono",
+    2: "front-left,front-right",
+    4: _QUAD,
+    6: f"{_QUAD},front-center,lfe",
+    8: f"{_QUAD},front-center,lfe,side-left,side-right",
+}
+"""By number of channels, those that ALSA's way to the server asks for: others are mixed by name."""
+
+_HAS_TO_BE_KNOWN = (
+    "dac.full_scale_v",
+    "amplifier.gain",
+    *(
+        f"actuator.{name}"
+        for name in (
+            "moving_mass_kg",
+            "resonance_hz",
+            "q_mechanical",
+            "force_factor_n_per_a",
+            "resistance_ohm",
+            "x_max_m",
+        )
+    ),
+)
+
+
+def calibrate_live(
+    device: DeviceAddress,
+    rig: Rig,
+    sweep: Sweep,
+    options: argparse.Namespace,
+    tell: Callable[[float], None],
+) -> tuple[Calibration, Devices]:
+    """Calibrate what hangs on that device, heard by the input that is named, by nothing else."""
+    if device.kind not in ("sink", "usb", "hw"):
+        raise NotFoundError(
+            f"device {str(device)!r} cannot be calibrated: nothing moves there; choose sink:NAME, "
+            "usb:VID:PID, hw:CARD, or twin"
+        )
+    if options.share is not None or options.seat:
+        raise UsageError("--share and --seat are the twin's; choose --level of full scale")
+    inputs = _inputs(options)
+    sweep = _levelled(rig, sweep, options)
+    mass = options.moving_mass_kg
+    if mass is not None and not 0.0 < mass < 1e3:
+        raise UsageError(f"moving-mass-kg={mass!r} must be above 0; weigh what moves")
+    reach = None if mass is None else WEIGHED_SHARE * mass
+    weighed = None if mass is None or reach is None else Estimate(mass, mass - reach, mass + reach)
+    source = options.input
+    with ExitStack() as stack:
+        quiet_libraries()
+        pcms = PcmConfig(OUTPUT, INPUT)
+        stack.callback(pcms.close)
+        connection = None
+        if device.kind != "hw" or source.startswith("source:"):
+            connection = PulseConnection()
+            stack.callback(connection.close)
+        snapshot = connection.latest if connection else None
+        output, rate = _output(device, snapshot)
+        heard, rate = _input(source, snapshot, len(inputs.names), output, rate)
+        channel = options.output_channel
+        if not 1 <= channel <= output.channels:
+            raise UsageError(
+                f"output-channel={channel}: {output.name} has 1 to {output.channels}; name one"
+            )
+        inputs = replace(
+            inputs, names=(*inputs.names, *[UNUSED] * (heard.channels - len(inputs.names)))
+        )
+        transport = Measuring(pcms, output, heard, rate, connection)
+        laboratory = LiveLaboratory(transport, inputs, channel - 1, rig.amplifier)
+        found = calibrate(
+            laboratory,
+            rig,
+            replace(sweep, samplerate=rate),
+            tell,
+            pairs=inputs.pairs,
+            scaled=inputs.acceleration_scaled,
+            weighed=weighed,
+        )
+    if laboratory.current_turned:
+        warn("the current's sign was turned: a coil takes power; swap the shunt's two wires")
+    if laboratory.repeated:
+        warn(f"frames were lost in {laboratory.repeated} sweeps, which were repeated")
+    drift = laboratory.drift.value if laboratory.drift else 0.0
+    return found, Devices(output.name, heard.name, laboratory.delay_s, drift)
+
+
+def _inputs(options: argparse.Namespace) -> Inputs:
+    if not options.input or not options.channels:
+        raise UsageError(
+            f"what is it heard with? Give --input {INPUT_GRAMMAR}, and --channels with what each "
+            "of its channels is, e.g. acceleration,current,voltage; no microphone is ever chosen "
+            "by itself"
+        )
+    kind, colon, name = options.input.partition(":")
+    if kind not in ("source", "hw") or not colon or not name.strip():
+        raise UsageError(f"input {options.input!r} is none; allowed: {INPUT_GRAMMAR}")
+    mv = options.acceleration_mv_per_m_s2
+    return Inputs.parse(
+        options.channels,
+        full_scale_v=options.input_full_scale_v,
+        acceleration_v_per_m_s2=None if mv is None else 1e-3 * mv,
+        shunt_ohm=options.shunt_ohm,
+        voltage_ratio=options.voltage_ratio,
+    )
+
+
+def _levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
+    """The sweep at the level asked for, or at the one that moves 0.15 Xmax if that is known."""
+    level = USUAL_LEVEL if options.level is None else options.level
+    most = 1.0 if options.loud else MOST_LEVEL
+    if not 0.0 < level <= most:
+        hint = "" if options.loud else f"; above {MOST_LEVEL} only with --loud"
+        raise UsageError(f"level={level!r} of full scale must be above 0, up to {most:g}{hint}")
+    sweep = replace(sweep, level=level)
+    if set(_HAS_TO_BE_KNOWN) & set(rig.assumed()):
+        return sweep
+    allowed = at_share(rig, sweep, LARGEST_SHARE)
+    if allowed.level < level:
+        warn(
+            f"level {level:g} would move more than {LARGEST_SHARE} Xmax of rig {rig.name!r}; "
+            f"{allowed.level:.4f} is taken"
+        )
+        return allowed
+    return sweep
+
+
+def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Way, int]:
+    """Where the sweep goes, and at which rate."""
+    if device.kind == "hw":
+        playback = find_playback(device.name)
+        if refused := refusal(playback):
+            raise NotFoundError(refused)
+        choice: Choice = choose(offers_of(usb_stream(playback)), RATE_HZ, 1)
+        card = CardDevice(playback.card.number, playback.device)
+        return Way(card, str(playback), choice.channels, choice.sample_format), choice.samplerate
+    assert snapshot is not None
+    sink = device.sink(snapshot)
+    others = [
+        stream.application or "another program"
+        for stream in snapshot.sink_inputs
+        if stream.place_name == sink.name and not stream.corked
+    ]
+    if others:
+        what = "cushion run" if any(map(is_ours, snapshot.sink_inputs)) else others[0]
+        raise UsageError(f"something else plays to {sink.name!r} ({what}); end it first")
+    return Way(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
+
+
+def _input(
+    source: str, snapshot: ServerSnapshot | None, needed: int, output: Way, rate: int
+) -> tuple[Way, int]:
+    """What hears it, and the rate of both."""
+    kind, _, name = source.partition(":")
+    if kind == "source":
+        assert snapshot is not None
+        found = find_source(snapshot, name)
+        if found.monitor_of == output.name:
+            raise UsageError(
+                f"input {source!r} is the monitor of the output itself, which hears no cushion; "
+                "name the input that the accelerometer or the shunt is connected to"
+            )
+        _enough(source, needed, found.channels)
+        if found.mute:
+            raise UsageError(f"input {source!r} is muted; unmute it")
+        if abs(found.volume - 1.0) > 0.005:
+            warn(
+                f"the volume of input {source!r} is {100 * found.volume:.0f} %: volts and what "
+                "follows from them are right only if its full scale was found at that volume"
+            )
+        plain = PLAIN_MAPS.get(found.channels)
+        if found.channel_map != plain:
+            raise UsageError(
+                f"input {source!r} has the channels {found.channel_map}, which the sound server "
+                f"would mix before they are heard ({plain or 'no such number'} it leaves alone); "
+                "name the card itself, as hw:CARD, or another profile of it"
+            )
+        return Way(ServerDevice(found.name), found.name, found.channels), rate
+    capture = find_capture(name)
+    if refused := refusal(capture):
+        raise NotFoundError(refused)
+    choice = choose(offers_of(usb_capture_stream(capture)), rate, needed, needed)
+    if choice.samplerate != rate and not output.guarded:
+        raise UsageError(
+            f"{output.name} plays at {rate} Hz and {capture} records at {choice.samplerate} Hz; "
+            "name the sound server's sink or source for one of them"
+        )
+    card = CardDevice(capture.card.number, capture.device)
+    return Way(card, str(capture), choice.channels), choice.samplerate
+
+
+def _enough(source: str, needed: int, there: int) -> None:
+    if needed > there:
+        raise UsageError(
+            f"channels: {needed} are named, input {source!r} has {there}; name no more than those"
+        )

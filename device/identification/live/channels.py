@@ -1,0 +1,120 @@
+"""What each channel of the input is, and its physical unit for full scale."""
+
+from dataclasses import dataclass
+
+from device.errors import UsageError
+
+QUANTITIES = ("acceleration", "current", "voltage", "loopback")
+UNUSED = "-"
+DRIVE = "drive"
+"""The name of what was played where no channel shows it; also of the loop-back."""
+
+MOST_CHANNELS = 32
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The input's channels in order, each one of QUANTITIES or "-", and what their volts mean.
+
+    full_scale_v: peak volts at the input for a sample of 1.0; acceleration_v_per_m_s2: of the
+    accelerometer with its conditioning amplifier; shunt_ohm: what the current's channel is across;
+    voltage_ratio: volts at the coil per volt at the input. None where it is not known.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown or given twice, nothing can be identified from these, or what makes
+        volts or amperes of a channel is missing or out of range.
+    """
+
+    names: tuple[str, ...]
+    full_scale_v: float | None = None
+    acceleration_v_per_m_s2: float | None = None
+    shunt_ohm: float | None = None
+    voltage_ratio: float = 1.0
+
+    def __post_init__(self) -> None:
+        used = [name for name in self.names if name != UNUSED]
+        unknown = [name for name in used if name not in QUANTITIES]
+        twice = sorted({name for name in used if used.count(name) > 1})
+        shown = ",".join(self.names)
+        if unknown or twice or not 1 <= len(self.names) <= MOST_CHANNELS:
+            what = f"{unknown[0]!r} is unknown" if unknown else f"{', '.join(twice)} twice"
+            if not (unknown or twice):
+                what = f"1 to {MOST_CHANNELS} channels are possible"
+            raise UsageError(
+                f"channels={shown}: {what}; name each input in order, of "
+                f"{', '.join(QUANTITIES)}, and {UNUSED} for one that is not used"
+            )
+        if "acceleration" not in used and not {"voltage", "current"} <= set(used):
+            raise UsageError(
+                f"channels={shown}: nothing can be identified from that; name acceleration, or "
+                "voltage and current"
+            )
+        for name, value in (
+            ("input full scale", self.full_scale_v),
+            ("acceleration sensitivity", self.acceleration_v_per_m_s2),
+            ("shunt", self.shunt_ohm),
+            ("voltage ratio", self.voltage_ratio),
+        ):
+            if value is not None and not 0.0 < value < 1e9:
+                raise UsageError(f"{name}={value!r} must be above 0; correct it")
+        if {"voltage", "current"} & set(used) and self.full_scale_v is None:
+            raise UsageError(
+                f"channels={shown}: volts and amperes need the input's full scale; give "
+                "--input-full-scale-v V, the peak volts that a sample of 1.0 stands for"
+            )
+        if "current" in used and self.shunt_ohm is None:
+            raise UsageError(
+                f"channels={shown}: amperes need the resistance that the current's channel is "
+                "across; give --shunt-ohm R"
+            )
+        if self.acceleration_v_per_m_s2 is not None and self.full_scale_v is None:
+            raise UsageError(
+                "an acceleration sensitivity needs the input's full scale, too; give "
+                "--input-full-scale-v V, the peak volts that a sample of 1.0 stands for"
+            )
+
+    @classmethod
+    def parse(cls, text: str, **known: float | None) -> "Inputs":
+        """Of a text "acceleration,current,-"; known: the other fields that are not None."""
+        names = tuple(part.strip() for part in text.split(","))
+        return cls(names, **{key: value for key, value in known.items() if value is not None})
+
+    def index(self, name: str) -> int | None:
+        """The channel of that name, from 0."""
+        return self.names.index(name) if name in self.names else None
+
+    @property
+    def used(self) -> tuple[int, ...]:
+        """The channels that are something, from 0."""
+        return tuple(i for i, name in enumerate(self.names) if name != UNUSED)
+
+    @property
+    def acceleration_scaled(self) -> bool:
+        """Whether acceleration is in m/s^2; else in shares of the input's full scale."""
+        return self.acceleration_v_per_m_s2 is not None
+
+    def scale(self, name: str) -> float:
+        """The physical value of a sample of 1.0: m/s^2, A, V at the coil; else 1."""
+        volts = self.full_scale_v or 1.0
+        if name == "acceleration":
+            return volts / self.acceleration_v_per_m_s2 if self.acceleration_v_per_m_s2 else 1.0
+        if name == "current":
+            assert self.shunt_ohm is not None
+            return volts / self.shunt_ohm
+        return volts * self.voltage_ratio if name == "voltage" else 1.0
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """The (reference, response) that can be looked at."""
+        there, pairs = set(self.names), []
+        if {"current", "acceleration"} <= there:
+            pairs.append(("current", "acceleration"))
+        if {"voltage", "current"} <= there:
+            pairs.append(("voltage", "current"))
+        if "acceleration" in there:
+            pairs.append(("voltage" if "voltage" in there else DRIVE, "acceleration"))
+        return tuple(pairs)

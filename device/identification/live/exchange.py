@@ -1,0 +1,181 @@
+"""One measurement from the callbacks' side: listen, play once, record, and fall silent on anything.
+
+`fill` and `on_frames` are called by the threads of two streams. They never block, raise nothing and
+allocate no more than a block; the arrays for all of the recording are there before they begin.
+What was unexpected is kept as the error that the measurement ends with; from then on `fill` writes
+nothing, so that the very next block is silent.
+"""
+
+import math
+import threading
+from collections.abc import Sequence
+
+import numpy as np
+
+from device.errors import CushionError, LostError
+from device.identification.recording import IdentificationError
+from device.units import Float32Array, FloatArray
+
+BACKGROUND_S = 0.4
+"""For so long nothing is played, to hear what is there already."""
+
+MOST_LATENCY_S = 0.8
+"""From a frame that is played until it comes back."""
+
+STALL_S = 0.5
+"""Without a callback of the other stream for so long there is nobody to listen, or to play."""
+
+LOUDEST_BACKGROUND = 0.02
+"""R.m.s. of what is there before the sweep, as a share of the input's full scale."""
+
+NO_SIGNAL_S = 1.1
+"""What is digital silence for so long since something was played will stay silent."""
+
+_CLIPPED = 0.999
+
+
+class Exchange:
+    """Plays (frames,) on one channel and records all of the input's.
+
+    samples: between ±1; samplerate: Hz; names: of the input's channels, "-" for one that is not
+    looked at; output_channel: from 0, None for every one. One measurement; make another for the
+    next. `begin`, `abort`: any thread.
+
+    ended: set once all is recorded or something ended it. error: what did, None if nothing.
+    background_frames: of the recording, before the first frame was played.
+    """
+
+    def __init__(
+        self,
+        samples: FloatArray,
+        samplerate: int,
+        names: Sequence[str],
+        output_channel: int | None = 0,
+    ) -> None:
+        self.samplerate = samplerate
+        self.ended = threading.Event()
+        self.error: CushionError | None = None
+        self.background_frames = round(BACKGROUND_S * samplerate)
+        self._names = tuple(names)
+        self._used = [i for i, name in enumerate(self._names) if name != "-"]
+        self._channel = output_channel
+        self._samples = np.asarray(samples, np.float32)
+        capacity = self.background_frames + len(samples) + round(MOST_LATENCY_S * samplerate)
+        self._recorded = np.zeros((capacity, len(self._names)), np.float32)
+        self._sum = np.zeros(len(self._names))
+        self._squares = np.zeros(len(self._names))
+        self._heard = [False] * len(self._names)
+        self._heard_by = self.background_frames + round(NO_SIGNAL_S * samplerate)
+        self._got = 0
+        self._played = 0
+        self._begun = self._may_play = False
+        self._heard_s = self._filled_s = -math.inf
+
+    def begin(self) -> None:
+        """From now on frames count: both streams are where they belong."""
+        self._begun = True
+
+    def abort(self, error: CushionError) -> None:
+        """Silence from the next block on; the first error is the one that is kept."""
+        if self.error is None and not self.ended.is_set():
+            self.error = error
+        self.ended.set()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for the end so long; whether it has ended. Any thread but the streams'."""
+        return self.ended.wait(seconds)
+
+    @property
+    def sounding(self) -> bool:
+        """Whether something is being played, or is still to be recorded."""
+        return self._may_play and not self.ended.is_set()
+
+    @property
+    def played_frames(self) -> int:
+        """Frames handed out so far."""
+        return self._played
+
+    @property
+    def recorded(self) -> Float32Array:
+        """(frames, channels), read only: background first; after `ended` only."""
+        view = self._recorded[: self._got]
+        view.setflags(write=False)
+        return view
+
+    def fill(self, out: Float32Array, now_s: float) -> None:
+        """Write the next frames into `out`, (frames, channels), all 0. The output's thread."""
+        self._filled_s = now_s
+        if not self._may_play or self.ended.is_set():
+            return
+        if now_s - self._heard_s > STALL_S:
+            self.abort(LostError("the input stopped during the sweep; check it, and sweep again"))
+            return
+        part = self._samples[self._played : self._played + len(out)]
+        self._played += len(part)
+        if self._channel is None:
+            out[: len(part)] = part[:, None]
+        else:
+            out[: len(part), self._channel] = part
+
+    def on_frames(self, frames: Float32Array, now_s: float) -> None:
+        """Take what arrived, (frames, channels). The input's thread."""
+        self._heard_s = now_s
+        if not self._begun or self.ended.is_set():
+            return
+        if self._may_play and now_s - self._filled_s > STALL_S:
+            self.abort(LostError("the output stopped during the sweep; check it, and sweep again"))
+            return
+        self._look(frames)
+        take = min(len(frames), len(self._recorded) - self._got)
+        self._recorded[self._got : self._got + take] = frames[:take]
+        self._got += take
+        if self.ended.is_set():
+            return
+        if not self._may_play:
+            self._listen(frames[:take])
+        elif self._got >= self._heard_by and not all(self._heard[i] for i in self._used):
+            silent = next(i for i in self._used if not self._heard[i])
+            self.abort(
+                IdentificationError(
+                    f"{self._names[silent]}: no signal, nothing but zeros; check power, cables and "
+                    "that channel, and that the input is not muted"
+                )
+            )
+        if self._got == len(self._recorded):
+            self.ended.set()
+
+    def _look(self, frames: Float32Array) -> None:
+        for channel in self._used:
+            peak = float(np.abs(frames[:, channel]).max(initial=0.0))
+            self._heard[channel] |= peak > 0.0
+            if not peak < _CLIPPED:
+                what = "is not a number" if math.isnan(peak) else f"clips at {peak:.4g}"
+                self.abort(
+                    IdentificationError(
+                        f"{self._names[channel]}: the input {what} of its full scale; lower the "
+                        "level, or the gain of that input"
+                    )
+                )
+                return
+
+    def _listen(self, frames: Float32Array) -> None:
+        """Gather what is there before anything is played; begin to play if it is quiet."""
+        self._sum += frames.sum(axis=0, dtype=np.float64)
+        self._squares += np.square(frames, dtype=np.float64).sum(axis=0)
+        if self._got < self.background_frames:
+            return
+        self.background_frames = self._got
+        variance = self._squares / self._got - (self._sum / self._got) ** 2
+        for channel in self._used:
+            rms = math.sqrt(max(float(variance[channel]), 0.0))
+            if rms > LOUDEST_BACKGROUND:
+                self.abort(
+                    IdentificationError(
+                        f"{self._names[channel]}: {rms:.3g} r.m.s. of full scale before anything "
+                        f"was played, at most {LOUDEST_BACKGROUND} is allowed: something else "
+                        "plays or moves the cushion, or the input is noisy; end that, or lower the "
+                        "gain of that input"
+                    )
+                )
+                return
+        self._may_play = True

@@ -1,0 +1,207 @@
+"""A laboratory of real devices: an output that plays the sweep, an input that hears the rig."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from device.errors import UsageError
+from device.identification.live.channels import DRIVE, Inputs
+from device.identification.live.exchange import Exchange
+from device.identification.live.excitation import Excitation
+from device.identification.live.two_clocks import (
+    Drift,
+    DropoutError,
+    find_delay,
+    find_drift,
+    on_played_clock,
+)
+from device.identification.recording import IdentificationError, Recording
+from device.identification.sweep import Sweep
+from device.rig.band import Band
+from device.rig.parameters import AmplifierParameters
+from device.units import FloatArray
+
+MOST_CHANGE_PPM = 40.0
+"""Between two sweeps: crystals do not change by that; frames that are lost look like it."""
+
+MOST_TRIES = 3
+"""Of one sweep, at the same level, where frames are lost: a busy machine loses some."""
+
+_AUDIBLE = 1.5
+_BEGAN = 0.1
+_REST_S = 0.2
+
+
+class Transport(Protocol):
+    """Two streams, one each way. samplerate: Hz, of both."""
+
+    @property
+    def samplerate(self) -> int:
+        """Rate of both streams, Hz."""
+        ...
+
+    def run(self, exchange: Exchange) -> None:
+        """Call `exchange.begin` and its callbacks until it has ended; both streams are silent then.
+
+        Raises LostError or NotFoundError where a stream cannot be had or was lost.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Devices:
+    """What was used: names, and drift of the input's clock against the output's."""
+
+    output: str
+    input: str
+    delay_s: float
+    drift_ppm: float
+
+
+class LiveLaboratory:
+    """Measures a real rig, as `Laboratory`. One thread uses it.
+
+    inputs: what the input's channels are; output_channel: from 0, None for every one. amplifier:
+    its corners are taken out where the response is that for what was played.
+
+    delay_s: of the last sweep, from a frame that is played until it is recorded; drift: of the two
+    clocks in it; repeated: how many sweeps had to be, since frames were lost; current_turned:
+    whether the current was taken the other way round, since a coil takes power.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        inputs: Inputs,
+        output_channel: int | None = 0,
+        amplifier: AmplifierParameters | None = None,
+    ) -> None:
+        self._amplifier = amplifier
+        self._transport = transport
+        self._inputs = inputs
+        self._output_channel = output_channel
+        self._drifts: list[Drift] = []
+        self.delay_s = 0.0
+        self.current_turned = False
+        self.repeated = 0
+
+    @property
+    def drift(self) -> Drift | None:
+        """Of the last sweep."""
+        return self._drifts[-1] if self._drifts else None
+
+    def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
+        """One recording a pair (reference, response), all of the same sweep, in physical units.
+
+        "drive" is the loop-back, or what was played; then the response comes later by an unknown
+        time (`Recording.delayed`), as a part of what is fitted.
+
+        Raises
+        ------
+        IdentificationError
+            Something clips, is already there, does not follow the sweep, or frames were lost each
+            time (`DropoutError`).
+        LostError, NotFoundError
+            As `Transport.run`.
+        """
+        if sweep.samplerate != self._transport.samplerate:
+            raise UsageError(
+                f"samplerate={sweep.samplerate!r} Hz of the sweep must be that of the streams, "
+                f"{self._transport.samplerate} Hz"
+            )
+        for tries in range(1, MOST_TRIES + 1):
+            try:
+                return self._measured(sweep, pairs)
+            except DropoutError:
+                if tries == MOST_TRIES:
+                    raise
+                self.repeated += 1
+        raise AssertionError("the last try returns or raises")
+
+    def _measured(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
+        excitation = Excitation(sweep)
+        exchange = Exchange(
+            excitation.samples, sweep.samplerate, self._inputs.names, self._output_channel
+        )
+        self._transport.run(exchange)
+        if exchange.error is not None:
+            raise exchange.error
+        recorded = exchange.recorded.astype(np.float64)
+        background = exchange.background_frames
+        for channel in self._inputs.used:
+            self._check_signal(recorded[:, channel], background, self._inputs.names[channel])
+        channel, name = self._clearest()
+        after = recorded[background:, channel]
+        delay = find_delay(excitation, after, name)
+        drift = find_drift(excitation, after, delay, name)
+        self._compare(drift, name)
+        self.delay_s = delay / sweep.samplerate
+        first = background + delay + excitation.sweep_start * (1.0 + 1e-6 * drift.value)
+        read = {
+            name: on_played_clock(recorded[:, index], first, drift.value, sweep.frames)
+            * self._inputs.scale(name)
+            for name, index in ((name, self._inputs.index(name)) for name in self._inputs.names)
+            if index is not None and name != "-"
+        }
+        if {"voltage", "current"} <= set(read):
+            self.current_turned = float(np.mean(read["voltage"] * read["current"])) < 0.0
+            if self.current_turned:
+                read["current"] = -read["current"]
+        read[DRIVE] = read.get("loopback", sweep.samples())
+        return [self._recording(sweep, read, pair) for pair in pairs]
+
+    def _recording(
+        self, sweep: Sweep, read: dict[str, FloatArray], pair: tuple[str, str]
+    ) -> Recording:
+        reference, response = pair
+        limits = tuple(self._inputs.scale(name) if name != DRIVE else float("inf") for name in pair)
+        correction = None
+        if reference == DRIVE and self._amplifier is not None:
+            a = self._amplifier
+            bins = Recording(sweep, sweep.samples(), sweep.samples()).frequencies_hz
+            correction = Band(a.low_cut_hz, a.high_cut_hz, sweep.samplerate).response(bins)
+        return Recording(
+            sweep,
+            read[reference],
+            read[response],
+            pair,
+            (limits[0], limits[1]),
+            correction,
+            delayed=reference == DRIVE and "loopback" not in read,
+            polarity_known=response != "acceleration",
+        )
+
+    def _clearest(self) -> tuple[int, str]:
+        """The channel that shows what was played with the least of the rig in it."""
+        for name in ("loopback", "voltage", "current", "acceleration"):
+            if (index := self._inputs.index(name)) is not None:
+                return index, name
+        raise AssertionError("Inputs has one of them")
+
+    def _check_signal(self, samples: FloatArray, background: int, name: str) -> None:
+        noise, whole = (float(np.std(s)) for s in (samples[:background], samples[background:]))
+        if whole <= _AUDIBLE * noise or whole == 0.0:
+            raise IdentificationError(
+                f"{name}: no signal, {whole:.3g} r.m.s. of full scale during the sweep and "
+                f"{noise:.3g} before it; check power, volume, cables and that channel, or raise "
+                "the level"
+            )
+        after = float(np.std(samples[-round(_REST_S * self._transport.samplerate) :]))
+        if after > max(3.0 * noise, _BEGAN * whole):
+            raise IdentificationError(
+                f"{name}: {after:.3g} r.m.s. of full scale after the sweep, {noise:.3g} before it: "
+                "something else began to play or to move the cushion; end that, and sweep again"
+            )
+
+    def _compare(self, drift: Drift, name: str) -> None:
+        for before in self._drifts:
+            change = abs(drift.value - before.value)
+            if change > MOST_CHANGE_PPM + drift.reach + before.reach:
+                raise DropoutError(
+                    f"{name}: the clocks differ by {drift.value:+.0f} ppm, in an earlier sweep by "
+                    f"{before.value:+.0f}: frames were lost or added; close other programs, and "
+                    "sweep again"
+                )
+        self._drifts.append(drift)

@@ -1,0 +1,168 @@
+"""Where in a recording the sweep is, and how much faster one clock runs than the other.
+
+The delay is that of the deconvolved impulse response's peak (Farina 2000), which is near the true
+one for any rig, but within some ms only. The drift comes from two equal marks, whose distance in
+the recording is compared with the played one: what the rig does to them is the same and cancels.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from device.identification.live.excitation import Excitation
+from device.identification.recording import IdentificationError
+from device.units import FloatArray
+
+MOST_DRIFT_PPM = 200.0
+"""Two crystals of ±100 ppm. What is beyond it was lost or inserted on the way."""
+
+MOST_UNSURE_PPM = 20.0
+"""Half an interval of 95 % of the drift; 20 ppm turn the end of 5 s at 400 Hz by a tenth of a turn
+at most, which a resonance does not notice."""
+
+CLEAREST = 8.0
+"""The peak of an impulse response over its r.m.s. Noise has 5 at such lengths."""
+
+_RING_S = 0.2
+_EARLY_S = 0.6
+_BELOW = 1e-2
+
+
+class DropoutError(IdentificationError):
+    """Frames were lost or added between the marks: a sweep that can be repeated."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """By how much a frame of the recording is shorter than a played one: both in ppm.
+
+    value: above 0 where the recording's clock runs faster; reach: half its interval of 95 %.
+    """
+
+    value: float
+    reach: float
+
+
+def find_delay(excitation: Excitation, channel: FloatArray, name: str) -> int:
+    """The frame of a recorded channel, (frames,), at which what was played begins in it.
+
+    Raises
+    ------
+    IdentificationError
+        What was played is not in it.
+    """
+    mark = excitation.samples[: excitation.sweep_start]
+    early = channel[: excitation.sweep_start + round(_EARLY_S * excitation.sweep.samplerate)]
+    found = _peak(excitation, excitation.samples, channel)
+    if found[1] < CLEAREST:  # frames that were lost blur the whole, but not the first mark
+        found = max(found, _peak(excitation, mark, early), key=lambda one: one[1])
+    peak, clearness = found
+    if clearness < CLEAREST:
+        raise IdentificationError(
+            f"{name} does not follow the sweep: its impulse response stands {clearness:.1f} times "
+            f"above the rest, it must be {CLEAREST:g} times; this is another channel, or noise: "
+            "check which input it is, and that nothing else plays"
+        )
+    return peak
+
+
+def _peak(excitation: Excitation, played: FloatArray, channel: FloatArray) -> tuple[int, float]:
+    """The impulse response's peak, by how many frames late, and how clearly it stands out."""
+    length = int(next_fast_len(len(channel) + len(played), real=True))
+    reference, response = rfft(played, length), rfft(channel - channel.mean(), length)
+    power = np.where(_inside(excitation, length), np.abs(reference) ** 2, 0.0)
+    floor = _BELOW * float(power.max())
+    impulse = irfft(np.where(power > 0.0, response * reference.conj() / (power + floor), 0), length)
+    size = np.abs(impulse)
+    peak = int(np.argmax(size[: max(1, len(channel) - len(played) + 1)]))
+    return peak, float(size[peak] / max(float(np.sqrt(np.mean(size**2))), 1e-300))
+
+
+def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: str) -> Drift:
+    """The drift that the two marks in a recorded channel show, beginning at `delay`.
+
+    Raises
+    ------
+    DropoutError
+        It is not to be told, or larger than two clocks can be: frames were lost or inserted.
+    """
+    rate = excitation.sweep.samplerate
+    length = excitation.mark_frames + round(_RING_S * rate)
+    window = np.ones(length)
+    fade = round(0.02 * rate)
+    window[:fade] = np.sin(0.5 * np.pi * np.arange(fade) / fade) ** 2
+    window[-fade:] = window[:fade][::-1]
+    starts = delay - fade, delay + excitation.second_mark - fade
+    marks = [_cut(channel, start, length) * window for start in starts]
+    size = int(next_fast_len(2 * length, real=True))
+    inside = _inside(excitation, size)
+    cross = np.where(inside, rfft(marks[0], size).conj() * rfft(marks[1], size), 0.0)
+    shape = irfft(cross, size)
+    coarse = int(np.argmax(shape))
+    coarse -= size if coarse > size // 2 else 0
+    # what is left of the phase, as a straight line through 0
+    turn = math.tau * rfftfreq(size)[inside]
+    cross = cross[inside] * np.exp(1j * turn * coarse)
+    weight, phase = np.abs(cross), np.angle(cross)
+    total = float(np.sum(weight * turn**2))
+    fine = -float(np.sum(weight * turn * phase)) / max(total, 1e-300)
+    left = phase + turn * fine
+    # neighbouring bins of a windowed mark go together: as many are independent as it has frames
+    together = size / length
+    variance = together * float(np.sum((weight * turn * left) ** 2)) / max(total, 1e-300) ** 2
+    ppm = 1e6 / excitation.second_mark
+    found = Drift(ppm * (coarse + fine), 1.96 * ppm * math.sqrt(variance))
+    frames = coarse + fine
+    if not found.reach <= MOST_UNSURE_PPM:
+        raise DropoutError(
+            f"{name}: the two clocks cannot be compared, to ±{found.reach:.3g} ppm, "
+            f"±{MOST_UNSURE_PPM:g} is needed: the marks before and after the sweep are too weak, "
+            "or frames were lost between them; raise the level a little, or close other programs"
+        )
+    if abs(found.value) > MOST_DRIFT_PPM:
+        what = "added" if frames > 0 else "lost"
+        raise DropoutError(
+            f"{name}: {abs(frames):.0f} frames were {what} during the sweep ({found.value:+.0f} "
+            f"ppm, two clocks differ by {MOST_DRIFT_PPM:g} at most): a dropout; close other "
+            "programs, and sweep again"
+        )
+    return found
+
+
+def on_played_clock(channel: FloatArray, first: float, drift_ppm: float, frames: int) -> FloatArray:
+    """(frames,) of a recorded channel at the instants at which frames were played.
+
+    first: the frame of the recording that belongs to the first one. Between frames a cubic through
+    four of them (Lagrange): -137 dB at 500 Hz and 48 kHz.
+    """
+    step = 1.0 + 1e-6 * drift_ppm
+    position = first + step * np.arange(frames)
+    whole = np.floor(position).astype(np.int64)
+    if abs(step - 1.0) * frames < 0.01 and first == round(first):
+        return _cut(channel, round(first), frames)
+    x = position - whole
+    padded = _cut(channel, int(whole[0]) - 1, int(whole[-1] - whole[0]) + 4)
+    at = whole - whole[0]
+    a, b, c, d = (padded[at + k] for k in range(4))
+    return np.asarray(
+        -a * x * (x - 1.0) * (x - 2.0) / 6.0
+        + b * (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0
+        - c * (x + 1.0) * x * (x - 2.0) / 2.0
+        + d * (x + 1.0) * x * (x - 1.0) / 6.0
+    )
+
+
+def _inside(excitation: Excitation, length: int) -> np.ndarray:
+    f = rfftfreq(length, 1.0 / excitation.sweep.samplerate)
+    return np.asarray((f >= excitation.sweep.low_hz) & (f <= excitation.sweep.high_hz))
+
+
+def _cut(channel: FloatArray, start: int, frames: int) -> FloatArray:
+    """(frames,) from a frame on, 0 where there is nothing."""
+    part = np.zeros(frames)
+    low, high = max(0, start), min(len(channel), start + frames)
+    if high > low:
+        part[low - start : high - start] = channel[low:high]
+    return part

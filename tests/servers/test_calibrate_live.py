@@ -1,0 +1,121 @@
+"""`cushion calibrate` on a sound server: a simulated cushion hangs on its sinks."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from device.rig import PAPER, read_rig
+from tests.servers.conftest import started
+from tests.servers.cushion_on_a_bench import CHANNELS, MAP, NAMES, OPTIONS
+from tests.servers.daemons import CUSHION, ROOT, cushion, environment, felt_now
+from tests.servers.listening import RATE_HZ, recording, wait_for
+from tools.sound_server import SoundServer
+
+BENCH = "tests.servers.cushion_on_a_bench"
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
+    """PulseAudio alone: each sweep takes its time, and streams are the same on both."""
+    for server in started("pulse", monkeypatch):
+        server.pactl(
+            *("load-module", "module-null-sink", "sink_name=instruments", "rate=48000"),
+            *(f"channels={CHANNELS}", f"channel_map={MAP}", "format=float32le", "norewinds=1"),
+        )
+        yield server
+
+
+@contextmanager
+def on_a_bench(server: SoundServer) -> Iterator[None]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", BENCH, "haptic", "instruments", "paper"],
+        env=environment(server),
+        cwd=ROOT,
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        yield
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)  # with its players
+        process.wait()
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+def calibrate(server: SoundServer, out: Path, *more: str) -> subprocess.CompletedProcess[str]:
+    return cushion(server, *arguments(out), "--seconds", "0.5", *more)
+
+
+def arguments(out: Path) -> list[str]:
+    return [
+        *("calibrate", "--device", "sink:haptic", "--input", "source:instruments.monitor"),
+        *("--channels", NAMES, *OPTIONS, "--out", str(out)),
+    ]
+
+
+def test_a_cushion_on_a_sound_server_is_identified_and_its_file_is_used_at_once(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.toml"
+    with on_a_bench(server):
+        done = calibrate(server, path, "--level", "0.03", "--json")
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    print(found["devices"])
+    rig = read_rig(path)
+    assert rig.name == "mine"
+    assert rig.actuator.resonance_hz == pytest.approx(PAPER.actuator.resonance_hz, rel=0.005)
+    assert rig.actuator.q_mechanical == pytest.approx(PAPER.actuator.q_mechanical, rel=0.05)
+    assert len(found["values"]) == 6
+
+
+def test_where_nothing_hangs_on_it_there_is_no_signal_and_no_file(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.toml"
+    done = calibrate(server, path)
+    assert done.returncode == 2
+    assert "no signal" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not path.exists()
+
+
+def test_ctrl_c_in_a_sweep_is_silence_at_once_and_no_file(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.toml"
+    with (
+        recording(server, "haptic.monitor", tmp_path / "heard") as heard,
+        subprocess.Popen(
+            [*CUSHION, *arguments(path), "--seconds", "30"],
+            env=environment(server),
+            cwd=ROOT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        ) as process,
+    ):
+        wait_for(lambda: felt_now(heard), "the sweep")
+        process.send_signal(signal.SIGINT)
+        pressed = len(heard())
+        _, stderr = process.communicate(timeout=15.0)
+        wait_for(lambda: len(heard()) > pressed + RATE_HZ // 2, "what followed")
+        frames = heard()
+    assert process.returncode == 130
+    assert "Traceback" not in stderr
+    # what had been handed to the server, and the time until a signal is looked at
+    assert not frames[pressed + int(0.25 * RATE_HZ) :].any()
+    assert not path.exists()

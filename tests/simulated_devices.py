@@ -1,0 +1,120 @@
+"""An output and an input with a simulated rig in between, block by block, without a clock."""
+
+import numpy as np
+
+from device.rig.actuator import LinearActuator
+from device.rig.amplifier import Amplifier
+from device.rig.dac import Dac
+
+BLOCK = 256
+RATE = 48_000
+AFTER = 20
+"""Blocks that are asked for once it has ended: an output goes on until it is closed."""
+
+
+class SimulatedDevices:
+    """A `Transport`. Every run begins at rest.
+
+    delay_s: from played to recorded; drift_ppm: by how much the input's clock is faster; noise:
+    r.m.s. of every channel, of full scale; gains: by channel name; change(name, samples, first):
+    what becomes of a block whose first frame is that; lost: {frame: how many are missing there}, in
+    one run or, if it loses_always, in each;
+    on_block(exchange, number): called before each; stands_still: from this block on no input comes.
+
+    played: (frames, 2) of the last run, with some blocks after its end at frame ended_at; levels:
+    the peak of each run.
+    """
+
+    samplerate = RATE
+
+    def __init__(
+        self,
+        rig,
+        inputs,
+        *,
+        delay_s=0.0634,
+        drift_ppm=0.0,
+        noise=1e-5,
+        gains=None,
+        change=lambda name, samples, first: samples,
+        lost=None,
+        on_block=lambda exchange, number: None,
+        stands_still=None,
+        loses_always=False,
+    ):
+        self.rig, self.inputs, self.delay, self.drift_ppm = rig, inputs, delay_s * RATE, drift_ppm
+        self.noise, self.gains, self.change, self.lost = noise, gains or {}, change, lost or {}
+        self.on_block, self.stands_still, self.loses_always = on_block, stands_still, loses_always
+        self.played, self.levels, self.runs = np.zeros(0), [], 0
+        self.ended_at = 0
+
+    def run(self, exchange):
+        self.runs += 1
+        random = np.random.default_rng(self.runs)
+        rig = self.rig
+        dac, amplifier = Dac(rig.dac), Amplifier(rig.amplifier, RATE)
+        source = rig.amplifier.source_impedance_ohm
+        actuator = LinearActuator(rig.actuator, RATE, source)
+        names = self.inputs.names
+        names_of_all = ("acceleration", "current", "voltage", "loopback")
+        history = {name: np.zeros(20 * RATE) for name in names_of_all}
+        lost = dict(self.lost) if self.loses_always else self.lost
+        played, rows, number, adc, skipped = [], 0, 0, 0, 0
+        rate = 1.0 + 1e-6 * self.drift_ppm
+        exchange.begin()
+        after = AFTER
+        while after:
+            if exchange.ended.is_set():
+                after -= 1
+            else:
+                self.ended_at = rows + BLOCK
+            now_s = number * BLOCK / RATE
+            self.on_block(exchange, number)
+            out = np.zeros((BLOCK, 2), np.float32)
+            exchange.fill(out, now_s)
+            played.append(out.copy())
+            drive = amplifier.drive(dac.volts(out[:, 0]))
+            motion = actuator.move(drive, ("acceleration_m_s2", "current_a"))
+            new = {
+                "acceleration": motion.acceleration_m_s2,
+                "current": motion.current_a,
+                "voltage": drive - source * motion.current_a,
+                "loopback": out[:, 0].astype(float),
+            }
+            for name, samples in new.items():
+                history[name][rows : rows + BLOCK] = samples
+            rows += BLOCK
+            number += 1
+            last = int((rows - 4) * rate)
+            j = np.arange(adc + skipped, max(adc + skipped, last))
+            adc += len(j)
+            for frame in [frame for frame in lost if frame <= adc]:
+                skipped += lost.pop(frame)
+            if self.stands_still is not None and number >= self.stands_still:
+                continue
+            frames = random.standard_normal((len(j), len(names))) * self.noise
+            t = (j - self.delay) / rate
+            for column, name in enumerate(names):
+                if name == "-":
+                    continue
+                shown = _cubic(history[name][:rows], t) * self.gains.get(name, 1.0)
+                shown = self.change(name, shown, adc - len(j))
+                frames[:, column] += shown / self.inputs.scale(name)
+            exchange.on_frames(frames.astype(np.float32), now_s)
+        self.played = np.concatenate(played)
+        self.levels.append(float(np.abs(self.played).max()))
+
+
+def _cubic(samples, t):
+    """Samples at fractional frames, 0 before the first."""
+    whole = np.floor(t).astype(int)
+    x = t - whole
+    at = np.clip(whole, 1, len(samples) - 3)
+    a, b, c, d = samples[at - 1], samples[at], samples[at + 1], samples[at + 2]
+    shown = (
+        -a * x * (x - 1) * (x - 2) / 6
+        + b * (x + 1) * (x - 1) * (x - 2) / 2
+        - c * (x + 1) * x * (x - 2) / 2
+        + d * (x + 1) * x * (x - 1) / 6
+    )
+    return np.where(whole < 1, 0.0, shown)
