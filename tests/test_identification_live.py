@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from audioflinger_hook.bench.random_rigs import truth
 from device.errors import LostError, UsageError
 from device.identification import IdentificationError
 from device.identification.calibration import STEPS, calibrate
@@ -19,7 +20,6 @@ from device.identification.recording import Recording
 from device.identification.rig_values import write_rig
 from device.identification.sweep import Sweep
 from device.rig import CONSUMER, PAPER, read_rig
-from tests.identified_rigs import truth
 from tests.simulated_devices import BLOCK, RATE, SimulatedDevices
 
 SCALES = {
