@@ -17,7 +17,11 @@ from tests.test_run_paced import NO_SERVER, aligned, error_db, folder, run
 
 __all__ = ["folder"]
 
-TWO = """\
+THREE = """\
+[[actuator]]
+source = "left"
+channels = [3]
+
 [[actuator]]
 source = "left"
 channels = [2]
@@ -43,14 +47,14 @@ def source(tmp_path: Path) -> Path:
 
 
 def test_a_file_gets_what_the_same_config_renders(tmp_path, folder, source):
-    (tmp_path / "c.toml").write_text(TWO)
+    (tmp_path / "c.toml").write_text(THREE)
     options = ("--config", tmp_path / "c.toml")
     assert call("render", source, tmp_path / "wanted.wav", *options).code == 0
     out = tmp_path / "out.wav"
     done = run(folder, "--tap", f"file:{source}", "--device", f"wav:{out}", *options)
     assert done.code == 0
     felt, wanted = vibration(out), vibration(tmp_path / "wanted.wav")
-    assert felt.shape[1] == wanted.shape[1] == 3
+    assert felt.shape[1] == wanted.shape[1] == 4
     assert not felt[:, 1].any()
     part = aligned(felt, wanted)
     assert len(part) == len(wanted)
@@ -61,7 +65,7 @@ def test_a_file_gets_what_the_same_config_renders(tmp_path, folder, source):
 
 
 def test_simulated_rigs_say_what_the_worst_of_them_did(tmp_path, folder, source):
-    (tmp_path / "c.toml").write_text(TWO + 'rig = "consumer"\n')
+    (tmp_path / "c.toml").write_text(THREE + 'rig = "consumer"\n')
     options = ("--config", tmp_path / "c.toml")
     done = run(folder, "--tap", f"file:{source}", "--device", "twin", *options)
     assert done.code == 0
@@ -70,7 +74,7 @@ def test_simulated_rigs_say_what_the_worst_of_them_did(tmp_path, folder, source)
 
 def test_status_tells_of_each_and_a_reload_reaches_them_without_a_gap(tmp_path, folder):
     config, out = tmp_path / "c.toml", tmp_path / "out.wav"
-    config.write_text(TWO + 'protection = "on"\n')
+    config.write_text(THREE + 'protection = "on"\n')
     source = sound(tmp_path / "in.wav", tones(60.0))
     options = ["--tap", f"file:{source}", "--device", f"wav:{out}", "--config", config]
     with start("run", *options, prelude=NO_SERVER, env=folder) as process:
@@ -87,23 +91,23 @@ def test_status_tells_of_each_and_a_reload_reaches_them_without_a_gap(tmp_path, 
         until(lambda: plays(0, -40.0), process)
         before = status()
         config.write_text(
-            TWO.replace("-6", "-46").replace("delay_ms = 15", "delay_ms = 115")
+            THREE.replace("-6", "-46").replace("delay_ms = 15", "delay_ms = 115")
             + 'protection = "on"\n'
         )
         process.send_signal(signal.SIGHUP)
-        until(lambda: status()["actuators"][1]["gain_db"] == -46.0, process)
+        until(lambda: status()["actuators"][2]["gain_db"] == -46.0, process)
         changed_s = time.monotonic()
         until(lambda: time.monotonic() - changed_s > 0.5, process)
         after = status()
-        config.write_text(TWO.replace("[2]", "[7]") + 'protection = "on"\n')
+        config.write_text(THREE.replace("[2]", "[7]") + 'protection = "on"\n')
         process.send_signal(signal.SIGHUP)
         until(lambda: any("start it anew" in w for w in status()["warnings"]), process)
-        assert status()["actuators"][0]["channels"] == ["2"]
+        assert status()["actuators"][1]["channels"] == ["2"]
         process.send_signal(signal.SIGTERM)
         _, stderr = process.communicate(timeout=20)
     assert "changed: the actuators" in stderr
     assert "Traceback" not in stderr
-    left, right = before["actuators"]
+    _, left, right = before["actuators"]
     assert (left["source"], left["channels"], left["rig"]) == ("left", ["2"], "paper")
     assert (right["gain_db"], right["polarity"], right["delay_ms"]) == (-6.0, "inverted", 0.0)
     assert left["protection"] is left["exposure"] is None
@@ -114,7 +118,7 @@ def test_status_tells_of_each_and_a_reload_reaches_them_without_a_gap(tmp_path, 
     assert before["latency"]["driving_ms"] == 4.0
     assert (before["latency"]["delay_ms"], after["latency"]["delay_ms"]) == (15.0, 115.0)
     felt = vibration(out)
-    blocks = np.abs(felt[: len(felt) // 480 * 480]).reshape(-1, 480, 3).max(axis=1)
+    blocks = np.abs(felt[: len(felt) // 480 * 480]).reshape(-1, 480, 4).max(axis=1)
     sounding = np.flatnonzero(blocks[:, 2] > 0.1 * blocks[:, 2].max())
     # No gap in 10 ms of the one whose delay was another.
     assert (blocks[sounding[0] : sounding[-1], 2] > 0.05 * blocks[:, 2].max()).all()

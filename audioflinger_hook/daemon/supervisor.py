@@ -12,6 +12,7 @@ from audioflinger_hook.daemon.rest import Rest
 from audioflinger_hook.daemon.sides import InputSide, OutputSide, Place
 from audioflinger_hook.daemon.stand_in import StandIn
 from audioflinger_hook.daemon.wake import Nudge, Wake
+from audioflinger_hook.driven import actuators_of, driving_of
 from audioflinger_hook.framework import Framework
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
@@ -223,7 +224,10 @@ class Supervisor:
         self._sides.refuse(self._order, order)
         offset_s = max(0.0, order.live.offset_s)
         if engine and changes.engine:
-            Framework(engine.samplerate, engine.channels, order.settings)  # whether it can be made
+            # Whether all of it can be made.
+            framework = Framework(engine.samplerate, engine.channels, order.settings)
+            actuators_of(order.settings, engine.samplerate)
+            driving_of(order.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
             engine.follow(order.settings, offset_s)
         self._order = order
