@@ -1,6 +1,7 @@
 """Protection ahead of time: excursion, current, coil temperature and level, by gain alone.
 
 Limits (limits.py)            what the rig must not exceed
+Chain (chain.py)              amplifier and actuator as one step from sample to sample
 Prediction (prediction.py)    what a block of drive does to a stack of linear models
 Governor (governor.py)        the largest gain after which everything can still be stopped
 CoilTemperature (thermal.py)  how warm coil and magnet are, and what power they may have

@@ -121,7 +121,7 @@ class Governor:
         self._end = now[:, self._of_state]
         freely = self._prediction.current_freely
         current = self._three(freely @ states[: len(freely)], current_fall, current_rise)
-        a, b, demand = self._bounded(now, current, most)
+        a, b, demand = self._bounded(now, current)
         power_a2 = _mean_squares(current[0], channels)
         if np.abs(a + most * b).max() <= 1.0:
             return Verdict(np.clip(most, 0.0, 1.0), demand, 0, power_a2)
@@ -215,19 +215,16 @@ class Governor:
         return np.concatenate([driven + self.gain * fall, rise, alone + fall + rise], axis=2)
 
     def _bounded(
-        self, now: FloatArray, current: FloatArray, most: FloatArray
+        self, now: FloatArray, current: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """a and b, (n, channels), of all that is limited, and the demand, in shares of limits.
-
-        most: (channels,), the largest gain that is of interest.
-        """
+        """a and b, (n, channels), of all that is limited, and the demand, in shares of limits."""
         p, channels = self._prediction, self._channels
         (stop, current_stop), _ = self._halves(self._ahead)
         then = p.moved_freely @ self._end
         then[..., channels : 2 * channels] += stop
         then[..., 2 * channels :] += stop
-        end = then[:, self._of_state]
-        parts = [now[:, : -p.states], then[:, : -p.states], p.tail @ end]
+        tail = p.tail @ then[:, self._of_state]
+        parts = [now[:, : -p.states], then[:, : -p.states], tail]
         if max(self._known.loudest, self._ahead.loudest) > self._level:
             parts += self._levels()
         if self._current_a is not None:
@@ -237,22 +234,7 @@ class Governor:
             parts += [current / self._current_a, next_current / self._current_a]
         whole = np.vstack([part.reshape(-1, 3 * channels) for part in parts])
         demand = np.abs(whole[:, 2 * channels :]).max(axis=0)
-        if p.late.size and self._comes_late(end, most, demand):
-            late = (p.late @ end).reshape(-1, 3 * channels)
-            whole = np.vstack([whole, late])
-            demand = np.maximum(demand, np.abs(late[:, 2 * channels :]).max(axis=0))
         return whole[:, :channels], whole[:, channels : 2 * channels], demand
-
-    def _comes_late(self, end: FloatArray, most: FloatArray, demand: FloatArray) -> bool:
-        """Whether what an amplifier gives out late might bind a gain or raise the demand.
-
-        By the largest entry of each column of `late`, which is cheap; as a rule it does neither.
-        """
-        largest = (self._prediction.latest @ np.abs(end)).max(axis=0)[0]
-        channels = self._channels
-        driven = largest[:channels] + most * largest[channels : 2 * channels]
-        alone = largest[2 * channels :]
-        return bool(driven.max() > 1.0 or (alone > np.maximum(1.0, demand)).any())
 
     def _levels(self) -> list[FloatArray]:
         """The drive itself, of both blocks, as a share of the level."""

@@ -8,7 +8,6 @@ state before it and in its drive: one matrix for each, made beforehand.
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 
 import numpy as np
 from scipy.signal import sosfilt
@@ -23,9 +22,6 @@ _WATCHED_HZ = 12_000.0
 """Excursion is looked at no less often than this; what lies between is bounded, see `slack`."""
 _TAIL_POINTS = 48
 _TAIL_PERIODS = 1.25
-_SWINGS_BACK = 0.78
-"""Periods of its corner for which an amplifier's section is watched: half a turn of its own, and a
-tenth more. Whatever comes later is e^-3.4 of what has been, 3 %."""
 _DECAYED = 25.0
 _HORIZON_FRAMES = 1 << 20
 
@@ -45,9 +41,7 @@ class Prediction:
     moved_by_drive: (models * rows, block_frames); moved_freely: (models, rows, states).
     current_by_drive: (current_models * block_frames, block_frames); current_freely:
     (current_models, block_frames, states).
-    tail: (models, points, states), excursion from a state on with no drive, for the period in
-    which a swing is largest; late: the same after it, while an amplifier swings back, no points
-    without a band; latest: (models, 1, states), its largest magnitudes.
+    tail: (models, points, states), excursion from a state on with no drive.
     reach: (models, 1), the largest excursion that a drive within ±1 can ever cause from rest.
     swing: (models, 1), amplitude of a swing over the square root of twice its energy; swing_m is
     the believed model's in m. last_kick: (models, 1), such a root for a last output of 1.
@@ -70,12 +64,8 @@ class Prediction:
         self.block_frames = block_frames
         stride = max(1, int(samplerate // _WATCHED_HZ))
         slack_m, tail_slack_m = _slacks_m(self.models, excursion_m, volts, samplerate, stride)
-        slow_hz = _slowest_hz(sections, samplerate)
-        if len(sections):
-            # What the amplifier swings back bends in its own time, with no force to bend it more.
-            apart_s = max(1.0 / samplerate, 1.0 / slow_hz / _TAIL_POINTS)
-            tail_slack_m += excursion_m * (math.tau * slow_hz * apart_s) ** 2 / 8.0
         share = 1.0 / (excursion_m - slack_m)
+        tail_share = 1.0 / (excursion_m - slack_m - tail_slack_m)
         chains = [
             Chain(model, samplerate, source_impedance_ohm, sections, volts) for model in self.models
         ]
@@ -84,7 +74,7 @@ class Prediction:
         watched = np.arange(block_frames - 1, -1, -stride)[::-1]
         self.rows = len(watched) + self.states
         moved, moved_freely, current, current_freely = [], [], [], []
-        tail, late = [], []
+        tail = []
         for model, chain in zip(self.models, chains, strict=True):
             powers = _powers(chain.step, block_frames)
             impulse = np.array([power @ chain.drive for power in powers[:-1]])
@@ -93,25 +83,16 @@ class Prediction:
             moved_freely.append(np.vstack([chain.x_row @ after[watched] * share, powers[-1]]))
             current.append(_convolution(impulse @ chain.i_row))
             current_freely.append(chain.i_row @ after)
-            decay_s = model.q_total(source_impedance_ohm) / (math.pi * model.resonance_hz)
-            places = _places(model, samplerate, block_frames, decay_s, slow_hz)
-            rows = _tail(chain, [frame for frame, _ in places])
-            # Each wider grid keeps off by as much again as lies between two of its places, so that
-            # whatever the narrower ones find there in blocks to come is within theirs.
-            grades = np.array([grade for _, grade in places])
-            kept = np.minimum((1.0 + grades) * tail_slack_m, excursion_m / 2.0)
-            rows /= (excursion_m - slack_m - kept)[:, None]
-            swings = math.floor(_TAIL_PERIODS * samplerate / model.resonance_hz)
-            early = np.array([frame for frame, _ in places]) <= swings
-            tail.append(rows[early])
-            late.append(rows[~early])
+            tail.append(_tail(model, chain, samplerate, block_frames) * tail_share)
         self.moved_by_drive: FloatArray = np.vstack(moved)
         self.moved_freely: FloatArray = np.array(moved_freely)
         self.current_by_drive: FloatArray = np.vstack(current[:current_models])
         self.current_freely: FloatArray = np.array(current_freely[:current_models])
-        self.tail: FloatArray = _padded(tail)
-        self.late: FloatArray = _padded(late)
-        self.latest: FloatArray = np.abs(self.late).max(axis=1, keepdims=True, initial=0.0)
+        # Nothing where one model has fewer places than another.
+        longest = max(map(len, tail))
+        self.tail: FloatArray = np.array(
+            [np.pad(rows, ((0, longest - len(rows)), (0, 0))) for rows in tail]
+        )
         self.swing_m = 1.0 / math.sqrt(models[0].stiffness_n_per_m)
         self.swing = share / np.sqrt([[model.stiffness_n_per_m] for model in models])
         self.last_kick: FloatArray = np.array([[chain.last_kick] for chain in chains])
@@ -137,8 +118,9 @@ def _slacks_m(
 
     Half a step away from a watched one it is larger by half of the acceleration times that time
     squared at most. At the limit the spring gives most of the acceleration, the coil the rest; in
-    the tail the coil gives none. What the tail has seen is seen again, more finely, in blocks to
-    come: so it has to keep off by both.
+    the tail, too, as an amplifier may swing back, but there friction counts for nothing: where x is
+    largest the speed is 0. What the tail has seen is seen again, more
+    finely, in blocks to come: so it has to keep off by both.
     """
     worst_m, tail_m = 0.0, 0.0
     for model in models:
@@ -147,7 +129,8 @@ def _slacks_m(
         within_s = stride / samplerate / 2.0
         tail_s = max(1.0 / samplerate, 1.0 / model.resonance_hz / _TAIL_POINTS) / 2.0
         worst_m = max(worst_m, (spring + coil) * within_s**2 / 2.0)
-        tail_m = max(tail_m, spring * tail_s**2 / 2.0)
+        peak = model.resonance_rad_s**2 * limit_m + coil
+        tail_m = max(tail_m, peak * tail_s**2 / 2.0)
     # Coarse at the lowest rates only: then half of the limit is left, and it is still kept.
     return min(worst_m, limit_m / 4.0), min(tail_m, limit_m / 4.0)
 
@@ -167,53 +150,23 @@ def _convolution(impulse: FloatArray) -> FloatArray:
     return np.where(delay >= 0, impulse[np.abs(delay)], 0.0)
 
 
-def _places(
-    p: ActuatorParameters, samplerate: float, block_frames: int, decay_s: float, slow_hz: float
-) -> list[tuple[int, int]]:
-    """Frames after a stop at which x is looked at, each with the grade of its grid, 0 the finest.
+def _tail(p: ActuatorParameters, chain: Chain, samplerate: float, block_frames: int) -> FloatArray:
+    """(points, states): x over one period of a free swing, in m; it is never larger afterwards.
 
-    x is never larger afterwards. For that one period of the actuator is enough; the coil's
-    current, and the straight line down from the last output, act within its beginning. An
-    amplifier that swings back takes longer. There the places are the further apart the more of the
-    swing has decayed, as what lies between two of them grows with the square of their distance;
-    but no further than the amplifier's own motion allows. slow_hz: its slowest corner, infinite
-    where there is none.
+    The coil's current, and the straight line down from the last output, act within its beginning.
+    An amplifier swings back for longer, but only by a fifth of what the stop itself has thrown at
+    the actuator within this period; and one whose corner is above the resonance is done by then.
 
-    All distances divide a block's length, and each the next one: a block later the same places are
-    looked at again, and where nothing new has come they have the answer that they had.
+    The distance of two points divides a block's length: a block later the same places are looked
+    at again, and where nothing new has come they have the answer that they had.
     """
-    divisors = [d for d in range(1, block_frames + 1) if block_frames % d == 0]
     wanted = max(1.0, samplerate / p.resonance_hz / _TAIL_POINTS)
-    first = max(d for d in divisors if d <= wanted)
-    most = max(wanted, samplerate / slow_hz / _TAIL_POINTS)
-    swings, end = (_TAIL_PERIODS * samplerate / p.resonance_hz, _SWINGS_BACK * samplerate / slow_hz)
-    places, gap, grade = [(0, 0)], first, 0
-    while places[-1][0] < max(swings, end):
-        frame = places[-1][0]
-        if frame > swings:
-            allowed = min(most, wanted * math.exp(frame / samplerate / (2.0 * decay_s)))
-            wider = [d for d in divisors if d <= allowed and d % gap == 0 and frame % d == 0]
-            grade += wider[-1] > gap
-            gap = wider[-1]
-        places.append((frame + gap, grade))
-    return places
-
-
-def _tail(chain: Chain, frames: list[int]) -> FloatArray:
-    """(points, states): x so many frames after a state, in m, with no drive."""
-    rows, strides = [chain.x_row], dict[int, FloatArray]()
-    for first, second in pairwise(frames):
-        length = second - first
-        if length not in strides:
-            strides[length] = np.linalg.matrix_power(chain.step, length)
-        rows.append(rows[-1] @ strides[length])
+    gap = max(d for d in range(1, block_frames + 1) if block_frames % d == 0 and d <= wanted)
+    stride = np.linalg.matrix_power(chain.step, gap)
+    rows = [chain.x_row]
+    for _ in range(math.ceil(_TAIL_PERIODS * samplerate / p.resonance_hz / gap)):
+        rows.append(rows[-1] @ stride)
     return np.array(rows)
-
-
-def _padded(tails: list[FloatArray]) -> FloatArray:
-    """(models, points, states): nothing where one has fewer points than another."""
-    longest = max(map(len, tails))
-    return np.array([np.pad(rows, ((0, longest - len(rows)), (0, 0))) for rows in tails])
 
 
 def most_current_a(
