@@ -33,7 +33,7 @@ DURATION, NUMBER = "duration: exponent", "number of actuators: exponent"
 
 def rig_growth(bench: Workbench) -> Section:
     """What a second of signal costs at other rates, over other durations, on more actuators."""
-    longest_s = min(LONGEST_S, bench.effort.rig_s / 10.0)
+    longest_s = min(LONGEST_S, bench.effort.rig_s / 20.0)
     sizes = [
         *((rate, longest_s, 1) for rate in RATES),
         *((SAMPLERATE, longest_s / part, 1) for part in DURATION_PARTS),

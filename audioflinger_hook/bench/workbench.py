@@ -125,7 +125,7 @@ QUICK = Effort(
     hops_held=20_000,
     render_s=(60.0,),
     rig_s=10.0,
-    random_rigs=8,
+    random_rigs=4,
 )
 FULL = Effort(
     tones=40,

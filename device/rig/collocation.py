@@ -119,16 +119,15 @@ class Collocation:
         """g of S + d at the nodes and in the middles."""
         return self._at(base[0], path.nodes)[0], self._at(base[1], path.middles)[0]
 
-    def newton_path(self, base: Bases, guess: FloatArray, enough: float = CONVERGED) -> Path:
+    def newton_path(self, base: Bases, guess: FloatArray) -> Path:
         """d of the full equations from a guess at the nodes, (states, nodes); its first stays.
 
-        enough: the next change may be that large, see CONVERGED. Where it does not converge, the
-        path says so and may hold anything.
+        Where it does not converge, the path says so and may hold anything.
         """
         with np.errstate(all="ignore"):
-            return self._newton(base, guess.copy(), enough)
+            return self._newton(base, guess.copy())
 
-    def _newton(self, base: Bases, d: FloatArray, enough: float) -> Path:
+    def _newton(self, base: Bases, d: FloatArray) -> Path:
         equations, h = self.equations, self.step_s
         scales = self._scales(base[0], d)
         newton: _Newton | None = None
@@ -159,7 +158,7 @@ class Collocation:
             if not size < 1e3:  # NaN as well
                 break
             # The next change would be smaller by as much again, at least.
-            converged = size * (min(size / last, 1.0) if last else 1.0) <= enough
+            converged = size * (min(size / last, 1.0) if last else 1.0) <= CONVERGED
             keep, last = size <= _FREEZE, size
         finite = bool(np.isfinite(d).all() and np.isfinite(middle_rates).all())
         return Path(

@@ -35,11 +35,6 @@ _ABOVE_THE_NODES = 0.02
 """Second difference of the current from sample to sample, as a share of its peak, above which it
 has content that nodes and middles at twice 6 kHz would mistake for vibration."""
 
-_SKETCH_STEPS = 4
-_SKETCHED = 1e-4
-"""A first solution with steps that many times as long, to so much, is a quarter of the work and
-leaves one or two changes to the rest."""
-
 _PIECE_NODES = 33
 """Where a stretch does not converge, it is tried again in pieces of so many nodes."""
 
@@ -62,7 +57,6 @@ class Rungs:
         self._step_s = 1.0 / grid.samplerate
         self._coarse = Collocation(equations, grid.spacing * self._step_s)
         self._fine = Collocation(equations, grid.spacing // 2 * self._step_s)
-        self._sketch = Collocation(equations, _SKETCH_STEPS * grid.spacing * self._step_s)
         self._stepper = PassiveStepper(equations, self._step_s)
         self.reset()
 
@@ -147,7 +141,9 @@ class Rungs:
         """d of the full equations; where they do not converge, in pieces, at last by steps."""
         low = self._low_band(stretch) if self._has_more_content(stretch) else stretch
         bases = self.bases(low, self.spacing)
-        path = self._coarse.newton_path(bases, self._sketched(low, start, guess.nodes))
+        nodes = guess.nodes.copy()
+        nodes[:, 0] = start
+        path = self._coarse.newton_path(bases, nodes)
         self.iterations += path.iterations
         if not path.converged:
             return self._in_pieces(stretch, start)
@@ -155,24 +151,6 @@ class Rungs:
         if found.excursion_peak_m <= self.equations.energies.stops.start:
             return found
         return self._refined(low, self._doubled(path)) or self._in_pieces(stretch, start)
-
-    def _sketched(self, stretch: Stretch, start: FloatArray, guess: FloatArray) -> FloatArray:
-        """A better guess at the nodes, if the stretch is long enough for one."""
-        spacing = _SKETCH_STEPS * self.spacing
-        steps = (guess.shape[1] - 1) // _SKETCH_STEPS
-        nodes = guess.copy()
-        nodes[:, 0] = start
-        if steps < _PIECE_NODES:
-            return nodes
-        covered = steps * _SKETCH_STEPS
-        bases = self.bases(stretch.part(0, steps * spacing), spacing)
-        path = self._sketch.newton_path(bases, nodes[:, : covered + 1 : _SKETCH_STEPS], _SKETCHED)
-        self.iterations += path.iterations
-        if path.converged:
-            for row, (known, rates) in enumerate(zip(path.nodes, path.node_rates, strict=True)):
-                between = cubic(known, rates, self._sketch.step_s, _SKETCH_STEPS)
-                nodes[row, 1 : covered + 1] = between
-        return nodes
 
     def stepped(self, stretch: Stretch, start: FloatArray) -> Correction:
         """d sample by sample."""
