@@ -187,12 +187,12 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Way
     assert snapshot is not None
     sink = device.sink(snapshot)
     others = [
-        stream.application or "another program"
+        "cushion run" if is_ours(stream) else stream.application or "another program"
         for stream in snapshot.sink_inputs
         if stream.place_name == sink.name and not stream.corked
     ]
     if others:
-        what = "cushion run" if any(map(is_ours, snapshot.sink_inputs)) else others[0]
+        what = ", ".join(others)
         raise UsageError(f"something else plays to {sink.name!r} ({what}); end it first")
     return Way(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
 
