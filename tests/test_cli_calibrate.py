@@ -1,17 +1,20 @@
 """`cushion calibrate`: what it prints and writes, and what stops it before it becomes loud."""
 
+import argparse
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from audioflinger_hook.cli.calibrate_live import levelled
+from device.errors import UsageError
 from device.identification import IdentificationError
 from device.identification.bench import Bench
 from device.identification.calibration import STEPS, calibrate
 from device.identification.sweep import Sweep
 from device.rig import PAPER, read_rig
-from tests.commands import call
+from tests.commands import call, noise, sound
 
 HEARD = ("--input", "source:none")
 ALONE = ("--channels", "acceleration")
@@ -56,6 +59,13 @@ def test_the_twin_is_calibrated_and_its_file_holds_what_was_identified(tmp_path)
         assert source.kind == "identified"
         assert list(source.interval or ()) == estimate["interval"]
     assert len(found["values"]) == 6
+    recordings = found["recordings"]
+    assert [one["response"] for one in recordings] == ["acceleration", "current", "acceleration"]
+    assert all(one["coherence"] > 0.9 for one in recordings)
+    assert [one["order"] for one in recordings[0]["distortion"]] == [2, 3, 4, 5]
+    sound(tmp_path / "in.wav", noise(4_800))
+    used = call("render", tmp_path / "in.wav", tmp_path / "out.wav", "--rig", path)
+    assert used.code == 0, used.stderr
     assert "0.05" in next(s.words for s in rig.sources if s.kind == "identified")
 
 
@@ -113,15 +123,25 @@ def test_a_file_that_could_not_be_used_or_written_is_refused_before_anything_is_
         assert "sweep" not in done.stdout
 
 
-def test_distortion_and_coherence_are_told_as_text_and_as_json():
-    done = call("calibrate", "--device", "twin", "--json")
-    recordings = json.loads(done.stdout)["recordings"]
-    assert [one["response"] for one in recordings] == ["acceleration", "current", "acceleration"]
-    assert all(one["coherence"] > 0.9 for one in recordings)
-    assert [one["order"] for one in recordings[0]["distortion"]] == [2, 3, 4, 5]
-    done = call("calibrate", "--device", "twin")
+def test_distortion_and_coherence_are_told():
+    done = call("calibrate", "--device", "twin", "--seconds", "2")
     assert "acceleration for voltage: coherence 1.0000" in done.stdout
-    assert "distortion by order" in done.stdout
+    assert "distortion by order 2: " in done.stdout
+
+
+def test_a_known_rig_is_never_asked_to_move_more_than_its_sweep_may(capsys):
+    options = argparse.Namespace(level=0.25, loud=False)
+    known = replace(PAPER, sources=())
+    assert levelled(PAPER, SHORT, options).level == 0.25  # what is assumed limits nothing
+    loud = levelled(replace(known, amplifier=replace(known.amplifier, gain=20.0)), SHORT, options)
+    assert 0.0 < loud.level < 0.25
+    assert "0.15 Xmax" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("level", "loud"), [(0.0, False), (0.26, False), (1.1, True), (-1, True)])
+def test_a_level_is_a_share_of_full_scale_and_a_low_one_unless_asked(level, loud):
+    with pytest.raises(UsageError, match="must be above 0, up to"):
+        levelled(PAPER, SHORT, argparse.Namespace(level=level, loud=loud))
 
 
 def test_clipping_at_the_lowest_level_is_the_last_that_is_played():

@@ -32,8 +32,7 @@ ALL = Inputs.parse("acceleration,current,voltage", **SCALES)
 ELECTRICAL = Inputs.parse("voltage,-,current", **SCALES)
 ALONE = Inputs.parse("acceleration,-", full_scale_v=1.0, acceleration_v_per_m_s2=0.005)
 UNKNOWN = Inputs.parse("-,acceleration")
-SWEEP = Sweep(low_hz=15.0, high_hz=400.0, duration_s=1.5, level=0.04)
-SHORT = replace(SWEEP, duration_s=1.0)
+SWEEP = Sweep(low_hz=15.0, high_hz=400.0, duration_s=1.0, level=0.04)
 WEAK = {"acceleration": 0.002}
 """Of an input in m/s^2 whose full scale is 1: where no sensitivity is given."""
 
@@ -50,7 +49,7 @@ def calibrated(devices, rig=PAPER, sweep=SWEEP, **options):
     )
 
 
-def refused(devices, rig=PAPER, sweep=SHORT, error=IdentificationError):
+def refused(devices, rig=PAPER, sweep=SWEEP, error=IdentificationError):
     with pytest.raises(error) as caught:
         calibrated(devices, rig, sweep)
     return str(caught.value)
@@ -75,7 +74,7 @@ def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(ri
     assert sources["actuator.resonance_hz"].kind == "identified"
 
 
-@pytest.mark.parametrize("drift_ppm", [-120.0, 0.0, 120.0])
+@pytest.mark.parametrize("drift_ppm", [-120.0, 120.0])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_acceleration_for_what_was_played_needs_neither_one_clock_nor_a_polarity(drift_ppm, sign):
     devices = SimulatedDevices(
@@ -95,7 +94,7 @@ def test_a_loop_back_is_the_reference_and_gives_the_same():
     assert found.driven.f0_hz.value == pytest.approx(true.f0_hz, rel=0.005)
     assert found.driven.q.value == pytest.approx(true.q, rel=0.05)
     laboratory = LiveLaboratory(SimulatedDevices(PAPER, inputs, gains=WEAK), inputs)
-    assert not laboratory.measure(SHORT, inputs.pairs)[0].delayed
+    assert not laboratory.measure(SWEEP, inputs.pairs)[0].delayed
 
 
 def test_without_a_sensitivity_f0_and_q_are_found_and_no_level_is_said():
@@ -150,7 +149,7 @@ def test_voltage_and_current_alone_give_the_impedance_and_with_a_weighed_mass_bl
 def test_distortion_and_coherence_are_said_of_every_recording():
     bent = {"change": lambda name, samples, first: samples + 0.01 * samples**2}
     clean, dirty = (
-        calibrated(SimulatedDevices(PAPER, ALONE, **how), sweep=replace(SWEEP, level=0.03))
+        calibrated(SimulatedDevices(PAPER, ALONE, **how), sweep=replace(SWEEP, duration_s=1.5))
         for how in ({}, bent)
     )
     second = [found.qualities[0].harmonics[0] for found in (clean, dirty)]
@@ -165,7 +164,7 @@ def test_distortion_and_coherence_are_said_of_every_recording():
 
 def test_levels_rise_to_the_wanted_one():
     devices = SimulatedDevices(PAPER, ALL)
-    calibrated(devices, sweep=SHORT)
+    calibrated(devices, sweep=SWEEP)
     assert devices.levels == pytest.approx([0.01, 0.02, 0.04], rel=0.01)
 
 
@@ -227,7 +226,7 @@ def test_a_dropout_is_refused_and_nothing_louder_is_played(frames):
     devices = SimulatedDevices(PAPER, ALONE, lost={int(2.0 * RATE): frames}, loses_always=True)
     message = refused(devices)
     assert "lost" in message or "cannot be compared" in message
-    assert devices.levels == pytest.approx([STEPS[0] * SHORT.level] * MOST_TRIES, rel=0.01)
+    assert devices.levels == pytest.approx([STEPS[0] * SWEEP.level] * MOST_TRIES, rel=0.01)
 
 
 def test_a_sweep_that_lost_frames_once_is_repeated_at_the_same_level():
@@ -281,7 +280,7 @@ def test_the_drive_itself_is_no_acceleration():
 
 @pytest.mark.parametrize(("low_hz", "high_hz"), [(120.0, 500.0), (10.0, 60.0)])
 def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_hz):
-    sweep = replace(SHORT, low_hz=low_hz, high_hz=high_hz)
+    sweep = replace(SWEEP, low_hz=low_hz, high_hz=high_hz)
     message = refused(SimulatedDevices(PAPER, ALL), sweep=sweep)
     assert "outside the band" in message or "does not" in message or "unexplained" in message
 
@@ -300,14 +299,14 @@ def test_a_rig_that_would_move_too_far_is_never_driven_so_far():
 def test_the_drift_of_two_clocks_is_found_to_a_few_ppm(drift_ppm):
     devices = SimulatedDevices(PAPER, ALONE, drift_ppm=drift_ppm, noise=1e-4)
     laboratory = LiveLaboratory(devices, ALONE)
-    laboratory.measure(replace(SHORT, level=0.02), ALONE.pairs)
+    laboratory.measure(replace(SWEEP, level=0.02), ALONE.pairs)
     assert laboratory.drift
     assert abs(laboratory.drift.value - drift_ppm) < max(2.0, 2.0 * laboratory.drift.reach)
     assert laboratory.delay_s == pytest.approx(0.0634, abs=0.012)  # with the block and the ring
 
 
 def test_a_recording_on_the_played_clock_is_as_if_there_was_one():
-    excitation = Excitation(SHORT)
+    excitation = Excitation(SWEEP)
     at = np.arange(excitation.frames + 4000)
     smooth = np.sin(2.0 * np.pi * 300.0 * (at / (1.0 + 150e-6)) / RATE)
     shown = on_played_clock(smooth, 1000.0 * (1.0 + 150e-6), 150.0, 50_000)
@@ -316,19 +315,19 @@ def test_a_recording_on_the_played_clock_is_as_if_there_was_one():
 
 
 def test_marks_far_apart_are_compared_whatever_lies_between():
-    excitation = Excitation(SHORT)
+    excitation = Excitation(SWEEP)
     channel = np.concatenate([np.zeros(1234), excitation.samples, np.zeros(4000)])
     assert find_delay(excitation, channel, "x") == 1234
     assert abs(find_drift(excitation, channel, 1234, "x").value) < 0.01
 
 
 def test_samples_are_between_the_levels_and_silence_surrounds_the_sweep():
-    excitation = Excitation(SHORT)
-    assert np.abs(excitation.samples).max() <= SHORT.level
+    excitation = Excitation(SWEEP)
+    assert np.abs(excitation.samples).max() <= SWEEP.level
     before = excitation.samples[excitation.mark_frames : excitation.sweep_start]
     assert not np.any(before)
     steps = np.abs(np.diff(excitation.samples))
-    assert steps.max() < 0.1 * SHORT.level  # nothing clicks
+    assert steps.max() < 0.1 * SWEEP.level  # nothing clicks
 
 
 def test_callbacks_allocate_no_recording():
@@ -374,5 +373,5 @@ def test_inputs_that_say_nothing_are_refused(text, known, words):
 
 
 def test_a_delayed_and_inverted_recording_is_still_one():
-    recording = Recording(SHORT, np.ones(SHORT.frames), np.arange(SHORT.frames, dtype=np.float64))
+    recording = Recording(SWEEP, np.ones(SWEEP.frames), np.arange(SWEEP.frames, dtype=np.float64))
     assert np.array_equal(recording.inverted().response, -recording.response)

@@ -90,7 +90,7 @@ def calibrate_live(
     if options.share is not None or options.seat:
         raise UsageError("--share and --seat are the twin's; choose --level of full scale")
     inputs = _inputs(options)
-    sweep = _levelled(rig, sweep, options)
+    sweep = levelled(rig, sweep, options)
     mass = options.moving_mass_kg
     if mass is not None and not 0.0 < mass < 1e3:
         raise UsageError(f"moving-mass-kg={mass!r} must be above 0; weigh what moves")
@@ -155,7 +155,7 @@ def _inputs(options: argparse.Namespace) -> Inputs:
     )
 
 
-def _levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
+def levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
     """The sweep at the level asked for, or at the one that moves 0.15 Xmax if that is known."""
     level = USUAL_LEVEL if options.level is None else options.level
     most = 1.0 if options.loud else MOST_LEVEL
@@ -187,12 +187,12 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Way
     assert snapshot is not None
     sink = device.sink(snapshot)
     others = [
-        stream.application or "another program"
+        "cushion run" if is_ours(stream) else stream.application or "another program"
         for stream in snapshot.sink_inputs
         if stream.place_name == sink.name and not stream.corked
     ]
     if others:
-        what = "cushion run" if any(map(is_ours, snapshot.sink_inputs)) else others[0]
+        what = ", ".join(others)
         raise UsageError(f"something else plays to {sink.name!r} ({what}); end it first")
     return Way(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
 

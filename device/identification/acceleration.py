@@ -82,6 +82,9 @@ def identify_mode(
         require(name, value, limit * widest, _ADVICE)
     moved = _excursion_m(recording, found, electrical)
     sensitivity, f0, q = values
+    # a clock that is off turns the phase there by so much, and at f0 that falls by 2 Q a share of f
+    turned = math.tau * f0.value * recording.drift_reach * recording.sweep.duration_s
+    f0 = f0.widened(0.5 * turned / q.value)
     share = moved / x_max_m
     square = bent_square(share, on_seat)
     f0, q = f0.lowered(F0_BY_LEVEL * square), q.lowered(Q_BY_LEVEL * square)

@@ -49,6 +49,12 @@ class Estimate:
         """With an interval that reaches down by a share of the value more."""
         return Estimate(self.value, self.low - share * self.value, self.high)
 
+    def widened(self, share: float) -> "Estimate":
+        """With an interval that has one of an independent error, of a share of the value, in it."""
+        more = share * self.value
+        low = self.value - math.hypot(self.value - self.low, more)
+        return Estimate(self.value, low, self.value + math.hypot(self.high - self.value, more))
+
 
 @dataclass(frozen=True)
 class Fit:

@@ -34,7 +34,8 @@ class Recording:
     for messages. limits: magnitudes at which the inputs of both clip, if known.
     correction: (bins,) what the instruments did to the response, to be divided out; None: nothing.
     delayed: the response comes later by some ms that nobody knows; polarity_known: else it may be
-    upside down.
+    upside down. drift_reach: half an interval of 95 %, as a share, of what is left between the two
+    clocks.
 
     Raises
     ------
@@ -50,6 +51,7 @@ class Recording:
     correction: Any = None
     delayed: bool = False
     polarity_known: bool = True
+    drift_reach: float = 0.0
 
     def __post_init__(self) -> None:
         for name, samples in zip(self.names, (self.reference, self.response), strict=True):

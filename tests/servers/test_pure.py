@@ -22,7 +22,7 @@ from device.server.forwarding import (
     whole_ms,
 )
 from device.server.guard import REFUGE, Hold, Place
-from device.server.identity import default_monitor, find_sink, identity_of, is_own
+from device.server.identity import default_monitor, find_sink, find_source, identity_of, is_own
 from device.server.pcms import TAG, PcmConfig
 from device.server.quiet import loud_libraries, quiet_libraries
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream, _kind
@@ -68,6 +68,18 @@ HOME = PLACE.after_snapshot(snapshot(playback(7, 2), events=3))
 def test_vibration_is_felt_only_where_it_is_known_to_be(place: Place, hold: Hold) -> None:
     assert place.hold is hold
     assert hold.audible == (hold is Hold.FREE)
+
+
+def test_an_input_that_is_no_monitor_is_heard_for_measuring_alone() -> None:
+    sources = (Source(4, "line-in", "", None, 48_000, 2, {}),)
+    heard = (playback(7, 4),)
+    there = ServerSnapshot("PulseAudio", "", "", "", (), sources, (), heard, 0)
+    for any_source, hold in ((False, Hold.NO_DEVICE), (True, Hold.FREE)):
+        place = Place("mine", "line-in", plays=False, any_source=any_source)
+        assert place.after_snapshot(there).hold is hold
+    assert find_source(there, "line-in").index == 4
+    with pytest.raises(NotFoundError, match="line-in"):
+        find_source(there, "line-ni")
 
 
 def test_a_snapshot_older_than_the_event_frees_nothing() -> None:

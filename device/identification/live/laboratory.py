@@ -157,6 +157,8 @@ class LiveLaboratory:
     ) -> Recording:
         reference, response = pair
         limits = tuple(self._inputs.scale(name) if name != DRIVE else float("inf") for name in pair)
+        delayed = reference == DRIVE and "loopback" not in read
+        drift = self._drifts[-1]
         correction = None
         if reference == DRIVE and self._amplifier is not None:
             a = self._amplifier
@@ -169,8 +171,9 @@ class LiveLaboratory:
             pair,
             (limits[0], limits[1]),
             correction,
-            delayed=reference == DRIVE and "loopback" not in read,
+            delayed=delayed,
             polarity_known=response != "acceleration",
+            drift_reach=1e-6 * drift.reach if delayed else 0.0,
         )
 
     def _clearest(self) -> tuple[int, str]:
