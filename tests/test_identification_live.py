@@ -278,6 +278,17 @@ def test_the_drive_itself_is_no_acceleration():
     assert "is the drive itself" in refused(swapped)
 
 
+@pytest.mark.parametrize(
+    ("wired", "named"),
+    [("current,voltage", "voltage,current"), ("voltage,current,-", "acceleration,-,-")],
+)
+def test_channels_that_are_swapped_give_no_number_and_are_a_thing_to_check(wired, named):
+    devices = SimulatedDevices(PAPER, Inputs.parse(wired, **SCALES))
+    laboratory = LiveLaboratory(devices, inputs := Inputs.parse(named, **SCALES))
+    with pytest.raises(IdentificationError, match=r"swapped|which input it is"):
+        calibrate(laboratory, PAPER, SWEEP, pairs=inputs.pairs)
+
+
 @pytest.mark.parametrize(("low_hz", "high_hz"), [(120.0, 500.0), (10.0, 60.0)])
 def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_hz):
     sweep = replace(SWEEP, low_hz=low_hz, high_hz=high_hz)

@@ -74,7 +74,8 @@ def identify_mode(
         raise IdentificationError(
             f"the fit leaves {100 * found.misfit:.0f} % of the acceleration unexplained, at most "
             f"{100 * MOST_MISFIT:.0f} % is allowed: more than one resonance and a seat are in the "
-            "band; fasten what rattles, or sweep a narrower band around the resonance"
+            "band, or this is another channel; check which input it is, fasten what rattles, or "
+            "sweep a narrower band around the resonance"
         )
     values = [found.estimate({index: 1.0}) for index in range(3)]
     limits = ("sensitivity", WIDEST_SENSITIVITY), ("f0_hz", WIDEST_F0), ("q", WIDEST_Q)
@@ -191,7 +192,8 @@ def refuse_outside(recording: Recording, log_hz: float) -> None:
         end, to = ("lower", "start lower") if log_hz <= math.log(low) else ("upper", "go higher")
         raise IdentificationError(
             f"the resonance is outside the band, {low:.4g} to {high:.4g} Hz of a sweep from "
-            f"{sweep.low_hz:.4g} to {sweep.high_hz:.4g} Hz: it is beyond the {end} end; {to}"
+            f"{sweep.low_hz:.4g} to {sweep.high_hz:.4g} Hz: it is beyond the {end} end; {to}, or "
+            "check which input it is"
         )
 
 

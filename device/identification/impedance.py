@@ -75,7 +75,7 @@ def identify_impedance(recording: Recording, *, level_of_x_max: float = 0.0) -> 
         raise IdentificationError(
             f"the fit leaves {100 * found.misfit:.0f} % of the current unexplained, at most "
             f"{100 * MOST_MISFIT:.0f} % is allowed: this is no coil with one resonance; check what "
-            "is connected"
+            "is connected, and that voltage and current are not swapped"
         )
     powers = {
         "resistance_ohm": {0: 1.0},

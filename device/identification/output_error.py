@@ -147,8 +147,8 @@ def fit(
     if not converged:
         raise IdentificationError(
             f"the fit of {recording.names[1]} for {recording.names[0]} does not converge: its "
-            "response is not that of one resonance; look at the transfer function, fasten what "
-            "rattles, and sweep around the resonance"
+            "response is not that of one resonance; check that these channels are not swapped or "
+            "others, fasten what rattles, and sweep around the resonance"
         )
     e = left(logs)
     slopes = jacobian(logs)
