@@ -37,6 +37,7 @@ LEAST = Effort(
     gain_tones=1,
     bursts=3,
     onsets_a_burst=2,
+    noisy_tones=8,
     split_s=0.05,
     cost_repeats=1,
     cost_s=0.2,
@@ -442,6 +443,7 @@ def test_the_plots_are_pictures(report, tmp_path):
     if os.environ.get("CI") != "true":
         pytest.importorskip("matplotlib")
     paths = bench.plots(report, tmp_path)
-    assert [path.name for path in paths] == ["cost.png", "lag.png", "rungs.png", "damping.png"]
+    names = ["cost", "lag", "rungs", "damping", "frequency"]
+    assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
         assert path.read_bytes().startswith(b"\x89PNG")

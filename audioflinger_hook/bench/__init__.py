@@ -23,6 +23,7 @@ from pathlib import Path
 from audioflinger_hook.bench import (
     damping,
     fidelity,
+    frequency_error,
     growth,
     live_report,
     mixing,
@@ -60,6 +61,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("onset lag", fidelity.onset_lag, 2.0),
     ("energy above 250 Hz", fidelity.energy_above, 1.0),
     ("principal frequencies", fidelity.principal_frequencies, 0.5),
+    ("frequency error", frequency_error.frequency_error, 2.0),
     ("gain", tones.gain_over_samplerates, 2.0),
     ("splits", fidelity.any_split, 3.0),
     ("cost of a second", speed.cost_of_a_second, 8.0),

@@ -89,6 +89,7 @@ class Effort:
     gain_tones: int
     bursts: int
     onsets_a_burst: int
+    noisy_tones: int
     split_s: float
     cost_repeats: int
     cost_s: float
@@ -111,6 +112,7 @@ QUICK = Effort(
     gain_tones=12,
     bursts=25,
     onsets_a_burst=4,
+    noisy_tones=120,
     split_s=0.5,
     cost_repeats=5,
     cost_s=3.0,
@@ -132,6 +134,7 @@ FULL = Effort(
     gain_tones=24,
     bursts=40,
     onsets_a_burst=16,
+    noisy_tones=600,
     split_s=4.0,
     cost_repeats=15,
     cost_s=10.0,
