@@ -2,7 +2,8 @@
 
     signals, recordings --.
                           |-> benches (tones, fidelity, speed, growth, savings, mixing, rendering,
-    subjects (live, ...) -'        measures, cost        rig, ...)         |
+    subjects (live, ...) -'        measures, cost,       rig, ...)         |
+    comparators                    likeness                               |
                                                                            v
            soak record, live record ------------------------------------> report -> Markdown, JSON
                  ^                                                         '----> drawing
@@ -21,6 +22,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from audioflinger_hook.bench import (
+    comparison,
     damping,
     fidelity,
     frequency_error,
@@ -71,6 +73,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("savings", savings.savings, 7.0),
     ("the mixer", mixing.mixing, 6.0),
     ("rendering", rendering.render_speed, 2.0),
+    ("comparators", comparison.comparison, 3.0),
     ("simulated rig", rig.linear_rung, 2.0),
     ("rungs of the rig", precision.work_and_precision, 5.0),
     ("ladder of the rig", rungs.ladder_of_rungs, 3.0),

@@ -90,6 +90,8 @@ class Effort:
     bursts: int
     onsets_a_burst: int
     noisy_tones: int
+    compared_bursts: int
+    compared_recordings: int
     split_s: float
     cost_repeats: int
     cost_s: float
@@ -113,6 +115,8 @@ QUICK = Effort(
     bursts=25,
     onsets_a_burst=4,
     noisy_tones=120,
+    compared_bursts=13,
+    compared_recordings=4,
     split_s=0.5,
     cost_repeats=5,
     cost_s=3.0,
@@ -135,6 +139,8 @@ FULL = Effort(
     bursts=40,
     onsets_a_burst=16,
     noisy_tones=600,
+    compared_bursts=40,
+    compared_recordings=31,
     split_s=4.0,
     cost_repeats=15,
     cost_s=10.0,
