@@ -38,6 +38,7 @@ LEAST = Effort(
     bursts=3,
     onsets_a_burst=2,
     noisy_tones=8,
+    frontier_sounds=2,
     compared_bursts=3,
     compared_recordings=1,
     split_s=0.05,
@@ -445,7 +446,7 @@ def test_the_plots_are_pictures(report, tmp_path):
     if os.environ.get("CI") != "true":
         pytest.importorskip("matplotlib")
     paths = bench.plots(report, tmp_path)
-    names = ["cost", "lag", "rungs", "damping", "frequency"]
+    names = ["cost", "lag", "rungs", "damping", "frequency", "frontier"]
     assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
         assert path.read_bytes().startswith(b"\x89PNG")

@@ -15,6 +15,7 @@ import numpy as np
 from audioflinger_hook.bench.damping_figure import damping_figure
 from audioflinger_hook.bench.fidelity import LAG_P95
 from audioflinger_hook.bench.frequency_figure import frequency_figure
+from audioflinger_hook.bench.frontier_figure import frontier_figure
 from audioflinger_hook.bench.precision import TITLE as RUNGS_TITLE
 from audioflinger_hook.bench.report import BenchReport, Row
 from audioflinger_hook.bench.speed import BLOCKSIZES, SECOND
@@ -51,6 +52,7 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
         "rungs.png": rungs_figure(report),
         "damping.png": damping_figure(report),
         "frequency.png": frequency_figure(report),
+        "frontier.png": frontier_figure(report),
     }
     for name, figure in figures.items():
         content = io.BytesIO()

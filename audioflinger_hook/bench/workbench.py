@@ -90,6 +90,7 @@ class Effort:
     bursts: int
     onsets_a_burst: int
     noisy_tones: int
+    frontier_sounds: int
     compared_bursts: int
     compared_recordings: int
     split_s: float
@@ -115,6 +116,7 @@ QUICK = Effort(
     bursts=25,
     onsets_a_burst=4,
     noisy_tones=120,
+    frontier_sounds=3,
     compared_bursts=13,
     compared_recordings=4,
     split_s=0.5,
@@ -139,6 +141,7 @@ FULL = Effort(
     bursts=40,
     onsets_a_burst=16,
     noisy_tones=600,
+    frontier_sounds=12,
     compared_bursts=40,
     compared_recordings=31,
     split_s=4.0,
