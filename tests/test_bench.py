@@ -47,6 +47,10 @@ LEAST = Effort(
     gain_tones=1,
     bursts=3,
     onsets_a_burst=2,
+    noisy_tones=8,
+    frontier_sounds=2,
+    compared_bursts=3,
+    compared_recordings=1,
     split_s=0.05,
     cost_repeats=1,
     cost_s=0.2,
@@ -461,6 +465,7 @@ def test_the_plots_are_pictures(report, tmp_path):
     if os.environ.get("CI") != "true":
         pytest.importorskip("matplotlib")
     paths = bench.plots(report, tmp_path)
-    assert [path.name for path in paths] == ["cost.png", "lag.png", "rungs.png", "damping.png"]
+    names = ["cost", "lag", "rungs", "damping", "frequency", "frontier"]
+    assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
         assert path.read_bytes().startswith(b"\x89PNG")

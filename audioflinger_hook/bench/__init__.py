@@ -2,7 +2,8 @@
 
     signals, recordings --.
                           |-> benches (tones, fidelity, speed, growth, savings, mixing, rendering,
-    subjects (live, ...) -'        measures, cost        rig, ...)         |
+    subjects (live, ...) -'        measures, cost,       rig, ...)         |
+    comparators                    likeness                               |
                                                                            v
            soak record, live record ------------------------------------> report -> Markdown, JSON
                  ^                                                         '----> drawing
@@ -21,10 +22,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from audioflinger_hook.bench import (
+    comparison,
     damping,
     damping_levels,
     damping_recordings,
     fidelity,
+    frequency_error,
+    frontier,
     growth,
     identification,
     live_report,
@@ -66,6 +70,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("onset lag", fidelity.onset_lag, 2.0),
     ("energy above 250 Hz", fidelity.energy_above, 1.0),
     ("principal frequencies", fidelity.principal_frequencies, 0.5),
+    ("frequency error", frequency_error.frequency_error, 2.0),
     ("gain", tones.gain_over_samplerates, 2.0),
     ("splits", fidelity.any_split, 3.0),
     ("cost of a second", speed.cost_of_a_second, 8.0),
@@ -75,6 +80,8 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("savings", savings.savings, 7.0),
     ("the mixer", mixing.mixing, 6.0),
     ("rendering", rendering.render_speed, 2.0),
+    ("cost against error", frontier.frontier, 4.0),
+    ("comparators", comparison.comparison, 3.0),
     ("simulated rig", rig.linear_rung, 2.0),
     ("rungs of the rig", precision.work_and_precision, 5.0),
     ("ladder of the rig", rungs.ladder_of_rungs, 3.0),

@@ -1,5 +1,5 @@
 """Pictures of a report: what a second of each scene costs, how late onsets are felt, what error
-of the simulated rig costs how much, and what is left of a burst.
+of the simulated rig costs how much, what is left of a burst, and how far off frequencies are.
 
 Needs matplotlib, an optional extra, and uses only its objects: no pyplot, no global setting.
 """
@@ -14,6 +14,8 @@ import numpy as np
 
 from audioflinger_hook.bench.damping_figure import damping_figure
 from audioflinger_hook.bench.fidelity import LAG_P95
+from audioflinger_hook.bench.frequency_figure import frequency_figure
+from audioflinger_hook.bench.frontier_figure import frontier_figure
 from audioflinger_hook.bench.precision import TITLE as RUNGS_TITLE
 from audioflinger_hook.bench.report import BenchReport, Row
 from audioflinger_hook.bench.speed import BLOCKSIZES, SECOND
@@ -49,6 +51,8 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
         "lag.png": lag_figure(report),
         "rungs.png": rungs_figure(report),
         "damping.png": damping_figure(report),
+        "frequency.png": frequency_figure(report),
+        "frontier.png": frontier_figure(report),
     }
     for name, figure in figures.items():
         content = io.BytesIO()

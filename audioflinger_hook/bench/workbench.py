@@ -89,6 +89,10 @@ class Effort:
     gain_tones: int
     bursts: int
     onsets_a_burst: int
+    noisy_tones: int
+    frontier_sounds: int
+    compared_bursts: int
+    compared_recordings: int
     split_s: float
     cost_repeats: int
     cost_s: float
@@ -112,6 +116,10 @@ QUICK = Effort(
     gain_tones=12,
     bursts=25,
     onsets_a_burst=4,
+    noisy_tones=120,
+    frontier_sounds=3,
+    compared_bursts=13,
+    compared_recordings=4,
     split_s=0.5,
     cost_repeats=5,
     cost_s=3.0,
@@ -134,6 +142,10 @@ FULL = Effort(
     gain_tones=24,
     bursts=40,
     onsets_a_burst=16,
+    noisy_tones=600,
+    frontier_sounds=12,
+    compared_bursts=40,
+    compared_recordings=31,
     split_s=4.0,
     cost_repeats=15,
     cost_s=10.0,

@@ -1,0 +1,66 @@
+"""What comparators have in common: sound made safe and mono, and filters that go on."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import butter, sosfilt
+
+from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform.intake import fitting, mono, replace_unusable
+
+NYQUIST_MARGIN = 0.49
+"""A low-pass from this share of the samplerate up has nothing to take away and is left out."""
+
+
+class Comparator:
+    """One stream of sound turned into one channel of vibration; full scale +-1 on both sides.
+
+    Subclasses give `vibration`. Unusable samples count as 0, as in the transform.
+    """
+
+    latency_frames = 0
+    """Frames by which what `process` returns is late, and which `finish` gives."""
+
+    def __init__(self, samplerate: int, channels: int) -> None:
+        self.samplerate = samplerate
+        self._channels = channels
+
+    def process(self, frames: Frames) -> FloatArray:
+        """Return (frames, 1) of vibration for (frames, channels) of sound."""
+        usable, _ = replace_unusable(fitting(frames, self._channels))
+        return self.vibration(mono(usable))[:, None]
+
+    def finish(self) -> FloatArray:
+        """Return the vibration still owed, (frames, 1), as if silence followed."""
+        return self.vibration(np.zeros(self.latency_frames))[:, None]
+
+    def vibration(self, sound: FloatArray) -> FloatArray:
+        """Return as many frames of vibration as of mono sound."""
+        raise NotImplementedError
+
+
+class Filter:
+    """Second-order sections with their state, continued from block to block."""
+
+    def __init__(self, sos: FloatArray) -> None:
+        self._sos = sos
+        self._state = np.zeros((len(sos), 2))
+
+    def __call__(self, signal: FloatArray) -> FloatArray:
+        """Return the filtered block."""
+        if not signal.size:
+            return signal
+        filtered, self._state = sosfilt(self._sos, signal, zi=self._state)
+        return np.asarray(filtered)
+
+
+def high_pass(corner_hz: float, samplerate: int) -> Filter:
+    """Return a second-order Butterworth high-pass."""
+    return Filter(butter(2, corner_hz, "highpass", fs=samplerate, output="sos"))
+
+
+def low_pass(corner_hz: float, samplerate: int) -> Filter:
+    """Return a second-order Butterworth low-pass, or none where there is nothing above it."""
+    if corner_hz >= NYQUIST_MARGIN * samplerate:
+        return Filter(np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]))
+    return Filter(butter(2, corner_hz, "lowpass", fs=samplerate, output="sos"))

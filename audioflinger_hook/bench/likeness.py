@@ -1,0 +1,149 @@
+"""How like its sound, or like another vibration, a vibration is: pure functions with definitions.
+
+Signals are mono, (frames,) float64. A vibration comes late by an amount that not every comparator
+can tell, so likeness is taken at the delay from 0 to 0.1 s at which it is greatest. What cannot
+be compared, silence, is NaN.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal.windows import hann
+
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.windows import strided_windows
+
+DELAY_MAX_S = 0.1
+ENVELOPE_FRAME_S = 0.01
+
+FELT_HZ = (15.0, 250.0)
+FELT_BANDS = 24
+
+PATTERN_WINDOW_S, PATTERN_HOP_S = 0.1, 0.0125
+PATTERN_BANDS_HZ = 20.0 * 2.0 ** (np.arange(11) / 2.0)
+"""Half octaves from 20 to 640 Hz: about what a body tells apart there."""
+PATTERN_RANGE_DB = 40.0
+TEMPORAL_SHARE = 2.0 / 3.0
+
+NOTHING_DB = -60.0
+"""Under this a vibration counts as none."""
+
+
+def envelope_correlation(sound: FloatArray, vibration: FloatArray, samplerate: int) -> float:
+    """Return how the two levels go together: Pearson's r of the r.m.s. of 10 ms pieces."""
+    heard, felt = (_pieces_rms(signal, samplerate) for signal in (sound, vibration))
+    if heard.size < 3 or not heard.std() > 0.0:
+        return float("nan")
+    if not felt.any():
+        return 0.0
+    coefficients = []
+    for late in range(1 + round(DELAY_MAX_S / ENVELOPE_FRAME_S)):
+        then, now = heard[: heard.size - late], felt[late:]
+        if then.size < 3 or not then.std() > 0.0 or not now.std() > 0.0:
+            break
+        coefficients.append(float(np.corrcoef(then, now)[0, 1]))
+    return max(coefficients, default=0.0)
+
+
+def st_sim(vibration: FloatArray, wanted: FloatArray, samplerate: int) -> float:
+    """Return the spectral-temporal similarity of a vibration to the wanted one, 0 to 1.
+
+    Both are turned into a pattern: the level in half octaves from 20 to 640 Hz, in Hann windows
+    of 100 ms every 12.5 ms, as share of the 40 dB under the signal's own highest level; 0 below.
+    S is the mean over time of the cosine between the two patterns' columns (what is felt at one
+    moment), over moments at which the wanted one has any; T the mean over bands of the cosine
+    between their rows (when a band is felt). The result is S^(1/3) T^(2/3).
+
+    The parts and their weights are those of the ST-SIM of Hassen and Steinbach (IEEE
+    Transactions on Haptics, 2020), which compares a coded signal with its original wave by wave.
+    A transform moves frequencies and phases, so levels stand here in place of waves, and the
+    strength as a whole, which every cushion sets for itself, does not count.
+    """
+    here, there = (_pattern(signal, samplerate) for signal in (vibration, wanted))
+    if not there.any():
+        return float("nan")
+    if not here.any():
+        return 0.0
+    most = 0.0
+    for late in range(1 + round(DELAY_MAX_S / PATTERN_HOP_S)):
+        now, then = here[late:], there[: len(there) - late]
+        if not then.any():
+            break
+        spectral, temporal = _mean_cosine(now, then, 1), _mean_cosine(now, then, 0)
+        most = max(most, spectral ** (1.0 - TEMPORAL_SHARE) * temporal**TEMPORAL_SHARE)
+    return most
+
+
+def felt_spectrum(vibration: FloatArray, samplerate: int) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies from 15 to 250 Hz and the mean square at each, (bins,) both."""
+    window = hann(vibration.size, sym=False)
+    window /= float(np.sqrt(np.mean(window**2)))
+    spectrum = np.fft.rfft(vibration * window) / vibration.size
+    power: FloatArray = np.asarray(2.0 * np.abs(spectrum) ** 2, np.float64)
+    hz: FloatArray = np.arange(power.size, dtype=np.float64) * (samplerate / vibration.size)
+    felt = (hz >= FELT_HZ[0]) & (hz <= FELT_HZ[1])
+    return hz[felt], power[felt]
+
+
+def dominant_hz(vibration: FloatArray, samplerate: int) -> float | None:
+    """Return where a steady vibration is strongest from 15 to 250 Hz; None where it is none."""
+    hz, power = felt_spectrum(vibration, samplerate)
+    return float(hz[power.argmax()]) if level_db(power.sum()) > NOTHING_DB else None
+
+
+def spectral_distance(one: FloatArray, other: FloatArray, samplerate: int) -> float | None:
+    """Return the share of energy that lies elsewhere, 0 to 1, in 10 Hz from 15 to 250 Hz.
+
+    Half the sum of absolute differences of the two spectra, each with a sum of 1. None where one of
+    them is no vibration: what is not felt does not feel other.
+    """
+    shares = []
+    for vibration in (one, other):
+        hz, power = felt_spectrum(vibration, samplerate)
+        if level_db(power.sum()) > NOTHING_DB:
+            bands = np.histogram(hz, FELT_BANDS, FELT_HZ, weights=power)[0]
+            shares.append(bands / bands.sum())
+    return float(0.5 * np.abs(shares[0] - shares[1]).sum()) if len(shares) == 2 else None
+
+
+def level_db(mean_square: float) -> float:
+    """Return the level of a mean square in dB, a full-scale sine at 0; -inf for nothing.
+
+    Nothing begins at -200 dB: what is under it is rounding.
+    """
+    return 10.0 * float(np.log10(2.0 * mean_square)) if mean_square > 1e-20 else -float("inf")
+
+
+def _pieces_rms(signal: FloatArray, samplerate: int) -> FloatArray:
+    frames = round(ENVELOPE_FRAME_S * samplerate)
+    pieces = signal[: signal.size - signal.size % frames].reshape(-1, frames)
+    rms: FloatArray = np.sqrt((pieces**2).mean(axis=1))
+    return rms
+
+
+def _pattern(signal: FloatArray, samplerate: int) -> FloatArray:
+    """Return the pattern of `st_sim`, (windows, bands)."""
+    frames, hop = round(PATTERN_WINDOW_S * samplerate), round(PATTERN_HOP_S * samplerate)
+    if signal.size < frames:
+        signal = np.concatenate((signal, np.zeros(frames - signal.size)))
+    windows = strided_windows(np.ascontiguousarray(signal), frames, hop)
+    highest = int(PATTERN_BANDS_HZ[-1] * frames / samplerate) + 1
+    power = np.abs(np.fft.rfft(windows * hann(frames, sym=False), axis=1)[:, : highest + 1]) ** 2
+    hz = np.arange(power.shape[1]) * (samplerate / frames)
+    edges = hz.searchsorted(PATTERN_BANDS_HZ)
+    bands = np.add.reduceat(power, edges, axis=1)[:, :-1]
+    if not bands.max() > 0.0:
+        return np.zeros(bands.shape)
+    with np.errstate(divide="ignore"):
+        under_db = 10.0 * np.log10(bands / bands.max())
+    pattern: FloatArray = np.maximum(0.0, 1.0 + under_db / PATTERN_RANGE_DB)
+    return pattern
+
+
+def _mean_cosine(here: FloatArray, there: FloatArray, axis: int) -> float:
+    """Return the mean of the cosines along an axis, where `there` has anything."""
+    wanted = np.sqrt((there**2).sum(axis=axis))
+    found = np.sqrt((here**2).sum(axis=axis))
+    products = (here * there).sum(axis=axis)
+    cosines = products / np.maximum(wanted * found, 1e-12)
+    return float(cosines[wanted > 0.0].mean())
