@@ -198,16 +198,17 @@ def test_what_is_owed_is_everything_with_the_longest_delay():
 def test_each_has_the_rig_and_the_care_of_its_own():
     wanted = [
         ActuatorSettings((0,), "mix", rig="consumer", protection="on"),
-        ActuatorSettings((1,), "mix", damping="auto"),
-        ActuatorSettings((2,), "mix", protection="off"),
+        ActuatorSettings((1,), "mix", damping="auto", exposure_cap="limit"),
+        ActuatorSettings((2,), "mix", protection="off", exposure_cap="off"),
     ]
-    actuators = Actuators(wanted, RATE, rig="paper", protection="on")
+    actuators = Actuators(wanted, RATE, rig="paper", protection="on", exposure_cap="action")
     vibration = tone(45.0, 0.5, 1.0).astype(np.float32)[:, None]
     out = actuators.process(vibration)
     consumer, damped, plain = actuators.drivings
     assert consumer is not None
     assert damped is not None
     assert (consumer.rig.name, damped.rig.name, plain) == ("consumer", "paper", None)
+    assert (consumer.exposure_cap, damped.exposure_cap) == ("action", "limit")
     alone = driving_for("consumer", RATE, 1, protection="on")
     assert alone is not None
     assert np.array_equal(out[:, :1], alone.process(vibration.astype(float)).astype(np.float32))
