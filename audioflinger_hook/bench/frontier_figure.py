@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 
 from audioflinger_hook.bench.frontier import (
     COST,
-    DEFAULT,
     LAG,
     LEAK,
-    SETTINGS,
     SWELL,
     TITLE,
     UNITS,
 )
+from audioflinger_hook.bench.frontier_settings import DEFAULT, SETTINGS
 from audioflinger_hook.bench.report import BenchReport
 
 if TYPE_CHECKING:
