@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.bench import frontier
-from audioflinger_hook.bench.frontier import COST, DEFAULT, LAG, LEAK, SETTINGS, UNLIKE
+from audioflinger_hook.bench.frontier import COST, LAG, LEAK, UNLIKE
+from audioflinger_hook.bench.frontier_settings import (
+    DEFAULT,
+    SETTINGS,
+    Setup,
+    constants_changed,
+    hop,
+)
 from audioflinger_hook.bench.signals import SAMPLERATE, tone
 from audioflinger_hook.bench.workbench import LIVE, SUBJECTS
 from audioflinger_hook.transform import grid, smoothing
@@ -29,7 +36,7 @@ def numbers():
 def test_the_default_is_the_live_form_to_the_byte():
     sound = tone(440.0, 0.3, 0.3)
     (live,) = (subject for subject in SUBJECTS if subject.name == LIVE)
-    ours = frontier._Setup(SETTINGS[0]).vibration(sound)
+    ours = Setup(SETTINGS[0]).vibration(sound)
     assert SETTINGS[0].name == DEFAULT
     assert ours.tobytes() == live.vibration(sound, SAMPLERATE).tobytes()
 
@@ -37,7 +44,7 @@ def test_the_default_is_the_live_form_to_the_byte():
 @pytest.mark.parametrize("setting", SETTINGS[1:], ids=lambda setting: setting.name)
 def test_every_setting_changes_the_form_and_leaves_the_transform_as_it_was(setting):
     before = numbers()
-    form, plain = frontier._Setup(setting).made, frontier._Setup(SETTINGS[0]).made
+    form, plain = Setup(setting).made, Setup(SETTINGS[0]).made
     assert numbers() == before
     assert (form._grid, form._spectrum.fft_length, form._parameters.partials_max) != (
         plain._grid, plain._spectrum.fft_length, plain._parameters.partials_max
@@ -46,13 +53,13 @@ def test_every_setting_changes_the_form_and_leaves_the_transform_as_it_was(setti
 
 def test_constants_come_back_when_a_transform_cannot_be_made():
     before = numbers()
-    with pytest.raises(ZeroDivisionError), frontier._constants({"HOPS_A_WINDOW": 1.0, "ORDER": 3}):
+    with pytest.raises(ZeroDivisionError), constants_changed({"HOPS_A_WINDOW": 1.0, "ORDER": 3}):
         _ = 1 / 0
     assert numbers() == before
 
 
 def test_a_shorter_hop_lags_less_and_a_chirp_is_followed_nearer():
-    slow, fast = (frontier._Setup(frontier._hop(hops)) for hops in (1.0, 8.0))
+    slow, fast = (Setup(hop(hops)) for hops in (1.0, 8.0))
     grids = [setup.made._grid for setup in (slow, fast)]
     assert isinstance(grids[0], LiveGrid)
     assert grids[0].hop_frames > 7 * grids[1].hop_frames
@@ -62,10 +69,10 @@ def test_a_shorter_hop_lags_less_and_a_chirp_is_followed_nearer():
 
 def test_partials_that_there_is_no_room_for_are_missed_and_none_is_spurious():
     (few,) = (setting for setting in SETTINGS if setting.name == "4 partials")
-    missed, spurious = frontier._notes(frontier._Setup(few))
+    missed, spurious = frontier._notes(Setup(few))
     assert missed == pytest.approx(100.0 * (1.0 - 4 / frontier.HARMONICS))
     assert spurious == 0.0
-    assert frontier._notes(frontier._Setup(SETTINGS[0])) == (0.0, 0.0)
+    assert frontier._notes(Setup(SETTINGS[0])) == (0.0, 0.0)
 
 
 def a_measured(**changed):
@@ -88,7 +95,7 @@ def test_a_setting_dominates_only_if_it_is_better_in_something_and_worse_in_noth
 
 
 def test_the_error_of_a_tone_is_that_of_its_vibration():
-    error_hz, error_db, purity_db = frontier._tone_errors(frontier._Setup(SETTINGS[0]), 2)
+    error_hz, error_db, purity_db = frontier._tone_errors(Setup(SETTINGS[0]), 2)
     assert 0.0 < error_hz < 0.05
     assert 0.0 < error_db < 0.2
     assert purity_db < -60.0

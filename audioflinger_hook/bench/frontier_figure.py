@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING
 
 from audioflinger_hook.bench.frontier import (
     COST,
-    DEFAULT,
     LAG,
     LEAK,
-    SETTINGS,
     SWELL,
     TITLE,
     UNITS,
 )
+from audioflinger_hook.bench.frontier_settings import DEFAULT, SETTINGS
 from audioflinger_hook.bench.report import BenchReport
 
 if TYPE_CHECKING:
@@ -71,7 +70,7 @@ def frontier_figure(report: BenchReport) -> Figure:
                     fontsize=SMALL_PT - 1.0, color=palette.GREY,
                 )  # fmt: skip
         axis.plot(*zip(*sorted(hops), strict=True), color=palette.HEARD, lw=1.4, zorder=3)
-        axis.margins(0.16, 0.1)
+        axis.margins(0.2, 0.1)
     axes[-1].set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
     figure.text(0.86, 0.945, "●", color=palette.FELT, fontsize=TEXT_PT + 2, va="center")
     figure.text(0.88, 0.945, "the defaults", color=palette.INK, fontsize=TEXT_PT, va="center")
