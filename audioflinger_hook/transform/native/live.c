@@ -319,14 +319,17 @@ static int asleep(const Live *live)
     return 1;
 }
 
-/* Return how many frames go on as they are. A hop begins with the first that follows silence: the
- * same sound so gives the same vibration however long the silence before it was. */
+/* Return how many of these frames go on as they are. A hop begins with the first that follows
+ * silence: the same sound so gives the same vibration however long the silence before it was. Looks
+ * no further than the hop under way: a long block would be looked through for each of its hops. */
 static size_t up_to_onset(Live *live, Sound sound, size_t frames)
 {
     if (live->silent < live->settings.window_frames)
         return frames;
+    const size_t room = live->settings.hop_frames - live->filled;
+    const size_t most = frames < room ? frames : room;
     size_t silent = 0;
-    while (silent < frames && is_silent(sound, silent))
+    while (silent < most && is_silent(sound, silent))
         silent++;
     if (silent)
         return silent;
