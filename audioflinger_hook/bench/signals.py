@@ -136,13 +136,11 @@ def speech(recordings: tuple[Recording, ...]) -> Stereo | None:
 class CostScene:
     """A kind of sound whose cost is measured.
 
-    budgeted: whether the budget of a second is asked of it (all that sounds), or it is there
-    for comparison. make: (seconds, recordings) to sound of about that length, None where
-    it cannot be had; the demo scene comes whole.
+    make: (seconds, recordings) to sound of about that length, None where it cannot be had; the demo
+    scene comes whole.
     """
 
     name: str
-    budgeted: bool
     make: Callable[[float, tuple[Recording, ...]], Stereo | None]
 
 
@@ -152,12 +150,10 @@ def _speech_scene(duration_s: float, recordings: tuple[Recording, ...]) -> Stere
 
 
 COST_SCENES: tuple[CostScene, ...] = (
-    CostScene("demo scene", True, lambda _s, _: mixdown(demo_scene())),
-    CostScene("chord, 10 modulated partials", True, lambda s, _: chord(s)),
-    CostScene("speech recordings", True, _speech_scene),
-    CostScene("white noise, 0 dBFS", True, lambda s, _: white_noise(s)),
-    CostScene("silence", False, lambda s, _: stereo(np.zeros(round(s * SAMPLERATE)))),
-    CostScene(
-        "denormal numbers", False, lambda s, _: stereo(np.full(round(s * SAMPLERATE), DENORMAL))
-    ),
+    CostScene("demo scene", lambda _s, _: mixdown(demo_scene())),
+    CostScene("chord, 10 modulated partials", lambda s, _: chord(s)),
+    CostScene("speech recordings", _speech_scene),
+    CostScene("white noise, 0 dBFS", lambda s, _: white_noise(s)),
+    CostScene("silence", lambda s, _: stereo(np.zeros(round(s * SAMPLERATE)))),
+    CostScene("denormal numbers", lambda s, _: stereo(np.full(round(s * SAMPLERATE), DENORMAL))),
 )
