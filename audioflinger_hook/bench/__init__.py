@@ -113,7 +113,7 @@ def run_bench(
 ) -> BenchReport:
     """Measure everything on this machine and return the report.
 
-    quick: under a minute instead of about four. effort: other counts than those two. The
+    quick: about a minute instead of about six. effort: other counts than those two. The
     calling thread does the work; costs are its own CPU time.
     """
     start_s = time.monotonic()
