@@ -5,13 +5,12 @@ from functools import lru_cache
 import numpy as np
 
 from device.damping import Damper, Damping, choose_damping
-from device.errors import InternalError
 from device.exposure import Exposure, ExposureMeter, cap_gain
 from device.exposure.dose import ACTION_A8_M_S2, ACTION_VDV, LIMIT_A8_M_S2, LIMIT_VDV
 from device.processing import BlockProcessor
 from device.protection import ProtectionStatus, Protector
 from device.rig import ActuatorParameters, Rig, rig_by_name
-from device.units import Block, FloatArray
+from device.units import Block, FloatArray, check_channels
 
 CAPS: dict[str, tuple[float, float] | None] = {
     "off": None,
@@ -71,10 +70,7 @@ class Driving:
 
     def process(self, block: Block) -> Block:
         """Treat a block of (frames, channels) in place, any number of frames, and return it."""
-        if block.ndim != 2 or block.shape[1] != self.channels:
-            raise InternalError(
-                f"a block has shape {block.shape}: (frames, {self.channels}) was expected"
-            )
+        check_channels(block, self.channels)
         for processor in self._processors:
             processor.process(block)
         if self._cap:

@@ -6,10 +6,18 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from device.errors import InternalError
+
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 Block = TypeVar("Block", FloatArray, Float32Array)
 """A block of vibration, (frames, channels), of either precision."""
+
+
+def check_channels(block: FloatArray | Float32Array, channels: int) -> None:
+    """Nothing, for a block of (frames, channels) with so many channels; else InternalError."""
+    if block.ndim != 2 or block.shape[1] != channels:
+        raise InternalError(f"a block has shape {block.shape}: (frames, {channels}) was expected")
 
 
 def amplitude_to_db(ratio: float) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 from device.atomic_file import AtomicFile
 from device.errors import InternalError, WriteError
-from device.units import Float32Array, FloatArray
+from device.units import Float32Array, FloatArray, check_channels
 
 _SAMPLE = np.dtype("<f4")
 _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
@@ -75,10 +75,7 @@ class WavOutput:
         """Append (frames, channels) samples, rounded to float32."""
         if self._file is None:
             raise InternalError("the WAV file is closed: nothing can be written to it")
-        if vibration.ndim != 2 or vibration.shape[1] != self._channels:
-            raise InternalError(
-                f"a block has shape {vibration.shape}: (frames, {self._channels}) was expected"
-            )
+        check_channels(vibration, self._channels)
         if vibration.size == 0:  # a memoryview of it could not be cast to bytes
             return
         samples = np.ascontiguousarray(vibration, dtype=_SAMPLE)

@@ -11,7 +11,7 @@ from device.actuators.path import FADE_S, Path, Tap
 from device.actuators.settings import DELAY_MAX_MS, ActuatorSettings, sources_of
 from device.driving import driving_for
 from device.errors import InternalError
-from device.units import Float32Array, FloatArray
+from device.units import Float32Array, FloatArray, check_channels
 
 PART_FRAMES = 4_096
 """Longer blocks are treated in parts of this: memory stays what it is."""
@@ -97,10 +97,7 @@ class Actuators:
 
     def process(self, vibration: Float32Array | FloatArray) -> Float32Array:
         """Take (frames, sources), any number of frames; return a new (frames, actuators)."""
-        if vibration.ndim != 2 or vibration.shape[1] != len(self.sources):
-            raise InternalError(
-                f"a block has shape {vibration.shape}: (frames, {len(self.sources)}) was expected"
-            )
+        check_channels(vibration, len(self.sources))
         wanted = self._settings
         if wanted is not self._taken:
             self._taken = wanted

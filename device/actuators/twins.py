@@ -12,7 +12,7 @@ from device.errors import InternalError
 from device.output import VibrationOutput
 from device.rig import Rig, rig_by_name
 from device.rig.twin import Twin
-from device.units import Float32Array, FloatArray
+from device.units import Float32Array, FloatArray, check_channels
 
 
 class Twins:
@@ -73,10 +73,7 @@ class Twins:
         """Move the actuators by one block of (frames, channels), full scale ±1.0."""
         if self._closed:
             raise InternalError("the twins are closed: nothing can be written to them")
-        if vibration.ndim != 2 or vibration.shape[1] != self.channels:
-            raise InternalError(
-                f"a block has shape {vibration.shape}: (frames, {self.channels}) was expected"
-            )
+        check_channels(vibration, self.channels)
         recorded = np.zeros(vibration.shape)
         for channel, (twin, last) in enumerate(zip(self._twins, self._heard, strict=True)):
             if twin is not None:

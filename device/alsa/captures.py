@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from device.alsa.cards import PROC, Card, Playback, fields_of, find_card, read, split
+from device.alsa.cards import PROC, Card, Playback, devices_of, find_card, read, split
 from device.alsa.usb_stream import UsbStream, parse_usb_stream
 from device.errors import NotFoundError
 
@@ -25,12 +25,7 @@ class Capture(Playback):
 
 def captures(card: Card) -> tuple[Capture, ...]:
     """The devices of a card that record, by their number. Any thread."""
-    found = []
-    for folder in card.folder.glob("pcm*c"):
-        digits = folder.name[3:-1]
-        if digits.isdecimal():
-            found.append(Capture(card, int(digits), fields_of(folder / "info").get("name", "")))
-    return tuple(sorted(found, key=lambda capture: capture.device))
+    return tuple(Capture(card, *one) for one in devices_of(card, "c"))
 
 
 def find_capture(name: str, root: Path = PROC) -> Capture:

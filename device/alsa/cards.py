@@ -80,12 +80,16 @@ def all_cards(root: Path = PROC) -> tuple[Card, ...]:
 
 def playbacks(card: Card) -> tuple[Playback, ...]:
     """The devices of a card that play, by their number. Any thread."""
-    found = []
-    for folder in card.folder.glob("pcm*p"):
-        digits = folder.name[3:-1]
-        if digits.isdecimal():
-            found.append(Playback(card, int(digits), fields_of(folder / "info").get("name", "")))
-    return tuple(sorted(found, key=lambda playback: playback.device))
+    return tuple(Playback(card, *one) for one in devices_of(card, "p"))
+
+
+def devices_of(card: Card, way: str) -> list[tuple[int, str]]:
+    """(number, name) of a card's devices, in order; way: "p" of those that play, "c" record."""
+    return sorted(
+        (int(folder.name[3:-1]), fields_of(folder / "info").get("name", ""))
+        for folder in card.folder.glob(f"pcm*{way}")
+        if folder.name[3:-1].isdecimal()
+    )
 
 
 def find_card(name: str, root: Path = PROC) -> Card:

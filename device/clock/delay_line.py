@@ -16,7 +16,7 @@ from device.clock.stream_timing import StreamTiming
 from device.clock.target import TargetDelay
 from device.clock.timing import ClockReading
 from device.errors import InternalError, UsageError
-from device.units import Float32Array, FloatArray
+from device.units import Float32Array, FloatArray, check_channels
 
 RESYNC_FRAMES = 256
 ASTRAY_S = 0.1
@@ -190,7 +190,7 @@ class DelayLine:
         but the last, in order. The array belongs to the caller again when this returns. Called by
         one thread at a time.
         """
-        self._check(frames)
+        check_channels(frames, self.channels)
         if len(frames):
             self._arrivals.store(frames, float(now_s), earlier)
 
@@ -213,7 +213,7 @@ class DelayLine:
         many were filled: of these some may not be there any more, after a jump. Called by the
         output's thread.
         """
-        self._check(out)
+        check_channels(out, self.channels)
         frames = len(out)
         if not frames:
             return 0
@@ -333,12 +333,6 @@ class DelayLine:
             self._head.join()
         self._state = state
         self._delay_s = 0.0
-
-    def _check(self, block: FloatArray | Float32Array) -> None:
-        if block.ndim != 2 or block.shape[1] != self.channels:
-            raise InternalError(
-                f"a block has shape {block.shape}: (frames, {self.channels}) was expected"
-            )
 
     def _picture(self) -> tuple[float, float, float, int, int, int, DelayState, bool]:
         return (

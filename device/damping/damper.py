@@ -5,7 +5,7 @@ from scipy.signal import sosfilt
 
 from device.damping.design import Damping
 from device.errors import InternalError, UsageError
-from device.units import Block, Float32Array, FloatArray, finite_or_zero
+from device.units import Block, Float32Array, FloatArray, check_channels, finite_or_zero
 
 _ABSURD = 1e30
 _SILENT = 1e-30
@@ -61,10 +61,7 @@ class Damper:
         The state is float64, and no byte depends on how the stream is cut into blocks. What comes
         out is finite.
         """
-        if block.ndim != 2 or block.shape[1] != self.channels:
-            raise InternalError(
-                f"a block has shape {block.shape}: (frames, {self.channels}) was expected"
-            )
+        check_channels(block, self.channels)
         start = 0
         while start < len(block):
             stop = min(start + self._frames_to_check, len(block))

@@ -10,7 +10,7 @@ from device.exposure.weighting import wk_sections
 from device.rig import Rig
 from device.rig.actuator import LinearActuator
 from device.rig.seat import SeatMotion
-from device.units import Block, FloatArray, finite_or_zero
+from device.units import Block, FloatArray, check_channels, finite_or_zero
 
 _LOWEST_HZ = 6_000
 """Rate at which the actuator and Wk are computed at least: the straight lines between samples
@@ -89,10 +89,7 @@ class ExposureMeter:
         Any number of frames; nothing depends on how the stream is cut into blocks. Samples that
         are not finite, or beyond a million times full scale, count as 0.
         """
-        if block.ndim != 2 or block.shape[1] != self.channels:
-            raise InternalError(
-                f"a block has shape {block.shape}: (frames, {self.channels}) was expected"
-            )
+        check_channels(block, self.channels)
         start = 0
         while start < len(block):
             count = min(len(self._part) - self._filled, len(block) - start)

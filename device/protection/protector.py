@@ -13,7 +13,7 @@ from device.protection.prediction import Prediction, most_current_a
 from device.protection.status import ProtectionStatus
 from device.protection.thermal import CoilTemperature, gain_for_power
 from device.rig import ActuatorParameters, Rig
-from device.units import Block, FloatArray, finite_or_zero
+from device.units import Block, FloatArray, check_channels, finite_or_zero
 
 BLOCK_S = 0.002
 BLOCKS_AHEAD = 2
@@ -154,10 +154,7 @@ class Protector:
         Any number of frames; no byte depends on how the stream is cut into blocks. What leaves is
         finite. Samples that are not count as 0, as do those beyond a million times full scale.
         """
-        if block.ndim != 2 or block.shape[1] != self.channels:
-            raise InternalError(
-                f"a block has shape {block.shape}: (frames, {self.channels}) was expected"
-            )
+        check_channels(block, self.channels)
         start = 0
         while start < len(block):
             count = min(self._frames - self._filled, len(block) - start)

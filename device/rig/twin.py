@@ -10,7 +10,7 @@ from device.rig.dac import Dac
 from device.rig.instruments import AccelerometerChain
 from device.rig.ladder import Ladder
 from device.rig.rig import Rig
-from device.units import Float32Array, FloatArray
+from device.units import Float32Array, FloatArray, check_channels
 
 
 class Twin:
@@ -109,10 +109,7 @@ class Twin:
         """Move the actuators by one block of (frames, channels), full scale ±1.0."""
         if self._closed:
             raise InternalError("the twin is closed: nothing can be written to it")
-        if vibration.ndim != 2 or vibration.shape[1] != self._channels:
-            raise InternalError(
-                f"a block has shape {vibration.shape}: (frames, {self._channels}) was expected"
-            )
+        check_channels(vibration, self._channels)
         # Channels as rows: each actuator then reads and writes one stretch of memory.
         volts = np.ascontiguousarray(self._amplifier.drive(self._dac.volts(vibration)).T)
         acceleration = np.empty(volts.shape)
