@@ -1,4 +1,4 @@
-"""The compiled part of `blocks.py` and `clock/interpolator.py`, which are the way to use it."""
+"""The compiled part of `blocks.py`, `clock/interpolator.py` and `rig/actuator.py`; ask those."""
 
 from device.units import Float32Array, FloatArray
 
@@ -23,4 +23,23 @@ def cubic(ring: Float32Array, out: Float32Array, row: int, fraction: float, step
 
     Raises BufferError, TypeError or ValueError where an array is not contiguous float32 (frames,
     channels), or a number does not fit.
+    """
+
+def linear_motion(
+    volts: FloatArray,
+    poles: FloatArray,
+    state: FloatArray,
+    taps: FloatArray,
+    moved: FloatArray,
+    start: int,
+    stop: int,
+    limit: float,
+) -> int:
+    """Fill moved[:, start:stop], (quantities, frames), from volts[start:stop], as `LinearActuator`
+    does with the sections `poles` (2, 6) and the `taps` (quantities, 4) of each quantity; return
+    how many volts were beyond the limit or no numbers, and counted as 0.
+
+    state, (8,), goes on: two numbers for each section, then the last four that came through both.
+    Raises BufferError, TypeError, ValueError or OverflowError where an array is not contiguous
+    float64 of its shape, or a number does not fit.
     """

@@ -12,6 +12,8 @@ from hypothesis.extra import numpy as arrays
 
 from device import blocks
 from device.clock.interpolator import CubicReader
+from device.rig import PAPER
+from device.rig.actuator import LinearActuator
 from device.units import Float32Array, FloatArray
 
 needs_compiled = pytest.mark.skipif(
@@ -162,3 +164,71 @@ def test_what_cannot_be_taken_is_refused(array: object) -> None:
     assert blocks.compiled is not None
     with pytest.raises((TypeError, ValueError, BufferError)):
         blocks.compiled.emptied(array)
+
+
+VOLTS = st.floats(-30.0, 30.0) | st.sampled_from([0.0, -0.0, 5e-324, 1e101, math.nan, -math.inf])
+
+
+@needs_compiled
+@given(arrays.arrays(np.float64, st.integers(0, 1_300), elements=VOLTS), st.integers(1, 1_300))
+def test_the_linear_rung_moves_the_same_compiled_and_in_numpy(
+    volts: FloatArray, blocksize: int
+) -> None:
+    moved, twin = (LinearActuator(PAPER.actuator, 48_000) for _ in range(2))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(blocks, "compiled", None)
+        expected = twin.move(volts)
+    for first in range(0, max(1, volts.size), blocksize):
+        part = slice(first, first + blocksize)
+        motion = moved.move(volts[part])
+        for name in ("displacement_m", "velocity_m_s", "current_a", "acceleration_m_s2"):
+            # The same sums in the same order; a compiler may round a product once less often.
+            np.testing.assert_allclose(
+                getattr(motion, name), getattr(expected, name)[part], rtol=1e-12, atol=1e-18
+            )
+    assert moved.replaced_samples == twin.replaced_samples
+    assert moved.displacement_m == pytest.approx(twin.displacement_m, rel=1e-12, abs=1e-18)
+
+
+@needs_compiled
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"volts": np.zeros(8, np.float32)},
+        {"volts": np.zeros((8, 1))},
+        {"volts": np.zeros(16)[::2]},
+        {"poles": np.zeros((2, 5))},
+        {"poles": np.zeros((3, 6))},
+        {"state": np.zeros(7)},
+        {"state": np.frombuffer(bytes(64))},
+        {"taps": np.zeros((1, 3))},
+        {"taps": np.zeros((2, 4))},
+        {"moved": np.zeros((1, 7))},
+        {"moved": np.zeros(8)},
+        {"start": 5, "stop": 4},
+        {"stop": 9},
+        {"start": -1},
+        {"limit": "high"},
+    ],
+)
+def test_what_is_no_motion_is_refused_and_nothing_is_moved(change: dict[str, object]) -> None:
+    assert blocks.compiled is not None
+    state, moved = np.zeros(8), np.zeros((1, 8))
+    fitting: dict[str, object] = {
+        "volts": np.ones(8),
+        "poles": np.ones((2, 6)),
+        "state": state,
+        "taps": np.ones((1, 4)),
+        "moved": moved,
+        "start": 0,
+        "stop": 8,
+        "limit": 1e100,
+    }
+    with pytest.raises((TypeError, ValueError, BufferError, OverflowError)):
+        blocks.compiled.linear_motion(*(fitting | change).values())
+    with pytest.raises(TypeError):
+        blocks.compiled.linear_motion(*list(fitting.values())[:7])
+    assert not state.any()
+    assert not moved.any()
+    assert blocks.compiled.linear_motion(*fitting.values()) == 0
+    assert moved.any()

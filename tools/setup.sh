@@ -306,7 +306,7 @@ kernel_loads() {
 import sys
 sys.path += ['$transform', 'device']
 import _blocks, _kernel
-_kernel.LiveKernel, _blocks.cubic, _blocks.emptied" 2>"$scratch/load-errors"
+_kernel.LiveKernel, _blocks.linear_motion" 2>"$scratch/load-errors"
 }
 
 # Prints why .venv cannot be kept; nothing where it can.

@@ -1,16 +1,13 @@
 /* What is done to every block of frames, compiled: `_blocks`; blocks.py and interpolator.py say the
  * same in NumPy. */
 
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
+#include "blocks.h"
 
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
 
-/* Open a contiguous array of one of the types; 0 and an exception where it is another. */
-static int opened(PyObject *array, const char *name, const char *types, int writable,
-                  Py_buffer *view)
+int opened(PyObject *array, const char *name, const char *types, int writable, Py_buffer *view)
 {
     const int flags = PyBUF_FORMAT | PyBUF_ND | (writable ? PyBUF_WRITABLE : 0);
     if (PyObject_GetBuffer(array, view, flags) < 0)
@@ -156,6 +153,7 @@ static PyMethodDef METHODS[] = {
     {"peak", peak, METH_O, peak_doc},
     {"emptied", emptied, METH_O, emptied_doc},
     {"cubic", (PyCFunction)(void (*)(void))cubic, METH_FASTCALL, cubic_doc},
+    {"linear_motion", (PyCFunction)(void (*)(void))linear_motion, METH_FASTCALL, linear_motion_doc},
     {NULL, NULL, 0, NULL},
 };
 

@@ -1,0 +1,15 @@
+/* Parts of `_blocks`, by the file that each is in. */
+
+#ifndef DEVICE_BLOCKS_H
+#define DEVICE_BLOCKS_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+/* Open a contiguous array of one of the types; 0 and an exception where it is another. */
+int opened(PyObject *array, const char *name, const char *types, int writable, Py_buffer *view);
+
+extern const char linear_motion_doc[];
+PyObject *linear_motion(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+
+#endif

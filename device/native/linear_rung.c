@@ -1,0 +1,130 @@
+/* The linear rung of the actuator, compiled; rig/actuator.py says the same with SciPy's sosfilt and
+ * NumPy, in the same order, so with the same roundings. */
+
+#include "blocks.h"
+
+#include <math.h>
+#include <string.h>
+
+#define TAPS 4
+#define SECTIONS 2
+#define COEFFICIENTS 6
+#define STATE (2 * SECTIONS + TAPS)
+#define TOGETHER 512
+
+/* The voltage through the poles: two second-order sections without zeros, each transposed. */
+static size_t pass_poles(const double *restrict volts, size_t frames, double limit,
+                         const double *poles, double *restrict state, double *restrict filtered)
+{
+    const double gain = poles[0], a1 = poles[4], a2 = poles[5];
+    const double next_gain = poles[COEFFICIENTS], next_a1 = poles[COEFFICIENTS + 4],
+                 next_a2 = poles[COEFFICIENTS + 5];
+    double near = state[0], far = state[1], next_near = state[2], next_far = state[3];
+    size_t replaced = 0;
+    for (size_t frame = 0; frame < frames; frame++) {
+        double drive = volts[frame];
+        if (!(fabs(drive) <= limit)) {
+            drive = 0.0;
+            replaced++;
+        }
+        const double middle = gain * drive + near;
+        near = -a1 * middle + far;
+        far = -a2 * middle;
+        const double after = next_gain * middle + next_near;
+        next_near = -next_a1 * after + next_far;
+        next_far = -next_a2 * after;
+        filtered[frame] = after;
+    }
+    state[0] = near;
+    state[1] = far;
+    state[2] = next_near;
+    state[3] = next_far;
+    return replaced;
+}
+
+/* One quantity from what came through the poles, three frames of before and these. */
+static void weighed(const double *restrict recent, size_t frames, const double *taps,
+                    double *restrict moved)
+{
+    const double newest = taps[0], one = taps[1], two = taps[2], oldest = taps[3];
+    for (size_t frame = 0; frame < frames; frame++)
+        moved[frame] = oldest * recent[frame] + two * recent[frame + 1] + one * recent[frame + 2] +
+                       newest * recent[frame + 3];
+}
+
+const char linear_motion_doc[] =
+    "Move the linear actuator by one part of its volts; see _blocks.pyi.";
+
+enum { VOLTS, POLES, KEPT, WEIGHTS, MOVED, ARRAYS };
+static const char *const NAMES[ARRAYS] = {"volts", "poles", "state", "taps", "moved"};
+#define ARGUMENTS (ARRAYS + 3)
+
+static const char *misfit_of(const Py_buffer *views, size_t start, size_t stop)
+{
+    if (views[VOLTS].ndim != 1 || start > stop || stop > (size_t)views[VOLTS].shape[0])
+        return "start, stop: no part of the volts, (frames,)";
+    if (views[POLES].ndim != 2 || views[POLES].shape[0] != SECTIONS ||
+        views[POLES].shape[1] != COEFFICIENTS)
+        return "poles: not (2, 6)";
+    if (views[KEPT].ndim != 1 || views[KEPT].shape[0] != STATE)
+        return "state: not (8,)";
+    if (views[WEIGHTS].ndim != 2 || views[WEIGHTS].shape[1] != TAPS)
+        return "taps: not (quantities, 4)";
+    if (views[MOVED].ndim != 2 || views[MOVED].shape[0] != views[WEIGHTS].shape[0] ||
+        views[MOVED].shape[1] != views[VOLTS].shape[0])
+        return "moved: not (quantities, frames)";
+    return NULL;
+}
+
+static size_t move(const Py_buffer *views, size_t start, size_t stop, double limit)
+{
+    double *state = views[KEPT].buf, *last = state + 2 * SECTIONS;
+    const double *volts = views[VOLTS].buf, *taps = views[WEIGHTS].buf;
+    const size_t quantities = (size_t)views[WEIGHTS].shape[0], all = (size_t)views[VOLTS].shape[0];
+    double filtered[TAPS + TOGETHER], *moved = views[MOVED].buf;
+    size_t replaced = 0;
+    while (start < stop) {
+        const size_t left = stop - start, frames = left < TOGETHER ? left : TOGETHER;
+        memcpy(filtered, last, TAPS * sizeof(double));
+        replaced += pass_poles(volts + start, frames, limit, views[POLES].buf, state,
+                               filtered + TAPS);
+        for (size_t one = 0; one < quantities; one++)
+            weighed(filtered + 1, frames, taps + one * TAPS, moved + one * all + start);
+        memcpy(last, filtered + frames, TAPS * sizeof(double));
+        start += frames;
+    }
+    return replaced;
+}
+
+PyObject *linear_motion(PyObject *Py_UNUSED(module), PyObject *const *arguments, Py_ssize_t count)
+{
+    if (count != ARGUMENTS) {
+        PyErr_SetString(PyExc_TypeError, "linear_motion: takes volts, poles, state, taps, moved, "
+                                         "start, stop and limit");
+        return NULL;
+    }
+    const size_t start = PyLong_AsSize_t(arguments[ARRAYS]);
+    const size_t stop = PyErr_Occurred() ? 0 : PyLong_AsSize_t(arguments[ARRAYS + 1]);
+    const double limit = PyErr_Occurred() ? 0.0 : PyFloat_AsDouble(arguments[ARRAYS + 2]);
+    if (PyErr_Occurred())
+        return NULL;
+    Py_buffer views[ARRAYS];
+    int open = 0;
+    while (open < ARRAYS) {
+        const int writable = open == KEPT || open == MOVED;
+        if (!opened(arguments[open], NAMES[open], "d", writable, &views[open]))
+            break;
+        open++;
+    }
+    PyObject *replaced = NULL;
+    if (open == ARRAYS) {
+        const char *misfit = misfit_of(views, start, stop);
+        if (misfit)
+            PyErr_SetString(PyExc_ValueError, misfit);
+        else
+            replaced = PyLong_FromSize_t(move(views, start, stop, limit));
+    }
+    while (open)
+        PyBuffer_Release(&views[--open]);
+    return replaced;
+}
