@@ -10,7 +10,7 @@ from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.haptic import Implementation
 
 RATE = 48_000
-HOP = 816
+HOP = 864
 
 
 def sound(seconds: float = 1.0, seed: int = 0) -> FloatArray:

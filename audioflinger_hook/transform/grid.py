@@ -7,10 +7,14 @@ from dataclasses import dataclass
 from audioflinger_hook.transform.parameters import TransformParameters
 
 LOW_RATE_HZ = 3_000.0
-"""Rate at which oscillators run: over six times the highest vibration frequency allowed."""
+"""Rate at which oscillators run, or a little more: over six times the highest vibration frequency
+allowed."""
 
-HOPS_A_WINDOW = 2.75
-"""The hop is about 17 ms: a shorter one lags less and costs more."""
+HOPS_A_WINDOW = 2.55
+"""The hop is about 18 ms: onsets do not wait for it, and a shorter one costs more."""
+
+TICK_S = 0.002
+"""Onsets are looked for so often, and vibration is computed so far ahead."""
 
 
 @dataclass(frozen=True)
@@ -18,21 +22,34 @@ class LiveGrid:
     """How the live form divides time at one samplerate.
 
     Everything is a whole number of frames, so that no split of the input can shift it:
-    `decimation` frames are one step of the low rate, `steps` of those are one hop.
+    `decimation` frames are one step of the low rate, `tick_steps` of those one tick, `ticks` of
+    these one hop.
     """
 
     samplerate: int
     window_frames: int
     decimation: int
-    steps: int
+    tick_steps: int
+    ticks: int
 
     @classmethod
     def at(cls, parameters: TransformParameters, samplerate: int) -> LiveGrid:
         """Return the grid for a samplerate in Hz."""
         window_frames = parameters.window_frames(samplerate)
-        decimation = max(1, round(samplerate / LOW_RATE_HZ))
-        steps = max(2, round(window_frames / (HOPS_A_WINDOW * decimation)))
-        return cls(samplerate, window_frames, decimation, steps)
+        decimation = max(1, int(samplerate / LOW_RATE_HZ))
+        tick_steps = max(2, round(TICK_S * samplerate / decimation))
+        ticks = max(1, round(window_frames / (HOPS_A_WINDOW * decimation * tick_steps)))
+        return cls(samplerate, window_frames, decimation, tick_steps, ticks)
+
+    @property
+    def steps(self) -> int:
+        """Steps of the low rate in one hop."""
+        return self.tick_steps * self.ticks
+
+    @property
+    def tick_frames(self) -> int:
+        """Frames from one look for onsets to the next."""
+        return self.decimation * self.tick_steps
 
     @property
     def hop_frames(self) -> int:

@@ -26,6 +26,7 @@ class Stream(Protocol):
     """One stream of either form, in NumPy or compiled."""
 
     latency_frames: int
+    tonal_latency_frames: int
 
     @property
     def delivered_frames(self) -> int:
@@ -111,12 +112,20 @@ class HapticTransform:
 
     @property
     def latency_frames(self) -> int:
-        """Frames by which the vibration comes after its sound; exact and constant."""
+        """Frames by which vibration comes after its sound, that of an onset; exact and constant.
+
+        To be taken out or waited for: one sees and hears when something begins.
+        """
         return self._stream.latency_frames
 
     @property
+    def tonal_latency_frames(self) -> int:
+        """Frames by which the level of what lasts follows, and its end; no less, and constant."""
+        return self._stream.tonal_latency_frames
+
+    @property
     def latency_s(self) -> float:
-        """The same in seconds."""
+        """`latency_frames` in seconds."""
         return self.latency_frames / self.samplerate
 
     @property

@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.transform import limiter, oscillators, partials
+from audioflinger_hook.transform import fresh, limiter, onsets, oscillators, partials
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.intake import MAGNITUDE_MAX, fitting
 from audioflinger_hook.transform.live import LiveTransform
 from audioflinger_hook.transform.smoothing import TABLE_STEP_HZ
+
+_MadeOf = tuple[dict[str, Any], int, bool, tuple[int, int]]
 
 _kernel: ModuleType | None
 try:
@@ -53,23 +55,24 @@ class KernelStream:
     """
 
     def __init__(self, form: LiveTransform, channels: int, each: bool) -> None:
-        self._begin(settings_of(form), channels, each, form.latency_frames)
+        latencies = form.latency_frames, form.tonal_latency_frames
+        self._begin(settings_of(form), channels, each, latencies)
 
     def _begin(
-        self, settings: dict[str, Any], channels: int, each: bool, latency_frames: int
+        self, settings: dict[str, Any], channels: int, each: bool, latencies: tuple[int, int]
     ) -> None:
         if _kernel is None:
             raise RuntimeError(kernel_warning())
         self._kernel = _kernel.LiveKernel(settings, channels, each)
-        self._made_of = (settings, channels, each, latency_frames)
+        self._made_of = (settings, channels, each, latencies)
         self._channels = channels
         self._channels_out = channels if each else 1
-        self.latency_frames = latency_frames
+        self.latency_frames, self.tonal_latency_frames = latencies
 
-    def __getstate__(self) -> tuple[tuple[dict[str, Any], int, bool, int], bytes]:
+    def __getstate__(self) -> tuple[_MadeOf, bytes]:
         return self._made_of, self._kernel.state
 
-    def __setstate__(self, state: tuple[tuple[dict[str, Any], int, bool, int], bytes]) -> None:
+    def __setstate__(self, state: tuple[_MadeOf, bytes]) -> None:
         made_of, numbers = state
         self._begin(*made_of)
         self._kernel.state = numbers
@@ -123,7 +126,42 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
     """Return all numbers and tables by which a live form works, as the kernel names them."""
     grid, spectrum, analysis = form._grid, form._spectrum, form._analysis
     parameters, bank, smoother = form._parameters, form._bank, form._smoother
+    detector, tick_bank = form._detector, form._tick_bank
     return {
+        "ticks": grid.ticks,
+        "tick_steps": grid.tick_steps,
+        "tick_frames": grid.tick_frames,
+        "find_onsets": int(form._onsets),
+        "short_frames": detector.window_frames,
+        "short_length": detector.fft_length,
+        "short_bins": detector.bins,
+        "short_ticks": detector.window_ticks,
+        "newest_frames": detector._half,
+        "back_ticks": onsets.BACK_TICKS,
+        "rest_ticks": onsets.REST_TICKS,
+        "heard_ticks": onsets.HEARD_TICKS,
+        "fresh_max": onsets.GROUPS,
+        "hold_hops": form._tracker._hold_hops,
+        "tick_s": form._fresh._tick_s,
+        "short_scale": detector._scale,
+        "quietest": detector.quietest,
+        "fading": detector._fading,
+        "forgotten": onsets.FORGOTTEN,
+        "rise": onsets.RISE,
+        "minor": onsets.MINOR,
+        "risen_share": onsets.RISEN_SHARE,
+        "apart_from": onsets.APART_FROM,
+        "worth": fresh.WORTH,
+        "birth_phase": fresh.BIRTH_PHASE,
+        "fresh_reach": partials.FRESH_REACH,
+        "worth_holding": partials.WORTH_HOLDING,
+        "tick_glide": tick_bank._glide,
+        "tick_glide_s": tick_bank._turn_glide / (2.0 * np.pi),
+        "short_window": detector._window,
+        "short_hz": detector.bin_hz,
+        "band_edges": np.array(detector.edges, dtype=np.float64),
+        "one_tone": np.array(onsets.ONE_TONE),
+        "rise_shares": np.array(fresh.RISE),
         "window_frames": grid.window_frames,
         "hop_frames": grid.hop_frames,
         "decimation": grid.decimation,

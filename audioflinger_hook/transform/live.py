@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from audioflinger_hook.transform.analysis import LiveAnalysis
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.arrays import FloatArray, IntArray
 from audioflinger_hook.transform.bandpass import BandPass
+from audioflinger_hook.transform.fresh import FreshPartials
 from audioflinger_hook.transform.grid import LiveGrid
-from audioflinger_hook.transform.limiter import below_full_scale, limited_amplitudes
+from audioflinger_hook.transform.limiter import CEILING, below_full_scale, limited_amplitudes
+from audioflinger_hook.transform.onsets import GROUPS, OnsetDetector, Ticks
 from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.partials import Glides, PartialTracker
@@ -18,8 +20,8 @@ from audioflinger_hook.transform.smoothing import Smoother
 from audioflinger_hook.transform.spectrum import Spectrum
 from audioflinger_hook.transform.windows import strided_windows
 
-HOPS_AT_ONCE = 32
-"""Hops analysed in one batch: bounds the memory of a block of any length."""
+TICKS_AT_ONCE = 256
+"""Ticks computed in one batch: bounds the memory of a block of any length."""
 
 BAND_MARGIN_HZ = 1_000.0
 """Bins this far over the band's top are kept for the half-power walk of its last peaks."""
@@ -31,6 +33,15 @@ RING_OUT_CYCLES = 92.0
 LATENCY_AT_HZ = 60.0
 """Vibration frequency whose delay is declared: 78 to 95 % of the energy lies at 20 to 80 Hz."""
 
+TINY = float(np.finfo(np.float64).tiny)
+
+BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
+
+_Found = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Of one window's principal frequencies: Hz of audio, Hz of vibration, r, the low-pass's gain."""
+
+NOTHING: _Found = (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+
 
 class LiveTransform:
     """The live form of one channel, continued from block to block.
@@ -40,7 +51,9 @@ class LiveTransform:
     late by `latency_frames`. Held by one thread at a time.
     """
 
-    def __init__(self, parameters: TransformParameters, samplerate: int) -> None:
+    def __init__(
+        self, parameters: TransformParameters, samplerate: int, *, onsets: bool = True
+    ) -> None:
         self._parameters = parameters
         self._grid = LiveGrid.at(parameters, samplerate)
         self._spectrum = Spectrum(parameters, samplerate)
@@ -50,19 +63,27 @@ class LiveTransform:
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         self._silence = parameters.threshold_hz / samplerate
         self._bandpass = BandPass(parameters, samplerate)
-        self._tracker = PartialTracker(
-            parameters.partials_max, self._grid.hop_s, parameters.scale_hz, parameters.window_s
-        )
+        self._tracker = PartialTracker(parameters, GROUPS, self._grid.hop_s)
         self._bank = OscillatorBank(self._grid.steps, self._grid.hop_s)
         self._smoother = Smoother(self._grid, parameters.vibration_top_hz)
+        tick_s = self._grid.tick_frames / samplerate
+        self._onsets = onsets
+        self._detector = OnsetDetector(parameters, self._grid)
+        self._fresh = FreshPartials(self._detector, self._smoother, tick_s, CEILING)
+        self._tick_bank = OscillatorBank(self._grid.tick_steps, tick_s, attack=1.0)
         self._ring_hops = int(
             np.ceil(RING_OUT_CYCLES / parameters.vibration_top_hz / self._grid.hop_s)
         )
+        smoothing_frames = self._smoother.delay_s(LATENCY_AT_HZ) * samplerate
         # An amplitude measured is that of the window's centre.
-        self.latency_frames = round(
+        self.tonal_latency_frames = round(
             self._grid.window_frames / 2
             + self._bank.delay_hops * self._grid.hop_frames
-            + self._smoother.delay_s(LATENCY_AT_HZ) * samplerate
+            + smoothing_frames
+        )
+        onset_frames = (1.0 + self._fresh.delay_ticks) * self._grid.tick_frames
+        self.latency_frames = (
+            round(onset_frames + smoothing_frames) if onsets else self.tonal_latency_frames
         )
         self.limited_frames = 0
         self.onset_after_frames = self._grid.window_frames
@@ -71,15 +92,19 @@ class LiveTransform:
     def reset(self) -> None:
         """Return to the state of a new stream."""
         grid = self._grid
-        self._pending = np.zeros(grid.hop_frames)
+        self._pending = np.zeros(grid.tick_frames)
         self._pending_frames = 0
-        self._ready = np.zeros(grid.hop_frames)
-        self._past = np.zeros(grid.window_frames - 1)
+        self._ready = np.zeros(grid.tick_frames)
+        self._past = np.zeros(max(grid.window_frames, self._detector.window_frames) - 1)
         self._past_peaks = np.zeros(grid.hops_in_window - 1)
-        self._peak_before = 0.0
+        self._hop_peak = 0.0
+        self._tick = 0
+        self._hop = np.zeros((grid.ticks, grid.tick_steps))
         self._ringing = 0
         self._bandpass.reset()
+        self._detector.reset()
         self._tracker.reset()
+        self._fresh.reset()
         self._smoother.reset()
 
     @property
@@ -89,36 +114,37 @@ class LiveTransform:
 
     def begin_hop(self) -> None:
         """Let the next frame be the first of a hop; while it is asleep only."""
-        if not self._pending_frames:
-            return
-        # What came of the hop under way is silence, but the band-pass may still ring.
-        filtered = self._bandpass.process(self._pending[: self._pending_frames])
-        joined = np.concatenate((self._past, filtered))
-        self._past = joined[joined.size - self._past.size :]
-        self._peak_before = float(np.abs(filtered).max())
-        self._pending_frames = 0
-        self._ready = np.zeros(self._grid.hop_frames)
+        if self._pending_frames:
+            # What came of the tick under way is silence, but the band-pass may still ring.
+            filtered = self._bandpass.process(self._pending[: self._pending_frames])
+            joined = np.concatenate((self._past, filtered))
+            self._past = joined[joined.size - self._past.size :]
+            self._hop_peak = max(self._hop_peak, float(np.abs(filtered).max()))
+            self._pending_frames = 0
+            self._ready = np.zeros(self._grid.tick_frames)
+        self._tick = 0
+        self._detector.reset()
 
     def process(self, mono: FloatArray) -> FloatArray:
         """Return the next (frames,) of vibration, `latency_frames` behind the sound."""
         filled = self._pending_frames + mono.size
-        if filled < self._grid.hop_frames:
+        if filled < self._grid.tick_frames:
             self._pending[self._pending_frames : filled] = mono
             self._pending_frames = filled
         else:
-            self._ready = np.concatenate((self._ready, *self._hops_due(mono)))
+            self._ready = np.concatenate((self._ready, *self._ticks_due(mono)))
         ready = self._ready
         self._ready = ready[mono.size :]
         return ready[: mono.size]
 
-    def _hops_due(self, mono: FloatArray) -> list[FloatArray]:
-        """Return the vibration of the hops that these frames complete, and keep what is over."""
-        hop = self._grid.hop_frames
+    def _ticks_due(self, mono: FloatArray) -> list[FloatArray]:
+        """Return the vibration of the ticks that these frames complete, and keep what is over."""
+        tick = self._grid.tick_frames
         pending = np.concatenate((self._pending[: self._pending_frames], mono))
-        whole = pending.size - pending.size % hop
+        whole = pending.size - pending.size % tick
         self._pending_frames = pending.size - whole
         self._pending[: self._pending_frames] = pending[whole:]
-        most = HOPS_AT_ONCE * hop
+        most = TICKS_AT_ONCE * tick
         return [
             self._advance(pending[first : min(whole, first + most)])
             for first in range(0, whole, most)
@@ -135,80 +161,137 @@ class LiveTransform:
         return self._analysis.all_principal(self._spectrum.transform(windows))
 
     def _advance(self, sound: FloatArray) -> FloatArray:
-        """Return the vibration of whole hops: (hops x hop_frames,) in and out."""
+        """Return the vibration of whole ticks: (ticks x tick_frames,) in and out."""
         grid = self._grid
-        hops = sound.size // grid.hop_frames
+        ticks = sound.size // grid.tick_frames
         filtered = self._bandpass.process(sound)
         joined = np.concatenate((self._past, filtered))
         self._past = joined[joined.size - self._past.size :]
-        windows = strided_windows(
-            joined[grid.hop_frames - 1 :], grid.window_frames, grid.hop_frames
-        )
-        heard = (self._loudest(filtered, hops) >= self._silence).nonzero()[0]
-        if not heard.size and self._tracker.idle and not self._ringing:
+        peaks = np.abs(filtered).reshape(ticks, -1).max(axis=1)
+        # Ticks with which a hop is full.
+        full = np.arange(grid.ticks - 1 - self._tick, ticks, grid.ticks)
+        heard = self._heard(peaks, full)
+        seen = self._seen(joined, filtered, ticks) if self._onsets else Ticks.silent(ticks)
+        if not heard.any() and not seen.bands.any() and self.asleep:
+            if self._onsets:
+                self._detector.rest(ticks)
+            self._tick = (self._tick + ticks) % grid.ticks
             return np.zeros(sound.size)
-        glides, awake = self._glide(windows, heard, hops)
-        return self._play(glides, awake)
+        found = self._found(joined, full[heard])
+        return self._play(*self._glide(found, seen, full, heard, ticks))
 
-    def _loudest(self, filtered: FloatArray, hops: int) -> FloatArray:
-        """Return a bound on each window's magnitude: the peak of the hops that it touches."""
-        peaks = np.abs(filtered).reshape(hops, -1).max(axis=1)
-        peaks[0] = max(peaks[0], self._peak_before)
-        self._peak_before = 0.0
-        peaks = np.concatenate((self._past_peaks, peaks))
-        self._past_peaks = peaks[hops:]
-        bound: FloatArray = strided_windows(peaks, peaks.size - hops + 1, 1).max(axis=1)
-        return bound
+    def _heard(self, peaks: FloatArray, full: IntArray) -> BoolArray:
+        """Return of each full hop whether its window may hold anything principal."""
+        heard = np.zeros(full.size, dtype=bool)
+        first = 0
+        for hop, last in enumerate(full.tolist()):
+            loudest = max(self._hop_peak, float(peaks[first : last + 1].max()))
+            self._past_peaks = np.concatenate((self._past_peaks, [loudest]))
+            heard[hop] = self._past_peaks.max() >= self._silence
+            self._past_peaks = self._past_peaks[1:]
+            self._hop_peak = 0.0
+            first = last + 1
+        self._hop_peak = max(self._hop_peak, float(peaks[first:].max(initial=0.0)))
+        return heard
+
+    def _found(self, joined: FloatArray, full: IntArray) -> list[_Found]:
+        """Return what is principal in the windows that end with these ticks."""
+        if not full.size:
+            return []
+        grid = self._grid
+        window, past = grid.window_frames, self._past.size
+        windows = np.stack(
+            [
+                joined[past + (tick + 1) * grid.tick_frames - window :][:window]
+                for tick in full.tolist()
+            ]
+        )
+        found = self._analysis.strongest(self._spectrum.transform(windows))
+        edges = found.boundaries(full.size).tolist()
+        hz = vibration_hz(found.audio_hz, self._parameters)
+        gain = self._smoother.compensation(hz)
+        return [
+            (found.audio_hz[mine], hz[mine], found.r[mine], gain[mine])
+            for mine in map(slice, edges[:-1], edges[1:])
+        ]
+
+    def _seen(self, joined: FloatArray, filtered: FloatArray, ticks: int) -> Ticks:
+        """Return what the detector sees in each tick."""
+        grid = self._grid
+        length = self._detector.window_frames
+        first = self._past.size + grid.tick_frames - length
+        windows = strided_windows(joined[first:], length, grid.tick_frames)
+        return self._detector.see(windows, filtered.reshape(ticks, -1))
 
     def _glide(
-        self, windows: FloatArray, heard: np.ndarray[tuple[int], np.dtype[np.intp]], hops: int
-    ) -> tuple[Glides, list[bool]]:
-        """Return what the oscillators do in each hop, and whether anything still sounds."""
-        glides = Glides.silent(hops, self._tracker.slots)
-        found = None
-        if heard.size:
-            whole = heard.size == hops
-            spectra = self._spectrum.transform(windows if whole else windows[heard])
-            found = self._analysis.strongest(spectra)
-            edges = found.boundaries(heard.size).tolist()
-            hz = vibration_hz(found.audio_hz, self._parameters)
-            gain = self._smoother.compensation(hz)
-        awake = []
-        row = 0
-        for hop in range(hops):
-            mine = slice(0, 0)
-            if found is not None and row < heard.size and heard[row] == hop:
-                mine = slice(edges[row], edges[row + 1])
-                row += 1
-            if found is not None and mine.start < mine.stop:
-                r = found.r[mine]
-                amplitude, limited = limited_amplitudes(r * r / (r.sum() * self._full_scale_r))
-                if limited:
-                    self.limited_frames += self._grid.hop_frames
-                self._tracker.follow(
-                    glides, hop, found.audio_hz[mine], hz[mine], amplitude * gain[mine]
-                )
-                self._ringing = self._ring_hops
-            elif not self._tracker.idle:
-                self._tracker.fade(glides, hop)
-            elif self._ringing:
-                self._ringing -= 1
-            awake.append(self._ringing > 0)
-        return glides, awake
+        self, found: list[_Found], seen: Ticks, full: IntArray, heard: BoolArray, ticks: int
+    ) -> tuple[Glides, Glides, list[bool]]:
+        """Return what the oscillators do in each hop and the fresh ones in each tick.
 
-    def _play(self, glides: Glides, awake: list[bool]) -> FloatArray:
-        """Return the hops' vibration; what sleeps is exactly 0 and forgets its ringing."""
-        hop_frames = self._grid.hop_frames
-        vibration = np.zeros(len(awake) * hop_frames)
+        And of each tick, whether anything still sounds.
+        """
+        hops = Glides.silent(full.size, self._tracker.slots)
+        fresh = Glides.silent(ticks, self._fresh.slots)
+        awake = []
+        hop, row = 0, 0
+        for tick in range(ticks):
+            onset = self._onsets and self._detector.hear(seen, tick)
+            if hop < full.size and tick == full[hop]:
+                mine = None
+                if heard[hop]:
+                    mine = found[row]
+                    row += 1
+                self._end_hop(hops, hop, mine)
+                hop += 1
+            if onset:
+                self._fresh.bear(self._tracker)
+            if not self._fresh.idle:
+                self._ringing = self._ring_hops
+                self._fresh.play(fresh, tick, self._tracker)
+            awake.append(self._ringing > 0)
+        return hops, fresh, awake
+
+    def _end_hop(self, hops: Glides, hop: int, found: _Found | None) -> None:
+        self._fresh.hand_over(self._tracker)
+        audio_hz, hz, r, gain = found if found is not None else NOTHING
+        if r.size or self._tracker.holds:
+            amplitude, limited = limited_amplitudes(
+                r * r / (max(r.sum(), TINY) * self._full_scale_r)
+            )
+            if limited:
+                self.limited_frames += self._grid.hop_frames
+            room = max(0.0, CEILING - float(amplitude.sum()))
+            self._tracker.follow(
+                hops, hop, audio_hz, hz, amplitude * gain, room, self._fresh.still_heard
+            )
+            self._ringing = self._ring_hops
+        elif not self._tracker.idle:
+            self._tracker.fade(hops, hop)
+        elif self._ringing:
+            self._ringing -= 1
+
+    def _play(self, hops: Glides, fresh: Glides, awake: list[bool]) -> FloatArray:
+        """Return the ticks' vibration; what sleeps is exactly 0 and forgets its ringing."""
+        grid = self._grid
+        ticks = len(awake)
+        low_rate = self._tick_bank.render(fresh)
+        # The hop under way goes on until the first of these is full.
+        rows = self._hop[self._tick + 1 :]
+        if len(hops.start_hz):
+            rendered = self._bank.render(hops).reshape(-1, grid.tick_steps)
+            rows = np.concatenate((rows, rendered))
+            self._hop = rendered[-grid.ticks :]
+        low_rate += rows[:ticks]
+        self._tick = (self._tick + ticks) % grid.ticks
+        vibration = np.zeros(ticks * grid.tick_frames)
         first = 0
-        while first < len(awake):
+        while first < ticks:
             last = first + 1
-            while last < len(awake) and awake[last] == awake[first]:
+            while last < ticks and awake[last] == awake[first]:
                 last += 1
             if awake[first]:
-                low_rate = self._bank.render(glides.hops(first, last))
-                played, limited = below_full_scale(self._smoother.render(low_rate))
-                vibration[first * hop_frames : last * hop_frames] = played
+                played, limited = below_full_scale(self._smoother.render(low_rate[first:last]))
+                vibration[first * grid.tick_frames : last * grid.tick_frames] = played
                 self.limited_frames += limited
             else:
                 self._smoother.reset()

@@ -27,11 +27,11 @@ class OscillatorBank:
     delay_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
     """How late an amplitude follows its analysis: half a hop held, and half a glide on average."""
 
-    def __init__(self, steps: int, hop_s: float) -> None:
+    def __init__(self, steps: int, hop_s: float, attack: float = ATTACK_HOPS) -> None:
         time = np.arange(1, steps + 1) / steps
         self._steps = steps
         self._glide = 0.5 - 0.5 * np.cos(np.pi * time)
-        self._attack = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, time / ATTACK_HOPS))
+        self._attack = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, time / attack))
         turns = 2.0 * np.pi * hop_s
         self._turn = turns * time
         self._turn_glide = turns * (0.5 * time - np.sin(np.pi * time) / (2.0 * np.pi))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, IntArray
+from audioflinger_hook.transform.parameters import TransformParameters
 
 MATCH_HZ_A_WINDOW = 2.0
 """A partial may move by the window's main lobe's half-width, 2/T in audio Hz, in one hop ..."""
@@ -25,6 +27,25 @@ STEADY_RATIO = 0.03
 
 STEADY_GAIN = 0.15
 """Share of the smallest changes that is followed a hop."""
+
+FRESH_REACH = 2.0
+"""A partial that is held, of which little is known yet, is matched so much further away."""
+
+WORTH_HOLDING = 0.05
+"""Share of its amplitude under which a partial is not held any more."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """What keeps a partial that was born of an onset: its amplitude at least, while it is heard.
+
+    amplitude: in full scale, with what sounded near to it before. group: of bands, by which it is
+    heard. loudness: their power then.
+    """
+
+    amplitude: float
+    group: tuple[int, int]
+    loudness: float
 
 
 @dataclass(frozen=True)
@@ -60,14 +81,18 @@ class Glides:
 class PartialTracker:
     """Turns each hop's list of partials into glides of a fixed number of slots.
 
-    Two sets of `partials_max` slots always suffice: in any hop one set lives and another fades.
-    Held by one thread at a time.
+    Two sets of `partials_max` + `fresh_max` slots always suffice: in any hop one set lives and
+    another fades. Held by one thread at a time.
     """
 
-    def __init__(self, partials_max: int, hop_s: float, scale_hz: float, window_s: float) -> None:
-        self.slots = 2 * partials_max
+    def __init__(self, parameters: TransformParameters, fresh_max: int, hop_s: float) -> None:
+        window_s = parameters.window_s
+        self._most = parameters.partials_max + fresh_max
+        self.slots = 2 * self._most
+        self._hold_hops = max(1, round(window_s / hop_s))
+        self._low_hz, self._bottom_hz = parameters.band_low_hz, parameters.vibration_bottom_hz
         self._hop_s = hop_s
-        self._scale_hz = scale_hz
+        self._scale_hz = parameters.scale_hz
         self._match_audio_hz = MATCH_HZ_A_WINDOW / window_s
         self.reset()
 
@@ -77,6 +102,41 @@ class PartialTracker:
         self._amplitude = np.zeros(self.slots)
         self._phase = np.zeros(self.slots)
         self._alive = np.zeros(self.slots, dtype=bool)
+        self._start_sum = 0.0
+        self._held: dict[int, tuple[Held, int]] = {}
+
+    @property
+    def holds(self) -> bool:
+        """Whether a partial is held that no window has shown yet."""
+        return bool(self._held)
+
+    @property
+    def loudest_sum(self) -> float:
+        """The larger of both ends' sums of amplitudes, of the last hop that was written."""
+        return max(self._start_sum, float(self._amplitude.sum()))
+
+    def sounding_near(self, hz: float) -> float:
+        """Return the amplitudes near to a vibration frequency at the end of the hop."""
+        near = self._alive & (np.abs(self._hz - hz) < self.near_hz(hz))
+        return float(self._amplitude[near].sum())
+
+    def near_hz(self, hz: float) -> float:
+        """Return how far from a fresh partial its true frequency may be, in Hz of vibration."""
+        audio_hz = self._low_hz * np.exp((hz - self._bottom_hz) / self._scale_hz)
+        ratio = max(MATCH_RATIO, self._match_audio_hz / float(audio_hz))
+        return FRESH_REACH * self._scale_hz * ratio
+
+    def adopt(self, hz: float, phase: float, amplitude: float, held: Held) -> None:
+        """Take over a partial in the middle of its vibration, and hold it; at the end of a hop.
+
+        hz: of vibration; phase: in cycles. Where there is no room left it ends.
+        """
+        if int(self._alive.sum()) >= self._most:
+            return
+        slot = int((~self._alive).nonzero()[0][0])
+        self._hz[slot], self._phase[slot], self._amplitude[slot] = hz, phase, amplitude
+        self._alive[slot] = True
+        self._held[slot] = held, self._hold_hops
 
     @property
     def idle(self) -> bool:
@@ -84,11 +144,20 @@ class PartialTracker:
         return not self._alive.any()
 
     def follow(
-        self, glides: Glides, hop: int, audio_hz: FloatArray, hz: FloatArray, amplitude: FloatArray
+        self,
+        glides: Glides,
+        hop: int,
+        audio_hz: FloatArray,
+        hz: FloatArray,
+        amplitude: FloatArray,
+        room: float,
+        still_heard: Callable[[Held], float],
     ) -> None:
         """Write one hop of `glides`: on to the partials that stand at its end.
 
-        audio_hz, hz (of vibration), amplitude: (partials,), at least one, ascending in frequency.
+        audio_hz, hz (of vibration), amplitude: (partials,), ascending in frequency. room: what
+        partials that are held may add to the sum of amplitudes. still_heard: what those are to
+        have now.
         """
         slot, beside, gap_hz = self._match(audio_hz, hz)
         new = (slot < 0).nonzero()[0]
@@ -100,9 +169,7 @@ class PartialTracker:
             split = gap_hz.take(new) < SPLIT_HZ
             self._phase[free] = np.where(split, self._phase.take(beside.take(new)), 0.0)
             self._hz[free] = hz.take(new)
-        glides.start_hz[hop] = self._hz
-        glides.start_amplitude[hop] = self._amplitude
-        glides.start_phase[hop] = self._phase
+        self._begin_hop(glides, hop)
 
         before = self._hz.take(slot)
         change = hz - before
@@ -114,16 +181,39 @@ class PartialTracker:
         self._amplitude[slot] = level + change * _followed(change / (STEADY_RATIO * amplitude))
         self._alive[:] = False
         self._alive[slot] = True
+        self._hold(room, still_heard)
         self._finish_hop(glides, hop)
+
+    def _hold(self, room: float, still_heard: Callable[[Held], float]) -> None:
+        """Keep what is held at its amplitude, as far as there is room."""
+        lacking = {}
+        for slot, (held, hops) in sorted(self._held.items()):
+            wanted = still_heard(held)
+            full = not self._alive[slot] and int(self._alive.sum()) >= self._most
+            if full or hops < 1 or wanted < WORTH_HOLDING * held.amplitude:
+                del self._held[slot]
+                continue
+            self._held[slot] = held, hops - 1
+            self._alive[slot] = True
+            lacking[slot] = max(0.0, wanted - self.sounding_near(float(self._hz[slot])))
+        total = sum(lacking.values())
+        share = 1.0 if total <= room else room / total
+        for slot, lack in lacking.items():
+            self._amplitude[slot] += share * lack
 
     def fade(self, glides: Glides, hop: int) -> None:
         """Write one hop of `glides` in which every partial that sounds dies away."""
+        self._begin_hop(glides, hop)
+        self._amplitude[:] = 0.0
+        self._alive[:] = False
+        self._held.clear()
+        self._finish_hop(glides, hop)
+
+    def _begin_hop(self, glides: Glides, hop: int) -> None:
         glides.start_hz[hop] = self._hz
         glides.start_amplitude[hop] = self._amplitude
         glides.start_phase[hop] = self._phase
-        self._amplitude[:] = 0.0
-        self._alive[:] = False
-        self._finish_hop(glides, hop)
+        self._start_sum = float(self._amplitude.sum())
 
     def _finish_hop(self, glides: Glides, hop: int) -> None:
         glides.end_hz[hop] = self._hz
@@ -139,12 +229,16 @@ class PartialTracker:
         distance is in Hz of vibration; where no slot sounds it is infinite.
         """
         alive = self._alive.nonzero()[0]
+        if not hz.size:
+            return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros(0)
         if not alive.size:
             return np.full(hz.size, -1), np.zeros(hz.size, dtype=np.intp), np.full(hz.size, np.inf)
         distance = np.abs(hz[:, None] - self._hz.take(alive))
         nearest = distance.argmin(axis=1)
         gap_hz = distance.min(axis=1)
         reach_hz = self._scale_hz * np.maximum(MATCH_RATIO, self._match_audio_hz / audio_hz)
+        held = [slot in self._held for slot in alive.take(nearest)]
+        reach_hz = np.where(held, FRESH_REACH * reach_hz, reach_hz)
         mutual = distance.argmin(axis=0).take(nearest) == np.arange(hz.size)
         mutual &= gap_hz <= reach_hz
         beside = alive.take(nearest)

@@ -40,6 +40,7 @@ class ReferenceTransform:
         self._full_scale_r = parameters.unit_strength_hz(samplerate)
         self._turns = 2.0 * np.pi * np.arange(self._spectrum.window_frames) / samplerate
         self.latency_frames = self._spectrum.window_frames
+        self.tonal_latency_frames = self.latency_frames
         self.limited_frames = 0
         self.reset()
 

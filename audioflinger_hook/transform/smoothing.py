@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import ellip, firwin, freqz, lfilter
+from scipy.signal import ellip, freqz, lfilter
 
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.grid import LiveGrid
@@ -15,9 +15,9 @@ STOP_DB = 40.0
 EDGE_MARGIN = 1.01
 """The pass band ends this little above the top vibration frequency."""
 
-TAPS_A_PHASE = 8
-KAISER_BETA = 9.0
-"""Interpolation kernel: images of the band under -90 dB for 1.3 ms of delay."""
+TAPS = 4
+"""Interpolation by cubics through four samples: images of 220 Hz are under -85 dB, lower ones far
+under that, for 0.7 ms of delay."""
 
 TABLE_STEP_HZ = 0.25
 
@@ -47,14 +47,18 @@ class Smoother:
         """Return the kernel as (taps, decimation): each column yields one of the new frames."""
         if grid.decimation == 1:
             return np.ones((1, 1))
-        kernel = firwin(
-            TAPS_A_PHASE * grid.decimation,
-            grid.low_rate_hz / 2,
-            fs=grid.samplerate,
-            window=("kaiser", KAISER_BETA),
+        # Of Lagrange's polynomials, between the two samples in the middle.
+        at = (np.arange(grid.decimation) + 0.5) / grid.decimation
+        before, after = at + 1.0, at - 1.0
+        beyond = at - 2.0
+        return np.stack(
+            (
+                -at * after * beyond / 6.0,
+                before * after * beyond / 2.0,
+                -before * at * beyond / 2.0,
+                before * at * after / 6.0,
+            )
         )
-        phases = kernel.reshape(TAPS_A_PHASE, grid.decimation)[::-1] * grid.decimation
-        return np.ascontiguousarray(phases)
 
     def reset(self) -> None:
         """Return to rest."""

@@ -19,6 +19,7 @@ class MonoTransform(Protocol):
     """One channel of either form."""
 
     latency_frames: int
+    tonal_latency_frames: int
     limited_frames: int
     onset_after_frames: int
     """Frames of silence after which sound is an onset; 0 where hops never move."""
@@ -55,6 +56,7 @@ class VoiceStream:
     def __init__(self, voices: Sequence[MonoTransform], channels: int) -> None:
         self.voices = voices
         self.latency_frames = voices[0].latency_frames
+        self.tonal_latency_frames = voices[0].tonal_latency_frames
         self.delivered_frames = 0
         self.replaced_samples = 0
         self._channels = channels

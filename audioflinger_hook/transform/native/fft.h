@@ -1,4 +1,4 @@
-/* The spectrum of a window of real samples, padded with as many zeros or more. */
+/* The spectrum of a window of real samples, which may be padded with as many zeros or more. */
 
 #ifndef CUSHION_FFT_H
 #define CUSHION_FFT_H
@@ -31,7 +31,7 @@ typedef struct {
 
 /* Return 0 and a plan, -1 where memory is lacking, -2 where the length has other factors than
  * 2, 3 and 5. */
-int fft_open(Fft *fft, size_t length);
+int fft_open(Fft *fft, size_t length, int padded);
 
 void fft_close(Fft *fft);
 
@@ -39,7 +39,7 @@ void fft_close(Fft *fft);
 size_t fft_work(const Fft *fft);
 
 /* Write the first `bins` bins, real and imaginary parts. samples: `frames` of them, no more than
- * length / 2 other than 0. bins: length / 2 + 1 at most. */
+ * length / 2 other than 0 where it was said to be padded. bins: length / 2 + 1 at most. */
 void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *real,
                   double *imaginary, double *work);
 

@@ -84,12 +84,12 @@ static int gridded(Fft *fft)
     return 1;
 }
 
-int fft_open(Fft *fft, size_t length)
+int fft_open(Fft *fft, size_t length, int padded)
 {
     memset(fft, 0, sizeof *fft);
     fft->length = length;
     fft->halved = length % 2 == 0 ? length / 2 : 0;
-    fft->lanes = length % 4 == 0 ? 2 : 1;
+    fft->lanes = padded && length % 4 == 0 ? 2 : 1;
     fft->points = fft->halved ? fft->halved / fft->lanes : length;
     fft->frames = fft->lanes == 2 ? length / 2 : length;
     if (length == 0 || !gridded(fft))

@@ -1,7 +1,8 @@
-/* The live form's hop: what `live.py` does, once for every hop and without anything else.
+/* The live form's hops and ticks: what `live.py` does, once for each and without anything else.
  *
- * Frames are band-passed as they come, into a ring that holds one window. When a hop is full, its
- * vibration is computed and then delivered frame by frame as the next hop comes in. A block only
+ * Frames are band-passed as they come, into a ring that holds one window. When a tick is full, the
+ * onsets in it are looked for, and where a hop is full as well its window is analysed. The tick's
+ * vibration is computed then, and delivered frame by frame as the next tick comes in. A block only
  * decides when that happens, so any split of a stream gives the same bytes.
  */
 
@@ -12,7 +13,8 @@
 #include "common.h"
 #include "space.h"
 
-#define SLOT_NUMBERS 4
+#define SLOT_NUMBERS 10
+#define FRESH_NUMBERS (sizeof(Fresh) / sizeof(double))
 #define GLIDE_NUMBERS 5
 #define FOUND_NUMBERS 4
 
@@ -28,23 +30,45 @@ static double *placed(double **next, size_t count)
 
 static double *numbers(Space *space, size_t count) { return taken(space, count, sizeof(double)); }
 
+static size_t onset_numbers(const Settings *s)
+{
+    const size_t bands = onsets_bands(s);
+    return s->short_ticks + (s->back_ticks + 2) * bands + s->short_bins + 3;
+}
+
 static size_t voice_numbers(const Settings *s)
 {
-    return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->hop_frames +
-           SLOT_NUMBERS * 2 * s->partials_max + smoothing_states(s) + smoothing_tail(s) + 1;
+    return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->tick_frames + s->steps +
+           onset_numbers(s) + FRESH_NUMBERS * s->fresh_max + SLOT_NUMBERS * tracking_slots(s) +
+           smoothing_states(s) + smoothing_tail(s) + 2;
 }
 
 static void lay_out_voice(const Settings *s, Voice *voice, double **next)
 {
-    const size_t slots = 2 * s->partials_max;
+    const size_t slots = tracking_slots(s), bands = onsets_bands(s);
     voice->band = placed(next, s->band_b.length - 1);
     voice->past = placed(next, s->window_frames);
     voice->peaks = placed(next, s->hops_in_window);
-    voice->played = placed(next, s->hop_frames);
-    voice->slots.hz = placed(next, slots);
-    voice->slots.amplitude = placed(next, slots);
-    voice->slots.phase = placed(next, slots);
-    voice->slots.alive = placed(next, slots);
+    voice->played = placed(next, s->tick_frames);
+    voice->hop = placed(next, s->steps);
+    voice->onsets.peaks = placed(next, s->short_ticks);
+    voice->onsets.past = placed(next, s->back_ticks * bands);
+    voice->onsets.highest = placed(next, bands);
+    voice->onsets.rising = placed(next, bands);
+    voice->onsets.power = placed(next, s->short_bins);
+    voice->onsets.since = placed(next, 1);
+    voice->onsets.newest = placed(next, 1);
+    voice->onsets.peak = placed(next, 1);
+    voice->fresh = (Fresh *)placed(next, FRESH_NUMBERS * s->fresh_max);
+    double **of_slots[SLOT_NUMBERS] = {
+        &voice->slots.hz,            &voice->slots.amplitude,  &voice->slots.phase,
+        &voice->slots.alive,         &voice->slots.held_first, &voice->slots.held_last,
+        &voice->slots.held_loudness, &voice->slots.held_hops,  &voice->slots.held_amplitude,
+        &voice->slots.lacking,
+    };
+    for (size_t which = 0; which < SLOT_NUMBERS; which++)
+        *of_slots[which] = placed(next, slots);
+    voice->slots.start_sum = placed(next, 1);
     voice->smoothing.state = placed(next, smoothing_states(s));
     voice->smoothing.tail = placed(next, smoothing_tail(s));
     voice->ringing = placed(next, 1);
@@ -54,14 +78,16 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
 static size_t lay_out_work(Live *live, void *memory)
 {
     const Settings *s = &live->settings;
-    const size_t slots = 2 * s->partials_max;
+    const size_t slots = tracking_slots(s);
     Space space = {memory, 0};
-    live->mono = numbers(&space, s->hop_frames);
+    live->mono = numbers(&space, s->tick_frames);
+    live->newest = numbers(&space, s->short_frames);
+    live->onset_space = numbers(&space, onsets_work(s, &live->short_fft));
     live->windowed = numbers(&space, live->fft.frames);
     live->real = numbers(&space, s->bins);
     live->imaginary = numbers(&space, s->bins);
     live->fft_space = numbers(&space, fft_work(&live->fft));
-    live->tracking_space = taken(&space, tracking_work(s->partials_max), 1);
+    live->tracking_space = taken(&space, tracking_work(s), 1);
     live->synthesis_space = numbers(&space, synthesis_work(s));
     live->analysis_space = taken(&space, analysis_work(s->bins), 1);
     double **found[FOUND_NUMBERS] = {&live->found.audio_hz, &live->found.amplitude,
@@ -75,6 +101,13 @@ static size_t lay_out_work(Live *live, void *memory)
                                       &live->glides.start_phase};
     for (size_t which = 0; which < GLIDE_NUMBERS; which++)
         *glides[which] = numbers(&space, slots);
+    double **fresh[GLIDE_NUMBERS] = {
+        &live->fresh_glides.start_hz,      &live->fresh_glides.end_hz,
+        &live->fresh_glides.start_amplitude, &live->fresh_glides.end_amplitude,
+        &live->fresh_glides.start_phase,
+    };
+    for (size_t which = 0; which < GLIDE_NUMBERS; which++)
+        *fresh[which] = numbers(&space, s->fresh_max);
     return space.used;
 }
 
@@ -85,9 +118,13 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
     live->channels = channels;
     live->each = each;
     live->voices_count = each ? channels : 1;
-    const int failed = fft_open(&live->fft, settings->fft_length);
-    if (failed)
+    int failed = fft_open(&live->fft, settings->fft_length, 1);
+    if (!failed)
+        failed = fft_open(&live->short_fft, settings->short_length, 0);
+    if (failed) {
+        live_close(live);
         return failed;
+    }
     if (live->voices_count > SIZE_MAX / sizeof(double) / voice_numbers(settings)) {
         live_close(live);
         return -1;
@@ -101,16 +138,17 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
         return -1;
     }
     lay_out_work(live, live->work);
-    live->silent = settings->window_frames; /* before the beginning there was nothing */
     double *next = live->state;
     for (size_t voice = 0; voice < live->voices_count; voice++)
         lay_out_voice(settings, &live->voices[voice], &next);
+    live_reset(live);
     return 0;
 }
 
 void live_close(Live *live)
 {
     fft_close(&live->fft);
+    fft_close(&live->short_fft);
     free(live->voices);
     free(live->state);
     free(live->work);
@@ -122,26 +160,52 @@ void live_close(Live *live)
 void live_reset(Live *live)
 {
     memset(live->state, 0, live->state_length * sizeof(double));
-    live->filled = live->oldest = 0;
-    live->silent = live->settings.window_frames;
+    live->filled = live->tick = live->oldest = 0;
+    live->silent = live->settings.window_frames; /* before the beginning there was nothing */
+    for (size_t voice = 0; voice < live->voices_count; voice++)
+        onsets_reset(&live->settings, &live->voices[voice].onsets);
+}
+
+/* Whether a number is within a range and whole. */
+static int is_count(double number, double least, double most)
+{
+    return number >= least && number <= most && number == floor(number);
+}
+
+static int are_bands(const Settings *s, double first, double last)
+{
+    return is_count(first, 0.0, (double)onsets_bands(s)) &&
+           is_count(last, 0.0, (double)onsets_bands(s));
+}
+
+static int voice_is_possible(const Settings *s, const Voice *voice)
+{
+    size_t alive = 0;
+    for (size_t slot = 0; slot < tracking_slots(s); slot++) {
+        alive += voice->slots.alive[slot] != 0.0;
+        if (!are_bands(s, voice->slots.held_first[slot], voice->slots.held_last[slot]) ||
+            !is_count(voice->slots.held_hops[slot], 0.0, (double)s->hold_hops + 1.0))
+            return 0;
+    }
+    const double oldest = (double)s->heard_ticks + (double)s->rise_shares.length;
+    for (size_t slot = 0; slot < s->fresh_max; slot++)
+        if (!are_bands(s, voice->fresh[slot].first_band, voice->fresh[slot].last_band) ||
+            !is_count(voice->fresh[slot].age, 0.0, oldest))
+            return 0;
+    return alive <= s->partials_max + s->fresh_max &&
+           is_count(*voice->onsets.since, 0.0, (double)(s->rest_ticks + s->heard_ticks)) &&
+           *voice->ringing >= 0.0 && *voice->ringing <= (double)s->ring_hops;
 }
 
 int live_is_possible(const Live *live)
 {
     const Settings *s = &live->settings;
-    if (live->filled >= s->hop_frames || live->oldest >= s->window_frames ||
-        live->silent > s->window_frames)
+    if (live->filled >= s->tick_frames || live->tick >= s->ticks ||
+        live->oldest >= s->window_frames || live->silent > s->window_frames)
         return 0;
-    for (size_t which = 0; which < live->voices_count; which++) {
-        const Voice *voice = &live->voices[which];
-        size_t alive = 0;
-        for (size_t slot = 0; slot < 2 * s->partials_max; slot++)
-            alive += voice->slots.alive[slot] != 0.0;
-        if (alive > s->partials_max)
+    for (size_t which = 0; which < live->voices_count; which++)
+        if (!voice_is_possible(s, &live->voices[which]))
             return 0;
-        if (!(*voice->ringing >= 0.0 && *voice->ringing <= (double)s->ring_hops))
-            return 0;
-    }
     return 1;
 }
 
@@ -217,17 +281,20 @@ static void follow(Live *live, Voice *voice, size_t count)
     const Settings *s = &live->settings;
     if (levelled(live, count))
         live->limited += s->hop_frames;
+    double total = 0.0;
     for (size_t one = 0; one < count; one++) {
         const double ratio = live->found.audio_hz[one] / s->band_low_hz;
         live->hz[one] = s->scale_hz * log(ratio) + s->bottom_hz;
+        total += live->amplitude[one];
         live->amplitude[one] *= smoothing_gain(s, live->hz[one]);
     }
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};
-    tracking_follow(s, &voice->slots, &live->glides, partials, live->tracking_space);
+    tracking_follow(s, &voice->slots, &live->glides, partials, larger(0.0, s->ceiling - total),
+                    &voice->onsets, live->tracking_space);
 }
 
-/* Compute the vibration of the hop that is full now. */
-static void advance(Live *live, Voice *voice)
+/* Compute the next hop of the partials. */
+static void end_hop(Live *live, Voice *voice)
 {
     const Settings *s = &live->settings;
     double loudest = 0.0;
@@ -236,24 +303,64 @@ static void advance(Live *live, Voice *voice)
     memmove(voice->peaks, voice->peaks + 1, (s->hops_in_window - 1) * sizeof(double));
     voice->peaks[s->hops_in_window - 1] = 0.0;
 
+    fresh_hand_over(s, voice->fresh, &voice->onsets, &voice->slots);
     const size_t count = loudest >= s->silence ? analysed(live, voice) : 0;
-    if (count) {
+    if (count || tracking_holds(s, &voice->slots)) {
         follow(live, voice, count);
         *voice->ringing = (double)s->ring_hops;
     } else if (tracking_sounds(s, &voice->slots)) {
         tracking_fade(s, &voice->slots, &live->glides);
     } else {
-        tracking_rest(s, &live->glides);
         if (*voice->ringing > 0.0)
             *voice->ringing -= 1.0;
+        memset(voice->hop, 0, s->steps * sizeof(double));
+        return;
+    }
+    synthesis_hop(s, &live->glides, voice->hop);
+}
+
+/* -------------------------------------------------------------------------------------- one tick */
+
+/* Look for an onset in the tick that is full. */
+static int heard(Live *live, const Voice *voice)
+{
+    const Settings *s = &live->settings;
+    const size_t count = s->short_frames;
+    const size_t last = live->oldest ? live->oldest : s->window_frames;
+    if (last >= count) {
+        memcpy(live->newest, voice->past + last - count, count * sizeof(double));
+    } else {
+        const size_t wrapped = count - last;
+        memcpy(live->newest, voice->past + s->window_frames - wrapped, wrapped * sizeof(double));
+        memcpy(live->newest + wrapped, voice->past, last * sizeof(double));
+    }
+    return onsets_hear(s, &live->short_fft, &voice->onsets, live->newest, live->onset_space);
+}
+
+/* Compute the vibration that follows the tick that is full now. */
+static void advance(Live *live, Voice *voice)
+{
+    const Settings *s = &live->settings;
+    const int onset = s->find_onsets && heard(live, voice);
+    const int full = live->tick + 1 == s->ticks;
+    if (full)
+        end_hop(live, voice);
+    if (onset)
+        fresh_bear(s, voice->fresh, &voice->onsets, &voice->slots);
+    const int fresh = fresh_sounds(s, voice->fresh);
+    if (fresh) {
+        *voice->ringing = (double)s->ring_hops;
+        fresh_play(s, voice->fresh, &voice->onsets, &voice->slots, &live->fresh_glides);
     }
     if (*voice->ringing > 0.0) {
-        synthesis_play(s, &live->glides, &voice->smoothing, voice->played, live->synthesis_space);
+        const double *hop = voice->hop + (full ? 0 : (live->tick + 1) * s->tick_steps);
+        synthesis_play(s, hop, fresh ? &live->fresh_glides : NULL, &voice->smoothing, voice->played,
+                       live->synthesis_space);
         live->limited += synthesis_keep_below_full_scale(s, voice->played);
     } else {
         /* What sleeps is exactly 0 and forgets its ringing. */
         smoothing_reset(s, &voice->smoothing);
-        memset(voice->played, 0, s->hop_frames * sizeof(double));
+        memset(voice->played, 0, s->tick_frames * sizeof(double));
     }
 }
 
@@ -263,9 +370,11 @@ static void collect(Live *live, Voice *voice, Sound sound, size_t frames)
 {
     const Settings *s = &live->settings;
     live->replaced += intake_mono(s, sound, frames, live->mono);
-    double *peak = &voice->peaks[s->hops_in_window - 1];
-    *peak = larger(intake_band_pass(s, voice->band, live->mono, frames), *peak);
-    /* A hop may be longer than the window, of which only the last frames stay. */
+    const double loudest = intake_band_pass(s, voice->band, live->mono, frames);
+    double *of_hop = &voice->peaks[s->hops_in_window - 1];
+    double *of_tick = &voice->onsets.peaks[s->short_ticks - 1];
+    *of_hop = larger(loudest, *of_hop);
+    *of_tick = larger(loudest, *of_tick);
     const double *from = live->mono;
     size_t at = live->oldest;
     while (frames) {
@@ -321,20 +430,23 @@ static int asleep(const Live *live)
 
 /* Return how many of these frames go on as they are. A hop begins with the first that follows
  * silence: the same sound so gives the same vibration however long the silence before it was. Looks
- * no further than the hop under way: a long block would be looked through for each of its hops. */
+ * no further than the tick under way: a long block would be looked through for each of its ticks. */
 static size_t up_to_onset(Live *live, Sound sound, size_t frames)
 {
     if (live->silent < live->settings.window_frames)
         return frames;
-    const size_t room = live->settings.hop_frames - live->filled;
+    const size_t room = live->settings.tick_frames - live->filled;
     const size_t most = frames < room ? frames : room;
     size_t silent = 0;
     while (silent < most && is_silent(sound, silent))
         silent++;
     if (silent)
         return silent;
-    if (asleep(live))
-        live->filled = 0;
+    if (asleep(live)) {
+        live->filled = live->tick = 0;
+        for (size_t which = 0; which < live->voices_count; which++)
+            onsets_reset(&live->settings, &live->voices[which].onsets);
+    }
     return frames;
 }
 
@@ -344,7 +456,7 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
     live->delivered += frames;
     while (frames) {
         const size_t same = up_to_onset(live, sound, frames);
-        const size_t room = s->hop_frames - live->filled, part = same < room ? same : room;
+        const size_t room = s->tick_frames - live->filled, part = same < room ? same : room;
         note_silence(live, sound, part);
         for (size_t which = 0; which < live->voices_count; which++) {
             Sound heard = sound;
@@ -361,10 +473,11 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
         frames -= part;
         live->filled += part;
         live->oldest = (live->oldest + part) % s->window_frames;
-        if (live->filled == s->hop_frames) {
+        if (live->filled == s->tick_frames) {
             live->filled = 0;
             for (size_t which = 0; which < live->voices_count; which++)
                 advance(live, &live->voices[which]);
+            live->tick = (live->tick + 1) % s->ticks;
         }
     }
 }

@@ -1,4 +1,4 @@
-/* The live form of one stream: sound in, vibration out, a hop behind. */
+/* The live form of one stream: sound in, vibration out, a tick behind. */
 
 #ifndef CUSHION_LIVE_H
 #define CUSHION_LIVE_H
@@ -8,7 +8,9 @@
 
 #include "analysis.h"
 #include "fft.h"
+#include "fresh.h"
 #include "intake.h"
+#include "onsets.h"
 #include "settings.h"
 #include "synthesis.h"
 #include "tracking.h"
@@ -18,7 +20,10 @@ typedef struct {
     double *band;   /* of the band-pass */
     double *past;   /* the last window_frames, a ring that begins at Live's `oldest` */
     double *peaks;  /* of the last hops_in_window, the one under way the last */
-    double *played; /* the hop that is being delivered */
+    double *played; /* the tick that is being delivered */
+    double *hop;    /* of the partials, at the low rate, of which that is a part */
+    Onsets onsets;
+    Fresh *fresh;
     Slots slots;
     Smoothing smoothing;
     double *ringing; /* hops that the low-pass still rings */
@@ -30,20 +35,22 @@ typedef struct {
     Settings settings;
     size_t channels, voices_count;
     int each; /* one voice a channel, else one for their mean */
-    Fft fft;
+    Fft fft, short_fft;
     Voice *voices;
     double *state;
     size_t state_length; /* doubles */
-    size_t filled;       /* frames of the hop under way */
+    size_t filled;       /* frames of the tick under way */
+    size_t tick;         /* whole ticks of the hop under way */
     size_t oldest;       /* of the ring */
     size_t silent;       /* frames that were exactly 0 of late, up to window_frames */
     uint64_t replaced, limited, delivered;
 
-    double *mono, *windowed, *real, *imaginary, *fft_space, *synthesis_space;
+    double *mono, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
+    double *newest; /* the last short_frames, in order */
     void *analysis_space, *tracking_space;
     Principals found;
     double *hz, *amplitude;
-    Glides glides;
+    Glides glides, fresh_glides;
     void *work; /* all of the work space */
 } Live;
 
@@ -59,7 +66,7 @@ void live_reset(Live *live);
 /* Take so many frames of sound and write as many of vibration, (frames, voices). */
 void live_process(Live *live, Sound sound, size_t frames, double *vibration);
 
-/* Whether what stands in `state`, `filled`, `oldest` and `silent` can be gone on with. */
+/* Whether what stands in `state`, `filled`, `tick`, `oldest` and `silent` can be gone on with. */
 int live_is_possible(const Live *live);
 
 #endif

@@ -110,13 +110,13 @@ static PyObject *kernel_reset(LiveKernel *self, PyObject *Py_UNUSED(none))
 
 /* What of a kernel changes as a stream goes on, beside the numbers of its voices. */
 typedef struct {
-    uint64_t filled, oldest, silent, replaced, limited, delivered;
+    uint64_t filled, tick, oldest, silent, replaced, limited, delivered;
 } Counters;
 
 static PyObject *kernel_get_state(LiveKernel *self, void *Py_UNUSED(closure))
 {
     const Live *live = &self->live;
-    const Counters counters = {live->filled,   live->oldest,  live->silent,
+    const Counters counters = {live->filled,   live->tick,    live->oldest,   live->silent,
                                live->replaced, live->limited, live->delivered};
     const size_t numbers = live->state_length * sizeof(double);
     PyObject *state = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)(sizeof counters + numbers));
@@ -142,6 +142,7 @@ static int kernel_set_state(LiveKernel *self, PyObject *state, void *Py_UNUSED(c
     memcpy(&counters, bytes, sizeof counters);
     memcpy(live->state, bytes + sizeof counters, numbers);
     live->filled = (size_t)counters.filled;
+    live->tick = (size_t)counters.tick;
     live->oldest = (size_t)counters.oldest;
     live->silent = (size_t)counters.silent;
     live->replaced = counters.replaced;
@@ -157,7 +158,7 @@ static int kernel_set_state(LiveKernel *self, PyObject *state, void *Py_UNUSED(c
 static PyObject *partials_of(const Live *live, const Slots *slots)
 {
     PyObject *partials = PyList_New(0);
-    for (size_t slot = 0; partials && slot < 2 * live->settings.partials_max; slot++) {
+    for (size_t slot = 0; partials && slot < tracking_slots(&live->settings); slot++) {
         if (slots->alive[slot] == 0.0)
             continue;
         PyObject *partial =

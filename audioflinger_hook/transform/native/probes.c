@@ -140,7 +140,7 @@ static PyObject *spectrum(PyObject *Py_UNUSED(module), PyObject *arguments)
         wrong = "length: not at least twice the samples";
     else if (bins.shape[0] != 2 || bins.shape[1] < 1 || bins.shape[1] > length / 2 + 1)
         wrong = "bins: not two rows of as many as there are at most";
-    else if (fft_open(&fft, (size_t)length))
+    else if (fft_open(&fft, (size_t)length, 1))
         wrong = "length: has other factors than 2, 3 and 5";
     else if (!(work = PyMem_Calloc(fft_work(&fft) + fft.frames, sizeof(double))))
         wrong = "no memory";

@@ -22,6 +22,17 @@ static int is_recursion(Table b, Table a)
     return b.length == a.length && b.length >= 2 && b.length <= ORDER_MAX + 1 && a.at[0] == 1.0;
 }
 
+/* Whole numbers from 1 to the count of bins, each more than the last; at least two. */
+static int are_edges(Table edges, size_t bins)
+{
+    for (size_t one = 0; one < edges.length; one++) {
+        const double edge = edges.at[one], least = one ? edges.at[one - 1] + 1.0 : 1.0;
+        if (!(edge >= least && edge <= (double)bins && edge == floor(edge)))
+            return 0;
+    }
+    return edges.length >= 2;
+}
+
 const char *settings_misfit(const Settings *s)
 {
 #define ENTRY(name)                                                                                \
@@ -43,6 +54,9 @@ const char *settings_misfit(const Settings *s)
         return "window: not one entry a frame";
     if (s->decimation < 1 || s->steps < 1 || s->hop_frames != s->decimation * s->steps)
         return "hop_frames: not decimation x steps";
+    if (s->ticks < 1 || s->tick_steps < 1 || s->steps != s->ticks * s->tick_steps ||
+        s->tick_frames != s->decimation * s->tick_steps || s->tick_frames > s->window_frames)
+        return "tick_frames: not decimation x tick_steps, steps not ticks x tick_steps, or too long";
     if (s->hops_in_window < 1)
         return "hops_in_window: under 1";
     if (s->fft_length / 2 < s->window_frames)
@@ -55,6 +69,26 @@ const char *settings_misfit(const Settings *s)
         return "partials_max: under 1";
     if (!is_recursion(s->band_b, s->band_a) || !is_recursion(s->low_b, s->low_a))
         return "band_b, band_a, low_b, low_a: not as long as one another, or not to 1";
+    if (s->tick_glide.length != s->tick_steps || s->tick_glide_s.length != s->tick_steps)
+        return "tick_glide, tick_glide_s: not one entry a step";
+    if (s->short_frames < s->tick_frames || s->short_frames > s->window_frames ||
+        s->short_window.length != s->short_frames)
+        return "short_window: not one entry a frame, under a tick, or longer than the window";
+    if (s->short_length < s->short_frames || s->short_length % 2)
+        return "short_length: odd, or under short_frames";
+    if (s->short_bins < 1 || s->short_bins > s->short_length / 2 + 1 ||
+        s->short_hz.length != s->short_bins)
+        return "short_hz: not one entry a bin within the spectrum";
+    if (!are_edges(s->band_edges, s->short_bins))
+        return "band_edges: not ascending within the bins";
+    if (s->newest_frames < 1 || s->newest_frames > s->tick_frames)
+        return "newest_frames: not within a tick";
+    if (s->short_ticks < 1)
+        return "short_ticks: under 1";
+    if (s->back_ticks < 1 || s->heard_ticks < 1 || s->one_tone.length != s->heard_ticks)
+        return "one_tone: not one entry for each of heard_ticks, or back_ticks under 1";
+    if (s->rise_shares.length < 1 || s->fresh_max < 1 || s->fresh_max > FRESH_MAX)
+        return "rise_shares, fresh_max: empty, or too large";
     if (s->image_table.length < 1)
         return "image_table: empty";
     if (s->image_turn.length % 2 || s->image_turn.length / 2 > s->bins)

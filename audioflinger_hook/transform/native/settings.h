@@ -11,13 +11,27 @@
     ENTRY(hop_frames)     /* from one to the next: decimation x steps */                           \
     ENTRY(decimation)     /* frames in a step of the low rate */                                   \
     ENTRY(steps)          /* of the low rate in a hop */                                           \
+    ENTRY(ticks)          /* in a hop */                                                           \
+    ENTRY(tick_steps)     /* of the low rate in a tick */                                          \
+    ENTRY(tick_frames)                                                                             \
     ENTRY(hops_in_window) /* hops that together cover one window */                                \
     ENTRY(fft_length)                                                                              \
     ENTRY(bins)         /* that are looked at */                                                   \
     ENTRY(first_bin)    /* on which a peak counts, */                                              \
     ENTRY(last_bin)     /* and the last; under the first for none */                               \
     ENTRY(partials_max) /* at a time */                                                            \
-    ENTRY(ring_hops)    /* that the low-pass rings after the last partial */
+    ENTRY(ring_hops)    /* that the low-pass rings after the last partial */                       \
+    ENTRY(find_onsets)  /* 0 where there is only the analysis */                                   \
+    ENTRY(short_frames) /* in the window in which onsets are looked for */                         \
+    ENTRY(short_length) /* of its spectrum */                                                      \
+    ENTRY(short_bins)   /* that are looked at */                                                   \
+    ENTRY(short_ticks) /* that it touches */                                                       \
+    ENTRY(newest_frames) /* of a tick that count by themselves */                                  \
+    ENTRY(back_ticks)   /* so many ticks ago is the past that a band rises over */                 \
+    ENTRY(rest_ticks)   /* from one onset to the next at least */                                  \
+    ENTRY(heard_ticks)  /* from which an onset's sound is told */                                  \
+    ENTRY(fresh_max)    /* partials at a time that the analysis does not know yet */               \
+    ENTRY(hold_hops)    /* for which those are held then */
 
 #define NUMBERS(ENTRY)                                                                             \
     ENTRY(magnitude_max)  /* of a sample; above it is damage */                                    \
@@ -42,7 +56,20 @@
     ENTRY(steady_ratio)                                                                            \
     ENTRY(steady_gain)  /* share of the smallest changes that is followed */                       \
     ENTRY(still)        /* up to which a sum of amplitudes does not rise */                        \
-    ENTRY(gain_step_hz) /* between entries of gain_table */
+    ENTRY(gain_step_hz) /* between entries of gain_table */                                        \
+    ENTRY(tick_s)                                                                                  \
+    ENTRY(short_scale)  /* from squared bins to mean squares */                                    \
+    ENTRY(quietest)     /* power under which there are no onsets */                                \
+    ENTRY(fading)       /* of the highest power of late, each tick */                              \
+    ENTRY(forgotten)    /* power that is as good as none */                                        \
+    ENTRY(rise)         /* a band rises where its power is so many times that */                   \
+    ENTRY(minor)        /* and more than this share of all, */                                     \
+    ENTRY(risen_share)  /* of which what rose is more than this share at an onset */               \
+    ENTRY(apart_from)   /* ratio from which on two bands are told apart */                         \
+    ENTRY(worth)        /* what is born adds what lacks, if that is more than this share */        \
+    ENTRY(birth_phase)  /* cycles */                                                               \
+    ENTRY(fresh_reach)  /* a partial that is held is matched so much further away */               \
+    ENTRY(worth_holding) /* share of its amplitude up to which it is not held */
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
@@ -58,7 +85,14 @@
     ENTRY(low_b)       /* the low-pass as one recursion */                                         \
     ENTRY(low_a)                                                                                   \
     ENTRY(phases)     /* of the interpolation: taps rows of decimation */                          \
-    ENTRY(gain_table) /* that undoes the low-pass's ripple, by vibration frequency */
+    ENTRY(gain_table) /* that undoes the low-pass's ripple, by vibration frequency */              \
+    ENTRY(tick_glide) /* shape of a glide within a tick */                                         \
+    ENTRY(tick_glide_s)                                                                            \
+    ENTRY(short_window)                                                                            \
+    ENTRY(short_hz)    /* vibration frequency of each bin */                                       \
+    ENTRY(band_edges)  /* bins: the first of each band, and past the last */                       \
+    ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
+    ENTRY(rise_shares) /* of its amplitude that a fresh partial has after each tick */
 
 typedef struct {
     double *at;
@@ -79,6 +113,9 @@ typedef struct {
 
 /* The longest recursion of a filter. */
 #define ORDER_MAX 8
+
+/* The largest fresh_max. */
+#define FRESH_MAX 16
 
 /* Return what of the settings does not fit the rest; NULL where all of it does. */
 const char *settings_misfit(const Settings *settings);

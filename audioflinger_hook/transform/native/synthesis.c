@@ -35,7 +35,7 @@ double smoothing_gain(const Settings *settings, double hz)
 
 size_t synthesis_work(const Settings *settings)
 {
-    return smoothing_tail(settings) + settings->steps;
+    return smoothing_tail(settings) + settings->tick_steps;
 }
 
 /* ---------------------------------------------------------------------------------- oscillators */
@@ -55,19 +55,15 @@ WIDE static void add_partial(Glide glide, const double *restrict seconds,
     }
 }
 
-/* Write one hop at the low rate.
- *
- * One shape for all slots: then their sum never exceeds both its ends, which is what keeps the wave
- * under full scale. Slots are added in their order; those at amplitude 0 add nothing.
- */
-static void oscillate(const Settings *settings, const Glides *glides, double *low_rate)
+/* Shapes of a glide, one entry a step. */
+typedef struct {
+    const double *shape, *seconds, *glide_s;
+    size_t steps;
+} Shapes;
+
+/* Slots are added in their order; those at amplitude 0 add nothing. */
+static void add_partials(const Glides *glides, size_t count, Shapes shapes, double *low_rate)
 {
-    const size_t count = 2 * settings->partials_max;
-    double rise = 0.0;
-    for (size_t slot = 0; slot < count; slot++)
-        rise += glides->end_amplitude[slot] - glides->start_amplitude[slot];
-    const Table shape = rise > settings->still ? settings->attack : settings->glide;
-    memset(low_rate, 0, settings->steps * sizeof(double));
     for (size_t slot = 0; slot < count; slot++) {
         const double start = glides->start_amplitude[slot], end = glides->end_amplitude[slot];
         if (start == 0.0 && end == 0.0)
@@ -75,9 +71,29 @@ static void oscillate(const Settings *settings, const Glides *glides, double *lo
         const double hz = glides->start_hz[slot];
         const Glide glide = {hz, glides->end_hz[slot] - hz, start, end - start,
                              glides->start_phase[slot]};
-        add_partial(glide, settings->seconds.at, settings->glide_s.at, shape.at, settings->steps,
-                    low_rate);
+        add_partial(glide, shapes.seconds, shapes.glide_s, shapes.shape, shapes.steps, low_rate);
     }
+}
+
+/* One shape for all slots: then their sum never exceeds both its ends, which is what keeps the wave
+ * under full scale. */
+void synthesis_hop(const Settings *settings, const Glides *glides, double *low_rate)
+{
+    const size_t count = tracking_slots(settings);
+    double rise = 0.0;
+    for (size_t slot = 0; slot < count; slot++)
+        rise += glides->end_amplitude[slot] - glides->start_amplitude[slot];
+    const Table shape = rise > settings->still ? settings->attack : settings->glide;
+    const Shapes shapes = {shape.at, settings->seconds.at, settings->glide_s.at, settings->steps};
+    memset(low_rate, 0, settings->steps * sizeof(double));
+    add_partials(glides, count, shapes, low_rate);
+}
+
+static void add_fresh(const Settings *settings, const Glides *glides, double *low_rate)
+{
+    const Shapes shapes = {settings->tick_glide.at, settings->seconds.at,
+                           settings->tick_glide_s.at, settings->tick_steps};
+    add_partials(glides, settings->fresh_max, shapes, low_rate);
 }
 
 /* ------------------------------------------------------------------------------------ smoothing */
@@ -108,21 +124,24 @@ WIDE static void interpolated(const double *restrict low_rate, size_t steps, Tab
         }
 }
 
-void synthesis_play(const Settings *settings, const Glides *glides, Smoothing *smoothing,
-                    double *vibration, double *work)
+void synthesis_play(const Settings *settings, const double *hop, const Glides *fresh,
+                    Smoothing *smoothing, double *vibration, double *work)
 {
     const size_t tail = smoothing_tail(settings), order = smoothing_states(settings);
+    const size_t steps = settings->tick_steps;
     double *low_rate = work + tail;
-    oscillate(settings, glides, low_rate);
+    memset(low_rate, 0, steps * sizeof(double));
+    if (fresh)
+        add_fresh(settings, fresh, low_rate);
+    for (size_t step = 0; step < steps; step++)
+        low_rate[step] += hop[step];
     if (order == 6)
-        low_passed(settings->low_b, settings->low_a, smoothing->state, 6, low_rate,
-                   settings->steps);
+        low_passed(settings->low_b, settings->low_a, smoothing->state, 6, low_rate, steps);
     else
-        low_passed(settings->low_b, settings->low_a, smoothing->state, order, low_rate,
-                   settings->steps);
+        low_passed(settings->low_b, settings->low_a, smoothing->state, order, low_rate, steps);
     memcpy(work, smoothing->tail, tail * sizeof(double));
-    interpolated(work, settings->steps, settings->phases, settings->decimation, vibration);
-    memcpy(smoothing->tail, work + settings->steps, tail * sizeof(double));
+    interpolated(work, steps, settings->phases, settings->decimation, vibration);
+    memcpy(smoothing->tail, work + steps, tail * sizeof(double));
 }
 
 /* ----------------------------------------------------------------------------------------- knee */
@@ -138,10 +157,10 @@ WIDE static int64_t beyond(const double *restrict samples, size_t count, double 
 size_t synthesis_keep_below_full_scale(const Settings *settings, double *vibration)
 {
     const double knee = settings->knee, room = 1.0 - knee;
-    const int64_t rounded = beyond(vibration, settings->hop_frames, knee);
+    const int64_t rounded = beyond(vibration, settings->tick_frames, knee);
     if (!rounded)
         return 0;
-    for (size_t frame = 0; frame < settings->hop_frames; frame++) {
+    for (size_t frame = 0; frame < settings->tick_frames; frame++) {
         const double size = fabs(vibration[frame]);
         const double lower = knee + room * tanh((size - knee) / room) * (1.0 - 1e-6);
         if (size > knee)

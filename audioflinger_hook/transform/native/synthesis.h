@@ -24,9 +24,13 @@ double smoothing_gain(const Settings *settings, double hz);
 /* Doubles of work space that `synthesis_play` needs. */
 size_t synthesis_work(const Settings *settings);
 
-/* Write one hop of vibration, (hop_frames,). */
-void synthesis_play(const Settings *settings, const Glides *glides, Smoothing *smoothing,
-                    double *vibration, double *work);
+/* Write one hop at the low rate, (steps,). */
+void synthesis_hop(const Settings *settings, const Glides *glides, double *low_rate);
+
+/* Write one tick of vibration, (tick_frames,). hop: its part of the hop at the low rate. fresh: what
+ * fresh partials do in it; NULL where none sounds. */
+void synthesis_play(const Settings *settings, const double *hop, const Glides *fresh,
+                    Smoothing *smoothing, double *vibration, double *work);
 
 /* Round off what is beyond the knee; return how many samples that were. */
 size_t synthesis_keep_below_full_scale(const Settings *settings, double *vibration);

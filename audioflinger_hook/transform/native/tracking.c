@@ -22,31 +22,92 @@ typedef struct {
     double *hz, *gap_hz;
 } Alive;
 
+static size_t most_alive(const Settings *settings)
+{
+    return settings->partials_max + settings->fresh_max;
+}
+
+size_t tracking_slots(const Settings *settings) { return 2 * most_alive(settings); }
+
 /* Give every part its place in the memory, or count how much that is where there is none. */
-static size_t lay_out(void *memory, size_t partials_max, Match **matches, Alive *alive)
+static size_t lay_out(void *memory, const Settings *settings, Match **matches, Alive *alive)
 {
     Space space = {memory, 0};
+    const size_t partials_max = settings->partials_max, living = most_alive(settings);
     *matches = taken(&space, partials_max, sizeof(Match));
-    alive->slot = taken(&space, partials_max, sizeof(size_t));
-    alive->nearest_partial = taken(&space, partials_max, sizeof(size_t));
-    alive->hz = taken(&space, partials_max, sizeof(double));
-    alive->gap_hz = taken(&space, partials_max, sizeof(double));
+    alive->slot = taken(&space, living, sizeof(size_t));
+    alive->nearest_partial = taken(&space, living, sizeof(size_t));
+    alive->hz = taken(&space, living, sizeof(double));
+    alive->gap_hz = taken(&space, living, sizeof(double));
     return space.used;
 }
 
-size_t tracking_work(size_t partials_max)
+size_t tracking_work(const Settings *settings)
 {
     Match *matches;
     Alive alive;
-    return lay_out(NULL, partials_max, &matches, &alive);
+    return lay_out(NULL, settings, &matches, &alive);
 }
 
 int tracking_sounds(const Settings *settings, const Slots *slots)
 {
-    for (size_t slot = 0; slot < 2 * settings->partials_max; slot++)
+    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
         if (slots->alive[slot] != 0.0)
             return 1;
     return 0;
+}
+
+static size_t living(const Settings *settings, const Slots *slots)
+{
+    size_t count = 0;
+    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
+        count += slots->alive[slot] != 0.0;
+    return count;
+}
+
+int tracking_holds(const Settings *settings, const Slots *slots)
+{
+    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
+        if (slots->held_hops[slot] != 0.0)
+            return 1;
+    return 0;
+}
+
+double tracking_near_hz(const Settings *settings, double hz)
+{
+    const double audio_hz =
+        settings->band_low_hz * exp((hz - settings->bottom_hz) / settings->scale_hz);
+    return settings->fresh_reach * settings->scale_hz *
+           larger(settings->match_ratio, settings->match_audio_hz / audio_hz);
+}
+
+double tracking_sounding_near(const Settings *settings, const Slots *slots, double hz)
+{
+    const double near_hz = tracking_near_hz(settings, hz);
+    double total = 0.0;
+    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
+        if (slots->alive[slot] != 0.0 && fabs(slots->hz[slot] - hz) < near_hz)
+            total += slots->amplitude[slot];
+    return total;
+}
+
+void tracking_adopt(const Settings *settings, Slots *slots, double hz, double phase,
+                    double amplitude, Held held)
+{
+    if (living(settings, slots) >= most_alive(settings))
+        return;
+    size_t slot = 0;
+    while (slots->alive[slot] != 0.0)
+        slot++;
+    slots->hz[slot] = hz;
+    slots->phase[slot] = phase;
+    slots->amplitude[slot] = amplitude;
+    slots->alive[slot] = 1.0;
+    slots->held_amplitude[slot] = held.amplitude;
+    slots->held_loudness[slot] = held.loudness;
+    slots->held_first[slot] = (double)held.group.first;
+    slots->held_last[slot] = (double)held.group.last;
+    slots->held_hops[slot] = (double)settings->hold_hops + 1.0;
 }
 
 /* The share of a change that is followed: all of a clear one, little of a jitter. */
@@ -59,9 +120,9 @@ static double followed(const Settings *settings, double relative_change)
 static void match(const Settings *settings, const Slots *slots, Partials partials, Match *matches,
                   Alive alive)
 {
-    const size_t none = 2 * settings->partials_max;
+    const size_t none = tracking_slots(settings);
     size_t count = 0;
-    for (size_t slot = 0; slot < none && count < settings->partials_max; slot++)
+    for (size_t slot = 0; slot < none && count < most_alive(settings); slot++)
         if (slots->alive[slot] != 0.0) {
             alive.slot[count] = slot;
             alive.nearest_partial[count] = 0;
@@ -85,10 +146,12 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
     }
     for (size_t one = 0; one < partials.count; one++) {
         const double ratio = settings->match_audio_hz / partials.audio_hz[one];
-        const double reach_hz = settings->scale_hz * larger(settings->match_ratio, ratio);
         const size_t nearest = matches[one].nearest;
         const int mutual = count && alive.nearest_partial[nearest] == one;
         matches[one].nearest = count ? alive.slot[nearest] : 0;
+        const int held = count && slots->held_hops[matches[one].nearest] > 0.0;
+        const double reach_hz = settings->scale_hz * larger(settings->match_ratio, ratio) *
+                                (held ? settings->fresh_reach : 1.0);
         matches[one].slot = mutual && matches[one].gap_hz <= reach_hz ? matches[one].nearest : none;
     }
 }
@@ -100,7 +163,7 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
  */
 static void bear(const Settings *settings, Slots *slots, Partials partials, Match *matches)
 {
-    const size_t none = 2 * settings->partials_max;
+    const size_t none = tracking_slots(settings);
     size_t free_slot = 0;
     for (size_t one = 0; one < partials.count; one++) {
         if (matches[one].slot < none)
@@ -114,19 +177,33 @@ static void bear(const Settings *settings, Slots *slots, Partials partials, Matc
     }
 }
 
+static double amplitudes(const Settings *settings, const Slots *slots)
+{
+    double total = 0.0;
+    for (size_t slot = 0; slot < tracking_slots(settings); slot++)
+        total += slots->amplitude[slot];
+    return total;
+}
+
+double tracking_loudest_sum(const Settings *settings, const Slots *slots)
+{
+    return larger(*slots->start_sum, amplitudes(settings, slots));
+}
+
 static void start_hop(const Settings *settings, const Slots *slots, Glides *glides)
 {
-    const size_t bytes = 2 * settings->partials_max * sizeof(double);
+    const size_t bytes = tracking_slots(settings) * sizeof(double);
     memcpy(glides->start_hz, slots->hz, bytes);
     memcpy(glides->start_amplitude, slots->amplitude, bytes);
     memcpy(glides->start_phase, slots->phase, bytes);
+    *slots->start_sum = amplitudes(settings, slots);
     memset(slots->amplitude, 0, bytes);
     memset(slots->alive, 0, bytes);
 }
 
 WIDE static void finish_hop(const Settings *settings, Slots *slots, Glides *glides)
 {
-    const size_t count = 2 * settings->partials_max;
+    const size_t count = tracking_slots(settings);
     memcpy(glides->end_hz, slots->hz, count * sizeof(double));
     memcpy(glides->end_amplitude, slots->amplitude, count * sizeof(double));
     /* The mean frequency of a symmetric glide is that of its ends. */
@@ -138,12 +215,48 @@ WIDE static void finish_hop(const Settings *settings, Slots *slots, Glides *glid
     }
 }
 
+/* What a partial that is held is to have now, by what its bands have of late. */
+static double still_heard(const Settings *settings, const Slots *slots, size_t slot,
+                          const Onsets *onsets)
+{
+    if (!(slots->held_loudness[slot] > 0.0))
+        return 0.0;
+    const Group group = {(size_t)slots->held_first[slot], (size_t)slots->held_last[slot]};
+    const double share = onsets_loudness(settings, onsets, group) / slots->held_loudness[slot];
+    return slots->held_amplitude[slot] * sqrt(smaller(1.0, share));
+}
+
+/* Keep what is held at its amplitude, as far as there is room. */
+static void hold(const Settings *s, Slots *slots, double room, const Onsets *onsets)
+{
+    double total = 0.0;
+    for (size_t slot = 0; slot < tracking_slots(s); slot++) {
+        slots->lacking[slot] = 0.0;
+        if (slots->held_hops[slot] == 0.0)
+            continue;
+        const double wanted = still_heard(s, slots, slot, onsets);
+        const int full = slots->alive[slot] == 0.0 && living(s, slots) >= most_alive(s);
+        slots->held_hops[slot] -= 1.0;
+        if (full || slots->held_hops[slot] == 0.0 ||
+            wanted < s->worth_holding * slots->held_amplitude[slot]) {
+            slots->held_hops[slot] = 0.0;
+            continue;
+        }
+        slots->alive[slot] = 1.0;
+        slots->lacking[slot] = larger(0.0, wanted - tracking_sounding_near(s, slots, slots->hz[slot]));
+        total += slots->lacking[slot];
+    }
+    const double share = total <= room ? 1.0 : room / total;
+    for (size_t slot = 0; slot < tracking_slots(s); slot++)
+        slots->amplitude[slot] += share * slots->lacking[slot];
+}
+
 void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Partials partials,
-                     void *work)
+                     double room, const Onsets *onsets, void *work)
 {
     Match *matches;
     Alive alive;
-    lay_out(work, settings->partials_max, &matches, &alive);
+    lay_out(work, settings, &matches, &alive);
     match(settings, slots, partials, matches, alive);
     bear(settings, slots, partials, matches);
     start_hop(settings, slots, glides);
@@ -157,18 +270,20 @@ void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Par
         slots->amplitude[slot] = level + change * followed(settings, change / steady);
         slots->alive[slot] = 1.0;
     }
+    hold(settings, slots, room, onsets);
     finish_hop(settings, slots, glides);
 }
 
 void tracking_fade(const Settings *settings, Slots *slots, Glides *glides)
 {
     start_hop(settings, slots, glides);
+    memset(slots->held_hops, 0, tracking_slots(settings) * sizeof(double));
     finish_hop(settings, slots, glides);
 }
 
 void tracking_rest(const Settings *settings, Glides *glides)
 {
-    const size_t bytes = 2 * settings->partials_max * sizeof(double);
+    const size_t bytes = tracking_slots(settings) * sizeof(double);
     memset(glides->start_amplitude, 0, bytes);
     memset(glides->end_amplitude, 0, bytes);
 }

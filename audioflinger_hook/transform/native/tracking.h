@@ -3,35 +3,69 @@
 #ifndef CUSHION_TRACKING_H
 #define CUSHION_TRACKING_H
 
+#include "onsets.h"
 #include "settings.h"
 
-/* The slots of one voice's oscillators: two sets of partials_max, as one set may live while another
- * fades. Frequencies in Hz of vibration, amplitudes in full scale, phases in cycles. */
+/* The slots of one voice's oscillators: two sets of partials_max and fresh_max, as one set may live
+ * while another fades. Frequencies in Hz of vibration, amplitudes in full scale, phases in cycles. */
 typedef struct {
     double *hz, *amplitude, *phase;
     double *alive; /* 1 or 0 */
+    /* Of partials that were born of an onset, and are held: */
+    double *held_amplitude;           /* while they are heard */
+    double *held_first, *held_last;   /* bands by which they are */
+    double *held_loudness;            /* the power of those at their birth */
+    double *held_hops;                /* that are left, and one; 0 of all others */
+    double *lacking;                  /* to that amplitude, within one call */
+    double *start_sum;                /* of the amplitudes at the hop's start */
 } Slots;
+
+/* What keeps a partial that was born of an onset. */
+typedef struct {
+    double amplitude, loudness;
+    Group group;
+} Held;
 
 /* What each slot does in one hop. A slot at amplitude 0 at both ends is idle. */
 typedef struct {
     double *start_hz, *end_hz, *start_amplitude, *end_amplitude, *start_phase;
 } Glides;
 
-/* Partials to follow, ascending in frequency; at least one and partials_max at most. */
+/* Partials to follow, ascending in frequency; partials_max at most. */
 typedef struct {
     const double *audio_hz, *hz, *amplitude;
     size_t count;
 } Partials;
 
 /* Bytes of work space that `tracking_follow` needs. */
-size_t tracking_work(size_t partials_max);
+size_t tracking_work(const Settings *settings);
 
 /* Whether any slot sounds after the last hop. */
 int tracking_sounds(const Settings *settings, const Slots *slots);
 
-/* Write one hop of glides: on to the partials that stand at its end. */
+/* Slots in all. */
+size_t tracking_slots(const Settings *settings);
+
+/* Whether a partial is held that no window has shown yet. */
+int tracking_holds(const Settings *settings, const Slots *slots);
+
+/* The larger of both ends' sums of amplitudes, of the last hop that was written. */
+double tracking_loudest_sum(const Settings *settings, const Slots *slots);
+
+/* How far from a fresh partial its true frequency may be, in Hz of vibration. */
+double tracking_near_hz(const Settings *settings, double hz);
+
+/* The amplitudes near to a vibration frequency at the end of the hop. */
+double tracking_sounding_near(const Settings *settings, const Slots *slots, double hz);
+
+/* Take over a partial in the middle of its vibration, and hold it; at the end of a hop. */
+void tracking_adopt(const Settings *settings, Slots *slots, double hz, double phase,
+                    double amplitude, Held held);
+
+/* Write one hop of glides: on to the partials that stand at its end. room: what those that are held
+ * may add to the sum of amplitudes. */
 void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Partials partials,
-                     void *work);
+                     double room, const Onsets *onsets, void *work);
 
 /* Write one hop of glides in which every partial that sounds dies away. */
 void tracking_fade(const Settings *settings, Slots *slots, Glides *glides);

@@ -1,0 +1,117 @@
+/* Fresh partials: born of an onset, on their own until the analysis knows what has begun. The
+ * operations are those of `fresh.py`, in the same order. */
+
+#include "fresh.h"
+
+#include "common.h"
+#include "synthesis.h"
+
+int fresh_sounds(const Settings *settings, const Fresh *fresh)
+{
+    for (size_t slot = 0; slot < settings->fresh_max; slot++)
+        if (fresh[slot].sounds != 0.0)
+            return 1;
+    return 0;
+}
+
+static Group group_of(const Fresh *one)
+{
+    const Group group = {(size_t)one->first_band, (size_t)one->last_band};
+    return group;
+}
+
+static Told told(const Settings *settings, const Onsets *onsets, Group group)
+{
+    Told found = onsets_told(settings, onsets, group);
+    found.amplitude *= smoothing_gain(settings, found.hz);
+    return found;
+}
+
+/* What all sums of amplitudes leave under the ceiling. */
+static double room(const Settings *settings, const Fresh *fresh, const Slots *slots)
+{
+    double taken = 0.0;
+    for (size_t slot = 0; slot < settings->fresh_max; slot++)
+        taken += fresh[slot].sounds != 0.0 ? fresh[slot].goal : 0.0;
+    return larger(0.0, settings->ceiling - (tracking_loudest_sum(settings, slots) + taken));
+}
+
+static double sounding_near(const Settings *settings, const Fresh *fresh, double hz)
+{
+    const double near_hz = tracking_near_hz(settings, hz);
+    double base = 0.0;
+    for (size_t slot = 0; slot < settings->fresh_max; slot++)
+        if (fresh[slot].sounds != 0.0 && fabs(fresh[slot].hz - hz) < near_hz)
+            base += fresh[slot].goal;
+    return base;
+}
+
+void fresh_bear(const Settings *s, Fresh *fresh, const Onsets *onsets, const Slots *slots)
+{
+    Group groups[FRESH_MAX];
+    const size_t count = onsets_groups(s, onsets, groups);
+    for (size_t which = 0; which < count; which++) {
+        size_t slot = 0;
+        while (slot < s->fresh_max && fresh[slot].sounds != 0.0)
+            slot++;
+        if (slot == s->fresh_max)
+            return;
+        const Told found = told(s, onsets, groups[which]);
+        const double base = tracking_sounding_near(s, slots, found.hz) +
+                            sounding_near(s, fresh, found.hz);
+        const double lacking = smaller(found.amplitude - base, room(s, fresh, slots));
+        if (lacking > s->worth * found.amplitude)
+            fresh[slot] = (Fresh){
+                .sounds = 1.0,
+                .first_band = (double)groups[which].first,
+                .last_band = (double)groups[which].last,
+                .hz = found.hz,
+                .phase = s->birth_phase,
+                .goal = lacking,
+                .base = base,
+            };
+    }
+}
+
+void fresh_play(const Settings *s, Fresh *fresh, const Onsets *onsets, const Slots *slots,
+                Glides *glides)
+{
+    for (size_t slot = 0; slot < s->fresh_max; slot++) {
+        Fresh *one = &fresh[slot];
+        if (one->sounds == 0.0) {
+            glides->start_amplitude[slot] = glides->end_amplitude[slot] = 0.0;
+            continue;
+        }
+        double hz = one->hz;
+        if (one->age > 0.0 && one->age < (double)s->heard_ticks && onsets_still_told(s, onsets)) {
+            const Told found = told(s, onsets, group_of(one));
+            const double wanted = larger(0.0, found.amplitude - one->base);
+            hz = found.hz;
+            one->goal += smaller(wanted - one->goal, room(s, fresh, slots));
+        }
+        const size_t share = (size_t)smaller(one->age, (double)(s->rise_shares.length - 1));
+        const double goal = one->goal * s->rise_shares.at[share];
+        glides->start_hz[slot] = one->hz;
+        glides->end_hz[slot] = hz;
+        glides->start_amplitude[slot] = one->amplitude;
+        glides->end_amplitude[slot] = goal;
+        glides->start_phase[slot] = one->phase;
+        const double phase = one->phase + 0.5 * s->tick_s * (one->hz + hz);
+        one->phase = phase - floor(phase);
+        one->hz = hz;
+        one->amplitude = goal;
+        one->age = smaller(one->age + 1.0, (double)s->heard_ticks + (double)s->rise_shares.length);
+    }
+}
+
+void fresh_hand_over(const Settings *s, Fresh *fresh, const Onsets *onsets, Slots *slots)
+{
+    for (size_t slot = 0; slot < s->fresh_max; slot++) {
+        Fresh *one = &fresh[slot];
+        if (one->sounds == 0.0 || one->age < (double)s->heard_ticks)
+            continue;
+        const Held held = {one->goal + one->base, onsets_loudness(s, onsets, group_of(one)), group_of(one)};
+        tracking_adopt(s, slots, one->hz, one->phase, one->amplitude, held);
+        memset(one, 0, sizeof *one);
+    }
+}

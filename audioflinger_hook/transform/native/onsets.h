@@ -1,0 +1,58 @@
+/* Onsets: what begins, by a short window every tick. */
+
+#ifndef CUSHION_ONSETS_H
+#define CUSHION_ONSETS_H
+
+#include <stddef.h>
+
+#include "fft.h"
+#include "settings.h"
+
+/* What one voice has heard of late. All of it is state. */
+typedef struct {
+    double *peaks;   /* largest magnitude of the ticks that the window touches, the last the newest */
+    double *past;    /* the bands' powers in the last back_ticks, the oldest first */
+    double *highest; /* of each band, forgotten bit by bit */
+    double *power;   /* of each bin since the last onset */
+    double *rising;  /* 1 for each band that rose at the last onset, else 0 */
+    double *since;   /* ticks since then */
+    double *newest;  /* mean square of what was newest, the largest since then */
+    double *peak;    /* largest magnitude since then */
+} Onsets;
+
+/* Bands of something that begins, and past the last. */
+typedef struct {
+    size_t first, last;
+} Group;
+
+/* Vibration frequency in Hz and amplitude. */
+typedef struct {
+    double hz, amplitude;
+} Told;
+
+size_t onsets_bands(const Settings *settings);
+
+/* Doubles of work space that `onsets_hear` needs. */
+size_t onsets_work(const Settings *settings, const Fft *fft);
+
+/* Return to the state of a new stream. */
+void onsets_reset(const Settings *settings, const Onsets *onsets);
+
+/* Take one tick and return whether there is an onset in it. samples: the last short_frames of
+ * band-passed sound, of which the last tick_frames are new; the peak of those is noted already. */
+int onsets_hear(const Settings *settings, const Fft *fft, const Onsets *onsets,
+                const double *samples, double *work);
+
+/* Whether the last onset's sound is told better by this tick than by the one before. */
+int onsets_still_told(const Settings *settings, const Onsets *onsets);
+
+/* Write the bands of each thing that begins, by frequency; return how many, `fresh_max` at most. */
+size_t onsets_groups(const Settings *settings, const Onsets *onsets, Group *groups);
+
+/* Tell what begins in a group of bands. */
+Told onsets_told(const Settings *settings, const Onsets *onsets, Group group);
+
+/* Return the power that a group of bands has had of late. */
+double onsets_loudness(const Settings *settings, const Onsets *onsets, Group group);
+
+#endif
