@@ -13,6 +13,7 @@ from typing import Any
 from audioflinger_hook import actuator_tables, live_settings
 from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.settings import CHOICES, Settings, wrong_gain, wrong_rig
+from audioflinger_hook.transform import CHOICES as PARAMETER_CHOICES
 from audioflinger_hook.transform import LIMITS, TransformParameters
 from audioflinger_hook.transform.parameters import Problem as PartProblem
 from device.actuators.settings import KEYS as ACTUATOR_KEYS
@@ -27,7 +28,8 @@ LIVE = ("tap", "device", "offset_ms", "drop_in", "block_frames", "realtime", "de
 TRANSFORM_CHOICES = ("form", "channels")
 SECTION = "transform"
 LIVE_SECTION = "applications"
-SECTIONS = {SECTION: (*TRANSFORM_CHOICES, *LIMITS), LIVE_SECTION: live_settings.LISTS}
+PARAMETERS = (*LIMITS, *PARAMETER_CHOICES)
+SECTIONS = {SECTION: (*TRANSFORM_CHOICES, *PARAMETERS), LIVE_SECTION: live_settings.LISTS}
 SYNTAX_ERRORS_MAX = 50
 CONFIG_BYTES_MAX = 1 << 20
 SHOWN_MAX = 200
@@ -112,8 +114,8 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
     if GAIN in document and (wrong := wrong_gain(document[GAIN])):
         problems.append(_problem(GAIN, lines, _shown(document[GAIN]), wrong.wrong, wrong.allowed))
     parameters = _section(document, SECTION)
-    numbers = {name: value for name, value in parameters.items() if name in LIMITS}
-    problems += _from_part(TransformParameters.problems(numbers), numbers, f"{SECTION}.", lines)
+    chosen = {name: value for name, value in parameters.items() if name in PARAMETERS}
+    problems += _from_part(TransformParameters.problems(chosen), chosen, f"{SECTION}.", lines)
     live = {name: document[name] for name in LIVE if name in document}
     rules = {
         name: value
@@ -137,7 +139,7 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
         named = document[RIG]
         choices[RIG] = named if named in SHIPPED else str(path.parent / named)
     effects_file = path.parent / document[EFFECTS_FILE] if EFFECTS_FILE in document else None
-    transform = TransformParameters(**numbers)
+    transform = TransformParameters(**chosen)
     settings = Settings(
         **choices,
         effects_file=effects_file,

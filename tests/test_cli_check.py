@@ -61,6 +61,8 @@ band_high_hz = 10_000.0
 vibration_top_hz = 200
 threshold_hz = 0.5
 partials_max = 8
+level_law = "energy"
+mapping = "jnd"
 """
 
 
@@ -244,6 +246,13 @@ def test_no_number_is_too_large_to_be_refused(config, value):
     assert "window_s" in what
 
 
+@pytest.mark.parametrize("value", ['"loud"', "3", "true", '["energy"]'])
+def test_a_word_of_the_transform_that_is_none_of_its_choices_is_a_mistake(config, value):
+    found = mistakes(config(f"[transform]\nlevel_law = {value}\n"))
+    what = f"transform.level_law = {value} is not known; allowed: tonal, energy"
+    assert found == [(2, what)]
+
+
 def test_numbers_that_contradict_each_other_are_a_mistake(config):
     found = mistakes(config("[transform]\nband_high_hz = 300\nband_low_hz = 200\n"))
     assert found == [
@@ -411,11 +420,11 @@ def test_every_key_of_a_config_has_its_effect(config, tmp_path):
     source = sound(tmp_path / "in.wav", noise(20_000, 2))
     lines = EVERY_KEY.splitlines()
     rendered = set()
-    for left_out in [line for line in lines if "_" in line] + ["form"]:
+    for left_out in [line for line in lines if "_" in line] + ["form", "mapping"]:
         path = config("\n".join(line for line in lines if not line.startswith(left_out)))
         assert call("render", source, tmp_path / "out.wav", "--config", path).code == 0
         rendered.add((tmp_path / "out.wav").read_bytes())
-    assert len(rendered) == 8
+    assert len(rendered) == 10
 
 
 @pytest.mark.parametrize(

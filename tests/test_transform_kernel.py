@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -204,6 +205,22 @@ def test_twins_agree_with_every_parameter_at_its_limits(kind):
     assert len(cases) > 30
     for values in cases:
         assert_twins(sound, 16_000, parameters=TransformParameters(**values))
+
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "by energy": {"level_law": "energy"},
+    "equal JNDs": {"mapping": "jnd"},
+    "both": {"level_law": "energy", "mapping": "jnd", "partials_max": 5},
+}
+
+
+@needs_kernel
+@pytest.mark.parametrize("samplerate", [8_000, 44_100])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_twins_agree_with_every_law_and_mapping(variant, samplerate):
+    parameters = TransformParameters(**VARIANTS[variant])
+    for make in SOUNDS.values():
+        assert_twins(make(samplerate), samplerate, parameters=parameters)
 
 
 @given(

@@ -18,6 +18,7 @@ from audioflinger_hook.transform import limiter, oscillators, partials
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.intake import MAGNITUDE_MAX, fitting
 from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.scaling import slope
 from audioflinger_hook.transform.smoothing import TABLE_STEP_HZ
 
 _kernel: ModuleType | None
@@ -123,6 +124,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
     """Return all numbers and tables by which a live form works, as the kernel names them."""
     grid, spectrum, analysis = form._grid, form._spectrum, form._analysis
     parameters, bank, smoother = form._parameters, form._bank, form._smoother
+    scale_hz, scale_ratio = slope(parameters)
     return {
         "window_frames": grid.window_frames,
         "hop_frames": grid.hop_frames,
@@ -135,6 +137,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "last_bin": analysis._last,
         "partials_max": parameters.partials_max,
         "ring_hops": form._ring_hops,
+        "by_energy": int(parameters.level_law == "energy"),
         "magnitude_max": MAGNITUDE_MAX,
         "denormal_guard": form._bandpass._guard,
         "silence": form._silence,
@@ -144,7 +147,8 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "weakest_image": analysis._weakest_image,
         "side_lobe": analysis._side_lobe,
         "full_scale_r": form._full_scale_r,
-        "scale_hz": parameters.scale_hz,
+        "scale_hz": scale_hz,
+        "scale_ratio": scale_ratio,
         "band_low_hz": parameters.band_low_hz,
         "bottom_hz": parameters.vibration_bottom_hz,
         "ceiling": limiter.CEILING,

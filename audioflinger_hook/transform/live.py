@@ -8,12 +8,13 @@ from audioflinger_hook.transform.analysis import LiveAnalysis
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.bandpass import BandPass
 from audioflinger_hook.transform.grid import LiveGrid
+from audioflinger_hook.transform.levels import law_amplitudes
 from audioflinger_hook.transform.limiter import below_full_scale, limited_amplitudes
 from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.partials import Glides, PartialTracker
 from audioflinger_hook.transform.principal import Principals
-from audioflinger_hook.transform.scaling import vibration_hz
+from audioflinger_hook.transform.scaling import slope, vibration_hz
 from audioflinger_hook.transform.smoothing import Smoother
 from audioflinger_hook.transform.spectrum import Spectrum
 from audioflinger_hook.transform.windows import strided_windows
@@ -51,7 +52,7 @@ class LiveTransform:
         self._silence = parameters.threshold_hz / samplerate
         self._bandpass = BandPass(parameters, samplerate)
         self._tracker = PartialTracker(
-            parameters.partials_max, self._grid.hop_s, parameters.scale_hz, parameters.window_s
+            parameters.partials_max, self._grid.hop_s, slope(parameters), parameters.window_s
         )
         self._bank = OscillatorBank(self._grid.steps, self._grid.hop_s)
         self._smoother = Smoother(self._grid, parameters.vibration_top_hz)
@@ -181,8 +182,10 @@ class LiveTransform:
                 mine = slice(edges[row], edges[row + 1])
                 row += 1
             if found is not None and mine.start < mine.stop:
-                r = found.r[mine]
-                amplitude, limited = limited_amplitudes(r * r / (r.sum() * self._full_scale_r))
+                strength = law_amplitudes(
+                    found.amplitude[mine], found.r[mine], self._full_scale_r, self._parameters
+                )
+                amplitude, limited = limited_amplitudes(strength)
                 if limited:
                     self.limited_frames += self._grid.hop_frames
                 self._tracker.follow(

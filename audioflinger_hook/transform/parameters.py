@@ -35,6 +35,17 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class Choice:
+    """The words that a parameter may be, the default first, with its meaning for messages."""
+
+    values: tuple[str, ...]
+    meaning: str
+
+    def __str__(self) -> str:
+        return ", ".join(self.values)
+
+
+@dataclass(frozen=True)
 class Problem:
     """What is wrong with one parameter, and what is allowed instead."""
 
@@ -51,6 +62,11 @@ LIMITS: dict[str, Limits] = {
     "partials_max": Limits(1, 64, "", "principal frequencies kept a unit (n)"),
 }
 
+CHOICES: dict[str, Choice] = {
+    "level_law": Choice(("tonal", "energy"), "how strong each principal frequency vibrates"),
+    "mapping": Choice(("paper", "jnd"), "where in the vibration's range each of them is felt"),
+}
+
 
 @dataclass(frozen=True)
 class TransformParameters:
@@ -58,6 +74,9 @@ class TransformParameters:
 
     window_s: seconds; band_low_hz, band_high_hz, vibration_top_hz: Hz; threshold_hz: full-scale
     amplitude times Hz; partials_max: a count. Ranges stand in `LIMITS`.
+
+    level_law: `tonal`, the paper's r^2 / sum r, or `energy`, see `levels.law_amplitudes`; mapping:
+    `paper`, equation (4), or `jnd`, see `scaling.vibration_hz`. The words stand in `CHOICES`.
 
     Raises
     ------
@@ -71,6 +90,8 @@ class TransformParameters:
     vibration_top_hz: float = 220.0
     threshold_hz: float = 0.3
     partials_max: int = 16
+    level_law: str = "tonal"
+    mapping: str = "paper"
 
     def __post_init__(self) -> None:
         values = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -90,8 +111,12 @@ class TransformParameters:
         found: dict[str, Problem] = {}
         complete: dict[str, float] = {}
         for field in fields(cls):
-            limits = LIMITS[field.name]
             value = values.get(field.name, field.default)
+            if choice := CHOICES.get(field.name):
+                if not isinstance(value, str) or value not in choice.values:
+                    found[field.name] = Problem("is not known", str(choice))
+                continue
+            limits = LIMITS[field.name]
             whole = field.name == "partials_max"
             if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
                 kind = "a whole number" if whole else "a number"
@@ -123,6 +148,12 @@ class TransformParameters:
         """B_c: vibration Hz for each factor e of audio frequency, from s(f_h) = the top."""
         span = math.log(self.band_high_hz / self.band_low_hz)
         return (self.vibration_top_hz - self.vibration_bottom_hz) / span
+
+    @property
+    def scale_ratio(self) -> float:
+        """The factor e of vibration frequency for each of audio frequency, with equal JNDs."""
+        span = math.log(self.band_high_hz / self.band_low_hz)
+        return math.log(self.vibration_top_hz / self.vibration_bottom_hz) / span
 
     def window_frames(self, samplerate: int) -> int:
         """N = round(T fs): frames in one unit sequence."""

@@ -60,14 +60,17 @@ class Glides:
 class PartialTracker:
     """Turns each hop's list of partials into glides of a fixed number of slots.
 
+    slope: of the mapping, as `scaling.slope` has it.
     Two sets of `partials_max` slots always suffice: in any hop one set lives and another fades.
     Held by one thread at a time.
     """
 
-    def __init__(self, partials_max: int, hop_s: float, scale_hz: float, window_s: float) -> None:
+    def __init__(
+        self, partials_max: int, hop_s: float, slope: tuple[float, float], window_s: float
+    ) -> None:
         self.slots = 2 * partials_max
         self._hop_s = hop_s
-        self._scale_hz = scale_hz
+        self._scale_hz, self._scale_ratio = slope
         self._match_audio_hz = MATCH_HZ_A_WINDOW / window_s
         self.reset()
 
@@ -144,7 +147,8 @@ class PartialTracker:
         distance = np.abs(hz[:, None] - self._hz.take(alive))
         nearest = distance.argmin(axis=1)
         gap_hz = distance.min(axis=1)
-        reach_hz = self._scale_hz * np.maximum(MATCH_RATIO, self._match_audio_hz / audio_hz)
+        slope_hz = self._scale_hz + self._scale_ratio * hz
+        reach_hz = slope_hz * np.maximum(MATCH_RATIO, self._match_audio_hz / audio_hz)
         mutual = distance.argmin(axis=0).take(nearest) == np.arange(hz.size)
         mutual &= gap_hz <= reach_hz
         beside = alive.take(nearest)

@@ -192,24 +192,43 @@ static size_t analysed(Live *live, const Voice *voice)
 
 /* -------------------------------------------------------------------------------------- one hop */
 
-/* Set the amplitudes of what was found: P_k r_k over a full-scale tone's r, scaled down where their
- * sum would pass the ceiling; return whether it would. */
-static int levelled(Live *live, size_t count)
+/* Set the amplitudes of what was found by the level law: P_k r_k over a full-scale tone's r, or by
+ * the energy of each. */
+static void strengthen(Live *live, size_t count)
 {
     const Settings *s = &live->settings;
-    double sum_r = 0.0, total = 0.0;
+    double sum_r = 0.0;
     for (size_t one = 0; one < count; one++)
         sum_r += live->found.r[one];
     for (size_t one = 0; one < count; one++) {
         const double r = live->found.r[one];
-        live->amplitude[one] = r * r / (sum_r * s->full_scale_r);
-        total += live->amplitude[one];
+        live->amplitude[one] = s->by_energy ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
+                                            : r * r / (sum_r * s->full_scale_r);
     }
+}
+
+/* Set the amplitudes of what was found, scaled down where their sum would pass the ceiling; return
+ * whether it would. */
+static int levelled(Live *live, size_t count)
+{
+    const Settings *s = &live->settings;
+    double total = 0.0;
+    strengthen(live, count);
+    for (size_t one = 0; one < count; one++)
+        total += live->amplitude[one];
     const int limited = !(total <= s->ceiling);
     if (limited)
         for (size_t one = 0; one < count; one++)
             live->amplitude[one] *= s->ceiling / total;
     return limited;
+}
+
+/* Where in the vibration's range a frequency of sound is felt. */
+static double felt_hz(const Settings *s, double audio_hz)
+{
+    const double octaves = log(audio_hz / s->band_low_hz);
+    return s->scale_ratio != 0.0 ? s->bottom_hz * exp(s->scale_ratio * octaves)
+                                 : s->scale_hz * octaves + s->bottom_hz;
 }
 
 static void follow(Live *live, Voice *voice, size_t count)
@@ -218,8 +237,7 @@ static void follow(Live *live, Voice *voice, size_t count)
     if (levelled(live, count))
         live->limited += s->hop_frames;
     for (size_t one = 0; one < count; one++) {
-        const double ratio = live->found.audio_hz[one] / s->band_low_hz;
-        live->hz[one] = s->scale_hz * log(ratio) + s->bottom_hz;
+        live->hz[one] = felt_hz(s, live->found.audio_hz[one]);
         live->amplitude[one] *= smoothing_gain(s, live->hz[one]);
     }
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};

@@ -17,7 +17,8 @@
     ENTRY(first_bin)    /* on which a peak counts, */                                              \
     ENTRY(last_bin)     /* and the last; under the first for none */                               \
     ENTRY(partials_max) /* at a time */                                                            \
-    ENTRY(ring_hops)    /* that the low-pass rings after the last partial */
+    ENTRY(ring_hops)    /* that the low-pass rings after the last partial */                       \
+    ENTRY(by_energy)    /* the level law: 1 by energy, 0 the paper's */
 
 #define NUMBERS(ENTRY)                                                                             \
     ENTRY(magnitude_max)  /* of a sample; above it is damage */                                    \
@@ -30,6 +31,7 @@
     ENTRY(side_lobe)      /* share of the highest amplitude up to which a peak is left out */      \
     ENTRY(full_scale_r)   /* r of a tone at full scale, Hz */                                      \
     ENTRY(scale_hz)       /* equation (4): Hz of vibration for each factor e, */                   \
+    ENTRY(scale_ratio)    /* or, where it is not 0, that factor's power of the vibration, */       \
     ENTRY(band_low_hz)    /* from this frequency of audio, */                                      \
     ENTRY(bottom_hz)      /* which is felt at this one */                                          \
     ENTRY(ceiling)        /* of a hop's sum of amplitudes */                                       \

@@ -85,7 +85,8 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
     }
     for (size_t one = 0; one < partials.count; one++) {
         const double ratio = settings->match_audio_hz / partials.audio_hz[one];
-        const double reach_hz = settings->scale_hz * larger(settings->match_ratio, ratio);
+        const double slope_hz = settings->scale_hz + settings->scale_ratio * partials.hz[one];
+        const double reach_hz = slope_hz * larger(settings->match_ratio, ratio);
         const size_t nearest = matches[one].nearest;
         const int mutual = count && alive.nearest_partial[nearest] == one;
         matches[one].nearest = count ? alive.slot[nearest] : 0;
