@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.transform import limiter, oscillators, partials
+from audioflinger_hook.transform import follower, limiter, loudness, oscillators, partials
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.intake import MAGNITUDE_MAX, fitting
 from audioflinger_hook.transform.live import LiveTransform
@@ -143,6 +143,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "silence": form._silence,
         "bin_hz": analysis._bin_hz,
         "threshold_hz": analysis._threshold_hz,
+        **_following(form),
         "peak_span_min": analysis._peak_span_min,
         "weakest_image": analysis._weakest_image,
         "side_lobe": analysis._side_lobe,
@@ -175,4 +176,29 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "low_a": smoother._a,
         "phases": smoother._phases,
         "gain_table": smoother._table_gain,
+    }
+
+
+def _following(form: LiveTransform) -> dict[str, Any]:
+    """Return what the loudness follower adds, without a weight where there is none."""
+    one = follower.LoudnessFollower(form._parameters, form._grid.hop_s)
+    return {
+        "nothing": loudness.NOTHING,
+        "programme_start": one.start_db,
+        "programme_min": one.programme_min_db,
+        "programme_top": follower.PROGRAMME_TOP_DB,
+        "programme_step": one.programme_step_db,
+        "rise": one.rise,
+        "fall": one.fall,
+        "far": follower.FAR_DB,
+        "release": one.release_db,
+        "floor_min": one.floor_min_db,
+        "floor_rise": one.floor_rise_db,
+        "floor_under": follower.FLOOR_UNDER_PROGRAMME_DB,
+        "gate": one.gate_db,
+        "gate_margin": follower.GATE_MARGIN,
+        "target": one.target_db,
+        "slope": one.slope,
+        "gain_max": one.gain_max,
+        "loudness_weights": form._loudness_weights,
     }

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from audioflinger_hook.transform.analysis import LiveAnalysis
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.bandpass import BandPass
+from audioflinger_hook.transform.follower import LoudnessFollower
 from audioflinger_hook.transform.grid import LiveGrid
 from audioflinger_hook.transform.levels import law_amplitudes
 from audioflinger_hook.transform.limiter import below_full_scale, limited_amplitudes
+from audioflinger_hook.transform.loudness import bin_weights, loudness_db
 from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.partials import Glides, PartialTracker
@@ -46,10 +50,18 @@ class LiveTransform:
         self._grid = LiveGrid.at(parameters, samplerate)
         self._spectrum = Spectrum(parameters, samplerate)
         bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / self._spectrum.bin_hz)
-        self._analysis = LiveAnalysis(parameters, self._spectrum, min(self._spectrum.bins, bins))
+        bins = min(self._spectrum.bins, bins)
+        threshold_hz = parameters.heard_threshold_hz
+        heard = replace(parameters, threshold_hz=threshold_hz)
+        self._analysis = LiveAnalysis(heard, self._spectrum, bins)
         self._full_scale_r = parameters.unit_strength_hz(samplerate)
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
-        self._silence = parameters.threshold_hz / samplerate
+        self._silence = threshold_hz / samplerate
+        self._follower = None
+        self._loudness_weights = np.zeros(0)
+        if parameters.follower_db > 0.0:
+            self._follower = LoudnessFollower(parameters, self._grid.hop_s)
+            self._loudness_weights = bin_weights(self._spectrum, bins)
         self._bandpass = BandPass(parameters, samplerate)
         self._tracker = PartialTracker(
             parameters.partials_max, self._grid.hop_s, slope(parameters), parameters.window_s
@@ -82,6 +94,8 @@ class LiveTransform:
         self._bandpass.reset()
         self._tracker.reset()
         self._smoother.reset()
+        if self._follower:
+            self._follower.reset()
 
     @property
     def asleep(self) -> bool:
@@ -147,6 +161,8 @@ class LiveTransform:
         )
         heard = (self._loudest(filtered, hops) >= self._silence).nonzero()[0]
         if not heard.size and self._tracker.idle and not self._ringing:
+            if self._follower:
+                self._follower.rest()
             return np.zeros(sound.size)
         glides, awake = self._glide(windows, heard, hops)
         return self._play(glides, awake)
@@ -170,6 +186,7 @@ class LiveTransform:
         if heard.size:
             whole = heard.size == hops
             spectra = self._spectrum.transform(windows if whole else windows[heard])
+            loudness = loudness_db(spectra, self._loudness_weights) if self._follower else []
             found = self._analysis.strongest(spectra)
             edges = found.boundaries(heard.size).tolist()
             hz = vibration_hz(found.audio_hz, self._parameters)
@@ -177,15 +194,16 @@ class LiveTransform:
         awake = []
         row = 0
         for hop in range(hops):
-            mine = slice(0, 0)
+            mine, strength = slice(0, 0), 1.0
             if found is not None and row < heard.size and heard[row] == hop:
                 mine = slice(edges[row], edges[row + 1])
+                if self._follower:
+                    strength = self._follower.strength(loudness[row])
                 row += 1
-            if found is not None and mine.start < mine.stop:
-                strength = law_amplitudes(
-                    found.amplitude[mine], found.r[mine], self._full_scale_r, self._parameters
-                )
-                amplitude, limited = limited_amplitudes(strength)
+            elif self._follower:
+                self._follower.rest()
+            if found is not None and mine.start < mine.stop and strength > 0.0:
+                amplitude, limited = self._levelled(found.take(mine), strength)
                 if limited:
                     self.limited_frames += self._grid.hop_frames
                 self._tracker.follow(
@@ -198,6 +216,17 @@ class LiveTransform:
                 self._ringing -= 1
             awake.append(self._ringing > 0)
         return glides, awake
+
+    def _levelled(self, found: Principals, strength: float) -> tuple[FloatArray, bool]:
+        """Return the amplitudes of one hop's partials, and whether they were limited.
+
+        strength: what the follower makes of their loudness.
+        """
+        amplitude = law_amplitudes(found.amplitude, found.r, self._full_scale_r, self._parameters)
+        if self._follower:
+            power = float((amplitude * amplitude).sum())
+            amplitude = amplitude * self._follower.gain_for(strength, power)
+        return limited_amplitudes(amplitude)
 
     def _play(self, glides: Glides, awake: list[bool]) -> FloatArray:
         """Return the hops' vibration; what sleeps is exactly 0 and forgets its ringing."""

@@ -31,7 +31,8 @@ static double *numbers(Space *space, size_t count) { return taken(space, count, 
 static size_t voice_numbers(const Settings *s)
 {
     return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->hop_frames +
-           SLOT_NUMBERS * 2 * s->partials_max + smoothing_states(s) + smoothing_tail(s) + 1;
+           SLOT_NUMBERS * 2 * s->partials_max + FOLLOWER_NUMBERS + smoothing_states(s) +
+           smoothing_tail(s) + 1;
 }
 
 static void lay_out_voice(const Settings *s, Voice *voice, double **next)
@@ -45,6 +46,10 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
     voice->slots.amplitude = placed(next, slots);
     voice->slots.phase = placed(next, slots);
     voice->slots.alive = placed(next, slots);
+    voice->follower.programme = placed(next, 1);
+    voice->follower.floor = placed(next, 1);
+    voice->follower.loud = placed(next, 1);
+    voice->follower.gain = placed(next, 1);
     voice->smoothing.state = placed(next, smoothing_states(s));
     voice->smoothing.tail = placed(next, smoothing_tail(s));
     voice->ringing = placed(next, 1);
@@ -103,8 +108,10 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
     lay_out_work(live, live->work);
     live->silent = settings->window_frames; /* before the beginning there was nothing */
     double *next = live->state;
-    for (size_t voice = 0; voice < live->voices_count; voice++)
+    for (size_t voice = 0; voice < live->voices_count; voice++) {
         lay_out_voice(settings, &live->voices[voice], &next);
+        follower_reset(settings, &live->voices[voice].follower);
+    }
     return 0;
 }
 
@@ -124,6 +131,8 @@ void live_reset(Live *live)
     memset(live->state, 0, live->state_length * sizeof(double));
     live->filled = live->oldest = 0;
     live->silent = live->settings.window_frames;
+    for (size_t voice = 0; voice < live->voices_count; voice++)
+        follower_reset(&live->settings, &live->voices[voice].follower);
 }
 
 int live_is_possible(const Live *live)
@@ -140,6 +149,8 @@ int live_is_possible(const Live *live)
         if (alive > s->partials_max)
             return 0;
         if (!(*voice->ringing >= 0.0 && *voice->ringing <= (double)s->ring_hops))
+            return 0;
+        if (!follower_is_possible(s, &voice->follower))
             return 0;
     }
     return 1;
@@ -162,7 +173,9 @@ WIDE static void windowed(const Live *live, const Voice *voice, double *restrict
         samples[frame] = past[frame] * window[frame];
 }
 
-static size_t analysed(Live *live, const Voice *voice)
+/* Find what is principal in the window; return how many, 0 where it is not to be felt. strength: how
+ * strong it vibrates, where loudness is followed. */
+static size_t analysed(Live *live, Voice *voice, double *strength)
 {
     const Settings *s = &live->settings;
     const Rule rule = {
@@ -187,6 +200,12 @@ static size_t analysed(Live *live, const Voice *voice)
     const Spectrum spectrum = {live->real, live->imaginary, 1};
     windowed(live, voice, live->windowed);
     fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
+    if (follower_is_on(s)) {
+        const double loudness_db = follower_loudness_db(s, live->real, live->imaginary);
+        *strength = follower_strength(s, &voice->follower, loudness_db);
+        if (!(*strength > 0.0))
+            return 0;
+    }
     return (size_t)principal(&rule, &window, spectrum, live->found, live->analysis_space);
 }
 
@@ -209,11 +228,13 @@ static void strengthen(Live *live, size_t count)
 
 /* Set the amplitudes of what was found, scaled down where their sum would pass the ceiling; return
  * whether it would. */
-static int levelled(Live *live, size_t count)
+static int levelled(Live *live, Voice *voice, double strength, size_t count)
 {
     const Settings *s = &live->settings;
     double total = 0.0;
     strengthen(live, count);
+    if (follower_is_on(s))
+        follower_apply(s, &voice->follower, strength, live->amplitude, count);
     for (size_t one = 0; one < count; one++)
         total += live->amplitude[one];
     const int limited = !(total <= s->ceiling);
@@ -231,10 +252,10 @@ static double felt_hz(const Settings *s, double audio_hz)
                                  : s->scale_hz * octaves + s->bottom_hz;
 }
 
-static void follow(Live *live, Voice *voice, size_t count)
+static void follow(Live *live, Voice *voice, double strength, size_t count)
 {
     const Settings *s = &live->settings;
-    if (levelled(live, count))
+    if (levelled(live, voice, strength, count))
         live->limited += s->hop_frames;
     for (size_t one = 0; one < count; one++) {
         live->hz[one] = felt_hz(s, live->found.audio_hz[one]);
@@ -254,9 +275,14 @@ static void advance(Live *live, Voice *voice)
     memmove(voice->peaks, voice->peaks + 1, (s->hops_in_window - 1) * sizeof(double));
     voice->peaks[s->hops_in_window - 1] = 0.0;
 
-    const size_t count = loudest >= s->silence ? analysed(live, voice) : 0;
+    size_t count = 0;
+    double strength = 1.0;
+    if (loudest >= s->silence)
+        count = analysed(live, voice, &strength);
+    else
+        follower_rest(s, &voice->follower);
     if (count) {
-        follow(live, voice, count);
+        follow(live, voice, strength, count);
         *voice->ringing = (double)s->ring_hops;
     } else if (tracking_sounds(s, &voice->slots)) {
         tracking_fade(s, &voice->slots, &live->glides);

@@ -8,6 +8,7 @@
 
 #include "analysis.h"
 #include "fft.h"
+#include "follower.h"
 #include "intake.h"
 #include "settings.h"
 #include "synthesis.h"
@@ -20,6 +21,7 @@ typedef struct {
     double *peaks;  /* of the last hops_in_window, the one under way the last */
     double *played; /* the hop that is being delivered */
     Slots slots;
+    Follower follower;
     Smoothing smoothing;
     double *ringing; /* hops that the low-pass still rings */
 } Voice;

@@ -44,7 +44,25 @@
     ENTRY(steady_ratio)                                                                            \
     ENTRY(steady_gain)  /* share of the smallest changes that is followed */                       \
     ENTRY(still)        /* up to which a sum of amplitudes does not rise */                        \
-    ENTRY(gain_step_hz) /* between entries of gain_table */
+    ENTRY(gain_step_hz) /* between entries of gain_table */                                        \
+    /* of the loudness follower, dB and dB a hop; see follower.py */                               \
+    ENTRY(nothing)         /* energy that counts as none */                                        \
+    ENTRY(programme_start) /* level of the programme before anything is heard, */                  \
+    ENTRY(programme_min)                                                                           \
+    ENTRY(programme_top)                                                                           \
+    ENTRY(programme_step) /* how it moves, */                                                      \
+    ENTRY(rise)           /* and by which share of what is missing */                              \
+    ENTRY(fall)                                                                                    \
+    ENTRY(far)         /* more than this is not missing */                                         \
+    ENTRY(release)     /* of what was loud */                                                      \
+    ENTRY(floor_min)   /* loudness up to which nothing is felt */                                  \
+    ENTRY(floor_rise)  /* of the noise floor */                                                    \
+    ENTRY(floor_under) /* it stays under the programme's level */                                  \
+    ENTRY(gate)        /* from the floor to where all is felt, */                                  \
+    ENTRY(gate_margin) /* of which this share is still silent */                                   \
+    ENTRY(target)      /* vibration at the programme's level */                                    \
+    ENTRY(slope)       /* of vibration for each dB of loudness */                                  \
+    ENTRY(gain_max)    /* of amplitudes, a factor */
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
@@ -60,7 +78,8 @@
     ENTRY(low_b)       /* the low-pass as one recursion */                                         \
     ENTRY(low_a)                                                                                   \
     ENTRY(phases)     /* of the interpolation: taps rows of decimation */                          \
-    ENTRY(gain_table) /* that undoes the low-pass's ripple, by vibration frequency */
+    ENTRY(gain_table) /* that undoes the low-pass's ripple, by vibration frequency */              \
+    ENTRY(loudness_weights) /* of bins; empty where loudness is not followed */
 
 typedef struct {
     double *at;
