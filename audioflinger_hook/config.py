@@ -12,6 +12,7 @@ from typing import Any
 
 from audioflinger_hook import actuator_tables, live_settings
 from audioflinger_hook.live_settings import LiveSettings
+from audioflinger_hook.profiles import PROFILES, parameters_of, values_of
 from audioflinger_hook.settings import CHOICES, Settings, wrong_gain, wrong_rig
 from audioflinger_hook.transform import CHOICES as PARAMETER_CHOICES
 from audioflinger_hook.transform import LIMITS, TransformParameters
@@ -115,7 +116,9 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
         problems.append(_problem(GAIN, lines, _shown(document[GAIN]), wrong.wrong, wrong.allowed))
     parameters = _section(document, SECTION)
     chosen = {name: value for name, value in parameters.items() if name in PARAMETERS}
-    problems += _from_part(TransformParameters.problems(chosen), chosen, f"{SECTION}.", lines)
+    profile = _profile(document)
+    wrong_together = TransformParameters.problems(values_of(profile) | chosen)
+    problems += _from_part(wrong_together, chosen, f"{SECTION}.", lines)
     live = {name: document[name] for name in LIVE if name in document}
     rules = {
         name: value
@@ -139,14 +142,20 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
         named = document[RIG]
         choices[RIG] = named if named in SHIPPED else str(path.parent / named)
     effects_file = path.parent / document[EFFECTS_FILE] if EFFECTS_FILE in document else None
-    transform = TransformParameters(**chosen)
     settings = Settings(
         **choices,
         effects_file=effects_file,
-        parameters=transform,
+        parameters=parameters_of(profile, chosen),
+        said=tuple(chosen),
         actuators=actuator_tables.from_tables(tables, path.parent),
     )
     return Config(settings, live_settings.from_document(live | rules)), []
+
+
+def _profile(document: dict[str, Any]) -> str:
+    """Return the profile that a document names, the default where it names none that exists."""
+    named = document.get("profile")
+    return named if isinstance(named, str) and named in PROFILES else CHOICES["profile"][0]
 
 
 def _section(document: dict[str, Any], name: str) -> dict[str, Any]:
