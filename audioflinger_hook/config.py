@@ -12,7 +12,9 @@ from typing import Any
 
 from audioflinger_hook import actuator_tables, live_settings
 from audioflinger_hook.live_settings import LiveSettings
+from audioflinger_hook.profiles import PROFILES, parameters_of, values_of
 from audioflinger_hook.settings import CHOICES, Settings, wrong_gain, wrong_rig
+from audioflinger_hook.transform import CHOICES as PARAMETER_CHOICES
 from audioflinger_hook.transform import LIMITS, TransformParameters
 from audioflinger_hook.transform.parameters import Problem as PartProblem
 from device.actuators.settings import KEYS as ACTUATOR_KEYS
@@ -27,7 +29,8 @@ LIVE = ("tap", "device", "offset_ms", "drop_in", "block_frames", "realtime", "de
 TRANSFORM_CHOICES = ("form", "channels")
 SECTION = "transform"
 LIVE_SECTION = "applications"
-SECTIONS = {SECTION: (*TRANSFORM_CHOICES, *LIMITS), LIVE_SECTION: live_settings.LISTS}
+PARAMETERS = (*LIMITS, *PARAMETER_CHOICES)
+SECTIONS = {SECTION: (*TRANSFORM_CHOICES, *PARAMETERS), LIVE_SECTION: live_settings.LISTS}
 SYNTAX_ERRORS_MAX = 50
 CONFIG_BYTES_MAX = 1 << 20
 SHOWN_MAX = 200
@@ -112,8 +115,10 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
     if GAIN in document and (wrong := wrong_gain(document[GAIN])):
         problems.append(_problem(GAIN, lines, _shown(document[GAIN]), wrong.wrong, wrong.allowed))
     parameters = _section(document, SECTION)
-    numbers = {name: value for name, value in parameters.items() if name in LIMITS}
-    problems += _from_part(TransformParameters.problems(numbers), numbers, f"{SECTION}.", lines)
+    chosen = {name: value for name, value in parameters.items() if name in PARAMETERS}
+    profile = _profile(document)
+    wrong_together = TransformParameters.problems(values_of(profile) | chosen)
+    problems += _from_part(wrong_together, chosen, f"{SECTION}.", lines)
     live = {name: document[name] for name in LIVE if name in document}
     rules = {
         name: value
@@ -137,14 +142,20 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
         named = document[RIG]
         choices[RIG] = named if named in SHIPPED else str(path.parent / named)
     effects_file = path.parent / document[EFFECTS_FILE] if EFFECTS_FILE in document else None
-    transform = TransformParameters(**numbers)
     settings = Settings(
         **choices,
         effects_file=effects_file,
-        parameters=transform,
+        parameters=parameters_of(profile, chosen),
+        said=tuple(chosen),
         actuators=actuator_tables.from_tables(tables, path.parent),
     )
     return Config(settings, live_settings.from_document(live | rules)), []
+
+
+def _profile(document: dict[str, Any]) -> str:
+    """Return the profile that a document names, the default where it names none that exists."""
+    named = document.get("profile")
+    return named if isinstance(named, str) and named in PROFILES else CHOICES["profile"][0]
 
 
 def _section(document: dict[str, Any], name: str) -> dict[str, Any]:

@@ -42,6 +42,7 @@ class RenderReport:
     samplerate: int
     channels: int
     transform: str
+    profile: str
     latency_s: float
     peak: float
     limited_samples: int
@@ -142,6 +143,7 @@ def render(
         samplerate=rate,
         channels=channels,
         transform=settings.form,
+        profile=settings.profile,
         latency_s=framework.latency_s,
         peak=written[0][0].peak,
         limited_samples=framework.limited_samples,

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
+from audioflinger_hook.profiles import PROFILES, parameters_of
 from audioflinger_hook.transform import Form, TransformParameters
 from audioflinger_hook.transform.parameters import Problem
 from device.actuators import (
@@ -22,7 +23,7 @@ from device.rig.rig_file import SHIPPED, SUFFIX, read_rig
 Channels = Literal["mono", "each"]
 
 CHOICES: dict[str, tuple[str, ...]] = {
-    "profile": ("paper",),
+    "profile": tuple(PROFILES),
     "damping": ("off", "auto"),
     "protection": ("off", "on"),
     "exposure_cap": ("off", "action", "limit"),
@@ -34,6 +35,9 @@ CHOICES: dict[str, tuple[str, ...]] = {
 GAIN_MIN_DB = -60.0
 GAIN_MAX_DB = 0.0
 
+OF_PROFILE = TransformParameters()
+"""Stands for the parameters of whichever profile is chosen: it itself, not its equals."""
+
 LABELS = {"form": "transform"}
 """What a choice is called on the command line, where that differs."""
 
@@ -42,15 +46,18 @@ LABELS = {"form": "transform"}
 class Settings:
     """One complete set of choices.
 
-    profile: a named set of parameters; form: which form of the transform; channels: `mono`
-    mixes before the transform, `each` transforms every channel by itself; damping: whether
-    residual vibration is reduced; protection: whether the rig is kept within its limits, which
-    comes with damping; exposure_cap: the value of 2002/44/EC that all vibration since the start is
-    kept under, which brings protection along; rig: what is driven, one that ships or a file,
-    NAME.toml; gain_db: level of the vibration, -60 to 0; effects_file: an audio_effects.xml that
-    says which effects run, None for the bundled one. actuators: what each gets that the device
+    profile: a named set of parameters (`profiles.PROFILES`); form: which form of the transform;
+    channels: `mono` mixes before the transform, `each` transforms every channel by itself; damping:
+    whether residual vibration is reduced; protection: whether the rig is kept within its limits,
+    which comes with damping; exposure_cap: the value of 2002/44/EC that all vibration since the
+    start is kept under, which brings protection along; rig: what is driven, one that ships or a
+    file, NAME.toml; gain_db: level of the vibration, -60 to 0; effects_file: an audio_effects.xml
+    that says which effects run, None for the bundled one. actuators: what each gets that the device
     drives, on which of its channels; none: the vibration, on all of them. With actuators, their
     sources say what is transformed, and `channels` is `mono`.
+
+    parameters: the profile's where not given; said: the names of those that were chosen one by one
+    and stay where another profile is chosen (`choosing`).
 
     Raises
     ------
@@ -67,10 +74,14 @@ class Settings:
     rig: str = SHIPPED[0]
     gain_db: float = GAIN_MAX_DB
     effects_file: Path | None = None
-    parameters: TransformParameters = field(default_factory=TransformParameters)
+    parameters: TransformParameters = OF_PROFILE
+    said: tuple[str, ...] = ()
     actuators: tuple[ActuatorSettings, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.parameters is OF_PROFILE:
+            known = self.profile if self.profile in CHOICES["profile"] else CHOICES["profile"][0]
+            object.__setattr__(self, "parameters", parameters_of(known))
         problems = [
             f"{LABELS.get(name, name)} {getattr(self, name)!r} is not known; "
             f"allowed: {', '.join(allowed)}"
@@ -100,6 +111,21 @@ class Settings:
             )
         if problems:
             raise UsageError("; ".join(problems))
+
+    def choosing(self, **given: Any) -> Settings:
+        """Return these settings with others of the given names.
+
+        A profile brings its parameters, but for those that were said by name.
+
+        Raises
+        ------
+        UsageError
+            As upon making them.
+        """
+        if given.get("profile") in CHOICES["profile"] and "parameters" not in given:
+            kept = {name: getattr(self.parameters, name) for name in self.said}
+            given["parameters"] = parameters_of(given["profile"], kept)
+        return replace(self, **given)
 
     @property
     def sources(self) -> tuple[str, ...]:

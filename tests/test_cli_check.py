@@ -61,6 +61,8 @@ band_high_hz = 10_000.0
 vibration_top_hz = 200
 threshold_hz = 0.5
 partials_max = 8
+level_law = "energy"
+mapping = "jnd"
 """
 
 
@@ -98,7 +100,7 @@ def mistakes(path):
 def test_five_mistakes_are_reported_at_once_with_key_line_value_and_what_is_allowed(config):
     path = config(FIVE_MISTAKES)
     expected = [
-        (2, 'profile = "loud" is not known; allowed: paper'),
+        (2, 'profile = "loud" is not known; allowed: paper, cinema, game, music'),
         (4, f"volume = 11 is an unknown key; allowed: {TOP_LEVEL}"),
         (5, 'damping = "on" is not known; allowed: off, auto'),
         (7, "transform.window_s = 9 is out of range; allowed: 0.01 to 0.2 s"),
@@ -196,7 +198,7 @@ def test_rendering_with_mistakes_names_the_first_and_how_many_more(config, tmp_p
     source = sound(tmp_path / "in.wav", noise(3_000))
     path = config(FIVE_MISTAKES)
     error = refused(call("render", source, tmp_path / "out.wav", "--config", path))
-    assert 'line 2: profile = "loud" is not known; allowed: paper' in error
+    assert 'line 2: profile = "loud" is not known; allowed: paper, cinema, game, music' in error
     assert "and 4 more" in error
     assert listing(tmp_path).keys() == {"in.wav", "config.toml"}
 
@@ -206,7 +208,8 @@ def test_every_number_has_its_range_and_its_edges_are_in_it(config, name):
     # Alone, so that no two numbers contradict each other but for the named ones.
     low, high = LIMITS[name].low, LIMITS[name].high
     whole = name == "partials_max"
-    beyond = [low - 1, high + 1] if whole else [low * 0.999, high * 1.001]
+    little = 0.001 * (abs(low) + abs(high))
+    beyond = [low - 1, high + 1] if whole else [low - little, high + little]
     for value in beyond:
         ((line, what),) = mistakes(config(f"[transform]\n{name} = {value!r}\n"))
         assert line == 2
@@ -244,6 +247,13 @@ def test_no_number_is_too_large_to_be_refused(config, value):
     assert "window_s" in what
 
 
+@pytest.mark.parametrize("value", ['"loud"', "3", "true", '["energy"]'])
+def test_a_word_of_the_transform_that_is_none_of_its_choices_is_a_mistake(config, value):
+    found = mistakes(config(f"[transform]\nlevel_law = {value}\n"))
+    what = f"transform.level_law = {value} is not known; allowed: tonal, energy"
+    assert found == [(2, what)]
+
+
 def test_numbers_that_contradict_each_other_are_a_mistake(config):
     found = mistakes(config("[transform]\nband_high_hz = 300\nband_low_hz = 200\n"))
     assert found == [
@@ -257,7 +267,7 @@ def test_numbers_that_contradict_each_other_are_a_mistake(config):
 def test_names_that_are_no_names_are_mistakes(config):
     found = mistakes(config('profile = 3\n[transform]\nform = "Live"\nchannels = true\n'))
     assert found == [
-        (1, "profile = 3 is not known; allowed: paper"),
+        (1, "profile = 3 is not known; allowed: paper, cinema, game, music"),
         (3, 'transform.form = "Live" is not known; allowed: live, reference'),
         (4, "transform.channels = true is not known; allowed: mono, each"),
     ]
@@ -323,7 +333,7 @@ def test_the_line_is_right_however_the_key_is_written(config, text, line):
 def test_a_value_of_several_lines_is_still_one_line_of_message(config, text):
     ((line, what),) = mistakes(config(text))
     assert line == 1
-    assert what.endswith("is not known; allowed: paper")
+    assert what.endswith("is not known; allowed: paper, cinema, game, music")
     assert what.isprintable()
 
 
@@ -411,11 +421,11 @@ def test_every_key_of_a_config_has_its_effect(config, tmp_path):
     source = sound(tmp_path / "in.wav", noise(20_000, 2))
     lines = EVERY_KEY.splitlines()
     rendered = set()
-    for left_out in [line for line in lines if "_" in line] + ["form"]:
+    for left_out in [line for line in lines if "_" in line] + ["form", "mapping"]:
         path = config("\n".join(line for line in lines if not line.startswith(left_out)))
         assert call("render", source, tmp_path / "out.wav", "--config", path).code == 0
         rendered.add((tmp_path / "out.wav").read_bytes())
-    assert len(rendered) == 8
+    assert len(rendered) == 10
 
 
 @pytest.mark.parametrize(

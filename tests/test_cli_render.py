@@ -378,7 +378,7 @@ def test_damping_is_heard_by_the_rig_in_file_and_acceleration_alike(tmp_path, ou
     [
         ("--transform", "live, reference"),
         ("--channels", "mono, each"),
-        ("--profile", "paper"),
+        ("--profile", "paper, cinema, game, music"),
         ("--damping", "off, auto"),
         ("--protection", "off, on"),
         ("--rig", "paper, consumer, or a file, NAME.toml"),

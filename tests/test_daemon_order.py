@@ -36,6 +36,11 @@ ORDER = Order(TapAddress("default"), DeviceAddress("sink", "a"), Settings(), Liv
             "the transform, which begins anew",
         ),
         (
+            replace(ORDER, settings=Settings(profile="game")),
+            Changes(transform=True),
+            "the transform, which begins anew",
+        ),
+        (
             replace(ORDER, settings=Settings(form="reference", gain_db=-1.0)),
             Changes(level=True, engine=True),
             "the level, the effects, so that everything begins anew",

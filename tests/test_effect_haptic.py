@@ -19,7 +19,7 @@ from audioflinger_hook.effect.haptic import DRAIN, HAPTIC_CUSHION, HapticEffect
 from audioflinger_hook.effect.haptic_parameters import HAPTIC_PARAMETERS, from_settings
 from audioflinger_hook.effect.interface import EINVAL, ENODATA, ENOSYS, OK, Access, Command
 from audioflinger_hook.settings import Settings
-from audioflinger_hook.transform import LIMITS, Form, HapticTransform, TransformParameters
+from audioflinger_hook.transform import CHOICES, LIMITS, Form, HapticTransform, TransformParameters
 from tests.test_effect_engines import CYCLE_S, FRAMES, RATE, FakeClock, config, noise, running
 
 SET, GET = Command.SET_PARAM, Command.GET_PARAM
@@ -343,6 +343,8 @@ def possible_values(draw):
     values["band_high_hz"] = draw(st.floats(max(200.0, 2 * low), 20_000.0))
     bottom = max(60.0, np.nextafter(2 / values["window_s"], np.inf))
     values["vibration_top_hz"] = draw(st.floats(float(bottom), 400.0))
+    for name, choice in CHOICES.items():
+        values[name] = draw(st.sampled_from(choice.values))
     values["form"] = draw(st.sampled_from(["live", "reference"]))
     values["gain_db"] = draw(st.floats(-60.0, 0.0))
     for switch in ("mute", "per_channel", "clip"):
@@ -413,7 +415,7 @@ def test_a_band_that_a_low_sample_rate_cannot_hold_is_refused():
 
 @pytest.mark.parametrize(
     "change",
-    [{"window_s": 0.1}, {"threshold_hz": 5.0}, {"form": "reference"}, {"partials_max": 2}],
+    [{"window_s": 0.1}, {"threshold_hz": 5.0}, {"form": "reference"}, {"mapping": "jnd"}],
 )
 def test_a_change_of_the_transform_fades_out_over_a_buffer_and_begins_anew(change):
     sound = rough(FRAMES * 60)

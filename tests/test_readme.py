@@ -17,7 +17,7 @@ from audioflinger_hook import config
 from audioflinger_hook.cli.parser import build_parser
 from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.settings import Settings
-from audioflinger_hook.transform import LIMITS
+from audioflinger_hook.transform import CHOICES, LIMITS, TransformParameters
 from device.actuators.settings import DELAY_MAX_MS, GAIN_MIN_DB, KEYS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -54,7 +54,9 @@ def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) ->
     for key in (*keys, *(key for section in config.SECTIONS.values() for key in section)):
         # what is off without a value stands there as a comment
         off = key in config.LIVE and getattr(LiveSettings(device="a"), key) is None
-        shown = rf"^{'# ' * off}{key} = "
+        # and so may what is the profile's to say
+        said = "(# )?" if key in config.PARAMETERS else "# " * off
+        shown = rf"^{said}{key} = "
         assert re.search(shown, block("toml"), re.MULTILINE), f"{key} is missing"
 
 
@@ -76,9 +78,25 @@ def test_the_example_of_several_actuators_is_valid_and_names_every_key(tmp_path:
 
 def test_every_limit_in_the_config_example_is_the_real_one() -> None:
     for key, limits in LIMITS.items():
-        assert f"{limits.low:g} to {limits.high:g}" in next(
-            line for line in block("toml").splitlines() if line.startswith(key)
-        )
+        assert f"{limits.low:g} to {limits.high:g}" in line_of(key)
+
+
+def test_every_parameter_of_the_config_example_stands_there_with_its_default() -> None:
+    for key in config.PARAMETERS:
+        said = line_of(key).removeprefix("# ")
+        assert tomllib.loads(said)[key] == getattr(TransformParameters(), key)
+
+
+def test_every_choice_of_the_config_example_names_all_its_words() -> None:
+    for key, choice in CHOICES.items():
+        assert all(f'"{word}"' in line_of(key) for word in choice.values)
+
+
+def line_of(key: str) -> str:
+    """Return the line of the config example that a parameter stands on."""
+    found = re.search(rf"^(# )?{key} = .*", block("toml"), re.MULTILINE)
+    assert found, key
+    return found[0]
 
 
 def installed(folder: Path) -> Path:

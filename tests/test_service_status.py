@@ -57,6 +57,7 @@ STATUS = Status(
     replaced_samples=1,
     protection=ProtectionFigures(5000, 12, 1, 3, 0.5, 0.25, "temperature", 1.234, 61.5),
     exposure=ExposureFigures(10.0, 1.25, 0.6, 9.5, True, False, 0.31),
+    profile="cinema",
     warnings=("the sink runs at 44100 Hz",),
 )
 
@@ -112,7 +113,7 @@ def test_every_key_is_there_with_its_unit_and_every_cause_counted():
         *("version", "pid", "state", "reason", "since_s", "tap", "device", "levels", "latency"),
         *("delay_line", "xruns", "buffer_times", "recoveries", "effects_bypassed"),
         *("limited_samples", "replaced_samples", "protection", "exposure", "actuators"),
-        "warnings",
+        *("profile", "warnings"),
     ]
     assert document["latency"]["total_ms"] == pytest.approx(93.7)
     assert list(document["recoveries"]) == [cause.value for cause in Cause]

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -206,6 +207,24 @@ def test_twins_agree_with_every_parameter_at_its_limits(kind):
         assert_twins(sound, 16_000, parameters=TransformParameters(**values))
 
 
+VARIANTS: dict[str, dict[str, Any]] = {
+    "by energy": {"level_law": "energy"},
+    "equal JNDs": {"mapping": "jnd"},
+    "both": {"level_law": "energy", "mapping": "jnd", "partials_max": 5},
+    "followed": {"follower_db": 30.0},
+    "all": {"follower_db": 40.0, "level_law": "energy", "mapping": "jnd", "partials_max": 5},
+}
+
+
+@needs_kernel
+@pytest.mark.parametrize("samplerate", [8_000, 44_100])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_twins_agree_with_every_law_and_mapping(variant, samplerate):
+    parameters = TransformParameters(**VARIANTS[variant])
+    for make in SOUNDS.values():
+        assert_twins(make(samplerate), samplerate, parameters=parameters)
+
+
 @given(
     pieces=st.lists(
         st.tuples(
@@ -223,17 +242,18 @@ def test_twins_agree_with_every_parameter_at_its_limits(kind):
     window_s=st.sampled_from([0.01, 0.02, 0.04643, 0.1, 0.2]),
     partials_max=st.sampled_from([1, 2, 16]),
     threshold_hz=st.sampled_from([0.001, 0.3, 2.0]),
+    variant=st.sampled_from(list(VARIANTS)),
 )
 @settings(max_examples=120)
 @needs_kernel
 def test_twins_agree_where_every_decision_is_between_equals(
-    pieces, samplerate, window_s, partials_max, threshold_hz
+    pieces, samplerate, window_s, partials_max, threshold_hz, variant
 ):
     parameters = TransformParameters(
         window_s=window_s,
-        partials_max=partials_max,
         threshold_hz=threshold_hz,
         vibration_top_hz=220.0,
+        **({"partials_max": partials_max} | VARIANTS[variant]),
     )
     window = parameters.window_frames(samplerate)
 
@@ -273,10 +293,12 @@ def test_twins_agree_where_every_decision_is_between_equals(
 
 @needs_kernel
 @pytest.mark.parametrize("per_channel", [False, True])
-def test_a_copy_and_a_pickle_go_on_where_the_stream_stands(per_channel):
+@pytest.mark.parametrize("variant", ["by energy", "followed"])
+def test_a_copy_and_a_pickle_go_on_where_the_stream_stands(per_channel, variant):
     sound = columns(SOUNDS["gaps"](16_000), SOUNDS["noise"](16_000), SOUNDS["damaged"](16_000))
     first, second = sound[:5_001], sound[5_001:]
-    transform = made(sound, 16_000, per_channel=per_channel)
+    parameters = TransformParameters(**VARIANTS[variant])
+    transform = made(sound, 16_000, per_channel=per_channel, parameters=parameters)
     transform.process(first)
     others = [copy.deepcopy(transform), pickle.loads(pickle.dumps(transform))]
     expected = np.concatenate((transform.process(second), transform.finish()))

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.transform import LIMITS, HapticTransform, TransformParameters
+from audioflinger_hook.transform import CHOICES, LIMITS, HapticTransform, TransformParameters
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import CushionError, UsageError
 from tests.signals import (
@@ -28,6 +28,7 @@ from tests.signals import (
 )
 
 NAMES = [field.name for field in fields(TransformParameters)]
+NUMBERS = [name for name in NAMES if name not in CHOICES]
 
 
 def test_the_defaults_are_the_papers():
@@ -37,11 +38,14 @@ def test_the_defaults_are_the_papers():
     assert parameters.vibration_top_hz == 220.0
     assert parameters.threshold_hz == 0.3
     assert parameters.partials_max == 16
+    assert parameters.level_law == "tonal"
+    assert parameters.mapping == "paper"
 
 
 def test_every_parameter_has_a_range_and_every_range_a_parameter():
-    assert list(LIMITS) == NAMES
-    for name in NAMES:
+    assert {*LIMITS} | {*CHOICES} == {*NAMES}
+    assert list(LIMITS) == NUMBERS
+    for name in NUMBERS:
         assert LIMITS[name].low < LIMITS[name].high
         assert LIMITS[name].low <= getattr(TransformParameters(), name) <= LIMITS[name].high
 
@@ -50,13 +54,13 @@ def test_every_parameter_is_documented_with_its_unit_and_meaning():
     documentation = inspect.getdoc(TransformParameters) or ""
     for name in NAMES:
         assert name in documentation
-        assert LIMITS[name].meaning
-        if LIMITS[name].unit:
+        assert (LIMITS.get(name) or CHOICES[name]).meaning
+        if name in LIMITS and LIMITS[name].unit:
             # The unit stands in the name, too, where a reader of a call sees it.
             assert name.endswith("_" + LIMITS[name].unit.lower())
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", NUMBERS)
 def test_both_ends_of_a_range_are_allowed(name):
     # The partners are moved where the end of a range would contradict a default.
     partners: dict[tuple[str, str], dict[str, Any]] = {
@@ -70,7 +74,21 @@ def test_both_ends_of_a_range_are_allowed(name):
         TransformParameters(**(partners.get((name, end), {}) | {name: value}))
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", CHOICES)
+def test_a_choice_is_one_of_its_words_and_its_default_is_the_first(name):
+    assert getattr(TransformParameters(), name) == CHOICES[name].values[0]
+    for word in CHOICES[name].values:
+        chosen: dict[str, Any] = {name: word}
+        assert getattr(TransformParameters(**chosen), name) == word
+    wrongs: list[Any] = ["loud", "", CHOICES[name].values[0].upper(), 1, ["paper"]]
+    for wrong in wrongs:
+        with pytest.raises(UsageError, match="is not known; allowed: ") as refusal:
+            TransformParameters(**dict[str, Any]({name: wrong}))
+        assert str(refusal.value).startswith(f"{name}={wrong!r} ")
+        assert str(refusal.value).endswith(", ".join(CHOICES[name].values))
+
+
+@pytest.mark.parametrize("name", NUMBERS)
 @pytest.mark.parametrize("end", ["low", "high"])
 def test_a_value_out_of_range_is_refused_by_name_value_and_limits(name, end):
     limits = LIMITS[name]
@@ -101,11 +119,12 @@ def test_a_count_must_be_a_whole_number(value):
         TransformParameters(partials_max=value)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "partials_max"])
+@pytest.mark.parametrize("name", [name for name in NUMBERS if name != "partials_max"])
 def test_a_whole_number_will_do_where_a_number_is_asked(name):
     value = {"window_s": 1, "threshold_hz": 1}.get(name, 300)
     if LIMITS[name].low <= value <= LIMITS[name].high:
-        assert getattr(TransformParameters(**{name: value}), name) == value
+        values: dict[str, Any] = {name: value}
+        assert getattr(TransformParameters(**values), name) == value
 
 
 def test_the_band_must_span_an_octave():
@@ -175,6 +194,8 @@ def test_what_follows_from_the_parameters_keeps_its_equations(window_s, low, hig
     assert parameters.vibration_bottom_hz == 1 / window_s
     at_top = parameters.scale_hz * math.log(high / low) + parameters.vibration_bottom_hz
     assert at_top == pytest.approx(top, rel=1e-12)
+    geometric = parameters.vibration_bottom_hz * (high / low) ** parameters.scale_ratio
+    assert geometric == pytest.approx(top, rel=1e-12)
     for samplerate in (1_000, 44_100, 768_000):
         frames = parameters.window_frames(samplerate)
         assert abs(frames - window_s * samplerate) <= 0.5

@@ -48,10 +48,10 @@ class Played:
     buffer_s: list[float] = field(default_factory=list)
 
 
-def run(out: Path, *, fast: bool) -> int:
+def run(out: Path, *, fast: bool, profile: str | None = None) -> int:
     """Play the scene, write vibration.wav, acceleration.wav, scene.wav and report.png to `out`."""
+    settings = Settings(profile=profile) if profile else Settings()
     _make_folder(out)
-    settings = Settings()
     scene = demo_scene()
     sound = mixdown(scene)
     framework = Framework(scene.samplerate, scene.channels, settings)

@@ -18,6 +18,9 @@ EXIT_CODES = (
 )
 
 
+PROFILE_HELP = "paper, cinema, game or music; default: paper"
+
+
 class Parser(argparse.ArgumentParser):
     """A parser that reports wrong usage as every other error is reported, and guesses nothing."""
 
@@ -38,6 +41,7 @@ def build_parser() -> Parser:
 
     demo = _add(commands, "demo", "play the bundled scene through the whole chain", _demo)
     demo.add_argument("--out", type=Path, default=Path("out"), metavar="DIR")
+    demo.add_argument("--profile", metavar="NAME", help=PROFILE_HELP)
     demo.add_argument("--fast", action="store_true", help="as fast as it can, not in real time")
 
     render = _add(commands, "render", "write the vibration of a sound file", _render)
@@ -101,7 +105,7 @@ def build_parser() -> Parser:
         metavar="DB",
         help="set the device's own volume, 0 at most; default: leave it",
     )
-    run.add_argument("--profile", metavar="NAME", help="default: paper")
+    run.add_argument("--profile", metavar="NAME", help=PROFILE_HELP)
     run.add_argument("--rig", metavar="NAME|FILE", help="what is driven; default: paper")
     run.add_argument("--damping", metavar="off|auto", help="of the rig; default: off")
     run.add_argument("--protection", metavar="off|on", help="of the rig; default: off")
@@ -229,7 +233,7 @@ def _add_rendering(command: Parser) -> None:
     """Add what `render` and `replay` share."""
     command.add_argument("--transform", dest="form", metavar="reference|live", help="default: live")
     command.add_argument("--channels", metavar="mono|each", help="default: mono")
-    command.add_argument("--profile", metavar="NAME", help="default: paper")
+    command.add_argument("--profile", metavar="NAME", help=PROFILE_HELP)
     command.add_argument("--rig", metavar="NAME|FILE", help="what is driven; default: paper")
     command.add_argument("--damping", metavar="off|auto", help="of the rig; default: off")
     command.add_argument("--protection", metavar="off|on", help="of the rig; default: off")
@@ -278,7 +282,7 @@ def _duration(text: str) -> float:
 def _demo(options: argparse.Namespace) -> int:
     from audioflinger_hook.cli import demo
 
-    return demo.run(options.out, fast=options.fast)
+    return demo.run(options.out, fast=options.fast, profile=options.profile)
 
 
 def _render(options: argparse.Namespace) -> int:

@@ -43,7 +43,7 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
         for name in ("form", "channels", "profile", "damping", "protection", "rig")
         if getattr(options, name) is not None
     }
-    return dataclasses.replace(settings, **given)
+    return settings.choosing(**given)
 
 
 def show_report(

@@ -93,7 +93,7 @@ def _order(options: argparse.Namespace) -> Order:
     found = config.load(path) if options.config or path.exists() else config.Config()
     settings, live = found.settings, found.live
     chosen = {name: getattr(options, name) for name in ("profile", "rig", "damping", "protection")}
-    settings = dataclasses.replace(settings, **{name: c for name, c in chosen.items() if c})
+    settings = settings.choosing(**{name: c for name, c in chosen.items() if c})
     given = {
         "tap": tuple(str(parse_tap(text)) for text in options.tap) if options.tap else None,
         "device": options.device and str(parse_device(options.device)),

@@ -18,6 +18,9 @@ from device.rig.rig_file import SHIPPED
 NESTED = "parameters"
 """The field of `Settings` whose own fields stand beside the others."""
 
+SAID = "said"
+"""The field that is kept as names with commas between them, left out where there are none."""
+
 ACTUATORS = "actuators"
 """The field that is kept as JSON: a list of tables, as in a config file."""
 
@@ -30,6 +33,7 @@ def facts_of(settings: Settings) -> Facts:
     chosen = {field.name: getattr(settings, field.name) for field in fields(settings)}
     parameters = chosen.pop(NESTED)
     chosen[ACTUATORS] = _as_text(chosen[ACTUATORS])
+    chosen[SAID] = ",".join(chosen[SAID]) or None
     chosen |= {field.name: getattr(parameters, field.name) for field in fields(parameters)}
     facts: dict[str, str | int | float | bool] = {}
     for name, value in chosen.items():
@@ -58,6 +62,8 @@ def settings_from(facts: Facts) -> Settings | None:
         chosen.pop(NESTED, None)
         if "effects_file" in chosen:
             chosen["effects_file"] = Path(chosen["effects_file"])
+        if SAID in chosen:
+            chosen[SAID] = tuple(chosen[SAID].split(","))
         if ACTUATORS in chosen:
             tables = json.loads(chosen[ACTUATORS])
             chosen[ACTUATORS] = tuple(ActuatorSettings.from_document(table) for table in tables)

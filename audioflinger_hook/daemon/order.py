@@ -111,8 +111,15 @@ class Changes:
     def between(cls, old: Order, new: Order) -> Changes:
         """Return what `new` changes of `old`."""
         before, after = old.settings, new.settings
-        # The effect takes another level and other parameters while it runs, and nothing else.
-        alike = replace(after, gain_db=before.gain_db, parameters=before.parameters)
+        # The effect takes another level and other parameters while it runs, and nothing else; a
+        # profile is its parameters.
+        alike = replace(
+            after,
+            gain_db=before.gain_db,
+            profile=before.profile,
+            parameters=before.parameters,
+            said=before.said,
+        )
         follow = _can_follow(before, after)
         if follow:
             alike = replace(alike, actuators=before.actuators)

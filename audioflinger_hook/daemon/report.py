@@ -76,6 +76,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         protection=_worst_protection(engine),
         exposure=_worst_exposure(engine),
         actuators=actuators,
+        profile=engine.framework.settings.profile,
     )
 
 

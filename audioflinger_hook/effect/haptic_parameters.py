@@ -7,28 +7,35 @@ from typing import Any
 
 from audioflinger_hook.effect.parameters import Parameter, Value, Values
 from audioflinger_hook.settings import CHOICES, GAIN_MAX_DB, GAIN_MIN_DB, Settings
+from audioflinger_hook.transform import CHOICES as TRANSFORM_CHOICES
 from audioflinger_hook.transform import LIMITS, TransformParameters
 from device.actuators import SOURCES
 from device.units import db_to_amplitude
 
 TRANSFORM_FIELDS = tuple(field.name for field in fields(TransformParameters))
 
+
+def _parameter(name: str, default: Value) -> Parameter:
+    """Return one of the transform's as the effect has it."""
+    if choice := TRANSFORM_CHOICES.get(name):
+        return Parameter(name, str, default, choices=choice.values, meaning=choice.meaning)
+    limits = LIMITS[name]
+    return Parameter(
+        name,
+        type(default),
+        default,
+        limits.low,
+        limits.high,
+        unit=limits.unit,
+        meaning=limits.meaning,
+    )
+
+
 RESTARTING = frozenset({*TRANSFORM_FIELDS, "form", "per_channel", "sources"})
 """Parameters whose change takes another transform."""
 
 HAPTIC_PARAMETERS = (
-    *(
-        Parameter(
-            name,
-            type(default),
-            default,
-            LIMITS[name].low,
-            LIMITS[name].high,
-            unit=LIMITS[name].unit,
-            meaning=LIMITS[name].meaning,
-        )
-        for name, default in asdict(TransformParameters()).items()
-    ),
+    *(_parameter(name, default) for name, default in asdict(TransformParameters()).items()),
     Parameter(
         "form", str, CHOICES["form"][0], choices=CHOICES["form"], meaning="form of the transform"
     ),

@@ -103,7 +103,7 @@ class Status:
     that are. limited_samples, replaced_samples: as of `cushion render --json`, since the start.
     protection, exposure: None without protection; of several actuators those of the one with the
     least gain, and of the one with the largest dose. actuators: each of them, in the config's
-    order.
+    order. profile: its name, "" before there is any sound.
     """
 
     version: str
@@ -127,6 +127,7 @@ class Status:
     protection: ProtectionFigures | None = None
     exposure: ExposureFigures | None = None
     actuators: tuple[ActuatorFigures, ...] = ()
+    profile: str = ""
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> str:

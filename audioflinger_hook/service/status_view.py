@@ -63,6 +63,7 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
         ("device", _endpoint(status.device)),
         ("sound", _level(status.levels.sound, "cyan")),
         ("vibration", _level(status.levels.vibration, "yellow")),
+        *([("profile", Text(one_line(status.profile)))] if status.profile else []),
         ("latency", _latency(status)),
         (
             "delay line",

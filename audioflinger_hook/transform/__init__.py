@@ -14,9 +14,10 @@ Pure: samples in, samples out; no clock, no I/O, no mixer.
 
 from audioflinger_hook.transform.haptic import Form, HapticTransform, Implementation
 from audioflinger_hook.transform.kernel import kernel_warning
-from audioflinger_hook.transform.parameters import LIMITS, TransformParameters
+from audioflinger_hook.transform.parameters import CHOICES, LIMITS, TransformParameters
 
 __all__ = [
+    "CHOICES",
     "LIMITS",
     "Form",
     "HapticTransform",

@@ -7,6 +7,7 @@ on from where they are.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,8 +43,17 @@ class FreshPartials:
     delay_ticks = len(RISE) - sum(RISE) + 0.5 * RISE[-1]
     """How late an amplitude follows on average, in ticks: each glides from share to share."""
 
-    def __init__(self, detector: OnsetDetector, smoother: Smoother, tick_s: float, ceiling: float):
+    def __init__(
+        self,
+        detector: OnsetDetector,
+        smoother: Smoother,
+        tick_s: float,
+        ceiling: float,
+        gain: Callable[[float, float], float],
+    ) -> None:
+        """gain: of (vibration frequency in Hz, level of what begins), to a factor on amplitudes."""
         self._detector = detector
+        self._gain = gain
         self._smoother = smoother
         self._tick_s = tick_s
         self._ceiling = ceiling
@@ -75,6 +85,7 @@ class FreshPartials:
 
     def _told(self, group: tuple[int, int]) -> tuple[float, float]:
         hz, amplitude = self._detector.told(group)
+        amplitude *= self._gain(hz, self._detector.level)
         return hz, amplitude * float(self._smoother.compensation(np.array(hz)))
 
     def _room(self, tracker: PartialTracker) -> float:

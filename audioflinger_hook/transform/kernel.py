@@ -14,10 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.transform import fresh, limiter, onsets, oscillators, partials
+from audioflinger_hook.transform import (
+    follower,
+    fresh,
+    limiter,
+    loudness,
+    onsets,
+    oscillators,
+    partials,
+)
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.intake import MAGNITUDE_MAX, fitting
 from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.scaling import slope
 from audioflinger_hook.transform.smoothing import TABLE_STEP_HZ
 
 _MadeOf = tuple[dict[str, Any], int, bool, tuple[int, int]]
@@ -127,6 +136,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
     grid, spectrum, analysis = form._grid, form._spectrum, form._analysis
     parameters, bank, smoother = form._parameters, form._bank, form._smoother
     detector, tick_bank = form._detector, form._tick_bank
+    scale_hz, scale_ratio = slope(parameters)
     return {
         "ticks": grid.ticks,
         "tick_steps": grid.tick_steps,
@@ -173,16 +183,19 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "last_bin": analysis._last,
         "partials_max": parameters.partials_max,
         "ring_hops": form._ring_hops,
+        "by_energy": int(parameters.level_law == "energy"),
         "magnitude_max": MAGNITUDE_MAX,
         "denormal_guard": form._bandpass._guard,
         "silence": form._silence,
         "bin_hz": analysis._bin_hz,
         "threshold_hz": analysis._threshold_hz,
+        **_following(form),
         "peak_span_min": analysis._peak_span_min,
         "weakest_image": analysis._weakest_image,
         "side_lobe": analysis._side_lobe,
         "full_scale_r": form._full_scale_r,
-        "scale_hz": parameters.scale_hz,
+        "scale_hz": scale_hz,
+        "scale_ratio": scale_ratio,
         "band_low_hz": parameters.band_low_hz,
         "bottom_hz": parameters.vibration_bottom_hz,
         "ceiling": limiter.CEILING,
@@ -209,4 +222,29 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "low_a": smoother._a,
         "phases": smoother._phases,
         "gain_table": smoother._table_gain,
+    }
+
+
+def _following(form: LiveTransform) -> dict[str, Any]:
+    """Return what the loudness follower adds, without a weight where there is none."""
+    one = follower.LoudnessFollower(form._parameters, form._grid.hop_s)
+    return {
+        "nothing": loudness.NOTHING,
+        "programme_start": one.start_db,
+        "programme_min": one.programme_min_db,
+        "programme_top": follower.PROGRAMME_TOP_DB,
+        "programme_step": one.programme_step_db,
+        "programme_rise": one.rise,
+        "programme_fall": one.fall,
+        "far": follower.FAR_DB,
+        "release": one.release_db,
+        "floor_min": one.floor_min_db,
+        "floor_rise": one.floor_rise_db,
+        "floor_under": follower.FLOOR_UNDER_PROGRAMME_DB,
+        "gate": one.gate_db,
+        "gate_margin": follower.GATE_MARGIN,
+        "target": one.target_db,
+        "slope": one.slope,
+        "gain_max": one.gain_max,
+        "loudness_weights": form._loudness_weights,
     }

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from audioflinger_hook.transform.analysis import LiveAnalysis
 from audioflinger_hook.transform.arrays import FloatArray, IntArray
 from audioflinger_hook.transform.bandpass import BandPass
+from audioflinger_hook.transform.follower import LoudnessFollower
 from audioflinger_hook.transform.fresh import FreshPartials
 from audioflinger_hook.transform.grid import LiveGrid
+from audioflinger_hook.transform.levels import law_amplitudes
 from audioflinger_hook.transform.limiter import CEILING, below_full_scale, limited_amplitudes
+from audioflinger_hook.transform.loudness import bin_weights, loudness_db
 from audioflinger_hook.transform.onsets import GROUPS, OnsetDetector, Ticks
 from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.parameters import TransformParameters
@@ -32,15 +37,18 @@ RING_OUT_CYCLES = 92.0
 
 LATENCY_AT_HZ = 60.0
 """Vibration frequency whose delay is declared: 78 to 95 % of the energy lies at 20 to 80 Hz."""
-
-TINY = float(np.finfo(np.float64).tiny)
-
 BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
-_Found = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""Of one window's principal frequencies: Hz of audio, Hz of vibration, r, the low-pass's gain."""
 
-NOTHING: _Found = (np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+@dataclass(frozen=True)
+class _Found:
+    """What is in one window: its principal frequencies, where they are felt in Hz, the gain that
+    undoes the low-pass there, and how loud it is heard."""
+
+    principal: Principals
+    hz: FloatArray
+    gain: FloatArray
+    loudness_db: float
 
 
 class LiveTransform:
@@ -58,10 +66,18 @@ class LiveTransform:
         self._grid = LiveGrid.at(parameters, samplerate)
         self._spectrum = Spectrum(parameters, samplerate)
         bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / self._spectrum.bin_hz)
-        self._analysis = LiveAnalysis(parameters, self._spectrum, min(self._spectrum.bins, bins))
+        bins = min(self._spectrum.bins, bins)
+        threshold_hz = parameters.heard_threshold_hz
+        heard = replace(parameters, threshold_hz=threshold_hz)
+        self._analysis = LiveAnalysis(heard, self._spectrum, bins)
         self._full_scale_r = parameters.unit_strength_hz(samplerate)
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
-        self._silence = parameters.threshold_hz / samplerate
+        self._silence = threshold_hz / samplerate
+        self._follower = None
+        self._loudness_weights = np.zeros(0)
+        if parameters.follower_db > 0.0:
+            self._follower = LoudnessFollower(parameters, self._grid.hop_s)
+            self._loudness_weights = bin_weights(self._spectrum, bins)
         self._bandpass = BandPass(parameters, samplerate)
         self._tracker = PartialTracker(parameters, GROUPS, self._grid.hop_s)
         self._bank = OscillatorBank(self._grid.steps, self._grid.hop_s)
@@ -69,7 +85,9 @@ class LiveTransform:
         tick_s = self._grid.tick_frames / samplerate
         self._onsets = onsets
         self._detector = OnsetDetector(parameters, self._grid)
-        self._fresh = FreshPartials(self._detector, self._smoother, tick_s, CEILING)
+        self._fresh = FreshPartials(
+            self._detector, self._smoother, tick_s, CEILING, self._onset_gain
+        )
         self._tick_bank = OscillatorBank(self._grid.tick_steps, tick_s, attack=1.0)
         self._ring_hops = int(
             np.ceil(RING_OUT_CYCLES / parameters.vibration_top_hz / self._grid.hop_s)
@@ -106,6 +124,8 @@ class LiveTransform:
         self._tracker.reset()
         self._fresh.reset()
         self._smoother.reset()
+        if self._follower:
+            self._follower.reset()
 
     @property
     def asleep(self) -> bool:
@@ -175,6 +195,8 @@ class LiveTransform:
         if not heard.any() and not seen.bands.any() and self.asleep:
             if self._onsets:
                 self._detector.rest(ticks)
+            if self._follower and full.size:
+                self._follower.rest()
             self._tick = (self._tick + ticks) % grid.ticks
             return np.zeros(sound.size)
         found = self._found(joined, full[heard])
@@ -206,13 +228,17 @@ class LiveTransform:
                 for tick in full.tolist()
             ]
         )
-        found = self._analysis.strongest(self._spectrum.transform(windows))
+        spectra = self._spectrum.transform(windows)
+        loudness = [0.0] * full.size
+        if self._follower:
+            loudness = loudness_db(spectra, self._loudness_weights)
+        found = self._analysis.strongest(spectra)
         edges = found.boundaries(full.size).tolist()
         hz = vibration_hz(found.audio_hz, self._parameters)
         gain = self._smoother.compensation(hz)
         return [
-            (found.audio_hz[mine], hz[mine], found.r[mine], gain[mine])
-            for mine in map(slice, edges[:-1], edges[1:])
+            _Found(found.take(mine), hz[mine], gain[mine], loud)
+            for mine, loud in zip(map(slice, edges[:-1], edges[1:]), loudness, strict=True)
         ]
 
     def _seen(self, joined: FloatArray, filtered: FloatArray, ticks: int) -> Ticks:
@@ -252,14 +278,22 @@ class LiveTransform:
         return hops, fresh, awake
 
     def _end_hop(self, hops: Glides, hop: int, found: _Found | None) -> None:
+        """Write the hop that follows what was found; None: of a window in which nothing can be."""
         self._fresh.hand_over(self._tracker)
-        audio_hz, hz, r, gain = found if found is not None else NOTHING
-        if r.size or self._tracker.holds:
-            amplitude, limited = limited_amplitudes(
-                r * r / (max(r.sum(), TINY) * self._full_scale_r)
-            )
+        strength = 1.0
+        if self._follower and found:
+            strength = self._follower.strength(found.loudness_db)
+        elif self._follower:
+            self._follower.rest()
+        count = found.hz.size if found and strength > 0.0 else 0
+        if found and count:
+            amplitude, limited = self._levelled(found.principal, strength)
             if limited:
                 self.limited_frames += self._grid.hop_frames
+            audio_hz, hz, gain = found.principal.audio_hz, found.hz, found.gain
+        else:
+            audio_hz, hz, gain, amplitude = np.zeros((4, 0))
+        if count or self._tracker.holds:
             room = max(0.0, CEILING - float(amplitude.sum()))
             self._tracker.follow(
                 hops, hop, audio_hz, hz, amplitude * gain, room, self._fresh.still_heard
@@ -269,6 +303,21 @@ class LiveTransform:
             self._tracker.fade(hops, hop)
         elif self._ringing:
             self._ringing -= 1
+
+    def _levelled(self, found: Principals, strength: float) -> tuple[FloatArray, bool]:
+        """Return the amplitudes of one hop's partials, and whether they were limited.
+
+        strength: what the follower makes of their loudness.
+        """
+        amplitude = law_amplitudes(found.amplitude, found.r, self._full_scale_r, self._parameters)
+        if self._follower:
+            power = float((amplitude * amplitude).sum())
+            amplitude = amplitude * self._follower.gain_for(strength, power)
+        return limited_amplitudes(amplitude)
+
+    def _onset_gain(self, hz: float, level: float) -> float:
+        """Return the factor on what begins: its vibration frequency in Hz, its level."""
+        return self._follower.onset_gain(level) if self._follower else 1.0
 
     def _play(self, hops: Glides, fresh: Glides, awake: list[bool]) -> FloatArray:
         """Return the ticks' vibration; what sleeps is exactly 0 and forgets its ringing."""

@@ -117,7 +117,8 @@ class OnsetDetector:
         self.bin_hz = vibration_hz(
             np.clip(hz, parameters.band_low_hz, parameters.band_high_hz), parameters
         )
-        weakest = parameters.threshold_hz / parameters.unit_strength_hz(rate)
+        weakest = parameters.heard_threshold_hz / parameters.unit_strength_hz(rate)
+        self._by_energy = parameters.level_law == "energy"
         self.quietest = 0.5 * (QUIETEST * weakest) ** 2
         self._fading = 10 ** (-FORGOTTEN_DB_A_S * grid.tick_frames / rate / 10)
         self._half = max(1, grid.tick_frames // 2)
@@ -225,8 +226,14 @@ class OnsetDetector:
         share = min(1.0, power / max(float(self._power.sum()), TINY))
         one = ONE_TONE[min(self._since, HEARD_TICKS - 1)]
         purity = min(1.0, squares / max(power * power * one, TINY))
+        return weighted / max(squares, TINY), self._weight(share, purity) * self.level
+
+    def _weight(self, share: float, purity: float) -> float:
+        """Return the part of the whole level that a share of its power has by the level law."""
+        if self._by_energy:
+            return float(np.sqrt(share * purity))
         # Of M equal tones of amplitude a each sounds with a / M, as by r^2 / sum r.
-        return weighted / max(squares, TINY), share * np.sqrt(share) * purity * self.level
+        return float(share * np.sqrt(share) * purity)
 
     @property
     def level(self) -> float:

@@ -35,6 +35,17 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class Choice:
+    """The words that a parameter may be, the default first, with its meaning for messages."""
+
+    values: tuple[str, ...]
+    meaning: str
+
+    def __str__(self) -> str:
+        return ", ".join(self.values)
+
+
+@dataclass(frozen=True)
 class Problem:
     """What is wrong with one parameter, and what is allowed instead."""
 
@@ -49,6 +60,16 @@ LIMITS: dict[str, Limits] = {
     "vibration_top_hz": Limits(60.0, 400.0, "Hz", "vibration frequency of the band's top"),
     "threshold_hz": Limits(0.001, 1_000.0, "Hz", "amplitude x bandwidth to be principal (C_th)"),
     "partials_max": Limits(1, 64, "", "principal frequencies kept a unit (n)"),
+    "follower_db": Limits(0.0, 40.0, "dB", "most that loudness lifts vibration; 0: not followed"),
+    "follower_target_db": Limits(-40.0, 0.0, "dB", "vibration at the programme's level"),
+    "follower_slope_db": Limits(1.0, 20.0, "dB", "of vibration for 20 phon of loudness"),
+    "follower_floor_db": Limits(-90.0, -30.0, "dB", "loudness up to which nothing is felt"),
+    "follower_gate_db": Limits(1.0, 30.0, "dB", "from there to where all is felt"),
+}
+
+CHOICES: dict[str, Choice] = {
+    "level_law": Choice(("tonal", "energy"), "how strong each principal frequency vibrates"),
+    "mapping": Choice(("paper", "jnd"), "where in the vibration's range each of them is felt"),
 }
 
 
@@ -58,6 +79,14 @@ class TransformParameters:
 
     window_s: seconds; band_low_hz, band_high_hz, vibration_top_hz: Hz; threshold_hz: full-scale
     amplitude times Hz; partials_max: a count. Ranges stand in `LIMITS`.
+
+    follower_db: how far the live form's loudness follower (`follower.py`) lifts vibration; 0 turns
+    it off, and the next four mean nothing. follower_target_db: vibration, follower_slope_db: more
+    of it for 20 phon, follower_floor_db: loudness, follower_gate_db: more of it. A full-scale tone,
+    for loudness of 1 kHz, is at 0 dB.
+
+    level_law: `tonal`, the paper's r^2 / sum r, or `energy`, see `levels.law_amplitudes`; mapping:
+    `paper`, equation (4), or `jnd`, see `scaling.vibration_hz`. The words stand in `CHOICES`.
 
     Raises
     ------
@@ -71,6 +100,13 @@ class TransformParameters:
     vibration_top_hz: float = 220.0
     threshold_hz: float = 0.3
     partials_max: int = 16
+    follower_db: float = 0.0
+    follower_target_db: float = -18.0
+    follower_slope_db: float = 5.5
+    follower_floor_db: float = -60.0
+    follower_gate_db: float = 10.0
+    level_law: str = "tonal"
+    mapping: str = "paper"
 
     def __post_init__(self) -> None:
         values = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -90,8 +126,12 @@ class TransformParameters:
         found: dict[str, Problem] = {}
         complete: dict[str, float] = {}
         for field in fields(cls):
-            limits = LIMITS[field.name]
             value = values.get(field.name, field.default)
+            if choice := CHOICES.get(field.name):
+                if not isinstance(value, str) or value not in choice.values:
+                    found[field.name] = Problem("is not known", str(choice))
+                continue
+            limits = LIMITS[field.name]
             whole = field.name == "partials_max"
             if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
                 kind = "a whole number" if whole else "a number"
@@ -123,6 +163,18 @@ class TransformParameters:
         """B_c: vibration Hz for each factor e of audio frequency, from s(f_h) = the top."""
         span = math.log(self.band_high_hz / self.band_low_hz)
         return (self.vibration_top_hz - self.vibration_bottom_hz) / span
+
+    @property
+    def scale_ratio(self) -> float:
+        """The factor e of vibration frequency for each of audio frequency, with equal JNDs."""
+        span = math.log(self.band_high_hz / self.band_low_hz)
+        return math.log(self.vibration_top_hz / self.vibration_bottom_hz) / span
+
+    @property
+    def heard_threshold_hz(self) -> float:
+        """C_th of the live form: lower with the follower, by what that lifts. Its gate is soft."""
+        lowered = self.threshold_hz * math.pow(10.0, -self.follower_db / 20.0)
+        return max(lowered, LIMITS["threshold_hz"].low)
 
     def window_frames(self, samplerate: int) -> int:
         """N = round(T fs): frames in one unit sequence."""

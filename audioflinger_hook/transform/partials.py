@@ -9,6 +9,7 @@ import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, IntArray
 from audioflinger_hook.transform.parameters import TransformParameters
+from audioflinger_hook.transform.scaling import heard_hz, slope
 
 MATCH_HZ_A_WINDOW = 2.0
 """A partial may move by the window's main lobe's half-width, 2/T in audio Hz, in one hop ..."""
@@ -90,9 +91,9 @@ class PartialTracker:
         self._most = parameters.partials_max + fresh_max
         self.slots = 2 * self._most
         self._hold_hops = max(1, round(window_s / hop_s))
-        self._low_hz, self._bottom_hz = parameters.band_low_hz, parameters.vibration_bottom_hz
+        self._parameters = parameters
         self._hop_s = hop_s
-        self._scale_hz = parameters.scale_hz
+        self._scale_hz, self._scale_ratio = slope(parameters)
         self._match_audio_hz = MATCH_HZ_A_WINDOW / window_s
         self.reset()
 
@@ -122,9 +123,8 @@ class PartialTracker:
 
     def near_hz(self, hz: float) -> float:
         """Return how far from a fresh partial its true frequency may be, in Hz of vibration."""
-        audio_hz = self._low_hz * np.exp((hz - self._bottom_hz) / self._scale_hz)
-        ratio = max(MATCH_RATIO, self._match_audio_hz / float(audio_hz))
-        return FRESH_REACH * self._scale_hz * ratio
+        ratio = max(MATCH_RATIO, self._match_audio_hz / heard_hz(hz, self._parameters))
+        return FRESH_REACH * (self._scale_hz + self._scale_ratio * hz) * ratio
 
     def adopt(self, hz: float, phase: float, amplitude: float, held: Held) -> None:
         """Take over a partial in the middle of its vibration, and hold it; at the end of a hop.
@@ -236,7 +236,8 @@ class PartialTracker:
         distance = np.abs(hz[:, None] - self._hz.take(alive))
         nearest = distance.argmin(axis=1)
         gap_hz = distance.min(axis=1)
-        reach_hz = self._scale_hz * np.maximum(MATCH_RATIO, self._match_audio_hz / audio_hz)
+        slope_hz = self._scale_hz + self._scale_ratio * hz
+        reach_hz = slope_hz * np.maximum(MATCH_RATIO, self._match_audio_hz / audio_hz)
         held = [slot in self._held for slot in alive.take(nearest)]
         reach_hz = np.where(held, FRESH_REACH * reach_hz, reach_hz)
         mutual = distance.argmin(axis=0).take(nearest) == np.arange(hz.size)

@@ -10,6 +10,7 @@ import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.bandpass import BandPass
+from audioflinger_hook.transform.levels import law_amplitudes
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.scaling import vibration_hz
@@ -94,13 +95,13 @@ class ReferenceTransform:
             for row in range(len(batch)):
                 mine = slice(edges[row], edges[row + 1])
                 if mine.start < mine.stop:
-                    vibration[first + row] = self._superpose(found.r[mine], hz[mine])
+                    vibration[first + row] = self._superpose(found.take(mine), hz[mine])
         return vibration.reshape(-1)
 
-    def _superpose(self, r: FloatArray, hz: FloatArray) -> FloatArray:
+    def _superpose(self, found: Principals, hz: FloatArray) -> FloatArray:
         """Return one unit of equations (5)-(7), time counted from the unit's own start."""
-        weight = r * r / (r.sum() * self._full_scale_r)
+        weight = law_amplitudes(found.amplitude, found.r, self._full_scale_r, self._parameters)
         unit = np.zeros(self.latency_frames)
-        for partial in range(len(r)):
+        for partial in range(len(found)):
             unit += weight[partial] * np.cos(hz[partial] * self._turns)
         return unit

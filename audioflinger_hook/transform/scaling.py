@@ -1,4 +1,12 @@
-"""Audio frequency to vibration frequency: equation (4), logarithmic."""
+"""Audio frequency to vibration frequency: equation (4), or with equal JNDs an octave.
+
+Equation (4) gives every octave of sound the same span in Hz, 25 Hz with the defaults. What can be
+told apart grows with the frequency itself: the just noticeable difference of whole-body vibration
+rises linearly from 5 to 40 Hz (Bellmann, 2002), and over 20 to 90 Hz it is a third of the
+frequency and more (Merchel, Altinsoy and Stamm, Internoise 2011). Under equation (4) the lowest
+octave of sound is felt over more than an octave, the highest over an eighth of its frequency, less
+than one JND. `jnd` gives every octave of sound the same ratio instead, 1.34 with the defaults.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +17,31 @@ from audioflinger_hook.transform.parameters import TransformParameters
 
 
 def vibration_hz(audio_hz: FloatArray, parameters: TransformParameters) -> FloatArray:
-    """Return the vibration frequencies s(x) = B_c ln(x / f_m) + F_b, in Hz.
+    """Return the vibration frequencies s(x), in Hz.
 
-    audio_hz: any shape, above 0. With the defaults 50 Hz gives 21.54 Hz and 12 kHz gives 220 Hz.
+    audio_hz: any shape, above 0. `paper`: s(x) = B_c ln(x / f_m) + F_b; `jnd`: s(x) =
+    F_b (x / f_m)^c, with c such that the band's ends are the same. With the defaults either makes
+    21.54 Hz of 50 Hz and 220 Hz of 12 kHz; of 1 kHz they make 130 and 77 Hz.
     """
-    return (
-        parameters.scale_hz * np.log(audio_hz / parameters.band_low_hz)
-        + parameters.vibration_bottom_hz
-    )
+    octaves = np.log(audio_hz / parameters.band_low_hz)
+    if parameters.mapping == "jnd":
+        geometric: FloatArray = parameters.vibration_bottom_hz * np.exp(
+            parameters.scale_ratio * octaves
+        )
+        return geometric
+    return parameters.scale_hz * octaves + parameters.vibration_bottom_hz
+
+
+def heard_hz(felt_hz: float, parameters: TransformParameters) -> float:
+    """Return the audio frequency in Hz that is felt at a vibration frequency in Hz."""
+    low_hz, bottom_hz = parameters.band_low_hz, parameters.vibration_bottom_hz
+    if parameters.mapping == "jnd":
+        return low_hz * float(np.exp(np.log(felt_hz / bottom_hz) / parameters.scale_ratio))
+    return low_hz * float(np.exp((felt_hz - bottom_hz) / parameters.scale_hz))
+
+
+def slope(parameters: TransformParameters) -> tuple[float, float]:
+    """Return a and b of ds/d(ln x) = a + b s, Hz of vibration for each factor e of audio."""
+    if parameters.mapping == "jnd":
+        return 0.0, parameters.scale_ratio
+    return parameters.scale_hz, 0.0

@@ -20,9 +20,12 @@ static Group group_of(const Fresh *one)
     return group;
 }
 
-static Told told(const Settings *settings, const Onsets *onsets, Group group)
+static Told told(const Settings *settings, Heard heard, Group group)
 {
-    Told found = onsets_told(settings, onsets, group);
+    Told found = onsets_told(settings, heard.onsets, group);
+    if (follower_is_on(settings))
+        found.amplitude *=
+            follower_onset_gain(settings, heard.follower, onsets_level(heard.onsets));
     found.amplitude *= smoothing_gain(settings, found.hz);
     return found;
 }
@@ -46,17 +49,17 @@ static double sounding_near(const Settings *settings, const Fresh *fresh, double
     return base;
 }
 
-void fresh_bear(const Settings *s, Fresh *fresh, const Onsets *onsets, const Slots *slots)
+void fresh_bear(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots)
 {
     Group groups[FRESH_MAX];
-    const size_t count = onsets_groups(s, onsets, groups);
+    const size_t count = onsets_groups(s, heard.onsets, groups);
     for (size_t which = 0; which < count; which++) {
         size_t slot = 0;
         while (slot < s->fresh_max && fresh[slot].sounds != 0.0)
             slot++;
         if (slot == s->fresh_max)
             return;
-        const Told found = told(s, onsets, groups[which]);
+        const Told found = told(s, heard, groups[which]);
         const double base = tracking_sounding_near(s, slots, found.hz) +
                             sounding_near(s, fresh, found.hz);
         const double lacking = smaller(found.amplitude - base, room(s, fresh, slots));
@@ -73,7 +76,7 @@ void fresh_bear(const Settings *s, Fresh *fresh, const Onsets *onsets, const Slo
     }
 }
 
-void fresh_play(const Settings *s, Fresh *fresh, const Onsets *onsets, const Slots *slots,
+void fresh_play(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots,
                 Glides *glides)
 {
     for (size_t slot = 0; slot < s->fresh_max; slot++) {
@@ -83,8 +86,8 @@ void fresh_play(const Settings *s, Fresh *fresh, const Onsets *onsets, const Slo
             continue;
         }
         double hz = one->hz;
-        if (one->age > 0.0 && one->age < (double)s->heard_ticks && onsets_still_told(s, onsets)) {
-            const Told found = told(s, onsets, group_of(one));
+        if (one->age > 0.0 && one->age < (double)s->heard_ticks && onsets_still_told(s, heard.onsets)) {
+            const Told found = told(s, heard, group_of(one));
             const double wanted = larger(0.0, found.amplitude - one->base);
             hz = found.hz;
             one->goal += smaller(wanted - one->goal, room(s, fresh, slots));

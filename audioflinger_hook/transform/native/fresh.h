@@ -3,6 +3,7 @@
 #ifndef CUSHION_FRESH_H
 #define CUSHION_FRESH_H
 
+#include "follower.h"
 #include "onsets.h"
 #include "settings.h"
 #include "tracking.h"
@@ -17,14 +18,20 @@ typedef struct {
     double age;  /* ticks */
 } Fresh;
 
+/* By what they are told. */
+typedef struct {
+    const Onsets *onsets;
+    const Follower *follower;
+} Heard;
+
 /* Whether any sounds. */
 int fresh_sounds(const Settings *settings, const Fresh *fresh);
 
 /* Let what was heard begin begin. */
-void fresh_bear(const Settings *settings, Fresh *fresh, const Onsets *onsets, const Slots *slots);
+void fresh_bear(const Settings *settings, Fresh *fresh, Heard heard, const Slots *slots);
 
 /* Write one tick of glides, fresh_max slots; while more is told of the onset, follow that. */
-void fresh_play(const Settings *settings, Fresh *fresh, const Onsets *onsets, const Slots *slots,
+void fresh_play(const Settings *settings, Fresh *fresh, Heard heard, const Slots *slots,
                 Glides *glides);
 
 /* Let those that are told as well as they can be go over to the tracker. */

@@ -11,6 +11,7 @@
 #include <stdlib.h>
 
 #include "common.h"
+#include "scaling.h"
 #include "space.h"
 
 #define SLOT_NUMBERS 10
@@ -40,7 +41,7 @@ static size_t voice_numbers(const Settings *s)
 {
     return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->tick_frames + s->steps +
            onset_numbers(s) + FRESH_NUMBERS * s->fresh_max + SLOT_NUMBERS * tracking_slots(s) +
-           smoothing_states(s) + smoothing_tail(s) + 2;
+           FOLLOWER_NUMBERS + smoothing_states(s) + smoothing_tail(s) + 2;
 }
 
 static void lay_out_voice(const Settings *s, Voice *voice, double **next)
@@ -69,6 +70,10 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
     for (size_t which = 0; which < SLOT_NUMBERS; which++)
         *of_slots[which] = placed(next, slots);
     voice->slots.start_sum = placed(next, 1);
+    voice->follower.programme = placed(next, 1);
+    voice->follower.floor = placed(next, 1);
+    voice->follower.loud = placed(next, 1);
+    voice->follower.gain = placed(next, 1);
     voice->smoothing.state = placed(next, smoothing_states(s));
     voice->smoothing.tail = placed(next, smoothing_tail(s));
     voice->ringing = placed(next, 1);
@@ -139,8 +144,9 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
     }
     lay_out_work(live, live->work);
     double *next = live->state;
-    for (size_t voice = 0; voice < live->voices_count; voice++)
+    for (size_t voice = 0; voice < live->voices_count; voice++) {
         lay_out_voice(settings, &live->voices[voice], &next);
+    }
     live_reset(live);
     return 0;
 }
@@ -162,8 +168,10 @@ void live_reset(Live *live)
     memset(live->state, 0, live->state_length * sizeof(double));
     live->filled = live->tick = live->oldest = 0;
     live->silent = live->settings.window_frames; /* before the beginning there was nothing */
-    for (size_t voice = 0; voice < live->voices_count; voice++)
+    for (size_t voice = 0; voice < live->voices_count; voice++) {
         onsets_reset(&live->settings, &live->voices[voice].onsets);
+        follower_reset(&live->settings, &live->voices[voice].follower);
+    }
 }
 
 /* Whether a number is within a range and whole. */
@@ -194,7 +202,8 @@ static int voice_is_possible(const Settings *s, const Voice *voice)
             return 0;
     return alive <= s->partials_max + s->fresh_max &&
            is_count(*voice->onsets.since, 0.0, (double)(s->rest_ticks + s->heard_ticks)) &&
-           *voice->ringing >= 0.0 && *voice->ringing <= (double)s->ring_hops;
+           *voice->ringing >= 0.0 && *voice->ringing <= (double)s->ring_hops &&
+           follower_is_possible(s, &voice->follower);
 }
 
 int live_is_possible(const Live *live)
@@ -226,7 +235,9 @@ WIDE static void windowed(const Live *live, const Voice *voice, double *restrict
         samples[frame] = past[frame] * window[frame];
 }
 
-static size_t analysed(Live *live, const Voice *voice)
+/* Find what is principal in the window; return how many, 0 where it is not to be felt. strength: how
+ * strong it vibrates, where loudness is followed. */
+static size_t analysed(Live *live, Voice *voice, double *strength)
 {
     const Settings *s = &live->settings;
     const Rule rule = {
@@ -251,24 +262,43 @@ static size_t analysed(Live *live, const Voice *voice)
     const Spectrum spectrum = {live->real, live->imaginary, 1};
     windowed(live, voice, live->windowed);
     fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
+    if (follower_is_on(s)) {
+        const double loudness_db = follower_loudness_db(s, live->real, live->imaginary);
+        *strength = follower_strength(s, &voice->follower, loudness_db);
+        if (!(*strength > 0.0))
+            return 0;
+    }
     return (size_t)principal(&rule, &window, spectrum, live->found, live->analysis_space);
 }
 
 /* -------------------------------------------------------------------------------------- one hop */
 
-/* Set the amplitudes of what was found: P_k r_k over a full-scale tone's r, scaled down where their
- * sum would pass the ceiling; return whether it would. */
-static int levelled(Live *live, size_t count)
+/* Set the amplitudes of what was found by the level law: P_k r_k over a full-scale tone's r, or by
+ * the energy of each. */
+static void strengthen(Live *live, size_t count)
 {
     const Settings *s = &live->settings;
-    double sum_r = 0.0, total = 0.0;
+    double sum_r = 0.0;
     for (size_t one = 0; one < count; one++)
         sum_r += live->found.r[one];
     for (size_t one = 0; one < count; one++) {
         const double r = live->found.r[one];
-        live->amplitude[one] = r * r / (sum_r * s->full_scale_r);
-        total += live->amplitude[one];
+        live->amplitude[one] = s->by_energy ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
+                                            : r * r / (sum_r * s->full_scale_r);
     }
+}
+
+/* Set the amplitudes of what was found, scaled down where their sum would pass the ceiling; return
+ * whether it would. */
+static int levelled(Live *live, Voice *voice, double strength, size_t count)
+{
+    const Settings *s = &live->settings;
+    double total = 0.0;
+    strengthen(live, count);
+    if (follower_is_on(s))
+        follower_apply(s, &voice->follower, strength, live->amplitude, count);
+    for (size_t one = 0; one < count; one++)
+        total += live->amplitude[one];
     const int limited = !(total <= s->ceiling);
     if (limited)
         for (size_t one = 0; one < count; one++)
@@ -276,16 +306,15 @@ static int levelled(Live *live, size_t count)
     return limited;
 }
 
-static void follow(Live *live, Voice *voice, size_t count)
+static void follow(Live *live, Voice *voice, double strength, size_t count)
 {
     const Settings *s = &live->settings;
-    if (levelled(live, count))
+    if (levelled(live, voice, strength, count))
         live->limited += s->hop_frames;
     double total = 0.0;
     for (size_t one = 0; one < count; one++) {
-        const double ratio = live->found.audio_hz[one] / s->band_low_hz;
-        live->hz[one] = s->scale_hz * log(ratio) + s->bottom_hz;
         total += live->amplitude[one];
+        live->hz[one] = felt_hz(s, live->found.audio_hz[one]);
         live->amplitude[one] *= smoothing_gain(s, live->hz[one]);
     }
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};
@@ -304,9 +333,14 @@ static void end_hop(Live *live, Voice *voice)
     voice->peaks[s->hops_in_window - 1] = 0.0;
 
     fresh_hand_over(s, voice->fresh, &voice->onsets, &voice->slots);
-    const size_t count = loudest >= s->silence ? analysed(live, voice) : 0;
+    size_t count = 0;
+    double strength = 1.0;
+    if (loudest >= s->silence)
+        count = analysed(live, voice, &strength);
+    else
+        follower_rest(s, &voice->follower);
     if (count || tracking_holds(s, &voice->slots)) {
-        follow(live, voice, count);
+        follow(live, voice, strength, count);
         *voice->ringing = (double)s->ring_hops;
     } else if (tracking_sounds(s, &voice->slots)) {
         tracking_fade(s, &voice->slots, &live->glides);
@@ -342,15 +376,16 @@ static void advance(Live *live, Voice *voice)
 {
     const Settings *s = &live->settings;
     const int onset = s->find_onsets && heard(live, voice);
+    const Heard told = {&voice->onsets, &voice->follower};
     const int full = live->tick + 1 == s->ticks;
     if (full)
         end_hop(live, voice);
     if (onset)
-        fresh_bear(s, voice->fresh, &voice->onsets, &voice->slots);
+        fresh_bear(s, voice->fresh, told, &voice->slots);
     const int fresh = fresh_sounds(s, voice->fresh);
     if (fresh) {
         *voice->ringing = (double)s->ring_hops;
-        fresh_play(s, voice->fresh, &voice->onsets, &voice->slots, &live->fresh_glides);
+        fresh_play(s, voice->fresh, told, &voice->slots, &live->fresh_glides);
     }
     if (*voice->ringing > 0.0) {
         const double *hop = voice->hop + (full ? 0 : (live->tick + 1) * s->tick_steps);

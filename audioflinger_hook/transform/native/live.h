@@ -8,6 +8,7 @@
 
 #include "analysis.h"
 #include "fft.h"
+#include "follower.h"
 #include "fresh.h"
 #include "intake.h"
 #include "onsets.h"
@@ -25,6 +26,7 @@ typedef struct {
     Onsets onsets;
     Fresh *fresh;
     Slots slots;
+    Follower follower;
     Smoothing smoothing;
     double *ringing; /* hops that the low-pass still rings */
 } Voice;

@@ -208,6 +208,11 @@ size_t onsets_groups(const Settings *s, const Onsets *onsets, Group *groups)
     return kept;
 }
 
+double onsets_level(const Onsets *onsets)
+{
+    return smaller(sqrt(2.0 * *onsets->newest), *onsets->peak);
+}
+
 Told onsets_told(const Settings *s, const Onsets *onsets, Group group)
 {
     double weighted = 0.0, squares = 0.0, power = 0.0;
@@ -225,8 +230,9 @@ Told onsets_told(const Settings *s, const Onsets *onsets, Group group)
     const double share = smaller(1.0, power / larger(sum(onsets->power, s->short_bins), TINY));
     const size_t told = (size_t)smaller(*onsets->since, (double)(s->heard_ticks - 1));
     const double purity = smaller(1.0, squares / larger(power * power * s->one_tone.at[told], TINY));
-    const double level = smaller(sqrt(2.0 * *onsets->newest), *onsets->peak);
-    const Told found = {weighted / larger(squares, TINY), share * sqrt(share) * purity * level};
+    const double level = onsets_level(onsets);
+    const double weight = s->by_energy ? sqrt(share * purity) : share * sqrt(share) * purity;
+    const Told found = {weighted / larger(squares, TINY), weight * level};
     return found;
 }
 

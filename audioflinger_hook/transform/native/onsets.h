@@ -49,6 +49,9 @@ int onsets_still_told(const Settings *settings, const Onsets *onsets);
 /* Write the bands of each thing that begins, by frequency; return how many, `fresh_max` at most. */
 size_t onsets_groups(const Settings *settings, const Onsets *onsets, Group *groups);
 
+/* Amplitude of the sound that begins, as that of one tone. */
+double onsets_level(const Onsets *onsets);
+
 /* Tell what begins in a group of bands. */
 Told onsets_told(const Settings *settings, const Onsets *onsets, Group group);
 

@@ -100,5 +100,9 @@ const char *settings_misfit(const Settings *s)
         return "phases: not rows of decimation";
     if (s->gain_table.length < 2 || !(s->gain_step_hz > 0.0))
         return "gain_table: under two entries, or gain_step_hz not above 0";
+    if (s->loudness_weights.length && s->loudness_weights.length != s->bins)
+        return "loudness_weights: neither none nor one a bin";
+    if (!(s->programme_min <= s->programme_start && s->programme_start <= s->programme_top))
+        return "programme_start: not from programme_min to programme_top";
     return NULL;
 }

@@ -31,7 +31,8 @@
     ENTRY(rest_ticks)   /* from one onset to the next at least */                                  \
     ENTRY(heard_ticks)  /* from which an onset's sound is told */                                  \
     ENTRY(fresh_max)    /* partials at a time that the analysis does not know yet */               \
-    ENTRY(hold_hops)    /* for which those are held then */
+    ENTRY(hold_hops)    /* for which those are held then */                                        \
+    ENTRY(by_energy)    /* the level law: 1 by energy, 0 the paper's */
 
 #define NUMBERS(ENTRY)                                                                             \
     ENTRY(magnitude_max)  /* of a sample; above it is damage */                                    \
@@ -44,6 +45,7 @@
     ENTRY(side_lobe)      /* share of the highest amplitude up to which a peak is left out */      \
     ENTRY(full_scale_r)   /* r of a tone at full scale, Hz */                                      \
     ENTRY(scale_hz)       /* equation (4): Hz of vibration for each factor e, */                   \
+    ENTRY(scale_ratio)    /* or, where it is not 0, that factor's power of the vibration, */       \
     ENTRY(band_low_hz)    /* from this frequency of audio, */                                      \
     ENTRY(bottom_hz)      /* which is felt at this one */                                          \
     ENTRY(ceiling)        /* of a hop's sum of amplitudes */                                       \
@@ -69,7 +71,25 @@
     ENTRY(worth)        /* what is born adds what lacks, if that is more than this share */        \
     ENTRY(birth_phase)  /* cycles */                                                               \
     ENTRY(fresh_reach)  /* a partial that is held is matched so much further away */               \
-    ENTRY(worth_holding) /* share of its amplitude up to which it is not held */
+    ENTRY(worth_holding) /* share of its amplitude up to which it is not held */                   \
+    /* of the loudness follower, dB and dB a hop; see follower.py */                               \
+    ENTRY(nothing)         /* energy that counts as none */                                        \
+    ENTRY(programme_start) /* level of the programme before anything is heard, */                  \
+    ENTRY(programme_min)                                                                           \
+    ENTRY(programme_top)                                                                           \
+    ENTRY(programme_step) /* how it moves, */                                                      \
+    ENTRY(programme_rise) /* and by which share of what is missing */                              \
+    ENTRY(programme_fall)                                                                          \
+    ENTRY(far)         /* more than this is not missing */                                         \
+    ENTRY(release)     /* of what was loud */                                                      \
+    ENTRY(floor_min)   /* loudness up to which nothing is felt */                                  \
+    ENTRY(floor_rise)  /* of the noise floor */                                                    \
+    ENTRY(floor_under) /* it stays under the programme's level */                                  \
+    ENTRY(gate)        /* from the floor to where all is felt, */                                  \
+    ENTRY(gate_margin) /* of which this share is still silent */                                   \
+    ENTRY(target)      /* vibration at the programme's level */                                    \
+    ENTRY(slope)       /* of vibration for each dB of loudness */                                  \
+    ENTRY(gain_max)    /* of amplitudes, a factor */
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
@@ -92,7 +112,8 @@
     ENTRY(short_hz)    /* vibration frequency of each bin */                                       \
     ENTRY(band_edges)  /* bins: the first of each band, and past the last */                       \
     ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
-    ENTRY(rise_shares) /* of its amplitude that a fresh partial has after each tick */
+    ENTRY(rise_shares) /* of its amplitude that a fresh partial has after each tick */             \
+    ENTRY(loudness_weights) /* of bins; empty where loudness is not followed */
 
 typedef struct {
     double *at;

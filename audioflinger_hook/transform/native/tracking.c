@@ -7,6 +7,7 @@
 #include "tracking.h"
 
 #include "common.h"
+#include "scaling.h"
 #include "space.h"
 
 /* Where a partial goes. */
@@ -75,10 +76,9 @@ int tracking_holds(const Settings *settings, const Slots *slots)
 
 double tracking_near_hz(const Settings *settings, double hz)
 {
-    const double audio_hz =
-        settings->band_low_hz * exp((hz - settings->bottom_hz) / settings->scale_hz);
-    return settings->fresh_reach * settings->scale_hz *
-           larger(settings->match_ratio, settings->match_audio_hz / audio_hz);
+    const double ratio = settings->match_audio_hz / heard_hz(settings, hz);
+    const double slope_hz = settings->scale_hz + settings->scale_ratio * hz;
+    return settings->fresh_reach * slope_hz * larger(settings->match_ratio, ratio);
 }
 
 double tracking_sounding_near(const Settings *settings, const Slots *slots, double hz)
@@ -150,7 +150,8 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
         const int mutual = count && alive.nearest_partial[nearest] == one;
         matches[one].nearest = count ? alive.slot[nearest] : 0;
         const int held = count && slots->held_hops[matches[one].nearest] > 0.0;
-        const double reach_hz = settings->scale_hz * larger(settings->match_ratio, ratio) *
+        const double slope_hz = settings->scale_hz + settings->scale_ratio * partials.hz[one];
+        const double reach_hz = slope_hz * larger(settings->match_ratio, ratio) *
                                 (held ? settings->fresh_reach : 1.0);
         matches[one].slot = mutual && matches[one].gap_hz <= reach_hz ? matches[one].nearest : none;
     }

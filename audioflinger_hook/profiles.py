@@ -1,0 +1,67 @@
+"""Profiles: named sets of the transform's parameters, each value with its reason.
+
+`paper` changes nothing. What a profile does not name is the paper's, too; what a config file names
+goes over the profile. docs/decisions.md has the measurements that the reasons are taken from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from audioflinger_hook.transform import TransformParameters
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a profile says of one parameter, and why."""
+
+    value: float | int | str
+    reason: str
+
+
+BY_ENERGY = Choice("energy", "noise and chords as strong as a tone that holds as much")
+FOLLOWED = Choice(30.0, "felt the same from full volume down to 20 dB under it, and some to spare")
+
+PROFILES: dict[str, dict[str, Choice]] = {
+    "paper": {},
+    "cinema": {
+        "level_law": BY_ENERGY,
+        "follower_db": FOLLOWED,
+    },
+    "game": {
+        "level_law": BY_ENERGY,
+        "follower_db": FOLLOWED,
+        "window_s": Choice(
+            0.03, "felt 7 ms earlier and 13 ms less late in all; vibration begins at 33 Hz"
+        ),
+        "partials_max": Choice(8, "as many as so short a window tells apart"),
+    },
+    "music": {
+        "level_law": BY_ENERGY,
+        "mapping": Choice("jnd", "every octave of a melody is a step that can be felt"),
+        "follower_db": FOLLOWED,
+        "follower_slope_db": Choice(10.0, "music has few phons between soft and loud: keep half"),
+        "partials_max": Choice(6, "a chord's strongest, with room between them"),
+    },
+}
+"""Every profile by its name; the first is the default."""
+
+
+def parameters_of(profile: str, said: Mapping[str, Any] | None = None) -> TransformParameters:
+    """Return a profile's parameters, and over them what was said by name.
+
+    Raises
+    ------
+    UsageError
+        They are out of range or contradict one another; see `TransformParameters`.
+    KeyError
+        There is no such profile.
+    """
+    return TransformParameters(**(values_of(profile) | dict(said or {})))
+
+
+def values_of(profile: str) -> dict[str, Any]:
+    """Return what a profile says, by parameter; KeyError where there is no such profile."""
+    return {name: choice.value for name, choice in PROFILES[profile].items()}

@@ -1,0 +1,142 @@
+"""The loudness follower: how strong a hop vibrates by how loud it is heard in its programme.
+
+    loudness of the hop --+--> over the programme's level: 5.5 dB of vibration for 20 phon
+                          |        (programme's level: slow, so that the volume does not count)
+                          '--> over the noise floor: a soft gate
+
+Persons who match the strength of a seat's vibration to the loudness of a tone turn it up by 5 to
+6 dB for 20 phon (Altinsoy and Merchel, "Cross-Modality Matching of Loudness and Perceived Intensity
+of Whole-Body Vibrations", HAID 2010). A phon is taken for a dB of K-weighted level. What is louder
+is turned down to that at once, what is quieter is turned up again by 14 dB a second at most: so a
+rhythm stays one, and no tail swells. The programme's level moves by 2 dB a second, and faster
+where it is far off, so that the volume counts no more after some seconds; the vibration follows
+that by at most 1.7 dB a second.
+"""
+
+from __future__ import annotations
+
+import math
+
+from audioflinger_hook.transform.parameters import TransformParameters
+
+PROGRAMME_TOP_DB = -10.0
+"""Loudness of the loudest programmes; `follower_db` under it the quietest that are lifted."""
+
+PROGRAMME_START_DB = -20.0
+"""What a programme's level is taken for before anything of it is heard."""
+
+RELEASE_DB_A_S = 20.0
+"""How fast what was loud is forgotten: loudness is followed up at once, and down by this."""
+
+PROGRAMME_DB_A_S = 2.0
+"""The programme's level goes to the loudness by this, so that half of the time is over it ..."""
+
+RISE_S, FALL_S = 10.0, 5.0
+"""... and by what is missing, in so many seconds: after 20 dB less it is 4 dB off in 4 s."""
+
+FAR_DB = 20.0
+"""More than this is not missing: the level rises by 4 dB a second at most and falls by 6."""
+
+FLOOR_RISE_DB_A_S = 2.0
+"""The noise floor is the least loudness of late: it falls at once and rises by this."""
+
+FLOOR_UNDER_PROGRAMME_DB = 30.0
+"""The noise floor stays so far under the programme's level: a steady sound is no noise."""
+
+GATE_MARGIN = 0.01
+"""Share of the gate's width, from the noise floor on, that is still silent. At the floor itself,
+where the quietest hop of late stands exactly, rounding would decide."""
+
+PHONS_A_SLOPE = 20.0
+
+
+class LoudnessFollower:
+    """The follower of one voice: a loudness each hop in, the strength of its vibration out.
+
+    Time is counted in hops. Silence leaves the programme's level as it is. `gain` is the factor
+    on the amplitudes of the last hop. Held by one thread at a time.
+    """
+
+    def __init__(self, parameters: TransformParameters, hop_s: float) -> None:
+        lift_db = parameters.follower_db
+        self.floor_min_db = parameters.follower_floor_db
+        self.target_db = parameters.follower_target_db
+        self.gate_db = parameters.follower_gate_db
+        self.slope = parameters.follower_slope_db / PHONS_A_SLOPE
+        self.gain_max = _ratio(lift_db)
+        self.programme_min_db = PROGRAMME_TOP_DB - lift_db
+        self.start_db = max(self.programme_min_db, PROGRAMME_START_DB)
+        self.release_db = RELEASE_DB_A_S * hop_s
+        self.programme_step_db = PROGRAMME_DB_A_S * hop_s
+        self.rise = hop_s / RISE_S
+        self.fall = hop_s / FALL_S
+        self.floor_rise_db = FLOOR_RISE_DB_A_S * hop_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to what is taken for granted before a stream."""
+        self.programme_db = self.start_db
+        self.floor_db = self.floor_min_db
+        self.loud_db = self.floor_min_db
+        self.gain = 1.0
+
+    def rest(self) -> None:
+        """Take note of a hop without any sound: there is no noise, and nothing was loud."""
+        self.floor_db = self.floor_min_db
+        self.loud_db = self.floor_min_db
+
+    def strength(self, loudness_db: float) -> float:
+        """Return how strong the next hop vibrates, the root of its partials' sum of squares.
+
+        0: the soft gate is closed. Then follow floor and programme.
+        """
+        floor_db = min(self.floor_db + self.floor_rise_db, loudness_db)
+        self.floor_db = max(self.floor_min_db, floor_db)
+        self.loud_db = max(self.floor_min_db, self.loud_db - self.release_db, loudness_db)
+        gate = self._gate(loudness_db)
+        if not gate:
+            return 0.0
+        above_db = self.loud_db - self.programme_db
+        missing_db = max(-FAR_DB, min(FAR_DB, above_db))
+        faster = missing_db * (self.rise if missing_db > 0.0 else self.fall)
+        # Continuous where the loudness is the programme's, as it is of what is steady.
+        towards = max(-1.0, min(1.0, above_db))
+        moved_db = self.programme_db + gate * (towards * self.programme_step_db + faster)
+        self.programme_db = max(self.programme_min_db, min(PROGRAMME_TOP_DB, moved_db))
+        return gate * self._felt(above_db, loudness_db - self.loud_db)
+
+    def onset_gain(self, level: float) -> float:
+        """Return the factor on the amplitudes of what begins with this level, a tone's amplitude.
+
+        Nothing is followed by it: the next hop will tell how loud it is.
+        """
+        if level <= 0.0:
+            return 0.0
+        loudness_db = 20.0 * math.log10(level)
+        loud_db = max(self.loud_db, loudness_db)
+        felt = self._felt(loud_db - self.programme_db, loudness_db - loud_db)
+        return min(self.gain_max, self._gate(loudness_db) * felt / level)
+
+    def _gate(self, loudness_db: float) -> float:
+        """Return how far the soft gate is open, 0 to 1."""
+        under_programme_db = self.programme_db - FLOOR_UNDER_PROGRAMME_DB
+        gate_from_db = max(self.floor_min_db, min(self.floor_db, under_programme_db))
+        over = min(1.0, (loudness_db - gate_from_db) / self.gate_db)
+        return over * over * (3.0 - 2.0 * over) if over >= GATE_MARGIN else 0.0
+
+    def _felt(self, above_db: float, turned_down_db: float) -> float:
+        """Return the strength of what is so far over the programme, and so far turned down."""
+        return _ratio(self.target_db + self.slope * above_db + turned_down_db)
+
+    def gain_for(self, strength: float, power: float) -> float:
+        """Return, and keep, the factor that gives amplitudes their strength.
+
+        power: the sum of their squares, above 0.
+        """
+        self.gain = min(self.gain_max, strength / power**0.5)
+        return self.gain
+
+
+def _ratio(level_db: float) -> float:
+    """Return the ratio of amplitudes of a level in dB."""
+    return math.pow(10.0, level_db / 20.0)

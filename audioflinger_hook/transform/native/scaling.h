@@ -1,0 +1,24 @@
+/* Audio frequency to vibration frequency and back; scaling.py says the same. */
+
+#ifndef CUSHION_SCALING_H
+#define CUSHION_SCALING_H
+
+#include "common.h"
+#include "settings.h"
+
+/* Where in the vibration's range a frequency of sound is felt, Hz. */
+INLINED double felt_hz(const Settings *s, double audio_hz)
+{
+    const double octaves = log(audio_hz / s->band_low_hz);
+    return s->scale_ratio != 0.0 ? s->bottom_hz * exp(s->scale_ratio * octaves)
+                                 : s->scale_hz * octaves + s->bottom_hz;
+}
+
+/* The frequency of sound that is felt there, Hz. */
+INLINED double heard_hz(const Settings *s, double hz)
+{
+    return s->band_low_hz * (s->scale_ratio != 0.0 ? exp(log(hz / s->bottom_hz) / s->scale_ratio)
+                                                   : exp((hz - s->bottom_hz) / s->scale_hz));
+}
+
+#endif
