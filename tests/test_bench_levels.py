@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.bench.levels import (
-    SAMPLERATE,
     Way,
     k_weighted,
     loudest_db,
@@ -13,6 +12,7 @@ from audioflinger_hook.bench.levels import (
     ways,
 )
 from audioflinger_hook.bench.profile_measures import _smallest_step_percent
+from audioflinger_hook.bench.signals import SAMPLERATE
 from audioflinger_hook.profiles import PROFILES, parameters_of
 from audioflinger_hook.transform import TransformParameters
 from tests.signals import joined, tone
