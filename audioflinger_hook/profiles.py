@@ -40,7 +40,6 @@ PROFILES: dict[str, dict[str, Choice]] = {
     },
     "music": {
         "level_law": BY_ENERGY,
-        "mapping": Choice("jnd", "every octave of a melody is a step that can be felt"),
         "follower_db": FOLLOWED,
         "follower_slope_db": Choice(10.0, "music has few phons between soft and loud: keep half"),
         "partials_max": Choice(6, "a chord's strongest, with room between them"),

@@ -51,6 +51,7 @@ LEAST = Effort(
     frontier_sounds=2,
     compared_bursts=3,
     compared_recordings=1,
+    settled_s=1.0,
     split_s=0.05,
     cost_repeats=1,
     cost_s=0.2,
@@ -465,7 +466,7 @@ def test_the_plots_are_pictures(report, tmp_path):
     if os.environ.get("CI") != "true":
         pytest.importorskip("matplotlib")
     paths = bench.plots(report, tmp_path)
-    names = ["cost", "lag", "rungs", "damping", "frequency", "frontier"]
+    names = ["cost", "lag", "rungs", "damping", "frequency", "frontier", "levels"]
     assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
         assert path.read_bytes().startswith(b"\x89PNG")

@@ -200,6 +200,7 @@ def test_the_view_shows_every_figure():
         "device     alsa_output.usb-Amplifier-00.analog-stereo (sink:Cushion)",
         "sound      ███████████████░ peak   -3.1, rms  -14.2 dBFS",
         "vibration  ███████████░░░░░ peak  -18.2, rms  -27.0 dBFS",
+        "profile    cinema",
         "latency    93.7 ms = tap 21.3 + transform 42.7 + driving 4.0 + delay line 20.0 + output "
         "10.7 -",
         "           offset 5.0",

@@ -16,6 +16,7 @@ from audioflinger_hook.bench.damping_figure import damping_figure
 from audioflinger_hook.bench.fidelity import LAG_P95
 from audioflinger_hook.bench.frequency_figure import frequency_figure
 from audioflinger_hook.bench.frontier_figure import frontier_figure
+from audioflinger_hook.bench.levels_figure import levels_figure
 from audioflinger_hook.bench.precision import TITLE as RUNGS_TITLE
 from audioflinger_hook.bench.report import BenchReport, Row
 from audioflinger_hook.bench.speed import BLOCKSIZES, SECOND
@@ -53,6 +54,7 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
         "damping.png": damping_figure(report),
         "frequency.png": frequency_figure(report),
         "frontier.png": frontier_figure(report),
+        "levels.png": levels_figure(report),
     }
     for name, figure in figures.items():
         content = io.BytesIO()

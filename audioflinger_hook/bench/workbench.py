@@ -93,6 +93,7 @@ class Effort:
     frontier_sounds: int
     compared_bursts: int
     compared_recordings: int
+    settled_s: float
     split_s: float
     cost_repeats: int
     cost_s: float
@@ -120,6 +121,7 @@ QUICK = Effort(
     frontier_sounds=2,
     compared_bursts=9,
     compared_recordings=3,
+    settled_s=3.0,
     split_s=0.5,
     cost_repeats=5,
     cost_s=3.0,
@@ -146,6 +148,7 @@ FULL = Effort(
     frontier_sounds=8,
     compared_bursts=30,
     compared_recordings=31,
+    settled_s=10.0,
     split_s=4.0,
     cost_repeats=15,
     cost_s=10.0,

@@ -7,7 +7,7 @@
 Persons who match the strength of a seat's vibration to the loudness of a tone turn it up by 5 to
 6 dB for 20 phon (Altinsoy and Merchel, "Cross-Modality Matching of Loudness and Perceived Intensity
 of Whole-Body Vibrations", HAID 2010). A phon is taken for a dB of K-weighted level. What is louder
-is turned down to that at once, what is quieter is turned up again by 14 dB a second at most: so a
+is turned down to that at once, what is quieter is turned up again by 7 dB a second at most: so a
 rhythm stays one, and no tail swells. The programme's level moves by 2 dB a second, and faster
 where it is far off, so that the volume counts no more after some seconds; the vibration follows
 that by at most 1.7 dB a second.
@@ -25,8 +25,9 @@ PROGRAMME_TOP_DB = -10.0
 PROGRAMME_START_DB = -20.0
 """What a programme's level is taken for before anything of it is heard."""
 
-RELEASE_DB_A_S = 20.0
-"""How fast what was loud is forgotten: loudness is followed up at once, and down by this."""
+RELEASE_DB_A_S = 10.0
+"""How fast what was loud is forgotten: loudness is followed up at once, and down by this. With 20
+an explosion stands half a dB less above speech, and level goes less with level (0.62 for 0.69)."""
 
 PROGRAMME_DB_A_S = 2.0
 """The programme's level goes to the loudness by this, so that half of the time is over it ..."""
