@@ -206,7 +206,7 @@ def test_every_number_has_its_range_and_its_edges_are_in_it(config, name):
     # Alone, so that no two numbers contradict each other but for the named ones.
     low, high = LIMITS[name].low, LIMITS[name].high
     whole = name == "partials_max"
-    beyond = [low - 1, high + 1] if whole else [low * 0.999, high * 1.001]
+    beyond = [low - 1, high + 1] if whole else [low * 0.999 or -0.001, high * 1.001]
     for value in beyond:
         ((line, what),) = mistakes(config(f"[transform]\n{name} = {value!r}\n"))
         assert line == 2

@@ -16,6 +16,7 @@ from audioflinger_hook.transform.principal import Principals
 from audioflinger_hook.transform.scaling import vibration_hz
 from audioflinger_hook.transform.smoothing import Smoother
 from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.speech import SpeechSuppressor
 from audioflinger_hook.transform.windows import strided_windows
 
 HOPS_AT_ONCE = 32
@@ -53,6 +54,14 @@ class LiveTransform:
         self._tracker = PartialTracker(
             parameters.partials_max, self._grid.hop_s, parameters.scale_hz, parameters.window_s
         )
+        self._speech = None
+        if parameters.speech_suppression_db > 0.0:
+            self._speech = SpeechSuppressor(
+                parameters.speech_suppression_db,
+                self._spectrum.bin_hz,
+                min(self._spectrum.bins, bins),
+                self._grid.hop_s,
+            )
         self._bank = OscillatorBank(self._grid.steps, self._grid.hop_s)
         self._smoother = Smoother(self._grid, parameters.vibration_top_hz)
         self._ring_hops = int(
@@ -81,11 +90,14 @@ class LiveTransform:
         self._bandpass.reset()
         self._tracker.reset()
         self._smoother.reset()
+        if self._speech:
+            self._speech.reset()
 
     @property
     def asleep(self) -> bool:
         """Whether nothing is played, and what was heard has no effect any more."""
-        return self._tracker.idle and not self._ringing
+        forgotten = self._speech is None or self._speech.at_rest
+        return self._tracker.idle and not self._ringing and forgotten
 
     def begin_hop(self) -> None:
         """Let the next frame be the first of a hop; while it is asleep only."""
@@ -145,7 +157,7 @@ class LiveTransform:
             joined[grid.hop_frames - 1 :], grid.window_frames, grid.hop_frames
         )
         heard = (self._loudest(filtered, hops) >= self._silence).nonzero()[0]
-        if not heard.size and self._tracker.idle and not self._ringing:
+        if not heard.size and self.asleep:
             return np.zeros(sound.size)
         glides, awake = self._glide(windows, heard, hops)
         return self._play(glides, awake)
@@ -166,6 +178,7 @@ class LiveTransform:
         """Return what the oscillators do in each hop, and whether anything still sounds."""
         glides = Glides.silent(hops, self._tracker.slots)
         found = None
+        speech = self._speech
         if heard.size:
             whole = heard.size == hops
             spectra = self._spectrum.transform(windows if whole else windows[heard])
@@ -179,9 +192,16 @@ class LiveTransform:
             mine = slice(0, 0)
             if found is not None and row < heard.size and heard[row] == hop:
                 mine = slice(edges[row], edges[row + 1])
+                if speech:
+                    speech.hear(spectra[row])
                 row += 1
+            elif speech:
+                speech.pause()
             if found is not None and mine.start < mine.stop:
                 r = found.r[mine]
+                if speech:
+                    # Before the law of level: what speech loses is not missing from the rest.
+                    r = r * speech.gains(found.audio_hz[mine])
                 amplitude, limited = limited_amplitudes(r * r / (r.sum() * self._full_scale_r))
                 if limited:
                     self.limited_frames += self._grid.hop_frames

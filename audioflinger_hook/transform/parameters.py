@@ -49,6 +49,7 @@ LIMITS: dict[str, Limits] = {
     "vibration_top_hz": Limits(60.0, 400.0, "Hz", "vibration frequency of the band's top"),
     "threshold_hz": Limits(0.001, 1_000.0, "Hz", "amplitude x bandwidth to be principal (C_th)"),
     "partials_max": Limits(1, 64, "", "principal frequencies kept a unit (n)"),
+    "speech_suppression_db": Limits(0.0, 24.0, "dB", "by how much speech is lowered, live form"),
 }
 
 
@@ -57,7 +58,8 @@ class TransformParameters:
     """Everything that shapes the vibration; the defaults are the paper's.
 
     window_s: seconds; band_low_hz, band_high_hz, vibration_top_hz: Hz; threshold_hz: full-scale
-    amplitude times Hz; partials_max: a count. Ranges stand in `LIMITS`.
+    amplitude times Hz; partials_max: a count; speech_suppression_db: dB, 0 for off, in the live
+    form alone. Ranges stand in `LIMITS`.
 
     Raises
     ------
@@ -71,6 +73,7 @@ class TransformParameters:
     vibration_top_hz: float = 220.0
     threshold_hz: float = 0.3
     partials_max: int = 16
+    speech_suppression_db: float = 0.0
 
     def __post_init__(self) -> None:
         values = {f.name: getattr(self, f.name) for f in fields(self)}

@@ -31,7 +31,7 @@ static double *numbers(Space *space, size_t count) { return taken(space, count, 
 static size_t voice_numbers(const Settings *s)
 {
     return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->hop_frames +
-           SLOT_NUMBERS * 2 * s->partials_max + smoothing_states(s) + smoothing_tail(s) + 1;
+           SLOT_NUMBERS * 2 * s->partials_max + smoothing_states(s) + smoothing_tail(s) + 1 + SPEECH_STATES;
 }
 
 static void lay_out_voice(const Settings *s, Voice *voice, double **next)
@@ -48,6 +48,7 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
     voice->smoothing.state = placed(next, smoothing_states(s));
     voice->smoothing.tail = placed(next, smoothing_tail(s));
     voice->ringing = placed(next, 1);
+    voice->speech = (Speech *)placed(next, SPEECH_STATES);
 }
 
 /* Give every part its place in the work space, or count how much that is where there is none. */
@@ -63,6 +64,7 @@ static size_t lay_out_work(Live *live, void *memory)
     live->fft_space = numbers(&space, fft_work(&live->fft));
     live->tracking_space = taken(&space, tracking_work(s->partials_max), 1);
     live->synthesis_space = numbers(&space, synthesis_work(s));
+    live->speech_space = numbers(&space, speech_work(s));
     live->analysis_space = taken(&space, analysis_work(s->bins), 1);
     double **found[FOUND_NUMBERS] = {&live->found.audio_hz, &live->found.amplitude,
                                      &live->found.bandwidth_hz, &live->found.r};
@@ -215,6 +217,10 @@ static int levelled(Live *live, size_t count)
 static void follow(Live *live, Voice *voice, size_t count)
 {
     const Settings *s = &live->settings;
+    /* Before the law of level: what speech loses is not missing from the rest. */
+    if (s->speech_db > 0.0)
+        for (size_t one = 0; one < count; one++)
+            live->found.r[one] *= speech_gain(s, voice->speech, live->found.audio_hz[one]);
     if (levelled(live, count))
         live->limited += s->hop_frames;
     for (size_t one = 0; one < count; one++) {
@@ -236,7 +242,12 @@ static void advance(Live *live, Voice *voice)
     memmove(voice->peaks, voice->peaks + 1, (s->hops_in_window - 1) * sizeof(double));
     voice->peaks[s->hops_in_window - 1] = 0.0;
 
-    const size_t count = loudest >= s->silence ? analysed(live, voice) : 0;
+    const int heard = loudest >= s->silence;
+    const size_t count = heard ? analysed(live, voice) : 0;
+    if (s->speech_db > 0.0 && heard)
+        speech_hear(s, voice->speech, live->real, live->imaginary, live->speech_space);
+    else if (s->speech_db > 0.0)
+        speech_pause(s, voice->speech);
     if (count) {
         follow(live, voice, count);
         *voice->ringing = (double)s->ring_hops;
@@ -313,7 +324,8 @@ static int asleep(const Live *live)
 {
     for (size_t which = 0; which < live->voices_count; which++) {
         const Voice *voice = &live->voices[which];
-        if (*voice->ringing > 0.0 || tracking_sounds(&live->settings, &voice->slots))
+        if (*voice->ringing > 0.0 || tracking_sounds(&live->settings, &voice->slots) ||
+            !speech_is_at_rest(voice->speech))
             return 0;
     }
     return 1;

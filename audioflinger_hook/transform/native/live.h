@@ -10,6 +10,7 @@
 #include "fft.h"
 #include "intake.h"
 #include "settings.h"
+#include "speech.h"
 #include "synthesis.h"
 #include "tracking.h"
 
@@ -22,6 +23,7 @@ typedef struct {
     Slots slots;
     Smoothing smoothing;
     double *ringing; /* hops that the low-pass still rings */
+    Speech *speech;
 } Voice;
 
 /* A kernel: settings, work space, and the state of every voice. Nothing is allocated after
@@ -40,6 +42,7 @@ typedef struct {
     uint64_t replaced, limited, delivered;
 
     double *mono, *windowed, *real, *imaginary, *fft_space, *synthesis_space;
+    double *speech_space;
     void *analysis_space, *tracking_space;
     Principals found;
     double *hz, *amplitude;

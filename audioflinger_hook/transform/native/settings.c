@@ -5,6 +5,7 @@
 #include <math.h>
 
 #include "analysis.h"
+#include "speech.h"
 
 /* Three times the longest spectrum that there is: no sum or product of such sizes overflows. */
 #define COUNT_MAX ((size_t)1 << 20)
@@ -66,5 +67,5 @@ const char *settings_misfit(const Settings *s)
         return "phases: not rows of decimation";
     if (s->gain_table.length < 2 || !(s->gain_step_hz > 0.0))
         return "gain_table: under two entries, or gain_step_hz not above 0";
-    return NULL;
+    return speech_misfit(s);
 }

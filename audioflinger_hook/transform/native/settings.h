@@ -42,7 +42,8 @@
     ENTRY(steady_ratio)                                                                            \
     ENTRY(steady_gain)  /* share of the smallest changes that is followed */                       \
     ENTRY(still)        /* up to which a sum of amplitudes does not rise */                        \
-    ENTRY(gain_step_hz) /* between entries of gain_table */
+    ENTRY(gain_step_hz) /* between entries of gain_table */                                        \
+    SPEECH_NUMBERS(ENTRY)
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
@@ -58,7 +59,41 @@
     ENTRY(low_b)       /* the low-pass as one recursion */                                         \
     ENTRY(low_a)                                                                                   \
     ENTRY(phases)     /* of the interpolation: taps rows of decimation */                          \
-    ENTRY(gain_table) /* that undoes the low-pass's ripple, by vibration frequency */
+    ENTRY(gain_table) /* that undoes the low-pass's ripple, by vibration frequency */              \
+    SPEECH_TABLES(ENTRY)
+
+/* What speech.c works by; speech.py says what each is. Shares are those that an average takes on in
+ * a hop, other changes are those of a hop. */
+#define SPEECH_NUMBERS(ENTRY)                                                                      \
+    ENTRY(speech_db) /* by how much speech is lowered; 0 for off */                                \
+    ENTRY(speech_average)                                                                          \
+    ENTRY(speech_fast)                                                                             \
+    ENTRY(speech_slow)                                                                             \
+    ENTRY(speech_learnt)                                                                           \
+    ENTRY(speech_background_fall)                                                                  \
+    ENTRY(speech_background_rise_db)                                                               \
+    ENTRY(speech_voice_fall_db)                                                                    \
+    ENTRY(speech_peak_fall)                                                                        \
+    ENTRY(speech_attack)                                                                           \
+    ENTRY(speech_release)                                                                          \
+    ENTRY(speech_rest_hops)                                                                        \
+    ENTRY(speech_swing_max_db)                                                                     \
+    ENTRY(speech_silent_power)                                                                     \
+    ENTRY(speech_unheard)                                                                          \
+    ENTRY(speech_equal)                                                                            \
+    ENTRY(speech_flat)                                                                             \
+    ENTRY(speech_steady_pitch)                                                                     \
+    ENTRY(speech_likely)                                                                           \
+    ENTRY(speech_likely_still)                                                                     \
+    ENTRY(speech_sure)                                                                             \
+    ENTRY(speech_apart)
+
+#define SPEECH_TABLES(ENTRY)                                                                       \
+    ENTRY(speech_edges)       /* bins at which octaves begin, and the last ends */                 \
+    ENTRY(speech_centres_hz)  /* of the octaves */                                                 \
+    ENTRY(speech_log_pitches) /* evenly spaced */                                                  \
+    ENTRY(speech_teeth)       /* in bins: of all combs on harmonics, then between; 0 for unused */ \
+    ENTRY(speech_ramps)       /* two numbers each, in the order of speech.c */
 
 typedef struct {
     double *at;
