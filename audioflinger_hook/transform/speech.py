@@ -14,8 +14,8 @@ the vibration waits for nothing.
 
 What is lowered is not the hop but each partial by what of it can be the speech's: nothing under
 80 Hz, nothing that lies between the harmonics of a clear pitch, nothing in an octave that is no
-louder than its own background or louder than the voice has been, and nothing of a hop without pitch
-in which any octave is that loud: so an explosion is felt while somebody speaks.
+louder than its own background or far louder than the voice has been, and nothing of a hop without
+pitch in which any octave is louder than that: so an explosion is felt while somebody speaks.
 """
 
 from __future__ import annotations
@@ -53,6 +53,9 @@ MEMORY_S = 0.3
 """Time constant of all averages."""
 FAST_S, SLOW_S = 0.02, 0.15
 """A level's swing is what its average over one of these times differs from that over the other."""
+QUIET_SHARE = 0.3
+"""Quiet hops tell nothing of pitch, and count this share where swings are averaged: else a pause
+would be enough to forget who spoke."""
 SWING_MAX_DB = 12.0
 """Swings count up to here: a sound that starts is not taken for a syllable for long."""
 PEAK_DB_A_SECOND = 6.0
@@ -75,6 +78,8 @@ VOICE_LEARNT_S = 0.15
 """Time constant in which the loudness of the voice is learnt, octave by octave."""
 VOICE_DB_A_SECOND = 6.0
 """Rate at which it is forgotten."""
+CLEAR_DB = 12.0
+"""By so much more a voice may be louder than it has been while its pitch is clear."""
 BACKGROUND_S, BACKGROUND_DB_A_SECOND = 0.05, 8.0
 """An octave's background falls in this time constant, and rises at this rate."""
 APART_A_HARMONIC = 0.01
@@ -185,8 +190,9 @@ class SpeechSuppressor:
 
     def gains(self, audio_hz: FloatArray) -> FloatArray:
         """Return the factor on partials at these audio frequencies, in this hop, 0 to 1."""
-        excess = _ramps(self._level - self._voice_limit(), "excess_db")
-        excess = np.maximum(excess, (1.0 - self._voiced) * excess.max())
+        over_db = self._level - self._voice_limit()
+        hidden = (1.0 - self._voiced) * _ramp(float(over_db.max()), "excess_db")
+        excess = np.maximum(hidden, _ramps(over_db - CLEAR_DB * self._voiced, "excess_db"))
         spoken = (1.0 - excess) * _ramps(self._level - self._background, "background_db")
         share = np.interp(audio_hz, self._centres_hz, spoken) * _ramps(audio_hz, "spared_hz")
         harmonic = audio_hz / math.exp(self._log_pitch)
@@ -214,9 +220,11 @@ class SpeechSuppressor:
                 levels[:] = least_db
         self._level = 10.0 * np.log10((octaves + least) / SILENT_POWER)
         vowels = 10.0 * math.log10((float(octaves[VOWELS].sum()) + least) / SILENT_POWER)
-        self._note_swing(np.append(self._level[1:], vowels))
         loudness = 10.0 * math.log10((total + least) / (self._peak + least))
-        self._note_pitch(log_pitch, self._average * _ramp(loudness, "quiet_db"))
+        weight = _ramp(loudness, "quiet_db")
+        levels = np.append(self._level[1:], vowels)
+        self._note_swing(levels, self._average * max(weight, QUIET_SHARE))
+        self._note_pitch(log_pitch, self._average * weight)
         self._believe()
         learnt = np.maximum(self._level - self._voice, 0.0) * (self._learnt * self._voiced)
         self._voice = np.maximum(self._voice - self._voice_fall_db, self._voice + learnt)
@@ -224,13 +232,13 @@ class SpeechSuppressor:
         rise = np.minimum(change, self._background_rise_db)
         self._background += np.where(change > 0.0, rise, self._background_fall * change)
 
-    def _note_swing(self, levels: FloatArray) -> None:
+    def _note_swing(self, levels: FloatArray, weight: float) -> None:
         self._fast += self._fast_share * (levels - self._fast)
         self._slow += self._slow_share * (levels - self._slow)
         swing = np.clip(self._fast - self._slow, -SWING_MAX_DB, SWING_MAX_DB)
-        self._swing += self._average * (float(swing[-1]) ** 2 - self._swing)
+        self._swing += weight * (float(swing[-1]) ** 2 - self._swing)
         against = swing[:-1] - swing[:-1].mean()
-        self._balance += self._average * (float((against * against).mean()) - self._balance)
+        self._balance += weight * (float((against * against).mean()) - self._balance)
 
     def _note_pitch(self, log_pitch: float, weight: float) -> None:
         change = (log_pitch - self._log_pitch) / STEADY_PITCH
@@ -269,6 +277,7 @@ def speech_settings(speech: SpeechSuppressor | None, bin_hz: float, bins: int) -
         "speech_attack": form._attack,
         "speech_release": form._release,
         "speech_rest_hops": float(form._rest_hops),
+        "speech_quiet_share": QUIET_SHARE,
         "speech_swing_max_db": SWING_MAX_DB,
         "speech_silent_power": SILENT_POWER,
         "speech_unheard": UNHEARD,
@@ -278,6 +287,7 @@ def speech_settings(speech: SpeechSuppressor | None, bin_hz: float, bins: int) -
         "speech_likely": LIKELY,
         "speech_likely_still": LIKELY_STILL,
         "speech_sure": SURE,
+        "speech_clear_db": CLEAR_DB,
         "speech_apart": APART_A_HARMONIC,
         "speech_edges": np.array(form._edges, dtype=np.float64),
         "speech_centres_hz": form._centres_hz,

@@ -77,6 +77,7 @@
     ENTRY(speech_attack)                                                                           \
     ENTRY(speech_release)                                                                          \
     ENTRY(speech_rest_hops)                                                                        \
+    ENTRY(speech_quiet_share)                                                                      \
     ENTRY(speech_swing_max_db)                                                                     \
     ENTRY(speech_silent_power)                                                                     \
     ENTRY(speech_unheard)                                                                          \
@@ -86,6 +87,7 @@
     ENTRY(speech_likely)                                                                           \
     ENTRY(speech_likely_still)                                                                     \
     ENTRY(speech_sure)                                                                             \
+    ENTRY(speech_clear_db)                                                                         \
     ENTRY(speech_apart)
 
 #define SPEECH_TABLES(ENTRY)                                                                       \

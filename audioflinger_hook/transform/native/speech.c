@@ -114,7 +114,7 @@ static double found_pitch(const Settings *s, double *power, double *contrasts, d
 
 /* ------------------------------------------------------------------------------------------ cues */
 
-static void note_swing(const Settings *s, Speech *speech, const double *levels)
+static void note_swing(const Settings *s, Speech *speech, const double *levels, double weight)
 {
     double swing[OCTAVES], mean = 0.0, against = 0.0;
     for (size_t one = 0; one < OCTAVES; one++) {
@@ -128,8 +128,8 @@ static void note_swing(const Settings *s, Speech *speech, const double *levels)
     for (size_t one = 0; one < OCTAVES - 1; one++)
         against += (swing[one] - mean) * (swing[one] - mean) / (OCTAVES - 1);
     const double vowels = swing[OCTAVES - 1] * swing[OCTAVES - 1];
-    speech->swing += s->speech_average * (vowels - speech->swing);
-    speech->balance += s->speech_average * (against - speech->balance);
+    speech->swing += weight * (vowels - speech->swing);
+    speech->balance += weight * (against - speech->balance);
 }
 
 static void note_pitch(const Settings *s, Speech *speech, double log_pitch, double weight)
@@ -192,9 +192,10 @@ static void follow(const Settings *s, Speech *speech, const double *octaves, dou
         speech->level[octave] = 10.0 * log10((octaves[octave] + least) / s->speech_silent_power);
     memcpy(levels, speech->level + 1, (OCTAVES - 1) * sizeof(double));
     levels[OCTAVES - 1] = 10.0 * log10((vowels + least) / s->speech_silent_power);
-    note_swing(s, speech, levels);
     const double loudness = 10.0 * log10((total + least) / (speech->peak + least));
-    note_pitch(s, speech, log_pitch, s->speech_average * ramp(s, QUIET, loudness));
+    const double weight = ramp(s, QUIET, loudness);
+    note_swing(s, speech, levels, s->speech_average * larger(weight, s->speech_quiet_share));
+    note_pitch(s, speech, log_pitch, s->speech_average * weight);
     believe(s, speech);
     learn(s, speech);
 }
@@ -237,19 +238,20 @@ int speech_is_at_rest(const Speech *speech) { return !(speech->hops_to_rest > 0.
 
 double speech_gain(const Settings *s, const Speech *speech, double audio_hz)
 {
-    double spoken[OCTAVES], limit[OCTAVES], loudest = 0.0, most = 0.0;
-    for (size_t octave = 0; octave < OCTAVES; octave++)
+    double spoken[OCTAVES], over_db[OCTAVES], loudest = speech->loudness[0], most = -INFINITY;
+    for (size_t octave = 1; octave < OCTAVES; octave++)
         loudest = larger(speech->loudness[octave], loudest);
     for (size_t octave = 0; octave < OCTAVES; octave++) {
-        limit[octave] = octave < HISS_FIRST ? speech->loudness[octave] : loudest;
-        most = larger(ramp(s, EXCESS, speech->level[octave] - limit[octave]), most);
+        const double limit = octave < HISS_FIRST ? speech->loudness[octave] : loudest;
+        over_db[octave] = speech->level[octave] - limit;
+        most = larger(over_db[octave], most);
     }
+    const double hidden = (1.0 - speech->voiced) * ramp(s, EXCESS, most);
     for (size_t octave = 0; octave < OCTAVES; octave++) {
-        const double level = speech->level[octave];
-        const double excess =
-            larger(ramp(s, EXCESS, level - limit[octave]), (1.0 - speech->voiced) * most);
-        spoken[octave] =
-            (1.0 - excess) * ramp(s, BACKGROUND, level - speech->background[octave]);
+        const double clear_db = s->speech_clear_db * speech->voiced;
+        const double excess = larger(ramp(s, EXCESS, over_db[octave] - clear_db), hidden);
+        const double above = speech->level[octave] - speech->background[octave];
+        spoken[octave] = (1.0 - excess) * ramp(s, BACKGROUND, above);
     }
     const double *centres = s->speech_centres_hz.at;
     size_t above = 0;
