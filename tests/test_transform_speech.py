@@ -22,9 +22,14 @@ KNOWN_S = 1.0
 
 
 @functools.cache
+def demo():
+    return demo_scene(RATE)
+
+
+@functools.cache
 def track(name):
     """Return one sound of the demo scene alone, (frames,) float64 at RATE."""
-    (found,) = [each for each in demo_scene(RATE).tracks if each.name == name]
+    (found,) = [each for each in demo().tracks if each.name == name]
     step = found.samplerate / RATE
     mono = np.asarray(found.frames, dtype=np.float64).mean(axis=1)
     # Aliases of what lies above 8 kHz do no harm here.

@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import resample_poly
 
 from audioflinger_hook.bench.signals import SAMPLERATE, Recording, chord, tone
-from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.transform.arrays import FloatArray
 
 CHOSEN_ON, OTHER_HALF = "chosen on", "other half"
@@ -46,9 +46,13 @@ def repeated(sound: FloatArray, duration_s: float) -> FloatArray:
 
 
 @functools.cache
+def _demo() -> Scene:
+    return demo_scene()
+
+
 def scene_track(name: str) -> FloatArray:
     """Return one sound of the demo scene by itself."""
-    (track,) = [track for track in demo_scene().tracks if track.name == name]
+    (track,) = [track for track in _demo().tracks if track.name == name]
     mono = np.asarray(track.frames, dtype=np.float64).mean(axis=1)
     if track.samplerate != SAMPLERATE:
         mono = resample_poly(mono, SAMPLERATE, track.samplerate)
