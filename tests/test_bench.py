@@ -466,7 +466,7 @@ def test_the_plots_are_pictures(report, tmp_path):
     if os.environ.get("CI") != "true":
         pytest.importorskip("matplotlib")
     paths = bench.plots(report, tmp_path)
-    names = ["cost", "lag", "rungs", "damping", "frequency", "frontier", "levels"]
+    names = ["cost", "lag", "rungs", "damping", "frequency", "frontier", "levels", "speech"]
     assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
         assert path.read_bytes().startswith(b"\x89PNG")

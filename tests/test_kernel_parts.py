@@ -15,7 +15,8 @@ from tests.signals import SAMPLERATES, identical, joined, silence, tone, white_n
 _kernel = pytest.importorskip("audioflinger_hook.transform._kernel", exc_type=ImportError)
 
 RATE = 8_000
-SETTINGS = settings_of(LiveTransform(TransformParameters(), RATE))
+# With everything that can be switched on, so that all of it meets what does not fit.
+SETTINGS = settings_of(LiveTransform(TransformParameters(speech_suppression_db=12.0), RATE))
 
 
 def made(channels=1, each=False, **changes):
@@ -143,6 +144,17 @@ def test_a_kernel_is_not_made_without_a_setting(name):
         ("phases", np.ones(1)),
         ("phases", np.zeros((0, SETTINGS["decimation"]))),
         ("gain_table", np.ones(1)),
+        ("speech_edges", SETTINGS["speech_edges"][1:]),
+        ("speech_edges", SETTINGS["speech_edges"][::-1].copy()),
+        ("speech_edges", SETTINGS["speech_edges"] + SETTINGS["bins"]),
+        ("speech_edges", SETTINGS["speech_edges"] - 1e3),
+        ("speech_centres_hz", np.ones(6)),
+        ("speech_log_pitches", np.ones(1)),
+        ("speech_log_pitches", SETTINGS["speech_log_pitches"][1:]),
+        ("speech_teeth", SETTINGS["speech_teeth"] - 1.0),
+        ("speech_teeth", SETTINGS["speech_teeth"] + SETTINGS["bins"]),
+        ("speech_teeth", np.zeros(0)),
+        ("speech_ramps", SETTINGS["speech_ramps"][1:]),
     ],
 )
 def test_a_kernel_is_not_made_of_settings_that_do_not_fit(name, value):

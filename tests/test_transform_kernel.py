@@ -27,6 +27,7 @@ from tests.signals import (
     low_noise,
     made,
     one_sample,
+    played,
     silence,
     square,
     times,
@@ -92,6 +93,18 @@ def test_twins_agree_on_recordings_at_any_level(level):
         sound, samplerate = soundfile.read(path, dtype="float32", always_2d=True)
         vibration = assert_twins(np.float32(level) * sound, samplerate)
         assert vibration.any() or level < 1.0, path.name
+
+
+@needs_kernel
+def test_twins_agree_where_speech_is_suppressed():
+    parameters = TransformParameters(speech_suppression_db=24.0)
+    paths = [path for path in require_recordings() if path.stem.startswith("Front_")]
+    spoken = np.concatenate([soundfile.read(path)[0] for path in paths])
+    speech = joined(spoken, spoken, silence(3.0, 48_000), spoken)
+    effects = np.resize(mixdown(demo_scene()).mean(axis=1), speech.shape)
+    for sound in (speech, speech + effects, columns(speech, effects)):
+        lowered = assert_twins(sound, 48_000, parameters=parameters, per_channel=True)
+        assert not identical(lowered, played(sound, 48_000, per_channel=True)[: len(sound)])
 
 
 def sweep_up(samplerate):
@@ -212,7 +225,13 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "equal JNDs": {"mapping": "jnd"},
     "both": {"level_law": "energy", "mapping": "jnd", "partials_max": 5},
     "followed": {"follower_db": 30.0},
-    "all": {"follower_db": 40.0, "level_law": "energy", "mapping": "jnd", "partials_max": 5},
+    "all": {
+        "follower_db": 40.0,
+        "level_law": "energy",
+        "mapping": "jnd",
+        "partials_max": 5,
+        "speech_suppression_db": 24.0,
+    },
 }
 
 

@@ -44,6 +44,7 @@ from audioflinger_hook.bench import (
     rungs_by_second,
     savings,
     soak_report,
+    speech_suppression,
     speed,
     tones,
 )
@@ -80,6 +81,8 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("worst hop", speed.worst_hop, 5.0),
     ("growth of cost", growth.cost_growth, 4.0),
     ("savings", savings.savings, 7.0),
+    ("speech suppression", speech_suppression.speech_suppression, 8.0),
+    ("effects under speech", speech_suppression.effects_under_speech, 0.5),
     ("the mixer", mixing.mixing, 6.0),
     ("rendering", rendering.render_speed, 2.0),
     ("cost against error", frontier.frontier, 4.0),

@@ -1,5 +1,6 @@
 """Pictures of a report: what a second of each scene costs, how late onsets are felt, what error
-of the simulated rig costs how much, what is left of a burst, and how far off frequencies are.
+of the simulated rig costs how much, what is left of a burst, how far off frequencies are, and what
+is left of speech.
 
 Needs matplotlib, an optional extra, and uses only its objects: no pyplot, no global setting.
 """
@@ -19,6 +20,7 @@ from audioflinger_hook.bench.frontier_figure import frontier_figure
 from audioflinger_hook.bench.levels_figure import levels_figure
 from audioflinger_hook.bench.precision import TITLE as RUNGS_TITLE
 from audioflinger_hook.bench.report import BenchReport, Row
+from audioflinger_hook.bench.speech_figure import speech_figure
 from audioflinger_hook.bench.speed import BLOCKSIZES, SECOND
 from audioflinger_hook.bench.workbench import LIVE, REFERENCE, TWIN
 from device.atomic_file import write_bytes_atomically
@@ -55,6 +57,7 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
         "frequency.png": frequency_figure(report),
         "frontier.png": frontier_figure(report),
         "levels.png": levels_figure(report),
+        "speech.png": speech_figure(report),
     }
     for name, figure in figures.items():
         content = io.BytesIO()

@@ -28,6 +28,7 @@ from audioflinger_hook.transform.intake import MAGNITUDE_MAX, fitting
 from audioflinger_hook.transform.live import LiveTransform
 from audioflinger_hook.transform.scaling import slope
 from audioflinger_hook.transform.smoothing import TABLE_STEP_HZ
+from audioflinger_hook.transform.speech import speech_settings
 
 _MadeOf = tuple[dict[str, Any], int, bool, tuple[int, int]]
 
@@ -222,6 +223,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "low_a": smoother._a,
         "phases": smoother._phases,
         "gain_table": smoother._table_gain,
+        **speech_settings(form._speech, analysis._bin_hz, analysis._bins),
     }
 
 

@@ -20,9 +20,10 @@ from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.partials import Glides, PartialTracker
 from audioflinger_hook.transform.principal import Principals
-from audioflinger_hook.transform.scaling import vibration_hz
+from audioflinger_hook.transform.scaling import heard_hz, vibration_hz
 from audioflinger_hook.transform.smoothing import Smoother
-from audioflinger_hook.transform.spectrum import Spectrum
+from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum
+from audioflinger_hook.transform.speech import SpeechSuppressor
 from audioflinger_hook.transform.windows import strided_windows
 
 TICKS_AT_ONCE = 256
@@ -48,6 +49,7 @@ class _Found:
     principal: Principals
     hz: FloatArray
     gain: FloatArray
+    spectrum: ComplexArray
     loudness_db: float
 
 
@@ -80,6 +82,14 @@ class LiveTransform:
             self._loudness_weights = bin_weights(self._spectrum, bins)
         self._bandpass = BandPass(parameters, samplerate)
         self._tracker = PartialTracker(parameters, GROUPS, self._grid.hop_s)
+        self._speech = None
+        if parameters.speech_suppression_db > 0.0:
+            self._speech = SpeechSuppressor(
+                parameters.speech_suppression_db,
+                self._spectrum.bin_hz,
+                bins,
+                self._grid.hop_s,
+            )
         self._bank = OscillatorBank(self._grid.steps, self._grid.hop_s)
         self._smoother = Smoother(self._grid, parameters.vibration_top_hz)
         tick_s = self._grid.tick_frames / samplerate
@@ -126,11 +136,14 @@ class LiveTransform:
         self._smoother.reset()
         if self._follower:
             self._follower.reset()
+        if self._speech:
+            self._speech.reset()
 
     @property
     def asleep(self) -> bool:
         """Whether nothing is played, and what was heard has no effect any more."""
-        return self._tracker.idle and not self._ringing
+        forgotten = self._speech is None or self._speech.at_rest
+        return self._tracker.idle and not self._ringing and forgotten
 
     def begin_hop(self) -> None:
         """Let the next frame be the first of a hop; while it is asleep only."""
@@ -237,8 +250,10 @@ class LiveTransform:
         hz = vibration_hz(found.audio_hz, self._parameters)
         gain = self._smoother.compensation(hz)
         return [
-            _Found(found.take(mine), hz[mine], gain[mine], loud)
-            for mine, loud in zip(map(slice, edges[:-1], edges[1:]), loudness, strict=True)
+            _Found(found.take(mine), hz[mine], gain[mine], spectrum, loud)
+            for mine, spectrum, loud in zip(
+                map(slice, edges[:-1], edges[1:]), spectra, loudness, strict=True
+            )
         ]
 
     def _seen(self, joined: FloatArray, filtered: FloatArray, ticks: int) -> Ticks:
@@ -285,6 +300,10 @@ class LiveTransform:
             strength = self._follower.strength(found.loudness_db)
         elif self._follower:
             self._follower.rest()
+        if self._speech and found:
+            self._speech.hear(found.spectrum)
+        elif self._speech:
+            self._speech.pause()
         count = found.hz.size if found and strength > 0.0 else 0
         if found and count:
             amplitude, limited = self._levelled(found.principal, strength)
@@ -309,15 +328,28 @@ class LiveTransform:
 
         strength: what the follower makes of their loudness.
         """
-        amplitude = law_amplitudes(found.amplitude, found.r, self._full_scale_r, self._parameters)
+        amplitude = self._by_law(found)
+        gain = 1.0
         if self._follower:
-            power = float((amplitude * amplitude).sum())
-            amplitude = amplitude * self._follower.gain_for(strength, power)
-        return limited_amplitudes(amplitude)
+            gain = self._follower.gain_for(strength, float((amplitude * amplitude).sum()))
+        if self._speech:
+            # Before the law of level, so that what speech loses is not missing from the rest; after
+            # the follower, which would turn the rest up.
+            amplitude = self._by_law(found, self._speech.gains(found.audio_hz))
+        return limited_amplitudes(amplitude * gain)
+
+    def _by_law(self, found: Principals, left: FloatArray | float = 1.0) -> FloatArray:
+        """Return amplitudes by the level law; left: of each partial, a factor."""
+        return law_amplitudes(
+            found.amplitude * left, found.r * left, self._full_scale_r, self._parameters
+        )
 
     def _onset_gain(self, hz: float, level: float) -> float:
         """Return the factor on what begins: its vibration frequency in Hz, its level."""
-        return self._follower.onset_gain(level) if self._follower else 1.0
+        gain = self._follower.onset_gain(level) if self._follower else 1.0
+        if self._speech:
+            gain *= float(self._speech.gains(np.array([heard_hz(hz, self._parameters)]))[0])
+        return gain
 
     def _play(self, hops: Glides, fresh: Glides, awake: list[bool]) -> FloatArray:
         """Return the ticks' vibration; what sleeps is exactly 0 and forgets its ringing."""

@@ -65,6 +65,7 @@ LIMITS: dict[str, Limits] = {
     "follower_slope_db": Limits(1.0, 20.0, "dB", "of vibration for 20 phon of loudness"),
     "follower_floor_db": Limits(-90.0, -30.0, "dB", "loudness up to which nothing is felt"),
     "follower_gate_db": Limits(1.0, 30.0, "dB", "from there to where all is felt"),
+    "speech_suppression_db": Limits(0.0, 24.0, "dB", "by how much speech is lowered, live form"),
 }
 
 CHOICES: dict[str, Choice] = {
@@ -78,7 +79,8 @@ class TransformParameters:
     """Everything that shapes the vibration; the defaults are the paper's.
 
     window_s: seconds; band_low_hz, band_high_hz, vibration_top_hz: Hz; threshold_hz: full-scale
-    amplitude times Hz; partials_max: a count. Ranges stand in `LIMITS`.
+    amplitude times Hz; partials_max: a count; speech_suppression_db: dB, 0 for off, in the live
+    form alone. Ranges stand in `LIMITS`.
 
     follower_db: how far the live form's loudness follower (`follower.py`) lifts vibration; 0 turns
     it off, and the next four mean nothing. follower_target_db: vibration, follower_slope_db: more
@@ -105,6 +107,7 @@ class TransformParameters:
     follower_slope_db: float = 5.5
     follower_floor_db: float = -60.0
     follower_gate_db: float = 10.0
+    speech_suppression_db: float = 0.0
     level_law: str = "tonal"
     mapping: str = "paper"
 

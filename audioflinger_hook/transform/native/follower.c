@@ -94,16 +94,14 @@ double follower_onset_gain(const Settings *s, const Follower *follower, double l
     return smaller(s->gain_max, opened(s, follower, loudness_db) * strength / level);
 }
 
-void follower_apply(const Settings *s, Follower *follower, double strength, double *amplitude,
-                    size_t count)
+double follower_gain(const Settings *s, Follower *follower, double strength,
+                     const double *amplitude, size_t count)
 {
     double power = 0.0;
     for (size_t one = 0; one < count; one++)
         power += amplitude[one] * amplitude[one];
-    const double gain = smaller(s->gain_max, strength / sqrt(power));
-    for (size_t one = 0; one < count; one++)
-        amplitude[one] *= gain;
-    *follower->gain = gain;
+    *follower->gain = smaller(s->gain_max, strength / sqrt(power));
+    return *follower->gain;
 }
 
 int follower_is_possible(const Settings *s, const Follower *follower)

@@ -32,9 +32,9 @@ double follower_strength(const Settings *settings, Follower *follower, double lo
 /* The factor on the amplitudes of what begins with this level, a tone's amplitude. */
 double follower_onset_gain(const Settings *settings, const Follower *follower, double level);
 
-/* Give the amplitudes of a hop their strength. */
-void follower_apply(const Settings *settings, Follower *follower, double strength,
-                    double *amplitude, size_t count);
+/* Return, and keep, the factor that gives the amplitudes of a hop, 1 or more, their strength. */
+double follower_gain(const Settings *settings, Follower *follower, double strength,
+                     const double *amplitude, size_t count);
 
 /* Whether the numbers are such as a follower can have. */
 int follower_is_possible(const Settings *settings, const Follower *follower);

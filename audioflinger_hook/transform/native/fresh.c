@@ -4,6 +4,7 @@
 #include "fresh.h"
 
 #include "common.h"
+#include "scaling.h"
 #include "synthesis.h"
 
 int fresh_sounds(const Settings *settings, const Fresh *fresh)
@@ -26,6 +27,8 @@ static Told told(const Settings *settings, Heard heard, Group group)
     if (follower_is_on(settings))
         found.amplitude *=
             follower_onset_gain(settings, heard.follower, onsets_level(heard.onsets));
+    if (settings->speech_db > 0.0)
+        found.amplitude *= speech_gain(settings, heard.speech, heard_hz(settings, found.hz));
     found.amplitude *= smoothing_gain(settings, found.hz);
     return found;
 }

@@ -6,6 +6,7 @@
 #include "follower.h"
 #include "onsets.h"
 #include "settings.h"
+#include "speech.h"
 #include "tracking.h"
 
 /* One of them; all of it is state, and lies in one row of numbers. */
@@ -22,6 +23,7 @@ typedef struct {
 typedef struct {
     const Onsets *onsets;
     const Follower *follower;
+    const Speech *speech;
 } Heard;
 
 /* Whether any sounds. */

@@ -41,7 +41,7 @@ static size_t voice_numbers(const Settings *s)
 {
     return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->tick_frames + s->steps +
            onset_numbers(s) + FRESH_NUMBERS * s->fresh_max + SLOT_NUMBERS * tracking_slots(s) +
-           FOLLOWER_NUMBERS + smoothing_states(s) + smoothing_tail(s) + 2;
+           FOLLOWER_NUMBERS + SPEECH_STATES + smoothing_states(s) + smoothing_tail(s) + 2;
 }
 
 static void lay_out_voice(const Settings *s, Voice *voice, double **next)
@@ -77,6 +77,7 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
     voice->smoothing.state = placed(next, smoothing_states(s));
     voice->smoothing.tail = placed(next, smoothing_tail(s));
     voice->ringing = placed(next, 1);
+    voice->speech = (Speech *)placed(next, SPEECH_STATES);
 }
 
 /* Give every part its place in the work space, or count how much that is where there is none. */
@@ -94,6 +95,7 @@ static size_t lay_out_work(Live *live, void *memory)
     live->fft_space = numbers(&space, fft_work(&live->fft));
     live->tracking_space = taken(&space, tracking_work(s), 1);
     live->synthesis_space = numbers(&space, synthesis_work(s));
+    live->speech_space = numbers(&space, speech_work(s));
     live->analysis_space = taken(&space, analysis_work(s->bins), 1);
     double **found[FOUND_NUMBERS] = {&live->found.audio_hz, &live->found.amplitude,
                                      &live->found.bandwidth_hz, &live->found.r};
@@ -288,6 +290,16 @@ static void strengthen(Live *live, size_t count)
     }
 }
 
+static void lower_speech(Live *live, const Voice *voice, size_t count)
+{
+    for (size_t one = 0; one < count; one++) {
+        const double left =
+            speech_gain(&live->settings, voice->speech, live->found.audio_hz[one]);
+        live->found.amplitude[one] *= left;
+        live->found.r[one] *= left;
+    }
+}
+
 /* Set the amplitudes of what was found, scaled down where their sum would pass the ceiling; return
  * whether it would. */
 static int levelled(Live *live, Voice *voice, double strength, size_t count)
@@ -295,10 +307,17 @@ static int levelled(Live *live, Voice *voice, double strength, size_t count)
     const Settings *s = &live->settings;
     double total = 0.0;
     strengthen(live, count);
-    if (follower_is_on(s))
-        follower_apply(s, &voice->follower, strength, live->amplitude, count);
+    double gain = 1.0;
+    if (follower_is_on(s) && count)
+        gain = follower_gain(s, &voice->follower, strength, live->amplitude, count);
+    /* Before the law of level, so that what speech loses is not missing from the rest; after the
+     * follower, which would turn the rest up. */
+    if (s->speech_db > 0.0) {
+        lower_speech(live, voice, count);
+        strengthen(live, count);
+    }
     for (size_t one = 0; one < count; one++)
-        total += live->amplitude[one];
+        total += live->amplitude[one] *= gain;
     const int limited = !(total <= s->ceiling);
     if (limited)
         for (size_t one = 0; one < count; one++)
@@ -335,10 +354,15 @@ static void end_hop(Live *live, Voice *voice)
     fresh_hand_over(s, voice->fresh, &voice->onsets, &voice->slots);
     size_t count = 0;
     double strength = 1.0;
-    if (loudest >= s->silence)
+    const int heard = loudest >= s->silence;
+    if (heard)
         count = analysed(live, voice, &strength);
     else
         follower_rest(s, &voice->follower);
+    if (s->speech_db > 0.0 && heard)
+        speech_hear(s, voice->speech, live->real, live->imaginary, live->speech_space);
+    else if (s->speech_db > 0.0)
+        speech_pause(s, voice->speech);
     if (count || tracking_holds(s, &voice->slots)) {
         follow(live, voice, strength, count);
         *voice->ringing = (double)s->ring_hops;
@@ -376,7 +400,7 @@ static void advance(Live *live, Voice *voice)
 {
     const Settings *s = &live->settings;
     const int onset = s->find_onsets && heard(live, voice);
-    const Heard told = {&voice->onsets, &voice->follower};
+    const Heard told = {&voice->onsets, &voice->follower, voice->speech};
     const int full = live->tick + 1 == s->ticks;
     if (full)
         end_hop(live, voice);
@@ -457,7 +481,8 @@ static int asleep(const Live *live)
 {
     for (size_t which = 0; which < live->voices_count; which++) {
         const Voice *voice = &live->voices[which];
-        if (*voice->ringing > 0.0 || tracking_sounds(&live->settings, &voice->slots))
+        if (*voice->ringing > 0.0 || tracking_sounds(&live->settings, &voice->slots) ||
+            !speech_is_at_rest(voice->speech))
             return 0;
     }
     return 1;

@@ -13,6 +13,7 @@
 #include "intake.h"
 #include "onsets.h"
 #include "settings.h"
+#include "speech.h"
 #include "synthesis.h"
 #include "tracking.h"
 
@@ -29,6 +30,7 @@ typedef struct {
     Follower follower;
     Smoothing smoothing;
     double *ringing; /* hops that the low-pass still rings */
+    Speech *speech;
 } Voice;
 
 /* A kernel: settings, work space, and the state of every voice. Nothing is allocated after
@@ -48,6 +50,7 @@ typedef struct {
     uint64_t replaced, limited, delivered;
 
     double *mono, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
+    double *speech_space;
     double *newest; /* the last short_frames, in order */
     void *analysis_space, *tracking_space;
     Principals found;

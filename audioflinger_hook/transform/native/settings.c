@@ -5,6 +5,7 @@
 #include <math.h>
 
 #include "analysis.h"
+#include "speech.h"
 
 /* Three times the longest spectrum that there is: no sum or product of such sizes overflows. */
 #define COUNT_MAX ((size_t)1 << 20)
@@ -104,5 +105,5 @@ const char *settings_misfit(const Settings *s)
         return "loudness_weights: neither none nor one a bin";
     if (!(s->programme_min <= s->programme_start && s->programme_start <= s->programme_top))
         return "programme_start: not from programme_min to programme_top";
-    return NULL;
+    return speech_misfit(s);
 }

@@ -89,7 +89,8 @@
     ENTRY(gate_margin) /* of which this share is still silent */                                   \
     ENTRY(target)      /* vibration at the programme's level */                                    \
     ENTRY(slope)       /* of vibration for each dB of loudness */                                  \
-    ENTRY(gain_max)    /* of amplitudes, a factor */
+    ENTRY(gain_max)    /* of amplitudes, a factor */                                               \
+    SPEECH_NUMBERS(ENTRY)
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
@@ -113,7 +114,43 @@
     ENTRY(band_edges)  /* bins: the first of each band, and past the last */                       \
     ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
     ENTRY(rise_shares) /* of its amplitude that a fresh partial has after each tick */             \
-    ENTRY(loudness_weights) /* of bins; empty where loudness is not followed */
+    ENTRY(loudness_weights) /* of bins; empty where loudness is not followed */                    \
+    SPEECH_TABLES(ENTRY)
+
+/* What speech.c works by; speech.py says what each is. Shares are those that an average takes on in
+ * a hop, other changes are those of a hop. */
+#define SPEECH_NUMBERS(ENTRY)                                                                      \
+    ENTRY(speech_db) /* by how much speech is lowered; 0 for off */                                \
+    ENTRY(speech_average)                                                                          \
+    ENTRY(speech_fast)                                                                             \
+    ENTRY(speech_slow)                                                                             \
+    ENTRY(speech_learnt)                                                                           \
+    ENTRY(speech_background_fall)                                                                  \
+    ENTRY(speech_background_rise_db)                                                               \
+    ENTRY(speech_voice_fall_db)                                                                    \
+    ENTRY(speech_peak_fall)                                                                        \
+    ENTRY(speech_attack)                                                                           \
+    ENTRY(speech_release)                                                                          \
+    ENTRY(speech_rest_hops)                                                                        \
+    ENTRY(speech_quiet_share)                                                                      \
+    ENTRY(speech_swing_max_db)                                                                     \
+    ENTRY(speech_silent_power)                                                                     \
+    ENTRY(speech_unheard)                                                                          \
+    ENTRY(speech_equal)                                                                            \
+    ENTRY(speech_flat)                                                                             \
+    ENTRY(speech_steady_pitch)                                                                     \
+    ENTRY(speech_likely)                                                                           \
+    ENTRY(speech_likely_still)                                                                     \
+    ENTRY(speech_sure)                                                                             \
+    ENTRY(speech_clear_db)                                                                         \
+    ENTRY(speech_apart)
+
+#define SPEECH_TABLES(ENTRY)                                                                       \
+    ENTRY(speech_edges)       /* bins at which octaves begin, and the last ends */                 \
+    ENTRY(speech_centres_hz)  /* of the octaves */                                                 \
+    ENTRY(speech_log_pitches) /* evenly spaced */                                                  \
+    ENTRY(speech_teeth)       /* in bins: of all combs on harmonics, then between; 0 for unused */ \
+    ENTRY(speech_ramps)       /* two numbers each, in the order of speech.c */
 
 typedef struct {
     double *at;

@@ -1,0 +1,41 @@
+/* Speech heard in the sound, and what is left of each partial while it is: `speech.py`. */
+
+#ifndef CUSHION_SPEECH_H
+#define CUSHION_SPEECH_H
+
+#include "settings.h"
+
+#define OCTAVES 6
+
+/* What is remembered of one voice, doubles alone; all 0 at rest, and any numbers do no harm. Levels in dB over
+ * speech_silent_power. */
+typedef struct {
+    double belief, hops_to_rest;
+    double voiced, voicing, steady, log_pitch;
+    double swing, balance, peak;
+    double fast[OCTAVES], slow[OCTAVES]; /* of the octaves but the first, then of the vowels */
+    double level[OCTAVES], loudness[OCTAVES], background[OCTAVES];
+} Speech;
+
+#define SPEECH_STATES (sizeof(Speech) / sizeof(double))
+
+/* Return what of speech's settings does not fit the rest; NULL where all of it does. */
+const char *speech_misfit(const Settings *settings);
+
+/* Doubles of work space that `speech_hear` needs. */
+size_t speech_work(const Settings *settings);
+
+/* Take the next hop's spectrum, `bins` real and imaginary parts. */
+void speech_hear(const Settings *settings, Speech *speech, const double *real,
+                 const double *imaginary, double *work);
+
+/* Take a hop in which nothing is heard. */
+void speech_pause(const Settings *settings, Speech *speech);
+
+/* The factor on a partial of this audio frequency in this hop, 0 to 1. */
+double speech_gain(const Settings *settings, const Speech *speech, double audio_hz);
+
+/* Whether nothing is remembered of what was heard. */
+int speech_is_at_rest(const Speech *speech);
+
+#endif
