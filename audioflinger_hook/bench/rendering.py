@@ -15,7 +15,7 @@ import soundfile
 
 from audioflinger_hook.bench.report import Missing, Must, Row, Section
 from audioflinger_hook.bench.signals import PROJECT_ROOT, SAMPLERATE
-from audioflinger_hook.bench.workbench import Workbench
+from audioflinger_hook.bench.workbench import Workbench, not_compiled
 from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import demo_scene
 
@@ -49,7 +49,7 @@ def render_speed(bench: Workbench) -> Section:
         reason = f"`python -m {PACKAGE}` is not there"
         return Section(title, explanation, (), (Missing("rendering", reason, "pip install -e ."),))
     rows: list[Row] = []
-    missing: list[Missing] = []
+    missing: list[Missing] = [*not_compiled("rendering")]
     with tempfile.TemporaryDirectory(prefix="cushion-bench-") as folder:
         for duration_s in bench.effort.render_s:
             name = f"{duration_s / 60:g} min"
