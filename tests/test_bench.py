@@ -408,8 +408,10 @@ def test_a_rendering_that_fails_is_missing_with_what_it_said(monkeypatch):
 
     monkeypatch.setattr(rendering, "_render", fails)
     section = rendering.render_speed(Workbench(LEAST, SUBJECTS, ()))
-    (gone,) = section.missing
-    assert gone.reason == "`render` ended with exit code 5: the disk is full"
+    assert {gone.reason for gone in section.missing} == {
+        "`render` ended with exit code 5: the disk is full"
+    }
+    assert [gone.name.split("min")[1] for gone in section.missing] == ["", ", several files"]
 
 
 # ----------------------------------------------------------------------------------------- soak

@@ -50,6 +50,7 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
     targets = targets_in(options.out_dir, options.files)
     settings = chosen_settings(options)
     came: list[Rendered] = []
+    warned: set[str] = set()
     with progress_bar(f"{len(targets)} files") as progress:
         for rendered in render_files(
             options.files, targets, settings, workers, lambda share: progress(share, 1.0)
@@ -59,7 +60,9 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
                 complain(rendered.error)
                 continue
             for warning in rendered.report.warnings:
-                warn(f"{rendered.source}: {warning}")
+                if warning not in warned:  # what is so of every file is said once
+                    warn(warning)
+                    warned.add(warning)
             if not options.json:
                 print(_summary(rendered.report, rendered.target), flush=True)
     if options.json:
