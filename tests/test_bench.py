@@ -62,6 +62,7 @@ LEAST = Effort(
     growth_s=1.6,
     channels_s=0.2,
     hops_timed=200,
+    hops_timed_in_numpy=50,
     hops_held=200,
     render_s=(1.0,),
     rig_s=0.5,
@@ -408,8 +409,10 @@ def test_a_rendering_that_fails_is_missing_with_what_it_said(monkeypatch):
 
     monkeypatch.setattr(rendering, "_render", fails)
     section = rendering.render_speed(Workbench(LEAST, SUBJECTS, ()))
-    (gone,) = section.missing
-    assert gone.reason == "`render` ended with exit code 5: the disk is full"
+    assert {gone.reason for gone in section.missing} == {
+        "`render` ended with exit code 5: the disk is full"
+    }
+    assert [gone.name.split("min")[1] for gone in section.missing] == ["", ", several files"]
 
 
 # ----------------------------------------------------------------------------------------- soak
@@ -455,8 +458,11 @@ def test_a_broken_record_is_an_error_to_read_and_replaced_when_written(record, t
 def test_a_soak_that_never_ran_says_so(monkeypatch, tmp_path):
     monkeypatch.setattr(soak_report, "record_path", lambda: tmp_path / "none.json")
     section = soak_report.soak_result(Workbench(LEAST, SUBJECTS, ()))
-    assert section.missing == ()
-    assert "never run" in section.rows[0].shown()
+    assert section.rows == ()
+    (gone,) = section.missing
+    assert gone.name == "Soak"
+    assert "never run" in gone.reason
+    assert gone.command == "make soak"
 
 
 # ---------------------------------------------------------------------------------------- plots

@@ -82,6 +82,38 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.parametrize(
+    ("command", "made"),
+    [
+        (["render", "a.wav", "b.wav", "--out-dir", "out", "--workers", "2"], ["a.wav", "b.wav"]),
+        (["demo", "--fast", "--out", "out"], ["vibration.wav", "acceleration.wav"]),
+        (
+            ["run", "--tap", "scene:demo", "--device", "wav:out/r.wav", "--seconds", "0.3"],
+            ["r.wav"],
+        ),
+    ],
+    ids=["several files", "the demo", "the daemon"],
+)
+def test_every_command_works_without_the_kernel_and_says_once_what_it_costs(
+    tmp_path, command, made
+):
+    (tmp_path / "out").mkdir()
+    for name in ("a.wav", "b.wav"):
+        soundfile.write(tmp_path / name, 0.5 * tone(300, 0.3, 8_000), 8_000, subtype="FLOAT")
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_KERNEL, *command],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "XDG_RUNTIME_DIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("fifteen times the processor time") == 1
+    assert "Traceback" not in done.stderr
+    for name in made:
+        assert (tmp_path / "out" / name).stat().st_size > 1_000
+
+
 def test_a_rendering_without_the_kernel_warns_in_one_line_and_makes_the_same_vibration(tmp_path):
     source = tmp_path / "sound.wav"
     soundfile.write(source, 0.5 * tone(300, 1.0, 8_000), 8_000, subtype="FLOAT")

@@ -81,7 +81,9 @@ def test_the_wheel_holds_every_module_of_the_packages(wheel_names):
 
 def test_the_wheel_holds_the_packages_type_markers_and_data(wheel_names):
     markers = {f"{package}/py.typed" for package in PACKAGES}
-    assert markers | {"device/probe/probe.toml", "device/probe/probe.xml"} <= set(wheel_names)
+    data = {"device/probe/probe.toml", "device/probe/probe.xml"}
+    data.add("audioflinger_hook/bench/report.schema.json")
+    assert markers | data <= set(wheel_names)
 
 
 def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
@@ -89,7 +91,7 @@ def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
         compiled = name + sysconfig.get_config_var("EXT_SUFFIX")
         assert {compiled, f"{name}.pyi"} <= set(wheel_names)
     suffixes = {Path(name).suffix for name in wheel_names if ".dist-info/" not in name}
-    assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml"}
+    assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml", ".json"}
 
 
 def test_what_is_compiled_compiles_without_a_warning(wheel):

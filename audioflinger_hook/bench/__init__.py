@@ -37,6 +37,7 @@ from audioflinger_hook.bench import (
     precision,
     profile_measures,
     protection,
+    recordings,
     rendering,
     rig,
     rig_growth,
@@ -49,8 +50,8 @@ from audioflinger_hook.bench import (
     tones,
 )
 from audioflinger_hook.bench.machine import machine_facts
-from audioflinger_hook.bench.report import BenchReport, Missing, Must, Row, Section
-from audioflinger_hook.bench.signals import load_recordings
+from audioflinger_hook.bench.report import COMMAND, BenchReport, Missing, Must, Row, Section
+from audioflinger_hook.bench.signals import examine_recordings
 from audioflinger_hook.bench.soak_record import now
 from audioflinger_hook.bench.workbench import FULL, QUICK, SUBJECTS, Bench, Effort, Workbench
 
@@ -69,6 +70,7 @@ Progress = Callable[[str, float], None]
 """Told what is measured now, and the share of the work done before it, 0 to 1."""
 
 BENCHES: tuple[tuple[str, Bench, float], ...] = (
+    ("recordings", recordings.recordings, 0.1),
     ("steady tones", tones.steady_tones, 5.0),
     ("onset lag", fidelity.onset_lag, 2.0),
     ("energy above 250 Hz", fidelity.energy_above, 1.0),
@@ -120,24 +122,35 @@ def run_bench(
 ) -> BenchReport:
     """Measure everything on this machine and return the report.
 
-    quick: about a minute instead of about six. effort: other counts than those two. The
-    calling thread does the work; costs are its own CPU time.
+    quick: the same rows from less material, in under a minute instead of about six. effort: other
+    counts than those two. The calling thread does the work; costs are its own CPU time.
     """
     start_s = time.monotonic()
     machine = machine_facts()
     date = now()
-    bench = Workbench(effort or (QUICK if quick else FULL), SUBJECTS, load_recordings())
+    bench = Workbench(effort or (QUICK if quick else FULL), SUBJECTS, *examine_recordings())
     total = sum(weight for _, _, weight in BENCHES)
     done = 0.0
     sections = []
     for name, measure, weight in BENCHES:
         if progress:
             progress(name, done / total)
-        sections.append(measure(bench))
+        sections.append(_measured(name, measure, bench))
         done += weight
     if progress:
         progress("done", 1.0)
     return BenchReport(date, quick, time.monotonic() - start_s, machine, tuple(sections))
+
+
+def _measured(name: str, measure: Bench, bench: Workbench) -> Section:
+    """Return what a bench gives; where it fails a section that says so: the others go on."""
+    try:
+        return measure(bench)
+    except Exception as error:
+        title = name[0].upper() + name[1:]
+        reason = f"its bench failed ({type(error).__name__}: {' '.join(str(error).split())})"
+        gone = Missing(f"every row of {name}", reason, f"{COMMAND} --debug, and please report it")
+        return Section(title, "This could not be measured here.", (), (gone,))
 
 
 def plots(report: BenchReport, folder: Path) -> list[Path]:

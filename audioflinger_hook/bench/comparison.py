@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 
 from audioflinger_hook.bench import comparators
+from audioflinger_hook.bench.comparators import COMMAND
+from audioflinger_hook.bench.comparators.watched import ComparatorFailed, watched
 from audioflinger_hook.bench.cost import interleaved
 from audioflinger_hook.bench.fidelity import (
     AUDIBLE_FROM_HZ,
@@ -27,7 +29,7 @@ from audioflinger_hook.bench.likeness import (
     st_sim,
 )
 from audioflinger_hook.bench.measures import energy_above_db, onset_lag_s
-from audioflinger_hook.bench.report import Row, Section, number
+from audioflinger_hook.bench.report import Missing, Row, Section, number
 from audioflinger_hook.bench.signals import SAMPLERATE, Recording, burst, chord, tone
 from audioflinger_hook.bench.workbench import (
     LIVE,
@@ -90,14 +92,15 @@ CRITERIA = (
 def comparison(bench: Workbench) -> Section:
     """Every way from sound to vibration on the same sounds, and where a comparator wins."""
     others, missing = comparators.load()
-    subjects = (*bench.subjects, *others)
-    rows = _cost_rows((*subjects, *(way for way in SPEED_SUBJECTS if way.name == TWIN)), bench)
-    for subject in subjects:
-        rows += _onset_rows(subject, bench) + _high_tone_rows(subject) + _level_rows(subject)
     chosen = _spread(bench.recordings, bench.effort.compared_recordings)
-    if chosen:
-        rows += _recording_rows(subjects, chosen)
-    else:
+    while True:
+        try:
+            rows = _rows((*bench.subjects, *map(watched, others)), bench, chosen)
+            break
+        except ComparatorFailed as error:  # all again without it: no row is of fewer sounds
+            missing += (Missing(f"every row of the comparator {error.name}", str(error), COMMAND),)
+            others = tuple(other for other in others if other.name != error.name)
+    if not chosen:
         missing += tuple(bench.missing_recordings(f"{TITLE}: {name}") for name in RECORDING_ROWS)
     names = [subject.name for subject in others]
     return Section(
@@ -116,6 +119,15 @@ def comparison(bench: Workbench) -> Section:
         footnote=where_comparators_win(rows, names)
         + f" Recordings: {len(chosen)} of {len(bench.recordings)}.",
     )
+
+
+def _rows(
+    subjects: Sequence[Subject], bench: Workbench, recordings: Sequence[Recording]
+) -> list[Row]:
+    rows = _cost_rows((*subjects, *(way for way in SPEED_SUBJECTS if way.name == TWIN)), bench)
+    for subject in subjects:
+        rows += _onset_rows(subject, bench) + _high_tone_rows(subject) + _level_rows(subject)
+    return rows + (_recording_rows(subjects, recordings) if recordings else [])
 
 
 def where_comparators_win(rows: Sequence[Row], names: Sequence[str]) -> str:

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from audioflinger_hook.bench.records import typed
 from audioflinger_hook.bench.report import Missing, Must, Row, Section
 from audioflinger_hook.bench.signals import PROJECT_ROOT
 from audioflinger_hook.bench.workbench import Workbench
@@ -145,7 +146,7 @@ def read_records(path: Path) -> tuple[LiveRecord, ...]:
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        records = tuple(LiveRecord(**record) for record in document["records"])
+        records = tuple(typed(LiveRecord(**record)) for record in document["records"])
         return tuple(
             replace(record, lags_ms=tuple(record.lags_ms), budgets_ms=tuple(record.budgets_ms))
             for record in records
@@ -210,8 +211,8 @@ def live_result(bench: Workbench) -> Section:
     except UsageError as error:
         return Section(title, explanation, (), (Missing("live latency", str(error), COMMAND),))
     if not records:
-        never = Row("last run", None, column="result", note=f"never run; `{COMMAND}` runs it")
-        return Section(title, explanation, (never,))
+        never = Missing("live latency", f"{RECORD} is not there or empty: never run", COMMAND)
+        return Section(title, explanation, (), (never,))
     rows = [row for record in records for row in _rows(record)]
     return Section(title, explanation, tuple(rows), footnote=_footnote(records))
 

@@ -1,4 +1,4 @@
-"""Bench on rendering: a file through the command line, as a user would do it."""
+"""Bench on rendering: files through the command line, as a user would do it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ import soundfile
 
 from audioflinger_hook.bench.report import Missing, Must, Row, Section
 from audioflinger_hook.bench.signals import PROJECT_ROOT, SAMPLERATE
-from audioflinger_hook.bench.workbench import Workbench
+from audioflinger_hook.bench.workbench import Workbench, not_compiled
 from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.workers import usable_cores
 
 PACKAGE = "audioflinger_hook"
 LONG_S = 600.0
 LONG_WALL = Must("<=", 9.0)
 PEAK_MEMORY = Must("<=", 400.0)
 TIMEOUT_S = 300.0
+A_CORE = {"live": Must(">=", 400.0), "reference": Must(">=", 250.0)}
+REPEATS = 3
 
 # A small process of its own starts the command: the peak of a child includes what its parent
 # occupied when it was started, and the bench occupies a lot.
@@ -37,55 +40,124 @@ print(json.dumps([done.returncode, wall_s, peak_kb, done.stderr[-400:]]))
 """
 
 
+# The same command once everything is imported: the CPU time of the rendering alone.
+_STARTED = """
+import json, os, sys, time
+from audioflinger_hook.cli import main, render
+sys.stdout = open(os.devnull, "w")
+repeats, forms = int(sys.argv[1]), sys.argv[2].split(",")
+spent = {form: [] for form in forms}
+for form in forms * repeats:
+    start = time.process_time()
+    code = main([*sys.argv[3:], "--transform", form])
+    if code:
+        sys.exit(code)
+    spent[form].append(time.process_time() - start)
+sys.__stdout__.write(json.dumps(spent))
+"""
+
+
 def render_speed(bench: Workbench) -> Section:
-    """Wall time and peak memory of `render`, the whole process."""
+    """Wall time and peak memory of `render`, the whole process; and what it costs a core."""
     title = "Rendering a file"
     explanation = (
         "`cushion render` of the demo scene in a loop, 48 kHz stereo, live form: wall time of the "
         "whole command, start of Python included, and the most memory that it occupied, which must "
-        "not depend on the length. The limit of time is asked of ten minutes (full run)."
+        "not depend on the length. A core: by CPU time, start left out, the best of "
+        f"{REPEATS} runs. Several files: one for each core that may be used, all at once, by wall "
+        "time, start included. Limits but that of memory are asked of ten minutes (full run)."
     )
     if importlib.util.find_spec(f"{PACKAGE}.__main__") is None:
         reason = f"`python -m {PACKAGE}` is not there"
         return Section(title, explanation, (), (Missing("rendering", reason, "pip install -e ."),))
     rows: list[Row] = []
-    missing: list[Missing] = []
+    missing: list[Missing] = [*not_compiled("rendering")]
     with tempfile.TemporaryDirectory(prefix="cushion-bench-") as folder:
         for duration_s in bench.effort.render_s:
             name = f"{duration_s / 60:g} min"
-            try:
-                wall_s, peak_mb = _render(Path(folder), duration_s)
-            except (RuntimeError, OSError, subprocess.TimeoutExpired) as error:
-                reason = " ".join(str(error).split())
-                missing.append(Missing(f"rendering {name}", reason, "cushion render --help"))
-                continue
-            rows += [
-                Row(name, wall_s, "s", "wall time", LONG_WALL if duration_s >= LONG_S else None),
-                Row(name, duration_s / wall_s, "", "x real time"),
-                Row(name, peak_mb, "MB", "peak memory", PEAK_MEMORY),
-            ]
+            source = Path(folder) / "sound.wav"
+            _write_sound(source, duration_s)
+            for what, measure in (
+                (name, _whole_command),
+                (f"{name}, a core", _a_core),
+                (f"{name}, several files", _several_files),
+            ):
+                try:
+                    rows += measure(source, name, duration_s)
+                except (RuntimeError, OSError, ValueError, subprocess.SubprocessError) as error:
+                    reason = " ".join(str(error).split())
+                    missing.append(Missing(f"rendering {what}", reason, "cushion render --help"))
     return Section(title, explanation, tuple(rows), tuple(missing))
 
 
-def _render(folder: Path, duration_s: float) -> tuple[float, float]:
-    """Return wall seconds and peak MB of one rendering; RuntimeError where it fails."""
-    source, target = folder / "sound.wav", folder / "vibration.wav"
-    _write_sound(source, duration_s)
-    command = [sys.executable, "-m", PACKAGE, "render", str(source), str(target)]
-    # The code that is measured here, whether it is installed or not.
-    path = os.pathsep.join(filter(None, (str(PROJECT_ROOT), os.environ.get("PYTHONPATH"))))
+def _whole_command(source: Path, name: str, duration_s: float) -> list[Row]:
+    """Return wall time and peak memory of one rendering."""
+    wall_s, peak_mb = _render(str(source), str(source.with_name("vibration.wav")))
+    return [
+        Row(name, wall_s, "s", "wall time", LONG_WALL if duration_s >= LONG_S else None),
+        Row(name, duration_s / wall_s, "", "x real time"),
+        Row(name, peak_mb, "MB", "peak memory", PEAK_MEMORY),
+    ]
+
+
+def _a_core(source: Path, name: str, duration_s: float) -> list[Row]:
+    """Return how many seconds of sound one second of a core renders, in each form."""
+    command = ["render", str(source), str(source.with_name("vibration.wav"))]
     done = subprocess.run(
-        [sys.executable, "-S", "-c", _WATCHER, *command],
+        [sys.executable, "-c", _STARTED, str(REPEATS), ",".join(A_CORE), *command],
+        capture_output=True,
+        timeout=TIMEOUT_S,
+        text=True,
+        env=_environment(),
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"`render` ended with exit code {done.returncode}: {done.stderr[-400:]}")
+    spent: dict[str, list[float]] = json.loads(done.stdout)
+    return [
+        Row(
+            name,
+            duration_s / min(spent[form]),
+            "",
+            f"x real time a core, {form}",
+            must if duration_s >= LONG_S else None,
+        )
+        for form, must in A_CORE.items()
+    ]
+
+
+def _several_files(source: Path, name: str, duration_s: float) -> list[Row]:
+    """Return how many seconds of sound all cores render in a second, a file for each of them."""
+    cores = usable_cores()
+    with tempfile.TemporaryDirectory(dir=source.parent) as folder:
+        sources = [Path(folder) / f"{number}.wav" for number in range(cores)]
+        for link in sources:
+            link.hardlink_to(source)
+        out = Path(folder) / "out"
+        out.mkdir()
+        wall_s, _ = _render(*map(str, sources), "--out-dir", str(out), "--workers", str(cores))
+    return [Row(f"{name}, {cores} files at once", cores * duration_s / wall_s, "", "x real time")]
+
+
+def _render(*arguments: str) -> tuple[float, float]:
+    """Return wall seconds and peak MB of one command; RuntimeError where it fails."""
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", _WATCHER, sys.executable, "-m", PACKAGE, "render", *arguments],
         stdout=subprocess.PIPE,
         timeout=TIMEOUT_S,
         check=True,
         text=True,
-        env=os.environ | {"PYTHONPATH": path},
+        env=_environment(),
     )
     exit_code, wall_s, peak_kb, message = json.loads(done.stdout)
     if exit_code != 0:
         raise RuntimeError(f"`render` ended with exit code {exit_code}: {message}")
     return float(wall_s), float(peak_kb) / 1024.0
+
+
+def _environment() -> dict[str, str]:
+    """Return an environment with the code that is measured here, whether it is installed or not."""
+    path = os.pathsep.join(filter(None, (str(PROJECT_ROOT), os.environ.get("PYTHONPATH"))))
+    return os.environ | {"PYTHONPATH": path}
 
 
 def _write_sound(path: Path, duration_s: float) -> None:

@@ -1,6 +1,7 @@
 """The report: measured rows by section, as Markdown to read and JSON to compute with.
 
-The JSON document is the dataclasses below, field by field, in this shape (SCHEMA_VERSION 1):
+The JSON document is the dataclasses below, field by field, in this shape (SCHEMA_VERSION 1;
+report.schema.json beside this module says it as JSON Schema):
 
     {"schema": 1, "date": "...", "quick": bool, "duration_s": number, "machine": {MachineFacts},
      "must": {"met": int, "not_met": [name, ...]},
@@ -22,7 +23,7 @@ from audioflinger_hook.bench.machine import MachineFacts
 
 SCHEMA_VERSION = 1
 
-MET, NOT_MET = "met", "**not met**"
+MET, NOT_MET, MISSING = "met", "**not met**", "**missing**"
 COMMAND = "cushion bench"
 
 
@@ -248,6 +249,9 @@ def _section_markdown(section: Section) -> str:
         if noted:
             cells.append("; ".join(row.note for row in mine if row.note and row.value is not None))
         lines.append(_line(cells))
+    if section.rows:
+        blank = [""] * (len(heading) - 2)
+        lines += [_line([missing.name, MISSING, *blank]) for missing in section.missing]
     lines += ["", *(f"Not measured: {missing}." for missing in section.missing), section.footnote]
     return "\n".join(lines).rstrip("\n") + "\n"
 

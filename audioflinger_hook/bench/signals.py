@@ -33,11 +33,29 @@ RECORDINGS_COMMAND = "tools/fetch_recordings.sh"
 SHORTEST_S = 0.3
 """Shorter recordings hold no more than a few windows and are left out."""
 
+_SPOKEN = """
+    Front_Center Front_Left Front_Right Noise Rear_Center Rear_Left Rear_Right Side_Left Side_Right
+"""
+_DESKTOP = """
+    alarm-clock-elapsed audio-channel-front-center audio-channel-front-left
+    audio-channel-front-right audio-channel-rear-center audio-channel-rear-left
+    audio-channel-rear-right audio-channel-side-left audio-channel-side-right audio-test-signal
+    audio-volume-change bell camera-shutter complete device-added device-removed
+    dialog-information dialog-warning message-new-instant message phone-incoming-call
+    phone-outgoing-busy phone-outgoing-calling service-login service-logout suspend-error
+    trash-empty
+"""
+KNOWN = (
+    *(f"alsa/{name}.wav" for name in _SPOKEN.split()),
+    *(f"freedesktop/{name}.oga" for name in _DESKTOP.split()),
+)
+"""What the folder holds once `RECORDINGS_COMMAND` has filled it: KIND/FILE."""
+
 CHORD_HZ = (110.0, 220.0, 277.2, 329.6, 440.0, 554.4, 659.3, 880.0, 1318.5, 1760.0)
 CHORD_AMPLITUDE = 0.08
 BURST_S, BURST_RISE_S = 0.25, 0.001
-DENORMAL = 1e-40
-"""A denormal number of float32, far under anything audible."""
+DENORMAL, DENORMAL_FLOAT64 = 1e-40, 1e-310
+"""Denormal numbers of float32 and of float64, far under anything audible."""
 
 
 def tone(
@@ -114,16 +132,32 @@ def recordings_folder() -> Path | None:
 
 def load_recordings() -> tuple[Recording, ...]:
     """Return the folder's recordings longer than 0.3 s, by name; empty where there are none."""
+    return examine_recordings()[0]
+
+
+def examine_recordings() -> tuple[tuple[Recording, ...], dict[str, str]]:
+    """Return the folder's recordings longer than 0.3 s, and why others are not among them.
+
+    The second one: by KIND/FILE, the reason, for those that cannot be read, and those of `KNOWN`
+    that are not there. Both are empty where there is no folder.
+    """
     folder = recordings_folder()
     if folder is None:
-        return ()
-    found = []
+        return (), {}
+    found, wrong = [], {}
     for path in sorted(folder.rglob("*")):
         if path.suffix in {".wav", ".oga"}:
-            frames, samplerate = soundfile.read(path, dtype="float32", always_2d=True)
+            name = f"{path.parent.name}/{path.name}"
+            try:
+                frames, samplerate = soundfile.read(path, dtype="float32", always_2d=True)
+            except (soundfile.LibsndfileError, OSError, RuntimeError) as error:
+                wrong[name] = f"it cannot be read ({error})"
+                continue
             if len(frames) > SHORTEST_S * samplerate:
                 found.append(Recording(path.stem, path.parent.name, frames, samplerate))
-    return tuple(found)
+    there = {f"{path.parent.name}/{path.name}" for path in folder.rglob("*")}
+    wrong |= {name: f"it is not in {folder}" for name in KNOWN if name not in there}
+    return tuple(found), wrong
 
 
 def speech(recordings: tuple[Recording, ...]) -> Stereo | None:
@@ -141,7 +175,7 @@ class CostScene:
     """
 
     name: str
-    make: Callable[[float, tuple[Recording, ...]], Stereo | None]
+    make: Callable[[float, tuple[Recording, ...]], Stereo | FloatArray | None]
 
 
 def _speech_scene(duration_s: float, recordings: tuple[Recording, ...]) -> Stereo | None:
@@ -156,4 +190,8 @@ COST_SCENES: tuple[CostScene, ...] = (
     CostScene("white noise, 0 dBFS", lambda s, _: white_noise(s)),
     CostScene("silence", lambda s, _: stereo(np.zeros(round(s * SAMPLERATE)))),
     CostScene("denormal numbers", lambda s, _: stereo(np.full(round(s * SAMPLERATE), DENORMAL))),
+    CostScene(
+        "denormal numbers of float64",
+        lambda s, _: np.full((round(s * SAMPLERATE), 2), DENORMAL_FLOAT64),
+    ),
 )

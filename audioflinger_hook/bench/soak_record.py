@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from audioflinger_hook.bench.records import typed
 from audioflinger_hook.bench.signals import PROJECT_ROOT
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
@@ -78,7 +79,7 @@ def read_records(path: Path) -> tuple[SoakRecord, ...]:
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        return tuple(SoakRecord(**record) for record in document["records"])
+        return tuple(typed(SoakRecord(**record)) for record in document["records"])
     except FileNotFoundError:
         return ()
     except (OSError, ValueError, TypeError, KeyError) as error:

@@ -13,7 +13,7 @@ from audioflinger_hook.bench.rig_soak import (
     STEPPED_SAMPLES,
 )
 from audioflinger_hook.bench.soak import HOPS, NO_DRIFT_DB, PURITY
-from audioflinger_hook.bench.soak_record import COMMAND, read_records, record_path
+from audioflinger_hook.bench.soak_record import COMMAND, RECORD, read_records, record_path
 from audioflinger_hook.bench.workbench import Workbench
 from device.errors import UsageError
 
@@ -88,12 +88,12 @@ def _section(title: str, what: str, columns: _Columns) -> Section:
     try:
         records = read_records(record_path())
     except UsageError as error:
-        return Section(title, explanation, (), (Missing("soak", str(error), COMMAND),))
+        return Section(title, explanation, (), (Missing(title, str(error), COMMAND),))
     first = columns[0][0]
     records = tuple(record for record in records if getattr(record, first) is not None)
     if not records:
-        never = Row("last soak", None, column="result", note=f"never run; `{COMMAND}` runs it")
-        return Section(title, explanation, (never,))
+        never = Missing(title, f"{RECORD} has no record of it: never run", COMMAND)
+        return Section(title, explanation, (), (never,))
     rows = []
     for record in records:
         verdict = "passed" if record.passed else "failed"

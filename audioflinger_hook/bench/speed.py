@@ -16,11 +16,13 @@ from audioflinger_hook.bench.signals import (
 )
 from audioflinger_hook.bench.workbench import (
     LIVE,
-    SPEED_SUBJECTS,
+    REFERENCE,
     TWIN,
     Playback,
     Subject,
     Workbench,
+    not_compiled,
+    speed_subjects,
 )
 from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import demo_scene
@@ -30,7 +32,7 @@ from audioflinger_hook.transform.grid import LiveGrid
 BLOCKSIZES = (256, 32_768)
 """What a sound server delivers, and what a rendering takes at once."""
 SECOND = Must("<=", 1.5)
-SILENCE, DENORMAL = "silence", "denormal numbers"
+SILENCE, DENORMALS = "silence", ("denormal numbers", "denormal numbers of float64")
 SLOW_DOWN = Must("<=", 1.5)
 
 PAUSE_S = 0.004
@@ -47,14 +49,14 @@ def cost_of_a_second(bench: Workbench) -> Section:
     effort = bench.effort
     labels: list[tuple[str, Must | None, Subject, float]] = []
     playbacks: list[Playback] = []
-    missing: list[Missing] = []
+    missing: list[Missing] = [*not_compiled("cost of a second")]
     for scene in COST_SCENES:
         sound = scene.make(effort.cost_s, bench.recordings)
         if sound is None:
             missing.append(bench.missing_recordings(f"cost of a second, {scene.name}"))
             continue
         for blocksize in BLOCKSIZES:
-            for subject in SPEED_SUBJECTS:
+            for subject in speed_subjects():
                 must = SECOND if subject.name == LIVE else None
                 name = f"{scene.name}, blocks of {blocksize}"
                 labels.append((name, must, subject, len(sound) / SAMPLERATE))
@@ -87,14 +89,15 @@ def _slow_downs(rows: list[Row]) -> list[Row]:
     costs = {(row.name, row.column): row.value for row in rows}
     ratios = []
     for blocksize in BLOCKSIZES:
-        for subject in SPEED_SUBJECTS:
-            silent, denormal = (
-                costs[f"{scene}, blocks of {blocksize}", subject.name] or 0.0
-                for scene in (SILENCE, DENORMAL)
-            )
-            name = f"{DENORMAL} over {SILENCE}, blocks of {blocksize}"
-            must = SLOW_DOWN if subject.name == LIVE else None
-            ratios.append(Row(name, denormal / max(silent, 1e-9), "times", subject.name, must))
+        for numbers in DENORMALS:
+            for subject in speed_subjects():
+                silent, denormal = (
+                    costs[f"{scene}, blocks of {blocksize}", subject.name] or 0.0
+                    for scene in (SILENCE, numbers)
+                )
+                name = f"{numbers} over {SILENCE}, blocks of {blocksize}"
+                must = SLOW_DOWN if subject.name == LIVE else None
+                ratios.append(Row(name, denormal / max(silent, 1e-9), "times", subject.name, must))
     return ratios
 
 
@@ -127,7 +130,7 @@ def cost_after_pauses(bench: Workbench) -> Section:
         cut = [
             sound[first : first + blocksize] for first in range(0, blocks * blocksize, blocksize)
         ]
-        for subject in SPEED_SUBJECTS[:2]:
+        for subject in _live_subjects():
             stream = subject.start(SAMPLERATE, sound.shape[1])
             seconds = call_times_s(stream.process, cut, lambda: time.sleep(PAUSE_S))
             cost_ms = 1e3 * float(seconds.sum()) * SAMPLERATE / (len(cut) * blocksize)
@@ -139,6 +142,7 @@ def cost_after_pauses(bench: Workbench) -> Section:
         "meanwhile other programs take the processor's caches. What a second of 48 kHz stereo "
         f"costs then, over {bench.effort.cold_s:g} s.",
         tuple(rows),
+        not_compiled("cost after pauses"),
     )
 
 
@@ -149,8 +153,9 @@ def worst_hop(bench: Workbench) -> Section:
     hops = bench.effort.hops_timed
     rows: list[Row] = []
     for name, sound in (("demo scene", mixdown(demo_scene())), ("white noise", white_noise(15.0))):
-        for subject in SPEED_SUBJECTS[:2]:
-            shares = 100.0 * _hop_times_s(subject, sound, grid.hop_frames, hops) / hop_s
+        for subject in _live_subjects():
+            count = hops if subject.name == LIVE else bench.effort.hops_timed_in_numpy
+            shares = 100.0 * _hop_times_s(subject, sound, grid.hop_frames, count) / hop_s
             p999 = float(np.percentile(shares, HOP_PERCENTILE))
             must = HOP_COST if subject.name == LIVE else None
             rows += [
@@ -162,9 +167,15 @@ def worst_hop(bench: Workbench) -> Section:
         "Worst hop",
         f"A hop ({grid.hop_frames} frames, {1e3 * hop_s:.1f} ms) has to be ready long before it "
         "is due, every time: CPU time of single hops as a share of the time that they last, over "
-        f"{hops} hops of each sound.",
+        f"{hops} hops of each sound, in NumPy {bench.effort.hops_timed_in_numpy}.",
         tuple(rows),
+        not_compiled("worst hop"),
     )
+
+
+def _live_subjects() -> tuple[Subject, ...]:
+    """Return the live form in both ways that there are."""
+    return tuple(subject for subject in speed_subjects() if subject.name != REFERENCE)
 
 
 def _hop_times_s(

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
 from audioflinger_hook.bench.report import Missing, Section
 from audioflinger_hook.bench.signals import RECORDINGS_COMMAND, SAMPLERATE, Recording
-from audioflinger_hook.transform import HapticTransform
+from audioflinger_hook.transform import HapticTransform, kernel_warning
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 
 LIVE, TWIN, REFERENCE = "live", "live in NumPy", "reference"
+
+BUILD_COMMAND = "rm -rf .venv && make run"
 
 
 class Stream(Protocol):
@@ -79,6 +81,17 @@ SPEED_SUBJECTS: tuple[Subject, ...] = (
 """What is compared in speed: the live form compiled, what stands in for it, and the reference."""
 
 
+def speed_subjects() -> tuple[Subject, ...]:
+    """Return `SPEED_SUBJECTS`, without the first where it is not compiled and so is the second."""
+    return SPEED_SUBJECTS if kernel_warning() is None else SPEED_SUBJECTS[1:]
+
+
+def not_compiled(name: str) -> tuple[Missing, ...]:
+    """Return what to say where a row is of the compiled live form and there is none."""
+    why = kernel_warning()
+    return () if why is None else (Missing(f"{name}, {LIVE}, compiled", why, BUILD_COMMAND),)
+
+
 @dataclass(frozen=True)
 class Effort:
     """How much is measured: counts, and durations in seconds. More narrows the spread."""
@@ -104,6 +117,7 @@ class Effort:
     growth_s: float
     channels_s: float
     hops_timed: int
+    hops_timed_in_numpy: int
     hops_held: int
     render_s: tuple[float, ...]
     rig_s: float
@@ -111,30 +125,31 @@ class Effort:
 
 
 QUICK = Effort(
-    tones=12,
-    low_tones=6,
+    tones=6,
+    low_tones=3,
     tone_s=5.0,
-    gain_tones=12,
+    gain_tones=8,
     bursts=25,
     onsets_a_burst=4,
-    noisy_tones=120,
+    noisy_tones=100,
     frontier_sounds=2,
     compared_bursts=9,
     compared_recordings=3,
     settled_s=3.0,
-    split_s=0.5,
-    cost_repeats=5,
-    cost_s=3.0,
+    split_s=0.3,
+    cost_repeats=3,
+    cost_s=1.0,
     cold_s=1.0,
-    saving_repeats=2,
-    mix_rounds=60,
-    mix_repeats=3,
+    saving_repeats=1,
+    mix_rounds=30,
+    mix_repeats=2,
     growth_s=8.0,
     channels_s=1.0,
     hops_timed=5_000,
+    hops_timed_in_numpy=1_000,
     hops_held=20_000,
     render_s=(60.0,),
-    rig_s=10.0,
+    rig_s=4.0,
     random_rigs=4,
 )
 FULL = Effort(
@@ -159,6 +174,7 @@ FULL = Effort(
     growth_s=64.0,
     channels_s=4.0,
     hops_timed=50_000,
+    hops_timed_in_numpy=10_000,
     hops_held=100_000,
     render_s=(60.0, 600.0),
     rig_s=60.0,
@@ -168,11 +184,15 @@ FULL = Effort(
 
 @dataclass(frozen=True)
 class Workbench:
-    """The effort, the subjects and the recordings of one run."""
+    """The effort, the subjects and the recordings of one run.
+
+    absent: why some recordings are not among them, by name.
+    """
 
     effort: Effort
     subjects: tuple[Subject, ...]
     recordings: tuple[Recording, ...]
+    absent: Mapping[str, str] = field(default_factory=dict)
 
     def subject(self, name: str) -> Subject:
         """Return the subject of that name."""

@@ -55,6 +55,8 @@ def run(out: Path, *, fast: bool, profile: str | None = None) -> int:
     scene = demo_scene()
     sound = mixdown(scene)
     framework = Framework(scene.samplerate, scene.channels, settings)
+    for warning in framework.warnings:
+        warn(warning)
     rate, channels = framework.samplerate, framework.haptic_channels
     picture = out / "report.png"
     if picture.is_dir():

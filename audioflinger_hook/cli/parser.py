@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -22,10 +22,26 @@ PROFILE_HELP = "paper, cinema, game or music; default: paper"
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that reports wrong usage as every other error is reported, and guesses nothing."""
+    """A parser that reports wrong usage as every other error is reported, and guesses nothing.
+
+    any_order: whether options may stand between the names of files, however many these are.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**{**options, "allow_abbrev": False})
+        self.any_order = False
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """Return what was found, and what nobody knows."""
+        if not self.any_order:
+            return super().parse_known_args(args, namespace)
+        self.any_order = False  # the options first, then what is left: both come here again
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self.any_order = True
 
     def error(self, message: str) -> NoReturn:
         """Raise UsageError."""
@@ -44,9 +60,23 @@ def build_parser() -> Parser:
     demo.add_argument("--profile", metavar="NAME", help=PROFILE_HELP)
     demo.add_argument("--fast", action="store_true", help="as fast as it can, not in real time")
 
-    render = _add(commands, "render", "write the vibration of a sound file", _render)
-    render.add_argument("input", type=Path, metavar="IN", help="any sound file")
-    render.add_argument("output", type=Path, metavar="OUT", help="float32 WAV")
+    render = _add(commands, "render", "write the vibration of sound files", _render)
+    render.usage = "%(prog)s [options] IN OUT\n       %(prog)s [options] --out-dir DIR IN..."
+    # Both are one list here: what is missing or too much `cli.render` says.
+    render.any_order = True
+    render.add_argument(
+        "files",
+        nargs="*",
+        type=Path,
+        metavar="IN OUT",
+        help="any sound file, and the float32 WAV to be written",
+    )
+    render.add_argument(
+        "--out-dir", type=Path, metavar="DIR", help="write DIR/IN.wav for every IN, several at once"
+    )
+    render.add_argument(
+        "--workers", type=_count, metavar="N", help="processes at once; default: the usable cores"
+    )
     _add_rendering(render)
 
     inspect = _add(commands, "inspect", "list the principal frequencies of a sound file", _inspect)
@@ -206,7 +236,11 @@ def build_parser() -> Parser:
     service.add_argument("--udev", action="store_true", help="print a rule for USB devices, too")
 
     bench = _add(commands, "bench", "measure speed against error on this machine", _bench)
-    bench.add_argument("--quick", action="store_true", help="about a minute instead of six")
+    bench.add_argument(
+        "--quick",
+        action="store_true",
+        help="every row from less material, in under a minute instead of six",
+    )
     bench.add_argument("--plots", type=Path, metavar="DIR", help="draw the figures there")
     bench.add_argument("--out", type=Path, metavar="FILE", help="default: docs/benchmarks.md")
     _add_json(bench)
@@ -257,6 +291,13 @@ def _add_debug(parser: Parser) -> None:
 
 def _add_json(command: Parser) -> None:
     command.add_argument("--json", action="store_true", help="one JSON document on stdout")
+
+
+def _count(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
 
 
 def _seconds(text: str) -> float:

@@ -1,4 +1,4 @@
-"""`cushion render`: the vibration of a sound file."""
+"""`cushion render`: the vibration of a sound file, or of several."""
 
 from __future__ import annotations
 
@@ -10,15 +10,24 @@ from pathlib import Path
 from types import MappingProxyType
 
 from audioflinger_hook import config
-from audioflinger_hook.cli.terminal import level_text, progress_bar, warn
+from audioflinger_hook.batch import Rendered, render_files, targets_in
+from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
 from audioflinger_hook.render import RenderReport, render_file
 from audioflinger_hook.settings import Settings
+from audioflinger_hook.workers import WORKERS_MAX, usable_cores
+from device.errors import UsageError
+
+SEE_HELP = "see `cushion render --help`"
 
 EMPTY: Mapping[str, int] = MappingProxyType({})
 
 
 def run(options: argparse.Namespace) -> int:
-    """Render a file and say what came of it."""
+    """Render a file, or several into a folder, and say what came of it."""
+    workers = _workers(options.workers)
+    if options.out_dir is not None:
+        return _run_several(options, workers)
+    options.input, options.output = _one_each(options.files)
     settings = chosen_settings(options)
     with progress_bar(options.input.name) as progress:
         report = render_file(
@@ -30,6 +39,66 @@ def run(options: argparse.Namespace) -> int:
         )
     show_report(report, options)
     return 0
+
+
+def _run_several(options: argparse.Namespace, workers: int) -> int:
+    """Render every file that can be, and return 0 or the exit code of the worst error."""
+    if not options.files:
+        raise UsageError(f"the following arguments are required: IN; {SEE_HELP}")
+    if options.acceleration is not None:
+        raise UsageError("--acceleration names one file; render one by one with it: IN OUT")
+    targets = targets_in(options.out_dir, options.files)
+    settings = chosen_settings(options)
+    came: list[Rendered] = []
+    warned: set[str] = set()
+    with progress_bar(f"{len(targets)} files") as progress:
+        for rendered in render_files(
+            options.files, targets, settings, workers, lambda share: progress(share, 1.0)
+        ):
+            came.append(rendered)
+            if rendered.report is None:
+                complain(rendered.error)
+                continue
+            for warning in rendered.report.warnings:
+                if warning not in warned:  # what is so of every file is said once
+                    warn(warning)
+                    warned.add(warning)
+            if not options.json:
+                print(_summary(rendered.report, rendered.target), flush=True)
+    if options.json:
+        print(json.dumps({"files": [_entry(rendered) for rendered in came]}, indent=2))
+    return max(rendered.exit_code for rendered in came)
+
+
+def _entry(rendered: Rendered) -> dict[str, object]:
+    """Return what is said of one of several files."""
+    head = {"input": str(rendered.source), "output": str(rendered.target)}
+    if rendered.report is None:
+        return {**head, "error": rendered.error, "exit_code": rendered.exit_code}
+    return {**head, **dataclasses.asdict(rendered.report)}
+
+
+def _one_each(files: list[Path]) -> tuple[Path, Path]:
+    """Return IN and OUT."""
+    if len(files) < 2:
+        missing = ", ".join(("IN", "OUT")[len(files) :])
+        raise UsageError(f"the following arguments are required: {missing}; {SEE_HELP}")
+    if len(files) > 2:
+        more = " ".join(str(file) for file in files[2:])
+        raise UsageError(
+            f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
+            f"--out-dir DIR; {SEE_HELP}"
+        )
+    return files[0], files[1]
+
+
+def _workers(wanted: int | None) -> int:
+    """Return how many processes may work at once."""
+    if wanted is None:
+        return usable_cores()
+    if not 1 <= wanted <= WORKERS_MAX:
+        raise UsageError(f"--workers={wanted} is out of range; allowed: 1 to {WORKERS_MAX}")
+    return wanted
 
 
 def chosen_settings(options: argparse.Namespace, recorded: Settings | None = None) -> Settings:

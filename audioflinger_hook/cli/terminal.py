@@ -18,6 +18,11 @@ def warn(message: str) -> None:
     print(f"cushion: warning: {message}", file=sys.stderr)
 
 
+def complain(message: str) -> None:
+    """Print one line of error on stderr, where others of several things go on."""
+    print(f"cushion: error: {message}", file=sys.stderr, flush=True)
+
+
 def level_text(amplitude: float) -> str:
     """Return an amplitude as dBFS, `-inf` for silence."""
     level_db = amplitude_to_db(amplitude)

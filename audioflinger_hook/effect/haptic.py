@@ -239,6 +239,8 @@ def transform_for(config: EffectConfig, values: Values) -> HapticTransform | Non
             form=cast(Form, values["form"]),
             per_channel=values["per_channel"] is True,
             weights=source_weights(config.channels, chosen) if mixed else None,
+            # The haptic channels are float32; only a level would be multiplied before.
+            single=amplitude(values) == 1.0,
         )
     except (UsageError, ValueError):
         # ValueError: a band that a low sample rate cannot hold has no filter.

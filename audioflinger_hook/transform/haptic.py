@@ -66,6 +66,9 @@ class HapticTransform:
     the weights of a voice add up to 1 or less, so that none exceeds full scale. Any split of the
     stream into blocks gives the same bytes. Held by one thread at a time.
 
+    single: the vibration is wanted as float32. The reference form then costs a third, and its
+    float64 rounds to the same float32; to the live form it makes no difference.
+
     implementation: how the live form is computed. Where it is not given, `compiled`, or `numpy`
     where the kernel is not there (`kernel_warning` says so): the same within 1e-6 of full scale,
     at about fifteen times the cost. The reference form is `numpy` always.
@@ -85,6 +88,7 @@ class HapticTransform:
         form: Form = "live",
         per_channel: bool = False,
         weights: FloatArray | None = None,
+        single: bool = False,
         implementation: Implementation | None = None,
     ) -> None:
         check_format(samplerate, channels)
@@ -95,6 +99,7 @@ class HapticTransform:
         self.parameters = parameters or TransformParameters()
         self.form = form
         self.implementation = _implementation(form, implementation)
+        self._single = single
         self._mixdown = None if weights is None else Mixdown(weights)
         streamed = self._mixdown.voices if self._mixdown else channels
         per_channel |= self._mixdown is not None
@@ -106,9 +111,13 @@ class HapticTransform:
         if self.implementation == "compiled":
             settings = LiveTransform(self.parameters, self.samplerate)
             return KernelStream(settings, channels, per_channel)
-        form = FORMS[self.form]
-        voices = [form(self.parameters, self.samplerate) for _ in range(self.channels_out)]
-        return VoiceStream(voices, channels)
+        return VoiceStream([self._voice() for _ in range(self.channels_out)], channels)
+
+    def _voice(self) -> LiveTransform | ReferenceTransform:
+        """Return a new transform of one channel, in NumPy."""
+        if self.form == "reference":
+            return ReferenceTransform(self.parameters, self.samplerate, single=self._single)
+        return LiveTransform(self.parameters, self.samplerate)
 
     @property
     def latency_frames(self) -> int:

@@ -6,6 +6,8 @@ paper's and stay: steps at unit edges, a lag of one unit and more, a hard gate.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray
@@ -15,16 +17,18 @@ from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.scaling import vibration_hz
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from audioflinger_hook.transform.superposition import Superposition
 
-UNITS_AT_ONCE = 16
+UNITS_AT_ONCE = 8
 """Units analysed in one batch: bounds the memory of a block of any length."""
 
 
 class ReferenceTransform:
     """The reference form of one channel, continued from block to block.
 
-    `process` gives as many frames as it takes, late by `latency_frames` = one unit (N). Held by
-    one thread at a time.
+    `process` gives as many frames as it takes, late by `latency_frames` = one unit (N). single:
+    whoever takes them rounds them to float32; that is then the same, for a third of the cost. Held
+    by one thread at a time.
     """
 
     onset_after_frames = 0
@@ -32,14 +36,17 @@ class ReferenceTransform:
 
     asleep = False
 
-    def __init__(self, parameters: TransformParameters, samplerate: int) -> None:
+    def __init__(
+        self, parameters: TransformParameters, samplerate: int, *, single: bool = False
+    ) -> None:
         self._parameters = parameters
         self._samplerate = samplerate
+        self._single = single
         self._spectrum = Spectrum(parameters, samplerate)
         self._finder = PrincipalFinder(parameters, self._spectrum.bin_hz, self._spectrum.bins)
         self._bandpass = BandPass(parameters, samplerate)
         self._full_scale_r = parameters.unit_strength_hz(samplerate)
-        self._turns = 2.0 * np.pi * np.arange(self._spectrum.window_frames) / samplerate
+        self._superposition = Superposition(self._spectrum.window_frames, samplerate)
         self.latency_frames = self._spectrum.window_frames
         self.tonal_latency_frames = self.latency_frames
         self.limited_frames = 0
@@ -86,22 +93,31 @@ class ReferenceTransform:
 
     def _render(self, units: FloatArray) -> FloatArray:
         """Return the vibration of unit sequences (units, N), end to end."""
-        vibration = np.zeros(units.shape)
+        vibration = np.empty(units.shape)
         for first in range(0, len(units), UNITS_AT_ONCE):
             batch = units[first : first + UNITS_AT_ONCE]
-            found = self.analyse(batch)
-            edges = found.boundaries(len(batch))
-            hz = vibration_hz(found.audio_hz, self._parameters)
-            for row in range(len(batch)):
-                mine = slice(edges[row], edges[row + 1])
-                if mine.start < mine.stop:
-                    vibration[first + row] = self._superpose(found.take(mine), hz[mine])
+            vibration[first : first + len(batch)] = self._superposed(
+                self.analyse(batch), len(batch)
+            )
         return vibration.reshape(-1)
 
-    def _superpose(self, found: Principals, hz: FloatArray) -> FloatArray:
-        """Return one unit of equations (5)-(7), time counted from the unit's own start."""
-        weight = law_amplitudes(found.amplitude, found.r, self._full_scale_r, self._parameters)
-        unit = np.zeros(self.latency_frames)
-        for partial in range(len(found)):
-            unit += weight[partial] * np.cos(hz[partial] * self._turns)
-        return unit
+    def _superposed(self, found: Principals, units: int) -> FloatArray:
+        """Return (units, N): each unit of equations (5)-(7), time from its own start."""
+        edges = found.boundaries(units)
+        hz = vibration_hz(found.audio_hz, self._parameters)
+        weight = np.empty(len(found))
+        for first, end in pairwise(edges):
+            weight[first:end] = law_amplitudes(
+                found.amplitude[first:end],
+                found.r[first:end],
+                self._full_scale_r,
+                self._parameters,
+            )
+        if self._single:
+            return self._superposition.single(weight, hz, edges)
+        return np.stack(
+            [
+                self._superposition.exact(weight[first:end], hz[first:end])
+                for first, end in pairwise(edges)
+            ]
+        )

@@ -18,7 +18,7 @@ from audioflinger_hook.bench.comparators.stages import Comparator
 from audioflinger_hook.bench.report import Missing
 from audioflinger_hook.bench.workbench import Subject
 
-__all__ = ["NAMES", "load"]
+__all__ = ["COMMAND", "NAMES", "load"]
 
 NAMES = ("band-pass", "envelope", "centroid", "octave fold")
 """The name of each in the tables; its module has an underscore for what is no letter."""
