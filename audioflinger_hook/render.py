@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import numpy as np
 
 from audioflinger_hook.chain import Chain
 from audioflinger_hook.clients import Client, TapClient
 from audioflinger_hook.driven import actuators_of, driving_of, twin_of
 from audioflinger_hook.framework import OFFLINE_HAL_FRAMES, Framework
+from audioflinger_hook.mixer import HapticSink
+from audioflinger_hook.sections import Plan, plan_for, sections_of
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import FileTap
 from device.actuators.driven import Driven
@@ -58,12 +63,18 @@ def render_file(
     *,
     acceleration: Path | None = None,
     progress: Progress | None = None,
+    workers: int = 1,
 ) -> RenderReport:
     """Write the vibration of a sound file as float32 WAV of the same rate and length.
 
-    For the parameters and what is raised see `render`. May take long; called from any one thread.
+    workers: processes that may share the work, where the form allows it (`sections.py`): the same
+    bytes. For the other parameters and what is raised see `render`. May take long; called from any
+    one thread, with several workers from the main one.
     """
     refuse_same_file(source, target, acceleration)
+    settings = settings or Settings()
+    if workers > 1 and (plan := plan_for(source, settings)):
+        return _render_sections(plan, workers, target, acceleration, progress)
     tap = FileTap(source)
     return render(
         TapClient(tap),
@@ -111,17 +122,8 @@ def render(
         framework = Framework(
             client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
-        rate, channels = framework.samplerate, framework.haptic_channels
-        if settings.actuators:
-            channels = settings.numbered_channels.channels
-        outputs.append(WavOutput(target, rate, channels))
-        twin: Twin | Twins | None = None
-        if acceleration is not None:
-            recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
-            twin = twin_of(settings, rate, channels, recorder)
-            outputs.append(twin)
-        latency = framework.latency_frames
-        written = [_driven(output, settings, latency) for output in outputs]
+        rate = framework.samplerate
+        twin, written = _open_outputs(outputs, target, acceleration, settings, framework)
         chain = Chain(client, framework, [taken for _, taken in written])
         frames = 0
         while step := chain.step():
@@ -141,7 +143,7 @@ def render(
     return RenderReport(
         frames=frames,
         samplerate=rate,
-        channels=channels,
+        channels=outputs[0].channels,
         transform=settings.form,
         profile=settings.profile,
         latency_s=framework.latency_s,
@@ -151,6 +153,74 @@ def render(
         peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
         warnings=[*framework.warnings, *framework.bypassed(), *warnings],
     )
+
+
+def _render_sections(
+    plan: Plan,
+    workers: int,
+    target: Path,
+    acceleration: Path | None,
+    progress: Progress | None,
+) -> RenderReport:
+    """Do as `render`, with vibration that comes in sections."""
+    settings = plan.settings
+    outputs: list[VibrationOutput] = []
+    frames = replaced = 0
+    try:
+        framework = Framework(
+            plan.samplerate, plan.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
+        )
+        twin, written = _open_outputs(outputs, target, acceleration, settings, framework)
+        sink = HapticSink(*(taken for _, taken in written), clip=False)
+        # What is aligned for the framework's latency gets that before the first section.
+        sink.send(np.zeros((framework.latency_frames, framework.haptic_channels), np.float32))
+        with closing(sections_of(plan, workers)) as sections:
+            for section in sections:
+                for first in range(0, len(section.vibration), OFFLINE_HAL_FRAMES):
+                    part = section.vibration[first : first + OFFLINE_HAL_FRAMES]
+                    sink.send(part)
+                    frames += len(part)
+                    if progress:
+                        progress(frames, plan.sections * plan.frames)
+                replaced += section.replaced_samples
+        for output in reversed([taken for _, taken in written]):
+            output.close()
+    except BaseException:
+        for output in outputs:
+            output.abort()
+        raise
+    return RenderReport(
+        frames=frames,
+        samplerate=plan.samplerate,
+        channels=outputs[0].channels,
+        transform=settings.form,
+        latency_s=framework.latency_s,
+        peak=written[0][0].peak,
+        limited_samples=0,
+        replaced_samples=replaced,
+        peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
+        warnings=[*framework.warnings, *section.warnings],
+    )
+
+
+def _open_outputs(
+    outputs: list[VibrationOutput],
+    target: Path,
+    acceleration: Path | None,
+    settings: Settings,
+    framework: Framework,
+) -> tuple[Twin | Twins | None, list[tuple[Aligned, VibrationOutput]]]:
+    """Add what is to be written to `outputs`, and return the twin and each as `_driven` does."""
+    rate, channels = framework.samplerate, framework.haptic_channels
+    if settings.actuators:
+        channels = settings.numbered_channels.channels
+    outputs.append(WavOutput(target, rate, channels))
+    twin: Twin | Twins | None = None
+    if acceleration is not None:
+        recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
+        twin = twin_of(settings, rate, channels, recorder)
+        outputs.append(twin)
+    return twin, [_driven(output, settings, framework.latency_frames) for output in outputs]
 
 
 def _driven(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import multiprocessing
 import os
 import signal
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -26,6 +28,9 @@ END_S = 5.0
 """How long a worker may take to put away what it has begun."""
 
 WORKERS_MAX = 256
+
+LEAD = 2
+"""Items for each process that may be begun before the first of them has been taken."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -65,10 +70,12 @@ class Workers(Generic[Result]):
         self._work = work
         self._items = items
         self._next = 0
+        self._most_ahead = LEAD * count
+        self._yielded = 0
         self._running: list[_Worker] = []
         self._done: dict[int, Result | WorkerLost] = {}
-        for _ in range(min(count, items)):
-            self._begin()
+        self._count = count
+        self._begin_more()
 
     def results(self, tell: Tell | None = None) -> Iterator[Result | WorkerLost]:
         """Yield what came of each item, in their order. tell: told the share of all items."""
@@ -79,7 +86,10 @@ class Workers(Generic[Result]):
                     under_way = sum(worker.share for worker in self._running)
                     finished = self._next - len(self._running)
                     tell((finished + under_way) / self._items)
-            yield self._done.pop(item)
+            result = self._done.pop(item)
+            self._yielded = item + 1
+            self._begin_more()
+            yield result
 
     def __enter__(self) -> Workers[Result]:
         return self
@@ -99,6 +109,12 @@ class Workers(Generic[Result]):
                 worker.process.join()
             worker.messages.close()
         self._running.clear()
+
+    def _begin_more(self) -> None:
+        """Begin items until all processes are busy or too many results wait to be taken."""
+        most = min(self._items, self._yielded + self._most_ahead)
+        while len(self._running) < self._count and self._next < most:
+            self._begin()
 
     def _begin(self) -> None:
         """Begin the next item."""
@@ -123,6 +139,8 @@ class Workers(Generic[Result]):
         # So that `theirs` breaks when the process that listens is gone, and that of others, too.
         for connection in (ours, *(worker.messages for worker in self._running)):
             connection.close()
+        # A worker says nothing, and another thread may have held these when it was copied.
+        sys.stdout = sys.stderr = io.StringIO()
         told = 0.0
 
         def tell(share: float) -> None:
@@ -154,8 +172,7 @@ class Workers(Generic[Result]):
             worker.process.join()
             worker.messages.close()
             self._done[worker.item] = told
-            if self._next < self._items:
-                self._begin()
+        self._begin_more()
 
 
 def _interrupt_once(_signal: int, _frame: FrameType | None) -> None:

@@ -65,7 +65,8 @@ def render_speed(bench: Workbench) -> Section:
         "whole command, start of Python included, and the most memory that it occupied, which must "
         "not depend on the length. A core: by CPU time, start left out, the best of "
         f"{REPEATS} runs. Several files: one for each core that may be used, all at once, by wall "
-        "time, start included. Limits but that of memory are asked of ten minutes (full run)."
+        "time, start included; so is one file of the reference form that several share. Limits but "
+        "that of memory are asked of ten minutes (full run)."
     )
     if importlib.util.find_spec(f"{PACKAGE}.__main__") is None:
         reason = f"`python -m {PACKAGE}` is not there"
@@ -81,6 +82,7 @@ def render_speed(bench: Workbench) -> Section:
                 (name, _whole_command),
                 (f"{name}, a core", _a_core),
                 (f"{name}, several files", _several_files),
+                (f"{name}, shared", _one_file),
             ):
                 try:
                     rows += measure(source, name, duration_s)
@@ -136,6 +138,20 @@ def _several_files(source: Path, name: str, duration_s: float) -> list[Row]:
         out.mkdir()
         wall_s, _ = _render(*map(str, sources), "--out-dir", str(out), "--workers", str(cores))
     return [Row(f"{name}, {cores} files at once", cores * duration_s / wall_s, "", "x real time")]
+
+
+def _one_file(source: Path, name: str, duration_s: float) -> list[Row]:
+    """Return how many seconds of one sound a second renders, by as many workers as may be."""
+    if duration_s < LONG_S:  # too short to be shared
+        return []
+    rows = []
+    for workers in dict.fromkeys((1, usable_cores())):
+        target = str(source.with_name("vibration.wav"))
+        options = ("--transform", "reference", "--workers", str(workers))
+        wall_s, _ = _render(str(source), target, *options)
+        shared = f"{workers} worker{'s' if workers > 1 else ''}"
+        rows.append(Row(f"{name}, reference, {shared}", duration_s / wall_s, "", "x real time"))
+    return rows
 
 
 def _render(*arguments: str) -> tuple[float, float]:

@@ -36,6 +36,7 @@ def run(options: argparse.Namespace) -> int:
             settings,
             acceleration=options.acceleration,
             progress=progress,
+            workers=workers,
         )
     show_report(report, options)
     return 0

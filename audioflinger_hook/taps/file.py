@@ -20,6 +20,10 @@ from device.errors import UsageError
 BLOCKSIZE_FRAMES = 32_768
 """Long enough that the cost of a call vanishes, short enough that 64 channels take 8 MB."""
 
+EXACT_FORMATS = frozenset({"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF"})
+EXACT_SUBTYPES = frozenset({"PCM_U8", "PCM_S8", "PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE"})
+"""Where a frame lies by itself at a place that follows from its number."""
+
 FRAMES_UNKNOWN = 1 << 40
 """libsndfile gives a number like this for a stream whose header does not say its length."""
 
@@ -27,8 +31,9 @@ FRAMES_UNKNOWN = 1 << 40
 class FileTap:
     """The frames of any file that libsndfile reads, as float32, in buffers of `blocksize`.
 
-    format_changed and discontinuity are never true of a file. `warnings` holds, once the end is
-    reached, what a user should know: one line each.
+    first: the frame to begin with, of a file that is `divisible`. format_changed and discontinuity
+    are never true of a file. `warnings` holds, once the end is reached, what a user should know:
+    one line each.
 
     Raises
     ------
@@ -40,15 +45,17 @@ class FileTap:
     format_changed = False
     discontinuity = False
 
-    def __init__(self, path: Path, blocksize: int = BLOCKSIZE_FRAMES) -> None:
+    def __init__(self, path: Path, blocksize: int = BLOCKSIZE_FRAMES, *, first: int = 0) -> None:
         self.path = path
         self.warnings: list[str] = []
         self._blocksize = blocksize
         self._file = _open(path)
         self.samplerate: int = self._file.samplerate
         self.channels: int = self._file.channels
-        self._delivered = 0
+        self._delivered = first
         try:
+            if first:
+                self._skip_to(first)
             check_format(self.samplerate, self.channels)
             # The header may promise what is not there: only a first buffer proves sound.
             self._next = self._read()
@@ -66,6 +73,11 @@ class FileTap:
         frames = int(self._file.frames)
         return frames if 0 < frames < FRAMES_UNKNOWN else None
 
+    @property
+    def divisible(self) -> bool:
+        """Whether any part of it can be read by itself, and is then what it is in the whole."""
+        return self._file.format in EXACT_FORMATS and self._file.subtype in EXACT_SUBTYPES
+
     def read(self) -> NDArray[np.float32] | None:
         """Return the next buffer, or None at the end."""
         buffer = self._next
@@ -79,6 +91,12 @@ class FileTap:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def _skip_to(self, frame: int) -> None:
+        try:
+            self._file.seek(frame)
+        except (soundfile.LibsndfileError, RuntimeError) as error:
+            raise UsageError(f"{self.path} has no frame {frame} ({_reason(error)})") from None
 
     def _read(self) -> NDArray[np.float32]:
         if self.warnings:  # nothing follows a place that cannot be decoded

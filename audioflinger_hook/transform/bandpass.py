@@ -39,6 +39,15 @@ class BandPass:
         """Return to the zero state of a new stream."""
         self._state = np.zeros(self._a.size - 1)
 
+    @property
+    def past(self) -> bytes:
+        """All that what was heard does to what comes; may be set, of the same samplerate."""
+        return self._state.tobytes()
+
+    @past.setter
+    def past(self, past: bytes) -> None:
+        self._state = np.frombuffer(past).copy()
+
     def process(self, mono: FloatArray) -> FloatArray:
         """Return the filtered block, (frames,) float64. Called on the audio thread."""
         if not mono.size:

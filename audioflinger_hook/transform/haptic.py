@@ -111,7 +111,9 @@ class HapticTransform:
         if self.implementation == "compiled":
             settings = LiveTransform(self.parameters, self.samplerate)
             return KernelStream(settings, channels, per_channel)
-        return VoiceStream([self._voice() for _ in range(self.channels_out)], channels)
+        voices = [self._voice() for _ in range(self.channels_out)]
+        self._references = [voice for voice in voices if isinstance(voice, ReferenceTransform)]
+        return VoiceStream(voices, channels)
 
     def _voice(self) -> LiveTransform | ReferenceTransform:
         """Return a new transform of one channel, in NumPy."""
@@ -149,6 +151,19 @@ class HapticTransform:
     def replaced_samples(self) -> int:
         """Samples of sound that were unusable and counted as 0 so far."""
         return (self._mixdown or self._stream).replaced_samples
+
+    @property
+    def past(self) -> tuple[bytes, ...]:
+        """Of the reference form between two units: all that what was heard does to what comes.
+
+        May be set to that of another stream of the same format: what follows is then the same.
+        """
+        return tuple(voice.past for voice in self._references)
+
+    @past.setter
+    def past(self, past: tuple[bytes, ...]) -> None:
+        for voice, its in zip(self._references, past, strict=True):
+            voice.past = its
 
     def process(self, frames: Frames) -> FloatArray:
         """Return the vibration due, (frames, channels_out) float64, full scale +-1.

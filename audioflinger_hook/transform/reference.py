@@ -18,6 +18,7 @@ from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.scaling import vibration_hz
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from audioflinger_hook.transform.superposition import Superposition
+from device.errors import InternalError
 
 UNITS_AT_ONCE = 8
 """Units analysed in one batch: bounds the memory of a block of any length."""
@@ -57,6 +58,20 @@ class ReferenceTransform:
         self._bandpass.reset()
         self._pending = np.zeros(0)
         self._ready = np.zeros(self.latency_frames)
+
+    @property
+    def past(self) -> bytes:
+        """What was heard, as far as it does anything to the units that begin now; may be set.
+
+        Between two units, that is after a multiple of N frames, that is the band-pass's state.
+        """
+        if self._pending.size:
+            raise InternalError("a unit of the reference form has begun: its past is not whole")
+        return self._bandpass.past
+
+    @past.setter
+    def past(self, past: bytes) -> None:
+        self._bandpass.past = past
 
     def begin_hop(self) -> None:
         """It never does."""
