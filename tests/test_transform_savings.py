@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfilt
 
+from audioflinger_hook.bench.savings import SAVINGS
 from audioflinger_hook.transform import (
     TransformParameters,
     bandpass,
@@ -86,6 +87,26 @@ def without_silence_skip(sound, samplerate, way):
 
 def with_silence_skip(sound, samplerate, way):
     return vibration_of(LiveTransform(PARAMETERS, samplerate), sound, way)
+
+
+@pytest.mark.parametrize("saving", SAVINGS, ids=lambda saving: saving.name)
+def test_no_saving_changes_more_than_it_states(saving):
+    clicks = np.zeros(24_000)
+    clicks[::1_200] = 1.0
+    sounds = [
+        joined(clicks, silence(0.6, 48_000), white_noise(0.5, 48_000)),
+        low_noise(0.5, 48_000, 0.02),
+        *(
+            soundfile.read(path)[0]
+            for path in require_recordings()
+            if path.stem in ("Side_Left", "Rear_Center")
+        ),
+    ]
+    for sound in sounds:
+        switched = LiveTransform(PARAMETERS, 48_000)
+        saving.switch_off(switched)
+        change = switched.process(sound) - LiveTransform(PARAMETERS, 48_000).process(sound)
+        assert np.abs(change).max() <= saving.bound
 
 
 # --- silence ------------------------------------------------------------------------------------

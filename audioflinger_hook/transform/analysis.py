@@ -80,7 +80,7 @@ class LiveAnalysis:
         )
         self._side_lobe = SIDE_LOBE
         self._partials_max = parameters.partials_max
-        self._turn, self._table = _window_tables(spectrum, bins)
+        self._turn, self._table = window_tables(spectrum, bins)
 
     def all_principal(self, spectra: ComplexArray) -> Principals:
         """Return everything with r > C_th in each row of (rows, columns), nothing left out."""
@@ -187,18 +187,20 @@ def _half_power_on_bells(
     return edge
 
 
-def _window_tables(spectrum: Spectrum, bins: int) -> tuple[FloatArray, FloatArray]:
+def window_tables(
+    spectrum: Spectrum, bins: int, reach_windows: float = IMAGE_REACH_WINDOWS
+) -> tuple[FloatArray, FloatArray]:
     """Return what images are computed from: the turn of each low bin, the window's spectrum.
 
     Phases counted from the window's centre make the window's spectrum real; bins turn by a cosine
     and a sine each, (2, low bins + `NEIGHBOURS`). The spectrum, 1 at 0, has `TABLE_BINS_A_BIN`
-    entries a bin.
+    entries a bin. reach_windows: bins under this many times 1/T are low.
     """
     frames, length = spectrum.window_frames, spectrum.fft_length
     # An image is looked up at the sum of two frequencies, which the table must reach, and
     # neighbours must lie within the spectra.
     room = min(spectrum.bins // 2, bins) - 1 - NEIGHBOURS
-    low_bins = max(0, min(int(IMAGE_REACH_WINDOWS * length / frames), room))
+    low_bins = max(0, min(int(reach_windows * length / frames), room))
     turned_bins = np.arange(low_bins + NEIGHBOURS if low_bins else 0)
     turn = 2.0 * np.pi * turned_bins * (frames / 2) / length
     # Its lowest part alone, on a grid that much finer than a bin.
