@@ -57,10 +57,10 @@ class LiveTransform:
         self._full_scale_r = parameters.unit_strength_hz(samplerate)
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         self._silence = threshold_hz / samplerate
-        self._follower = None
+        self.follower: LoudnessFollower | None = None
         self._loudness_weights = np.zeros(0)
         if parameters.follower_db > 0.0:
-            self._follower = LoudnessFollower(parameters, self._grid.hop_s)
+            self.follower = LoudnessFollower(parameters, self._grid.hop_s)
             self._loudness_weights = bin_weights(self._spectrum, bins)
         self._bandpass = BandPass(parameters, samplerate)
         self._tracker = PartialTracker(
@@ -94,13 +94,18 @@ class LiveTransform:
         self._bandpass.reset()
         self._tracker.reset()
         self._smoother.reset()
-        if self._follower:
-            self._follower.reset()
+        if self.follower:
+            self.follower.reset()
 
     @property
     def asleep(self) -> bool:
         """Whether nothing is played, and what was heard has no effect any more."""
         return self._tracker.idle and not self._ringing
+
+    @property
+    def frames_to_hop(self) -> int:
+        """Frames that the hop under way still lacks."""
+        return self._grid.hop_frames - self._pending_frames
 
     def begin_hop(self) -> None:
         """Let the next frame be the first of a hop; while it is asleep only."""
@@ -161,8 +166,8 @@ class LiveTransform:
         )
         heard = (self._loudest(filtered, hops) >= self._silence).nonzero()[0]
         if not heard.size and self._tracker.idle and not self._ringing:
-            if self._follower:
-                self._follower.rest()
+            if self.follower:
+                self.follower.rest()
             return np.zeros(sound.size)
         glides, awake = self._glide(windows, heard, hops)
         return self._play(glides, awake)
@@ -186,7 +191,7 @@ class LiveTransform:
         if heard.size:
             whole = heard.size == hops
             spectra = self._spectrum.transform(windows if whole else windows[heard])
-            loudness = loudness_db(spectra, self._loudness_weights) if self._follower else []
+            loudness = loudness_db(spectra, self._loudness_weights) if self.follower else []
             found = self._analysis.strongest(spectra)
             edges = found.boundaries(heard.size).tolist()
             hz = vibration_hz(found.audio_hz, self._parameters)
@@ -197,11 +202,11 @@ class LiveTransform:
             mine, strength = slice(0, 0), 1.0
             if found is not None and row < heard.size and heard[row] == hop:
                 mine = slice(edges[row], edges[row + 1])
-                if self._follower:
-                    strength = self._follower.strength(loudness[row])
+                if self.follower:
+                    strength = self.follower.strength(loudness[row])
                 row += 1
-            elif self._follower:
-                self._follower.rest()
+            elif self.follower:
+                self.follower.rest()
             if found is not None and mine.start < mine.stop and strength > 0.0:
                 amplitude, limited = self._levelled(found.take(mine), strength)
                 if limited:
@@ -223,9 +228,9 @@ class LiveTransform:
         strength: what the follower makes of their loudness.
         """
         amplitude = law_amplitudes(found.amplitude, found.r, self._full_scale_r, self._parameters)
-        if self._follower:
+        if self.follower:
             power = float((amplitude * amplitude).sum())
-            amplitude = amplitude * self._follower.gain_for(strength, power)
+            amplitude = amplitude * self.follower.gain_for(strength, power)
         return limited_amplitudes(amplitude)
 
     def _play(self, glides: Glides, awake: list[bool]) -> FloatArray:

@@ -32,6 +32,9 @@ class ReferenceTransform:
 
     asleep = False
 
+    follower = None
+    frames_to_hop = 0
+
     def __init__(self, parameters: TransformParameters, samplerate: int) -> None:
         self._parameters = parameters
         self._samplerate = samplerate
