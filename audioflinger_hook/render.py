@@ -194,6 +194,7 @@ def _render_sections(
         samplerate=plan.samplerate,
         channels=outputs[0].channels,
         transform=settings.form,
+        profile=settings.profile,
         latency_s=framework.latency_s,
         peak=written[0][0].peak,
         limited_samples=0,

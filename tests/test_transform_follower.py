@@ -15,6 +15,7 @@ from audioflinger_hook.transform.follower import LoudnessFollower
 from audioflinger_hook.transform.loudness import bin_weights, k_weight, loudness_db
 from audioflinger_hook.transform.spectrum import Spectrum
 from tests.signals import (
+    columns,
     identical,
     in_blocks,
     joined,
@@ -146,10 +147,14 @@ def test_silence_stays_exact_zeros_and_returns_after_sound(form):
     assert not vibration[-RATE // 2 :].any()
 
 
-@pytest.mark.parametrize("noise_db", [-80.0, -65.0])
-def test_what_is_under_the_noise_floor_is_not_felt(noise_db):
-    sound = white_noise(3.0, RATE, 10 ** (noise_db / 20))
-    assert not played(sound, RATE, parameters=FOLLOWED).any()
+@pytest.mark.parametrize("form", LIVE)
+def test_what_is_under_the_noise_floor_is_not_felt(form):
+    # Principal is a tone from -70 dB on, at a C_th lowered by 30 dB: so it is the gate that acts.
+    for sound in (tone(1_000, 1.0, RATE, 10 ** (-62 / 20)), white_noise(1.0, RATE, 1e-3)):
+        assert not played(sound, RATE, form=form, parameters=FOLLOWED).any()
+    assert played(
+        tone(1_000, 1.0, RATE, 10 ** (-58 / 20)), RATE, form=form, parameters=FOLLOWED
+    ).any()
 
 
 @pytest.mark.parametrize("lift_db", [10.0, 30.0])
@@ -284,3 +289,39 @@ def test_the_reference_form_knows_no_follower():
     plain = TransformParameters(level_law="energy")
     followed_too = played(sound, RATE, form="reference", parameters=FOLLOWED)
     assert identical(followed_too, played(sound, RATE, form="reference", parameters=plain))
+
+
+# --- several voices
+
+
+@pytest.mark.parametrize("form", LIVE)
+def test_a_softer_side_stays_softer_by_a_quarter_of_what_is_heard(form):
+    sound = white_noise(10.0, 16_000, 0.3)
+    both = columns(sound, 0.1 * sound)
+    felt = played(both, 16_000, form=form, per_channel=True, parameters=FOLLOWED)[-48_000:]
+    left_db, right_db = level_db(felt[:, 0]), level_db(felt[:, 1])
+    # By itself the right one would come up to the left one's strength.
+    assert left_db - right_db == pytest.approx(5.5, abs=0.5)
+
+
+@pytest.mark.parametrize("form", LIVE)
+def test_voices_that_hear_the_same_are_what_one_alone_is(form):
+    sound = joined(talk(0.6, 16_000), silence(0.5, 16_000), 0.1 * talk(0.4, 16_000))
+    alone = played(sound, 16_000, form=form, parameters=FOLLOWED)
+    both = columns(sound, sound)
+    together = played(both, 16_000, form=form, per_channel=True, parameters=FOLLOWED)
+    for side in (0, 1):
+        assert identical(together[:, side].copy(), alone[:, 0])
+
+
+@pytest.mark.parametrize("form", LIVE)
+@pytest.mark.parametrize("frames", [7, 256, 5_000])
+def test_several_voices_in_blocks_give_the_bytes_of_one_block(form, frames):
+    samplerate = 8_000
+    left = joined(talk(0.8, 16_000)[::2], silence(0.7, samplerate), tone(300, 0.5, samplerate, 0.4))
+    both = columns(left, 0.05 * left[::-1], white_noise(2.0, samplerate, 0.01))
+    options = {"form": form, "per_channel": True, "parameters": FOLLOWED}
+    blocks = [frames] * (len(both) // frames)
+    assert identical(
+        in_blocks(both, blocks, samplerate, **options), played(both, samplerate, **options)
+    )

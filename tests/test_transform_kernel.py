@@ -244,6 +244,18 @@ def test_twins_agree_with_every_law_and_mapping(variant, samplerate):
         assert_twins(make(samplerate), samplerate, parameters=parameters)
 
 
+@needs_kernel
+@pytest.mark.parametrize("variant", ["followed", "all"])
+def test_twins_agree_on_voices_that_share_a_programme(variant):
+    samplerate = 8_000
+    sounds = [SOUNDS[kind](samplerate)[:7_000] for kind in ("gaps", "sweep", "noise", "bursts")]
+    both = columns(
+        *(level * each for level, each in zip((1, 0.05, 0.3, 0.01), sounds, strict=True))
+    )
+    parameters = TransformParameters(**VARIANTS[variant])
+    assert_twins(both, samplerate, per_channel=True, parameters=parameters)
+
+
 @given(
     pieces=st.lists(
         st.tuples(

@@ -3,7 +3,8 @@
     intake -> bandpass -> spectrum -> principal, scaling --------> reference (unit by unit)
                               |
                               '---> analysis, scaling -> partials -> oscillators -> smoothing
-                                                         limiter  '-> live (overlapped, early)
+                              loudness, follower,        limiter  '-> live (overlapped, early)
+                              levels (also reference)
 
     haptic (what users hold) -> voices (NumPy: intake, then one transform a channel)
                              -> kernel (live, compiled: all of it in one call a block)

@@ -23,7 +23,7 @@ def law_amplitudes(
     `tonal`: P_k r_k / R with P_k = r_k / sum r, equation (6): each has its share of the sum, so
     what is made of many is weak. `energy`: sqrt(A_k r_k / R), so that the power a_k^2 is A_k^2
     times df over the width of a tone: what a spectral peak of that height and width holds. A
-    single sample, whose spectrum is flat, gets a 16th of what r alone would give it.
+    single full-scale sample, whose spectrum is flat, comes out 25 dB weaker.
     """
     if parameters.level_law == "energy":
         strength: FloatArray = np.sqrt(amplitude * r / full_scale_r)

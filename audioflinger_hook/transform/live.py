@@ -75,10 +75,10 @@ class LiveTransform:
         self._full_scale_r = parameters.unit_strength_hz(samplerate)
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         self._silence = threshold_hz / samplerate
-        self._follower = None
+        self.follower: LoudnessFollower | None = None
         self._loudness_weights = np.zeros(0)
         if parameters.follower_db > 0.0:
-            self._follower = LoudnessFollower(parameters, self._grid.hop_s)
+            self.follower = LoudnessFollower(parameters, self._grid.hop_s)
             self._loudness_weights = bin_weights(self._spectrum, bins)
         self._bandpass = BandPass(parameters, samplerate)
         self._tracker = PartialTracker(parameters, GROUPS, self._grid.hop_s)
@@ -134,8 +134,8 @@ class LiveTransform:
         self._tracker.reset()
         self._fresh.reset()
         self._smoother.reset()
-        if self._follower:
-            self._follower.reset()
+        if self.follower:
+            self.follower.reset()
         if self._speech:
             self._speech.reset()
 
@@ -144,6 +144,12 @@ class LiveTransform:
         """Whether nothing is played, and what was heard has no effect any more."""
         forgotten = self._speech is None or self._speech.at_rest
         return self._tracker.idle and not self._ringing and forgotten
+
+    @property
+    def frames_to_hop(self) -> int:
+        """Frames that the hop under way still lacks."""
+        done = self._tick * self._grid.tick_frames + self._pending_frames
+        return self._grid.hop_frames - done
 
     def begin_hop(self) -> None:
         """Let the next frame be the first of a hop; while it is asleep only."""
@@ -208,8 +214,8 @@ class LiveTransform:
         if not heard.any() and not seen.bands.any() and self.asleep:
             if self._onsets:
                 self._detector.rest(ticks)
-            if self._follower and full.size:
-                self._follower.rest()
+            if self.follower and full.size:
+                self.follower.rest()
             self._tick = (self._tick + ticks) % grid.ticks
             return np.zeros(sound.size)
         found = self._found(joined, full[heard])
@@ -243,7 +249,7 @@ class LiveTransform:
         )
         spectra = self._spectrum.transform(windows)
         loudness = [0.0] * full.size
-        if self._follower:
+        if self.follower:
             loudness = loudness_db(spectra, self._loudness_weights)
         found = self._analysis.strongest(spectra)
         edges = found.boundaries(full.size).tolist()
@@ -296,10 +302,10 @@ class LiveTransform:
         """Write the hop that follows what was found; None: of a window in which nothing can be."""
         self._fresh.hand_over(self._tracker)
         strength = 1.0
-        if self._follower and found:
-            strength = self._follower.strength(found.loudness_db)
-        elif self._follower:
-            self._follower.rest()
+        if self.follower and found:
+            strength = self.follower.strength(found.loudness_db)
+        elif self.follower:
+            self.follower.rest()
         if self._speech and found:
             self._speech.hear(found.spectrum)
         elif self._speech:
@@ -330,8 +336,8 @@ class LiveTransform:
         """
         amplitude = self._by_law(found)
         gain = 1.0
-        if self._follower:
-            gain = self._follower.gain_for(strength, float((amplitude * amplitude).sum()))
+        if self.follower:
+            gain = self.follower.gain_for(strength, float((amplitude * amplitude).sum()))
         if self._speech:
             # Before the law of level, so that what speech loses is not missing from the rest; after
             # the follower, which would turn the rest up.
@@ -346,7 +352,7 @@ class LiveTransform:
 
     def _onset_gain(self, hz: float, level: float) -> float:
         """Return the factor on what begins: its vibration frequency in Hz, its level."""
-        gain = self._follower.onset_gain(level) if self._follower else 1.0
+        gain = self.follower.onset_gain(level) if self.follower else 1.0
         if self._speech:
             gain *= float(self._speech.gains(np.array([heard_hz(hz, self._parameters)]))[0])
         return gain

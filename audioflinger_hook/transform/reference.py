@@ -37,6 +37,9 @@ class ReferenceTransform:
 
     asleep = False
 
+    follower = None
+    frames_to_hop = 0
+
     def __init__(
         self, parameters: TransformParameters, samplerate: int, *, single: bool = False
     ) -> None:

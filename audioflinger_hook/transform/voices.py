@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform.follower import LoudnessFollower
 from audioflinger_hook.transform.intake import fitting, mono, replace_unusable
 
 
@@ -23,6 +24,16 @@ class MonoTransform(Protocol):
     limited_frames: int
     onset_after_frames: int
     """Frames of silence after which sound is an onset; 0 where hops never move."""
+
+    @property
+    def follower(self) -> LoudnessFollower | None:
+        """Of loudness, None where it is not followed."""
+        ...
+
+    @property
+    def frames_to_hop(self) -> int:
+        """Frames that the hop under way still lacks, the same for all voices."""
+        ...
 
     @property
     def asleep(self) -> bool:
@@ -62,6 +73,7 @@ class VoiceStream:
         self._channels = channels
         self._onset_after = voices[0].onset_after_frames
         self._silent_frames = self._onset_after
+        self._followers = [voice.follower for voice in voices if voice.follower]
 
     @property
     def limited_samples(self) -> int:
@@ -89,6 +101,23 @@ class VoiceStream:
     def _through(self, usable: Frames) -> FloatArray:
         if len(self.voices) == 1:
             return self.voices[0].process(mono(usable))[:, None]
+        if not self._followers:
+            return self._each(usable)
+        parts = [np.zeros((0, len(self.voices)))]
+        while len(usable):
+            frames = self.voices[0].frames_to_hop
+            parts.append(self._each(usable[:frames]))
+            usable = usable[frames:]
+            self._share_programme()
+        return np.concatenate(parts)
+
+    def _share_programme(self) -> None:
+        """Let the loudest programme be that of all: what is softer on one side stays so."""
+        loudest_db = max(follower.programme_db for follower in self._followers)
+        for follower in self._followers:
+            follower.programme_db = loudest_db
+
+    def _each(self, usable: Frames) -> FloatArray:
         return np.stack(
             [
                 voice.process(usable[:, channel].astype(np.float64))
@@ -112,6 +141,12 @@ class VoiceStream:
         """Return the last `latency_frames` of vibration, (frames, voices), and begin anew."""
         self.delivered_frames += self.latency_frames
         self._silent_frames = self._onset_after
+        if len(self._followers) > 1:
+            # Together: the last hops of one voice count for all.
+            owed = self._through(np.zeros((self.latency_frames, self._channels)))
+            for voice in self.voices:
+                voice.reset()
+            return owed
         return np.stack([voice.finish() for voice in self.voices], axis=1)
 
     def reset(self) -> None:

@@ -510,6 +510,16 @@ static size_t up_to_onset(Live *live, Sound sound, size_t frames)
     return frames;
 }
 
+/* Let the loudest programme be that of all voices: what is softer on one side stays so. */
+static void share_programme(Live *live)
+{
+    double loudest = *live->voices[0].follower.programme;
+    for (size_t which = 1; which < live->voices_count; which++)
+        loudest = larger(*live->voices[which].follower.programme, loudest);
+    for (size_t which = 0; which < live->voices_count; which++)
+        *live->voices[which].follower.programme = loudest;
+}
+
 void live_process(Live *live, Sound sound, size_t frames, double *vibration)
 {
     const Settings *s = &live->settings;
@@ -538,6 +548,7 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
             for (size_t which = 0; which < live->voices_count; which++)
                 advance(live, &live->voices[which]);
             live->tick = (live->tick + 1) % s->ticks;
+            share_programme(live);
         }
     }
 }
