@@ -33,6 +33,7 @@ from audioflinger_hook.bench import (
     identification,
     live_report,
     mixing,
+    onset_detection,
     precision,
     protection,
     rendering,
@@ -68,6 +69,7 @@ Progress = Callable[[str, float], None]
 BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("steady tones", tones.steady_tones, 5.0),
     ("onset lag", fidelity.onset_lag, 2.0),
+    ("onsets found", onset_detection.onsets_found, 4.0),
     ("energy above 250 Hz", fidelity.energy_above, 1.0),
     ("principal frequencies", fidelity.principal_frequencies, 0.5),
     ("frequency error", frequency_error.frequency_error, 2.0),

@@ -89,6 +89,7 @@ class Effort:
     gain_tones: int
     bursts: int
     onsets_a_burst: int
+    onsets_made: int
     noisy_tones: int
     frontier_sounds: int
     compared_bursts: int
@@ -116,6 +117,7 @@ QUICK = Effort(
     gain_tones=12,
     bursts=25,
     onsets_a_burst=4,
+    onsets_made=30,
     noisy_tones=120,
     frontier_sounds=2,
     compared_bursts=9,
@@ -142,6 +144,7 @@ FULL = Effort(
     gain_tones=24,
     bursts=40,
     onsets_a_burst=16,
+    onsets_made=150,
     noisy_tones=400,
     frontier_sounds=8,
     compared_bursts=30,

@@ -10,7 +10,7 @@ from audioflinger_hook.transform.bandpass import BandPass
 from audioflinger_hook.transform.fresh import FreshPartials
 from audioflinger_hook.transform.grid import LiveGrid
 from audioflinger_hook.transform.limiter import CEILING, below_full_scale, limited_amplitudes
-from audioflinger_hook.transform.onsets import GROUPS, OnsetDetector, Ticks
+from audioflinger_hook.transform.onsets import FRESH_MAX, OnsetDetector, Ticks
 from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.partials import Glides, PartialTracker
@@ -63,7 +63,7 @@ class LiveTransform:
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         self._silence = parameters.threshold_hz / samplerate
         self._bandpass = BandPass(parameters, samplerate)
-        self._tracker = PartialTracker(parameters, GROUPS, self._grid.hop_s)
+        self._tracker = PartialTracker(parameters, FRESH_MAX, self._grid.hop_s)
         self._bank = OscillatorBank(self._grid.steps, self._grid.hop_s)
         self._smoother = Smoother(self._grid, parameters.vibration_top_hz)
         tick_s = self._grid.tick_frames / samplerate
