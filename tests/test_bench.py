@@ -46,6 +46,7 @@ LEAST = Effort(
     tone_s=1.0,
     gain_tones=1,
     bursts=3,
+    onsets_made=9,
     onsets_a_burst=2,
     noisy_tones=8,
     frontier_sounds=2,

@@ -1,5 +1,7 @@
 """The frontier: settings really change the live form, leave nothing changed, and are judged so."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,8 +48,8 @@ def test_every_setting_changes_the_form_and_leaves_the_transform_as_it_was(setti
     before = numbers()
     form, plain = Setup(setting).made, Setup(SETTINGS[0]).made
     assert numbers() == before
-    assert (form._grid, form._spectrum.fft_length, form._parameters.partials_max) != (
-        plain._grid, plain._spectrum.fft_length, plain._parameters.partials_max
+    assert (form._grid, form._spectrum.fft_length, form._parameters.partials_max, form._onsets) != (
+        plain._grid, plain._spectrum.fft_length, plain._parameters.partials_max, plain._onsets
     ) or form._smoother._b.tobytes() != plain._smoother._b.tobytes()  # fmt: skip
 
 
@@ -58,12 +60,15 @@ def test_constants_come_back_when_a_transform_cannot_be_made():
     assert numbers() == before
 
 
-def test_a_shorter_hop_lags_less_and_a_chirp_is_followed_nearer():
+def test_with_a_shorter_hop_a_chirp_is_followed_nearer_and_without_onsets_less_lag():
     slow, fast = (Setup(hop(hops)) for hops in (1.0, 8.0))
     grids = [setup.made._grid for setup in (slow, fast)]
     assert isinstance(grids[0], LiveGrid)
     assert grids[0].hop_frames > 7 * grids[1].hop_frames
-    assert frontier._lag_p95_ms(fast, 2) < frontier._lag_p95_ms(slow, 2) - 10.0
+    without = [Setup(replace(hop(hops), name="without", onsets=False)) for hops in (1.0, 8.0)]
+    assert frontier._lag_p95_ms(without[1], 2) < frontier._lag_p95_ms(without[0], 2) - 10.0
+    # Onsets wait for no hop.
+    assert frontier._lag_p95_ms(slow, 2) < frontier._lag_p95_ms(without[1], 2) - 10.0
     assert frontier._chirp_error_hz(fast) < 0.5 * frontier._chirp_error_hz(slow)
 
 

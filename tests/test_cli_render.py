@@ -169,30 +169,30 @@ def strength(path, low_pass_hz=60.0):
 
 
 def test_a_burst_is_felt_where_it_is_heard(tmp_path, out):
-    # The window blurs an edge by 23 ms either way, so half the level may be passed some ms off.
-    # A latency of 40 ms that is left out or taken out twice fails.
+    # The latency that is taken out is that of onsets: they stand where they are heard. An end is
+    # known by the window alone, whose middle comes 35 ms later.
     onset_s = 0.5
     for hz in (80.0, 250.0, 1_000.0, 5_000.0):
         rendered(sound(tmp_path / "in.wav", burst(hz, onset_s, 1.5, RATE, 0.5)), out)
         level = strength(out)
         half = 0.5 * np.median(level[round(0.6 * RATE) : round(0.7 * RATE)])
         above = np.flatnonzero(level > half) / RATE
-        assert above[0] == pytest.approx(onset_s, abs=0.015)
-        assert above[-1] == pytest.approx(onset_s + 0.25, abs=0.015)
+        assert above[0] == pytest.approx(onset_s, abs=0.005)
+        assert above[-1] == pytest.approx(onset_s + 0.25 + 0.035, abs=0.015)
 
 
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
-def test_a_click_is_felt_around_the_moment_it_is_heard(tmp_path, out, samplerate):
+def test_a_click_is_felt_from_the_moment_on_at_which_it_is_heard(tmp_path, out, samplerate):
     source = sound(tmp_path / "in.wav", one_sample(1.0, samplerate, 0.5), samplerate)
     rendered(source, out)
     power = vibration(out)[:, 0].astype(float) ** 2
     centre_s = (power * np.arange(power.size)).sum() / power.sum() / samplerate
-    assert centre_s == pytest.approx(0.5, abs=0.015)  # as above
-    half_window_s, hop_s = 0.04643 / 2, 0.0155
+    assert 0.5 < centre_s < 0.545
+    window_s, hop_s = 0.04643, 0.018
     ringing_s = 3 * hop_s  # a fade of a hop, then the low-pass
     felt_s = np.flatnonzero(power > 1e-3 * power.max()) / samplerate
-    assert felt_s[0] > 0.5 - half_window_s - ringing_s
-    assert felt_s[-1] < 0.5 + half_window_s + ringing_s
+    assert felt_s[0] > 0.5 - 0.005
+    assert felt_s[-1] < 0.5 + window_s + ringing_s
 
 
 def test_the_envelopes_of_the_two_forms_line_up(tmp_path, out):
@@ -211,7 +211,8 @@ def test_the_envelopes_of_the_two_forms_line_up(tmp_path, out):
     agreement = np.fft.irfft(spectra[0] * spectra[1].conj())
     lag = np.fft.fftfreq(agreement.size, 1 / agreement.size)[agreement.argmax()]
     # The reference stands on units of 46 ms; over 40 edges their mean is a third of that and less.
-    assert abs(lag) / RATE < 0.015
+    # Onsets line up, ends come 35 ms later.
+    assert -0.015 < lag / RATE < 0.035
 
 
 # --- what is said

@@ -297,7 +297,8 @@ def test_mute_is_exact_silence_from_the_buffer_after_next_and_unmute_comes_back(
 def test_a_lower_gain_is_not_ignored_until_mute():
     chains, module = started()
     tone = tones(FRAMES * 40)
-    loud = np.abs(play(chains, tone[: FRAMES * 20])).max()
+    play(chains, tone[: FRAMES * 10])  # its onset
+    loud = np.abs(play(chains, tone[FRAMES * 10 : FRAMES * 20])).max()
     for gain_db in (-6.0, -12.0, -18.0):
         module.command(SET, ("gain_db", gain_db))
         play(chains, tone[:FRAMES])

@@ -159,7 +159,7 @@ def _band_gain(setup: Setup, audio_hz: float) -> float:
 
 
 def _chirp_error_hz(setup: Setup) -> float:
-    """Return the r.m.s. error in Hz of vibration on a chirp, at the declared latency."""
+    """Return the r.m.s. error in Hz of vibration on a chirp, at the latency of what lasts."""
     time_s = np.arange(round(CHIRP_S * SAMPLERATE)) / SAMPLERATE
     growth = CHIRP_OCTAVES_A_S * np.log(2.0)
     phase = 2.0 * np.pi * CHIRP_FROM_HZ / growth * (np.exp(growth * time_s) - 1.0)
@@ -167,19 +167,19 @@ def _chirp_error_hz(setup: Setup) -> float:
     turned = np.unwrap(np.angle(hilbert(vibration)))
     span = SAMPLERATE // 50  # a mean over 20 ms
     found_hz = (turned[span:] - turned[:-span]) / span * SAMPLERATE / (2.0 * np.pi)
-    middle_s = time_s[:-span] + 0.5 * span / SAMPLERATE - setup.latency_frames / SAMPLERATE
+    middle_s = time_s[:-span] + 0.5 * span / SAMPLERATE - setup.tonal_latency_frames / SAMPLERATE
     settled = (time_s[:-span] > CHIRP_SETTLED_S) & (time_s[:-span] < CHIRP_S - 0.1)
     audio_hz = CHIRP_FROM_HZ * np.exp(growth * middle_s[settled])
     return _rms(found_hz[settled] - vibration_hz(audio_hz, setup.parameters))
 
 
 def _swell_error_db(setup: Setup) -> float:
-    """Return the r.m.s. error in dB of the level of a tone that swells, at the declared latency."""
+    """Return the r.m.s. error in dB of a tone's level that swells, at the latency of what lasts."""
     duration_s = 1.5
     time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
     swell = 1.0 + SWELL_DEPTH * np.sin(2.0 * np.pi * SWELL_HZ * time_s)
     vibration = setup.vibration(tone(1_000.0, AMPLITUDE, duration_s) * swell)
-    late = setup.latency_frames
+    late = setup.tonal_latency_frames
     middle = slice(SAMPLERATE // 4, vibration.size - late - SAMPLERATE // 10)
     level = np.abs(hilbert(vibration))[late:][middle]
     return _rms(20.0 * np.log10(level / (AMPLITUDE * swell[middle])))

@@ -32,7 +32,7 @@ class Setting:
     """One change of the live form: its knob, its name in the table, and what is changed.
 
     parameters: of `TransformParameters`; constants: of `grid` and `smoothing`; padding: NFFT over
-    the window's length.
+    the window's length. onsets: whether what begins is born at once.
     """
 
     knob: str
@@ -40,6 +40,7 @@ class Setting:
     parameters: Mapping[str, float | int] = field(default_factory=dict)
     constants: Mapping[str, float | int] = field(default_factory=dict)
     padding: float = 2.0
+    onsets: bool = True
 
 
 def hop(hops_a_window: float) -> Setting:
@@ -67,6 +68,7 @@ SETTINGS: tuple[Setting, ...] = (
         Setting("rate", f"oscillators at {rate_hz / 1e3:g} kHz", constants={"LOW_RATE_HZ": rate_hz})
         for rate_hz in (1_500.0, 6_000.0, 12_000.0)
     ),
+    Setting("onsets", "without onsets", onsets=False),
     _filter(5, 1.0, 35.0),
     _filter(5, 2.0, 38.0),
 )
@@ -88,13 +90,13 @@ class Setup:
         self.parameters = Padded(window_s=window_s, partials_max=int(partials_max))
         self.compiled = kernel_warning() is None and setting.padding >= KERNEL_PADDING
         self.made = self.form()  # what the kernel takes its numbers from; never played itself
-        self.latency_frames = self.made.latency_frames
+        self.tonal_latency_frames = self.made.tonal_latency_frames
         self.subject = Subject(setting.name, lambda _samplerate, channels: self._stream(channels))
 
     def form(self) -> LiveTransform:
         """Return one channel in NumPy."""
         with constants_changed(self.setting.constants):
-            return LiveTransform(self.parameters, SAMPLERATE)
+            return LiveTransform(self.parameters, SAMPLERATE, onsets=self.setting.onsets)
 
     def _stream(self, channels: int) -> Stream:
         if self.compiled:

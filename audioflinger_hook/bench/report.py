@@ -9,7 +9,7 @@ report.schema.json beside this module says it as JSON Schema):
                    "series": {name: [number, ...]}, "footnote"}]}
 
 A number that is not finite is null. `must` in a row is {"relation", "bound"} or null; `met` is
-true, false, or null where nothing is asked.
+true, false, or null where nothing is asked; `lead` is like `must`.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Row:
 
     name: what was measured; column: whose value it is (`live`, `reference`, ...), rows of one
     name share a line of the table. value: in `unit`, None where there is none to give (the note
-    says why). low, high: the spread over repeats. must: the limit asked of it. note: what a
-    reader needs besides, for example where the worst case lies.
+    says why). low, high: the spread over repeats. must: the limit asked of it; lead: a closer one,
+    which is aimed at. note: what a reader needs besides, for example where the worst case lies.
     """
 
     name: str
@@ -64,6 +64,7 @@ class Row:
     low: float | None = None
     high: float | None = None
     note: str = ""
+    lead: Must | None = None
 
     @property
     def met(self) -> bool | None:
@@ -199,7 +200,8 @@ class BenchReport:
             f"float32 samples ({machine.rfft_us:.1f} µs here), timed in turn with it: that "
             "number travels between machines.",
             "- **live** is the form of the transform that a cushion plays; **reference** is the "
-            "paper's, literally. *must* is the limit the project set itself.",
+            "paper's, literally. *must* is the limit the project set itself, *lead* a closer one "
+            "that it aims at.",
             f"- **Result**: {self.met_count} of {asked} limits met."
             + "".join(f"\n  - not met: {name}, {_verdict(row)}" for name, row in self.not_met)
             + "".join(f"\n  - not measured: {missing}" for missing in self.missing),
@@ -235,8 +237,10 @@ def _verdict(row: Row) -> str:
 def _section_markdown(section: Section) -> str:
     columns = list(dict.fromkeys(row.column for row in section.rows))
     limited = any(row.must for row in section.rows)
+    led = any(row.lead for row in section.rows)
     noted = any(row.note and row.value is not None for row in section.rows)
-    heading = ["", *columns, *(["must", ""] if limited else []), *(["note"] if noted else [])]
+    heading = ["", *columns, *(["must", ""] if limited else [])]
+    heading += [*(["lead", ""] if led else []), *(["note"] if noted else [])]
     lines = [f"## {section.title}", "", section.explanation, ""]
     if section.rows:
         lines += [_line(heading), _line(["---"] * len(heading))]
@@ -246,6 +250,8 @@ def _section_markdown(section: Section) -> str:
         cells = [name, *(by_column[c].shown() if c in by_column else "" for c in columns)]
         if limited:
             cells += _limits_and_verdict([row for row in mine if row.met is not None])
+        if led:
+            cells += _lead_and_verdict([row for row in mine if row.lead])
         if noted:
             cells.append("; ".join(row.note for row in mine if row.note and row.value is not None))
         lines.append(_line(cells))
@@ -263,6 +269,17 @@ def _limits_and_verdict(asked: list[Row]) -> list[str]:
     if not missed:
         return [", ".join(limits), MET if asked else ""]
     return [", ".join(limits), NOT_MET + (f": {', '.join(missed)}" if len(asked) > 1 else "")]
+
+
+def _lead_and_verdict(aimed: list[Row]) -> list[str]:
+    """Return the closer limits of one line, each once, and whether all are kept."""
+    limits = dict.fromkeys(row.lead.shown(row.unit) for row in aimed if row.lead)
+    kept = all(row.lead.met(_plain(row.value)) for row in aimed if row.lead)
+    return [", ".join(limits), "" if not aimed else MET if kept else NOT_MET]
+
+
+def _plain(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _line(cells: list[str]) -> str:

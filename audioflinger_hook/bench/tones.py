@@ -22,6 +22,8 @@ REFERENCE_AMPLITUDE = 0.3
 FREQUENCY_ERROR = Must("<=", 0.3)
 LEVEL_ERROR = Must("<=", 0.5)
 PURITY = Must("<=", -60.0)
+LEADS = (Must("<=", 0.05), Must("<=", 0.2), Must("<=", -70.0))
+"""Of frequency, level and purity, over both ranges."""
 
 SAMPLERATES = (8_000, 11_025, 16_000, 22_050, 44_100, 48_000, 96_000, 192_000)
 GAIN_HZ = (150.0, 3_000.0)
@@ -171,17 +173,18 @@ def _worst_rows(
 ) -> list[Row]:
     """Return the worst of each error with the tone where it lies."""
     rows = []
-    for (what, unit, field), must in zip(
+    for (what, unit, field), must, lead in zip(
         (
             ("frequency error", "Hz", "frequency_error_hz"),
             ("level error", "dB", "level_error_db"),
             ("THD+N", "dB", "thdn_db"),
         ),
         limits,
+        LEADS,
         strict=True,
     ):
         worst = max(results, key=lambda result: getattr(result, field))
         name = f"worst {what}, {span}"
         value: float = getattr(worst, field)
-        rows.append(Row(name, value, unit, LIVE, must, note=worst.label))
+        rows.append(Row(name, value, unit, LIVE, must, note=worst.label, lead=lead))
     return rows

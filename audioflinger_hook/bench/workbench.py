@@ -102,6 +102,7 @@ class Effort:
     gain_tones: int
     bursts: int
     onsets_a_burst: int
+    onsets_made: int
     noisy_tones: int
     frontier_sounds: int
     compared_bursts: int
@@ -131,6 +132,7 @@ QUICK = Effort(
     gain_tones=8,
     bursts=25,
     onsets_a_burst=4,
+    onsets_made=30,
     noisy_tones=100,
     frontier_sounds=2,
     compared_bursts=9,
@@ -159,6 +161,7 @@ FULL = Effort(
     gain_tones=24,
     bursts=40,
     onsets_a_burst=16,
+    onsets_made=150,
     noisy_tones=400,
     frontier_sounds=8,
     compared_bursts=30,

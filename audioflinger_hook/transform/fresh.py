@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.transform.onsets import GROUPS, HEARD_TICKS, OnsetDetector
+from audioflinger_hook.transform.onsets import FRESH_MAX, HEARD_TICKS, OnsetDetector
 from audioflinger_hook.transform.partials import Glides, Held, PartialTracker
 from audioflinger_hook.transform.smoothing import Smoother
 
@@ -38,7 +38,7 @@ class _Fresh:
 
 
 class FreshPartials:
-    """At most `GROUPS` partials at a time, rendered tick by tick. Held by one thread at a time."""
+    """At most `FRESH_MAX` partials at a time, tick by tick. Held by one thread at a time."""
 
     delay_ticks = len(RISE) - sum(RISE) + 0.5 * RISE[-1]
     """How late an amplitude follows on average, in ticks: each glides from share to share."""
@@ -57,7 +57,7 @@ class FreshPartials:
         self._smoother = smoother
         self._tick_s = tick_s
         self._ceiling = ceiling
-        self.slots = GROUPS
+        self.slots = FRESH_MAX
         self.reset()
 
     def reset(self) -> None:
@@ -70,18 +70,35 @@ class FreshPartials:
         return not any(self._sounding)
 
     def bear(self, tracker: PartialTracker) -> None:
-        """Let what the detector has heard begin begin."""
+        """Let what the detector has heard begin begin.
+
+        Where the last onset is told anew, its partials become these, in the middle of their
+        vibration, and those too many die.
+        """
+        young = [one for one in self._sounding if one and one.age < HEARD_TICKS]
+        for one in young:
+            one.goal = 0.0
         for group in self._detector.groups():
+            hz, amplitude = self._told(group)
+            base = self._sounding_near(hz, tracker)
+            lacking = min(amplitude - base, self._room(tracker))
+            if lacking <= WORTH * amplitude:
+                continue
+            if young:
+                one = young.pop(0)
+                one.group, one.base, one.goal, one.age = group, base, lacking, 1
+                continue
             free = [slot for slot, one in enumerate(self._sounding) if one is None]
             if not free:
-                return
-            hz, amplitude = self._told(group)
-            near_hz = tracker.near_hz(hz)
-            base = tracker.sounding_near(hz)
-            base += sum(one.goal for one in self._sounding if one and abs(one.hz - hz) < near_hz)
-            lacking = min(amplitude - base, self._room(tracker))
-            if lacking > WORTH * amplitude:
-                self._sounding[free[0]] = _Fresh(group, hz, BIRTH_PHASE, 0.0, lacking, base, 0)
+                break
+            self._sounding[free[0]] = _Fresh(group, hz, BIRTH_PHASE, 0.0, lacking, base, 0)
+        for one in young:
+            one.age = HEARD_TICKS
+
+    def _sounding_near(self, hz: float, tracker: PartialTracker) -> float:
+        near_hz = tracker.near_hz(hz)
+        fresh = sum(one.goal for one in self._sounding if one and abs(one.hz - hz) < near_hz)
+        return tracker.sounding_near(hz) + fresh
 
     def _told(self, group: tuple[int, int]) -> tuple[float, float]:
         hz, amplitude = self._detector.told(group)
@@ -110,6 +127,8 @@ class FreshPartials:
             phase = one.phase + 0.5 * self._tick_s * (one.hz + hz)
             one.phase = phase - float(np.floor(phase))
             one.hz, one.amplitude, one.age = hz, goal, one.age + 1
+            if goal == 0.0 and one.age > HEARD_TICKS:
+                self._sounding[slot] = None
 
     def hand_over(self, tracker: PartialTracker) -> None:
         """Let those that are told as well as they can be go over to the tracker."""

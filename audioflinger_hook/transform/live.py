@@ -15,7 +15,7 @@ from audioflinger_hook.transform.grid import LiveGrid
 from audioflinger_hook.transform.levels import law_amplitudes
 from audioflinger_hook.transform.limiter import CEILING, below_full_scale, limited_amplitudes
 from audioflinger_hook.transform.loudness import bin_weights, loudness_db
-from audioflinger_hook.transform.onsets import GROUPS, OnsetDetector, Ticks
+from audioflinger_hook.transform.onsets import FRESH_MAX, OnsetDetector, Ticks
 from audioflinger_hook.transform.oscillators import OscillatorBank
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.partials import Glides, PartialTracker
@@ -81,7 +81,7 @@ class LiveTransform:
             self.follower = LoudnessFollower(parameters, self._grid.hop_s)
             self._loudness_weights = bin_weights(self._spectrum, bins)
         self._bandpass = BandPass(parameters, samplerate)
-        self._tracker = PartialTracker(parameters, GROUPS, self._grid.hop_s)
+        self._tracker = PartialTracker(parameters, FRESH_MAX, self._grid.hop_s)
         self._speech = None
         if parameters.speech_suppression_db > 0.0:
             self._speech = SpeechSuppressor(

@@ -28,8 +28,9 @@ EDGES_HZ = (200, 400, 600, 800, 1_200, 1_800, 2_600, 3_800, 5_600, 8_200, 12_000
 RISE = 4.0
 """A band rises where its power is so many times the highest of late (6 dB), ..."""
 
-FORGOTTEN_DB_A_S = 400.0
-"""... which is forgotten at this rate: a beat of 20 Hz is no onset, one after 30 ms of rest is."""
+FORGOTTEN_DB_A_S = 300.0
+"""... which is forgotten at this rate: a level that swells from nothing ten times a
+second is no onset, what begins after 30 ms of rest is."""
 
 BACK_TICKS = 3
 """So many ticks ago is the past that a band rises over."""
@@ -38,7 +39,11 @@ RISEN_SHARE = 0.5
 """What rose has to be more than this share of all power now."""
 
 REST_TICKS = 5
-"""From one onset to the next at least."""
+"""From one onset to the next, ..."""
+
+REARMED_TICKS, REARMED = 3, 10.0
+"""... but for what has so many times the power of a tick before, later of two before: then only the
+very first of a sound was told, or a faint one before it, and it is told anew."""
 
 HEARD_TICKS = 4
 """An onset's sound is told from so many windows, each better than the last."""
@@ -46,11 +51,15 @@ HEARD_TICKS = 4
 LOWEST_HZ = 70.0
 """What the window's lowest bin stands for: half a period of 70 Hz is all that it can hold."""
 
-QUIETEST = 0.5
-"""Share of the weakest steady tone that is principal: under it there are no onsets."""
+QUIETEST, WEAKEST = 0.02, 0.5
+"""Shares of the weakest steady tone that is principal: what is quieter is no onset, and what is
+weaker is not felt."""
 
 GROUPS = 4
-"""Groups of bands that an onset gives birth in at most."""
+"""Groups of bands that an onset gives birth in at most ..."""
+
+FRESH_MAX = 2 * GROUPS
+"""... and partials that are fresh at a time."""
 
 MINOR = 0.01
 """Share of all power from which on a band rises: side lobes of the window are less."""
@@ -120,6 +129,7 @@ class OnsetDetector:
         weakest = parameters.heard_threshold_hz / parameters.unit_strength_hz(rate)
         self._by_energy = parameters.level_law == "energy"
         self.quietest = 0.5 * (QUIETEST * weakest) ** 2
+        self.weakest = WEAKEST * weakest
         self._fading = 10 ** (-FORGOTTEN_DB_A_S * grid.tick_frames / rate / 10)
         self._half = max(1, grid.tick_frames // 2)
         self.reset()
@@ -168,7 +178,9 @@ class OnsetDetector:
         rising = (bands > RISE * self._highest) & (bands > MINOR * total)
         risen = _in_order(bands * rising)
         self._since += 1
-        onset = risen > self.quietest and risen > RISEN_SHARE * total and self._since >= REST_TICKS
+        before = self._past[BACK_TICKS - (3 if self._since >= REARMED_TICKS else 2)]
+        armed = self._since >= REST_TICKS or risen > REARMED * _in_order(before)
+        onset = armed and risen > self.quietest and risen > RISEN_SHARE * total
         if onset:
             self._since = 0
             self._highest = np.maximum(self._highest, bands)
@@ -213,7 +225,10 @@ class OnsetDetector:
         return sorted(group for _, group in loud)
 
     def told(self, group: tuple[int, int]) -> tuple[float, float]:
-        """Return vibration frequency in Hz and amplitude of what begins in a group of bands."""
+        """Return vibration frequency in Hz and amplitude of what begins in a group of bands.
+
+        The amplitude is 0 of what is too weak to be principal.
+        """
         weighted, squares, power = 0.0, 0.0, 0.0
         for band in range(*group):
             if self._rising[band]:
@@ -226,14 +241,13 @@ class OnsetDetector:
         share = min(1.0, power / max(float(self._power.sum()), TINY))
         one = ONE_TONE[min(self._since, HEARD_TICKS - 1)]
         purity = min(1.0, squares / max(power * power * one, TINY))
-        return weighted / max(squares, TINY), self._weight(share, purity) * self.level
-
-    def _weight(self, share: float, purity: float) -> float:
-        """Return the part of the whole level that a share of its power has by the level law."""
-        if self._by_energy:
-            return float(np.sqrt(share * purity))
+        hz = weighted / max(squares, TINY)
+        by_energy = float(np.sqrt(share * purity))
+        if by_energy * self.level < self.weakest:
+            return hz, 0.0
         # Of M equal tones of amplitude a each sounds with a / M, as by r^2 / sum r.
-        return float(share * np.sqrt(share) * purity)
+        weight = by_energy if self._by_energy else share * float(np.sqrt(share)) * purity
+        return hz, weight * self.level
 
     @property
     def level(self) -> float:

@@ -52,31 +52,58 @@ static double sounding_near(const Settings *settings, const Fresh *fresh, double
     return base;
 }
 
+/* Return the first slot of a young one, or the count where there is none. */
+static size_t young_one(const Settings *s, const Fresh *fresh, const int *young)
+{
+    size_t slot = 0;
+    while (slot < s->fresh_max && !(fresh[slot].sounds != 0.0 && young[slot]))
+        slot++;
+    return slot;
+}
+
+static size_t free_one(const Settings *s, const Fresh *fresh)
+{
+    size_t slot = 0;
+    while (slot < s->fresh_max && fresh[slot].sounds != 0.0)
+        slot++;
+    return slot;
+}
+
 void fresh_bear(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots)
 {
     Group groups[FRESH_MAX];
+    int young[FRESH_MAX];
     const size_t count = onsets_groups(s, heard.onsets, groups);
+    for (size_t slot = 0; slot < s->fresh_max; slot++) {
+        young[slot] = fresh[slot].sounds != 0.0 && fresh[slot].age < (double)s->heard_ticks;
+        if (young[slot])
+            fresh[slot].goal = 0.0;
+    }
     for (size_t which = 0; which < count; which++) {
-        size_t slot = 0;
-        while (slot < s->fresh_max && fresh[slot].sounds != 0.0)
-            slot++;
-        if (slot == s->fresh_max)
-            return;
         const Told found = told(s, heard, groups[which]);
         const double base = tracking_sounding_near(s, slots, found.hz) +
                             sounding_near(s, fresh, found.hz);
         const double lacking = smaller(found.amplitude - base, room(s, fresh, slots));
-        if (lacking > s->worth * found.amplitude)
-            fresh[slot] = (Fresh){
-                .sounds = 1.0,
-                .first_band = (double)groups[which].first,
-                .last_band = (double)groups[which].last,
-                .hz = found.hz,
-                .phase = s->birth_phase,
-                .goal = lacking,
-                .base = base,
-            };
+        if (!(lacking > s->worth * found.amplitude))
+            continue;
+        size_t slot = young_one(s, fresh, young);
+        if (slot < s->fresh_max) {
+            young[slot] = 0;
+            fresh[slot].age = 1.0;
+        } else {
+            slot = free_one(s, fresh);
+            if (slot == s->fresh_max)
+                break;
+            fresh[slot] = (Fresh){.sounds = 1.0, .hz = found.hz, .phase = s->birth_phase};
+        }
+        fresh[slot].first_band = (double)groups[which].first;
+        fresh[slot].last_band = (double)groups[which].last;
+        fresh[slot].base = base;
+        fresh[slot].goal = lacking;
     }
+    for (size_t slot = 0; slot < s->fresh_max; slot++)
+        if (young[slot])
+            fresh[slot].age = (double)s->heard_ticks;
 }
 
 void fresh_play(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots,
@@ -107,6 +134,8 @@ void fresh_play(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots
         one->hz = hz;
         one->amplitude = goal;
         one->age = smaller(one->age + 1.0, (double)s->heard_ticks + (double)s->rise_shares.length);
+        if (goal == 0.0 && one->age > (double)s->heard_ticks)
+            memset(one, 0, sizeof *one);
     }
 }
 

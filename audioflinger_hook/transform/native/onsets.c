@@ -115,8 +115,11 @@ static int rises(const Settings *s, const Onsets *onsets, const double *bands, d
         rising[band] = rose;
         risen += rose ? bands[band] : 0.0;
     }
-    return risen > s->quietest && risen > s->risen_share * total &&
-           *onsets->since >= (double)s->rest_ticks;
+    const size_t back = *onsets->since >= (double)s->rearmed_ticks ? 3 : 2;
+    const double *before = onsets->past + (s->back_ticks - back) * count;
+    const int armed =
+        *onsets->since >= (double)s->rest_ticks || risen > s->rearmed * sum(before, count);
+    return armed && risen > s->quietest && risen > s->risen_share * total;
 }
 
 int onsets_hear(const Settings *s, const Fft *fft, const Onsets *onsets, const double *samples,
@@ -168,7 +171,7 @@ static double risen(const Settings *s, const Onsets *onsets, size_t band)
 
 size_t onsets_groups(const Settings *s, const Onsets *onsets, Group *groups)
 {
-    const size_t count = onsets_bands(s), most = s->fresh_max;
+    const size_t count = onsets_bands(s), most = s->groups_max;
     double powers_kept[FRESH_MAX];
     size_t kept = 0, first = 0;
     double total = 0.0, before = 0.0, here = risen(s, onsets, 0);
@@ -230,9 +233,10 @@ Told onsets_told(const Settings *s, const Onsets *onsets, Group group)
     const double share = smaller(1.0, power / larger(sum(onsets->power, s->short_bins), TINY));
     const size_t told = (size_t)smaller(*onsets->since, (double)(s->heard_ticks - 1));
     const double purity = smaller(1.0, squares / larger(power * power * s->one_tone.at[told], TINY));
-    const double level = onsets_level(onsets);
-    const double weight = s->by_energy ? sqrt(share * purity) : share * sqrt(share) * purity;
-    const Told found = {weighted / larger(squares, TINY), weight * level};
+    const double level = onsets_level(onsets), by_energy = sqrt(share * purity);
+    const double weight = s->by_energy ? by_energy : share * sqrt(share) * purity;
+    const int weak = by_energy * level < s->weakest;
+    const Told found = {weighted / larger(squares, TINY), weak ? 0.0 : weight * level};
     return found;
 }
 

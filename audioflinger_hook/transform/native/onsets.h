@@ -46,13 +46,13 @@ int onsets_hear(const Settings *settings, const Fft *fft, const Onsets *onsets,
 /* Whether the last onset's sound is told better by this tick than by the one before. */
 int onsets_still_told(const Settings *settings, const Onsets *onsets);
 
-/* Write the bands of each thing that begins, by frequency; return how many, `fresh_max` at most. */
+/* Write the bands of each thing that begins, by frequency; return how many, `groups_max` at most. */
 size_t onsets_groups(const Settings *settings, const Onsets *onsets, Group *groups);
 
 /* Amplitude of the sound that begins, as that of one tone. */
 double onsets_level(const Onsets *onsets);
 
-/* Tell what begins in a group of bands. */
+/* Tell what begins in a group of bands; at amplitude 0 what is too weak to be principal. */
 Told onsets_told(const Settings *settings, const Onsets *onsets, Group group);
 
 /* Return the power that a group of bands has had of late. */

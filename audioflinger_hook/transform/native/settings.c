@@ -88,6 +88,8 @@ const char *settings_misfit(const Settings *s)
         return "short_ticks: under 1";
     if (s->back_ticks < 1 || s->heard_ticks < 1 || s->one_tone.length != s->heard_ticks)
         return "one_tone: not one entry for each of heard_ticks, or back_ticks under 1";
+    if (s->back_ticks < 3 || s->groups_max < 1 || s->groups_max > FRESH_MAX)
+        return "back_ticks: under 3, or groups_max: none, or too many";
     if (s->rise_shares.length < 1 || s->fresh_max < 1 || s->fresh_max > FRESH_MAX)
         return "rise_shares, fresh_max: empty, or too large";
     if (s->image_table.length < 1)

@@ -28,8 +28,10 @@
     ENTRY(short_ticks) /* that it touches */                                                       \
     ENTRY(newest_frames) /* of a tick that count by themselves */                                  \
     ENTRY(back_ticks)   /* so many ticks ago is the past that a band rises over */                 \
-    ENTRY(rest_ticks)   /* from one onset to the next at least */                                  \
+    ENTRY(rest_ticks)   /* from one onset to the next, */                                          \
+    ENTRY(rearmed_ticks) /* or so many to one that is `rearmed` times as strong */                 \
     ENTRY(heard_ticks)  /* from which an onset's sound is told */                                  \
+    ENTRY(groups_max)   /* of bands in which an onset gives birth */                               \
     ENTRY(fresh_max)    /* partials at a time that the analysis does not know yet */               \
     ENTRY(hold_hops)    /* for which those are held then */                                        \
     ENTRY(by_energy)    /* the level law: 1 by energy, 0 the paper's */
@@ -53,6 +55,7 @@
     ENTRY(hop_s)                                                                                   \
     ENTRY(match_audio_hz) /* by which a partial may move in a hop, */                              \
     ENTRY(match_ratio)    /* or by this share */                                                   \
+    ENTRY(first_hz)  /* of slots as near the first is nearer by this */                            \
     ENTRY(split_hz)       /* a birth this near to a partial is in phase with it */                 \
     ENTRY(steady_hz)      /* changes well under these are averaged */                              \
     ENTRY(steady_ratio)                                                                            \
@@ -62,10 +65,12 @@
     ENTRY(tick_s)                                                                                  \
     ENTRY(short_scale)  /* from squared bins to mean squares */                                    \
     ENTRY(quietest)     /* power under which there are no onsets */                                \
+    ENTRY(weakest)      /* amplitude under which nothing is born */                                \
     ENTRY(fading)       /* of the highest power of late, each tick */                              \
     ENTRY(forgotten)    /* power that is as good as none */                                        \
     ENTRY(rise)         /* a band rises where its power is so many times that */                   \
     ENTRY(minor)        /* and more than this share of all, */                                     \
+    ENTRY(rearmed)                                                                                 \
     ENTRY(risen_share)  /* of which what rose is more than this share at an onset */               \
     ENTRY(apart_from)   /* ratio from which on two bands are told apart */                         \
     ENTRY(worth)        /* what is born adds what lacks, if that is more than this share */        \

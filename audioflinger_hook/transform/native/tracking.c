@@ -134,7 +134,8 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
         double gap_hz = INFINITY;
         for (size_t other = 0; other < count; other++) {
             /* Written so that nothing branches: in noise nobody could foresee which way. */
-            const double distance_hz = fabs(partials.hz[one] - alive.hz[other]);
+            const double distance_hz =
+                fabs(partials.hz[one] - alive.hz[other]) + settings->first_hz * (double)other;
             const int nearer = distance_hz < gap_hz, to_slot = distance_hz < alive.gap_hz[other];
             nearest = nearer ? other : nearest;
             gap_hz = nearer ? distance_hz : gap_hz;
