@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.transform.onsets import FRESH_MAX, HEARD_TICKS, OnsetDetector
-from audioflinger_hook.transform.partials import Glides, Held, PartialTracker
+from audioflinger_hook.transform.partials import WORTH_HOLDING, Glides, Held, PartialTracker
 from audioflinger_hook.transform.smoothing import Smoother
 
 RISE = (0.4, 1.0)
@@ -117,7 +117,10 @@ class FreshPartials:
             hz = one.hz
             if 0 < one.age < HEARD_TICKS and self._detector.still_told:
                 hz, amplitude = self._told(one.group)
-                wanted = max(0.0, amplitude - one.base)
+                wanted = amplitude - one.base
+                # Of a sound that is there already rounding leaves nothing, or next to nothing.
+                if wanted < WORTH_HOLDING * amplitude or wanted < 0.0:
+                    wanted = 0.0
                 one.goal += min(wanted - one.goal, self._room(tracker))
             goal = one.goal * RISE[min(one.age, len(RISE) - 1)]
             glides.start_hz[tick, slot], glides.end_hz[tick, slot] = one.hz, hz

@@ -118,7 +118,10 @@ void fresh_play(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots
         double hz = one->hz;
         if (one->age > 0.0 && one->age < (double)s->heard_ticks && onsets_still_told(s, heard.onsets)) {
             const Told found = told(s, heard, group_of(one));
-            const double wanted = larger(0.0, found.amplitude - one->base);
+            /* Of a sound that is there already rounding leaves nothing, or next to nothing. */
+            const double lacking = found.amplitude - one->base;
+            const int little = lacking < s->worth_holding * found.amplitude || lacking < 0.0;
+            const double wanted = little ? 0.0 : lacking;
             hz = found.hz;
             one->goal += smaller(wanted - one->goal, room(s, fresh, slots));
         }
