@@ -28,6 +28,7 @@
     ENTRY(threshold_hz)   /* r of what is principal is above */                                    \
     ENTRY(peak_span_min)  /* amplitude times bins between valleys from which it can be */          \
     ENTRY(weakest_image)  /* amplitude up to which a peak keeps its image */                       \
+    ENTRY(weakest_share)  /* or this share of the highest low amplitude */                         \
     ENTRY(side_lobe)      /* share of the highest amplitude up to which a peak is left out */      \
     ENTRY(full_scale_r)   /* r of a tone at full scale, Hz */                                      \
     ENTRY(scale_hz)       /* equation (4): Hz of vibration for each factor e, */                   \
@@ -45,7 +46,10 @@
     ENTRY(steady_gain)  /* share of the smallest changes that is followed */                       \
     ENTRY(still)        /* up to which a sum of amplitudes does not rise */                        \
     ENTRY(gain_step_hz) /* between entries of gain_table */                                        \
-    /* of the loudness follower, dB and dB a hop; see follower.py */                               \
+    FOLLOWER(ENTRY)
+
+/* Numbers of the loudness follower, dB and dB a hop but for factors; see follower.py. */
+#define FOLLOWER(ENTRY)                                                                            \
     ENTRY(nothing)         /* energy that counts as none */                                        \
     ENTRY(programme_start) /* level of the programme before anything is heard, */                  \
     ENTRY(programme_min)                                                                           \
