@@ -12,10 +12,12 @@ from audioflinger_hook.profiles import PROFILES, parameters_of, values_of
 from audioflinger_hook.render import render_file
 from audioflinger_hook.settings import CHOICES, Settings
 from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform.scaling import vibration_hz
 from device.errors import UsageError
 from tests.commands import call, noise, refused, sound
 from tests.signals import (
     SAMPLERATES,
+    best_sinusoid,
     identical,
     in_blocks,
     joined,
@@ -23,6 +25,7 @@ from tests.signals import (
     played,
     silence,
     square,
+    thinned,
     tone,
     white_noise,
 )
@@ -220,3 +223,17 @@ def test_what_a_profile_plays_is_not_heard(name):
     above = np.fft.rfftfreq(vibration.size, 1 / samplerate) > 250
     # As the paper's profile: what begins and ends at once leaves a little.
     assert 10 * np.log10(power[above].sum() / power.sum()) < -50
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("hz", [55.0, 80.0, 150.0, 440.0])
+def test_a_tone_is_pure_with_every_profile(name, hz):
+    # A lower C_th lets side lobes of a loud low tone through; without care they are 40 dB down.
+    parameters = parameters_of(name)
+    # Eight seconds, until the programme's level stands.
+    vibration = played(tone(hz, 8.0, 48_000, 0.5), 48_000, parameters=parameters)[:, 0]
+    steady, rate = thinned(vibration[7 * 48_000 : 8 * 48_000], 48_000)
+    wanted_hz = float(vibration_hz(np.array(hz), parameters))
+    found_hz, _, residual_db = best_sinusoid(steady, rate, wanted_hz)
+    assert found_hz == pytest.approx(wanted_hz, abs=0.01)
+    assert residual_db < -70

@@ -44,6 +44,10 @@ TABLE_BINS_A_BIN = 32
 SIDE_LOBE = 10 ** (-40 / 20)
 """Side lobes of a Hamming window stand 42.7 dB under their peak."""
 
+SIDE_LOBE_FOLLOWED = 10 ** (-34 / 20)
+"""With the loudness follower C_th lets through those of a low tone and of its image that add up,
+36.7 dB under it."""
+
 PEAK_FLOOR = 1e-6
 """The bins beside a peak count as this share of it at least. Where the window's spectrum has a
 zero, A^0.2 would make 1e-3 of a rounding of 1e-16, and ln A even more."""
@@ -78,7 +82,9 @@ class LiveAnalysis:
         self._weakest_image = parameters.threshold_hz / parameters.unit_strength_hz(
             spectrum.samplerate
         )
-        self._side_lobe = SIDE_LOBE
+        # What is weaker may be a side lobe, whose image is not its own.
+        self._weakest_share = SIDE_LOBE_FOLLOWED if parameters.follower_db else 0.0
+        self._side_lobe = SIDE_LOBE_FOLLOWED if parameters.follower_db else SIDE_LOBE
         self._partials_max = parameters.partials_max
         self._turn, self._table = window_tables(spectrum, bins)
 
@@ -127,10 +133,12 @@ class LiveAnalysis:
         cosine, sine = self._turn
         low = amplitude[:, : max(0, cosine.size - NEIGHBOURS) + 1]
         middle = low[:, 1:-1]
+        highest = middle.max(axis=1, initial=0.0, keepdims=True)
+        weakest = np.maximum(self._weakest_image, self._weakest_share * highest)
         row, before_peak = (
             (middle > APART_FROM * low[:, :-2])
             & ~(low[:, 2:] > APART_FROM * middle)
-            & (middle > self._weakest_image)
+            & (middle > weakest)
         ).nonzero()
         if not row.size:
             return

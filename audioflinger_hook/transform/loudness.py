@@ -58,6 +58,6 @@ def loudness_db(spectra: ComplexArray, weights: FloatArray) -> list[float]:
     """
     looked_at = spectra[:, : weights.size]
     return [
-        10.0 * math.log10(NOTHING + float(np.add.reduce(weights * (x.real**2 + x.imag**2))))
+        10.0 * math.log10(max(NOTHING, float(np.add.reduce(weights * (x.real**2 + x.imag**2)))))
         for x in looked_at
     ]

@@ -20,7 +20,8 @@ typedef struct {
     int32_t entries;
     const double *cosine, *sine; /* of the turn of a bin's phase to the window's centre */
     int32_t low_bins;            /* peaks under this bin are cleared */
-    double weakest;              /* peaks up to this amplitude are left alone */
+    double weakest;              /* peaks up to this amplitude are left alone, */
+    double weakest_share;        /* and those up to this share of the highest */
 } Window;
 
 /* What makes a peak principal, and which of them are kept. */

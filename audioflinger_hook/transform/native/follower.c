@@ -43,7 +43,8 @@ WIDE static double weighed(const double *restrict weights, const double *restric
 double follower_loudness_db(const Settings *settings, const double *real, const double *imaginary)
 {
     const Table weights = settings->loudness_weights;
-    return 10.0 * log10(settings->nothing + weighed(weights.at, real, imaginary, weights.length));
+    const double energy = weighed(weights.at, real, imaginary, weights.length);
+    return 10.0 * log10(larger(energy, settings->nothing));
 }
 
 static double within(double number, double low, double high)
@@ -107,7 +108,6 @@ double follower_gain(const Settings *s, Follower *follower, double strength,
 int follower_is_possible(const Settings *s, const Follower *follower)
 {
     return *follower->programme >= s->programme_min && *follower->programme <= s->programme_top &&
-           *follower->floor >= s->floor_min && isfinite(*follower->floor) &&
-           *follower->loud >= s->floor_min && isfinite(*follower->loud) &&
+           *follower->floor >= s->floor_min && *follower->loud >= s->floor_min &&
            *follower->gain >= 0.0 && *follower->gain <= larger(1.0, s->gain_max);
 }

@@ -260,6 +260,7 @@ static size_t analysed(Live *live, Voice *voice, double *strength)
         .sine = s->image_turn.at + turned,
         .low_bins = turned > NEIGHBOURS ? (int32_t)turned - NEIGHBOURS : 0,
         .weakest = s->weakest_image,
+        .weakest_share = s->weakest_share,
     };
     const Spectrum spectrum = {live->real, live->imaginary, 1};
     windowed(live, voice, live->windowed);

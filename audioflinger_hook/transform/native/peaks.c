@@ -76,10 +76,14 @@ INLINED double window_at(const Window *window, double distance_bins)
 static void strong_low_peaks(const Window *window, const double *amplitude, Peaks *peaks)
 {
     int32_t count = 0;
+    double highest = 0.0;
+    for (int32_t bin = 1; bin < window->low_bins; bin++)
+        highest = larger(amplitude[bin], highest);
+    const double weakest = larger(window->weakest, window->weakest_share * highest);
     for (int32_t bin = 1; bin < window->low_bins; bin++) {
         const double here = amplitude[bin];
         peaks->bin[count] = bin;
-        count += (here > window->weakest) & (here > APART_FROM * amplitude[bin - 1]) &
+        count += (here > weakest) & (here > APART_FROM * amplitude[bin - 1]) &
                  !(amplitude[bin + 1] > APART_FROM * here);
     }
     peaks->count = count;

@@ -105,6 +105,13 @@ const char *settings_misfit(const Settings *s)
         return "gain_table: under two entries, or gain_step_hz not above 0";
     if (s->loudness_weights.length && s->loudness_weights.length != s->bins)
         return "loudness_weights: neither none nor one a bin";
+#define ENTRY(name)                                                                                \
+    if (!isfinite(s->name))                                                                        \
+        return #name ": not finite";
+    FOLLOWER(ENTRY)
+#undef ENTRY
+    if (!(s->nothing > 0.0))
+        return "nothing: not above 0";
     if (!(s->programme_min <= s->programme_start && s->programme_start <= s->programme_top))
         return "programme_start: not from programme_min to programme_top";
     return speech_misfit(s);

@@ -44,6 +44,7 @@
     ENTRY(threshold_hz)   /* r of what is principal is above */                                    \
     ENTRY(peak_span_min)  /* amplitude times bins between valleys from which it can be */          \
     ENTRY(weakest_image)  /* amplitude up to which a peak keeps its image */                       \
+    ENTRY(weakest_share)  /* or this share of the highest low amplitude */                         \
     ENTRY(side_lobe)      /* share of the highest amplitude up to which a peak is left out */      \
     ENTRY(full_scale_r)   /* r of a tone at full scale, Hz */                                      \
     ENTRY(scale_hz)       /* equation (4): Hz of vibration for each factor e, */                   \
@@ -77,7 +78,11 @@
     ENTRY(birth_phase)  /* cycles */                                                               \
     ENTRY(fresh_reach)  /* a partial that is held is matched so much further away */               \
     ENTRY(worth_holding) /* share of its amplitude up to which it is not held */                   \
-    /* of the loudness follower, dB and dB a hop; see follower.py */                               \
+    FOLLOWER(ENTRY)                                                                                \
+    SPEECH_NUMBERS(ENTRY)
+
+/* Numbers of the loudness follower, dB and dB a hop but for factors; see follower.py. */
+#define FOLLOWER(ENTRY)                                                                            \
     ENTRY(nothing)         /* energy that counts as none */                                        \
     ENTRY(programme_start) /* level of the programme before anything is heard, */                  \
     ENTRY(programme_min)                                                                           \
@@ -94,8 +99,7 @@
     ENTRY(gate_margin) /* of which this share is still silent */                                   \
     ENTRY(target)      /* vibration at the programme's level */                                    \
     ENTRY(slope)       /* of vibration for each dB of loudness */                                  \
-    ENTRY(gain_max)    /* of amplitudes, a factor */                                               \
-    SPEECH_NUMBERS(ENTRY)
+    ENTRY(gain_max)    /* of amplitudes, a factor */
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
