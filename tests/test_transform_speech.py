@@ -12,7 +12,16 @@ from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.speech import SpeechSuppressor
 from tests.recordings import require_recordings
-from tests.signals import identical, in_blocks, joined, played, silence, tone, white_noise
+from tests.signals import (
+    identical,
+    in_blocks,
+    joined,
+    low_noise,
+    played,
+    silence,
+    tone,
+    white_noise,
+)
 
 RATE = 16_000
 FORMS = ("live", "live in NumPy")
@@ -68,10 +77,16 @@ def test_recorded_speech_is_lowered_once_it_is_known():
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", ["engine", "footsteps", "explosion", "chord", "noise", "beeps"])
+@pytest.mark.parametrize(
+    "name", ["engine", "footsteps", "explosion", "chord", "noise", "beeps", "hiss and rumble"]
+)
 def test_what_is_no_speech_keeps_every_byte(name, form):
     if name == "noise":
         sound = white_noise(2.0, RATE, 0.5)
+    elif name == "hiss and rumble":
+        # Everything of speech but its pitch.
+        hiss, rumble = white_noise(0.12, RATE, 0.3, 1), low_noise(0.12, RATE, 0.1)
+        sound = np.tile(joined(np.diff(hiss), silence(0.06, RATE), rumble), 10)
     elif name == "beeps":
         sound = np.tile(joined(tone(800, 0.15, RATE, 0.5), silence(0.15, RATE)), 8)
     else:
@@ -144,6 +159,40 @@ def spectra(sound):
     window = np.hamming(frames)
     windows = np.lib.stride_tricks.sliding_window_view(sound, frames)[::hop] * window
     return np.fft.rfft(windows, round(RATE / BIN_HZ))[:, :BINS] * (2.0 / window.sum())
+
+
+def convinced():
+    """Return a suppressor in the middle of a clear vowel, sure of speech."""
+    suppressor = SpeechSuppressor(18.0, BIN_HZ, BINS, HOP_S)
+    for spectrum in spectra(talk(4)):
+        suppressor.hear(spectrum)
+        if suppressor.belief == 1.0 and suppressor._voiced == 1.0 and suppressor._balance > 9.0:
+            return suppressor
+    raise AssertionError("no hop like that")
+
+
+def test_harmonics_of_a_clear_pitch_are_lowered_and_what_lies_between_is_not():
+    suppressor = convinced()
+    pitch_hz = float(np.exp(suppressor._log_pitch))
+    assert 100.0 < pitch_hz < 160.0  # the speaker's
+    on, between = suppressor.gains(pitch_hz * np.array([[3.0, 4.0], [3.5, 4.5]]).ravel()).reshape(
+        2, 2
+    )
+    assert (on < 10 ** (-14.0 / 20.0)).all()
+    assert (between == 1.0).all()
+
+
+def test_nothing_under_80_hz_is_lowered_however_sure_it_is():
+    gains = convinced().gains(np.array([20.0, 55.0, 79.9, 240.0]))
+    assert (gains[:3] == 1.0).all()
+
+
+def test_what_hides_a_voice_and_is_far_louder_is_not_lowered():
+    suppressor = convinced()
+    # A flat spectrum is a click's.
+    suppressor.hear(np.full(BINS, 0.3 + 0.0j))
+    assert (suppressor.belief, suppressor._voiced) == (1.0, 0.0)
+    assert (suppressor.gains(np.array([150.0, 300.0, 700.0, 2_000.0])) > 0.99).all()
 
 
 @given(
