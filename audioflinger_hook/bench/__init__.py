@@ -81,7 +81,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("growth of cost", growth.cost_growth, 4.0),
     ("savings", savings.savings, 7.0),
     ("the mixer", mixing.mixing, 6.0),
-    ("rendering", rendering.render_speed, 2.0),
+    ("rendering", rendering.render_speed, 4.0),
     ("cost against error", frontier.frontier, 4.0),
     ("comparators", comparison.comparison, 3.0),
     ("simulated rig", rig.linear_rung, 2.0),
