@@ -428,7 +428,7 @@ def peak_rss_mb(source, out):
 def test_a_long_sound_takes_no_more_memory_than_a_short_one(tmp_path, out):
     second = noise(RATE, 2)
     peaks = []
-    for seconds in (20, 120):
+    for seconds in (130, 230):  # either is long enough for several workers to share it
         source = tmp_path / f"{seconds}.wav"
         with soundfile.SoundFile(source, "w", RATE, 2, "FLOAT") as file:
             for _ in range(seconds):

@@ -14,6 +14,7 @@ from audioflinger_hook.sections import Plan, plan_for
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import FileTap
 from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.workers import LEAD, Workers
 from device.errors import InternalError, UsageError
 from tests.commands import listing, noise, sound
 from tests.signals import tone
@@ -225,3 +226,18 @@ def test_a_worker_that_dies_or_fails_ends_the_rendering_and_leaves_nothing(
         with pytest.raises(InternalError, match=words):
             render_file(source, out, REFERENCE, workers=2)
         assert not listing(out.parent)
+
+
+def test_no_more_is_begun_than_a_few_results_ahead_of_what_was_taken(tmp_path):
+    def begun() -> int:
+        return len(list(tmp_path.iterdir()))
+
+    def work(item, _):
+        (tmp_path / str(item)).touch()
+        return item
+
+    with Workers(work, 50, 2) as pool:
+        for taken, result in enumerate(pool.results(), 1):
+            assert result == taken - 1
+            assert begun() <= taken + LEAD * 2
+    assert begun() == 50

@@ -75,7 +75,8 @@ def test_by_energy_one_full_scale_sample_is_a_faint_thump(form):
         np.abs(played(sound, RATE, form=form, parameters=parameters)).max()
         for parameters in (PAPER, ENERGY)
     )
-    assert 0.0 < energy < tonal / 10
+    # Its onset is felt before it is known that nothing follows: 18 dB weaker, without that 24.
+    assert 0.0 < energy < tonal / 6
 
 
 # --- mappings

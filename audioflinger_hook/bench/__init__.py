@@ -88,7 +88,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("speech suppression", speech_suppression.speech_suppression, 8.0),
     ("effects under speech", speech_suppression.effects_under_speech, 0.5),
     ("the mixer", mixing.mixing, 6.0),
-    ("rendering", rendering.render_speed, 2.0),
+    ("rendering", rendering.render_speed, 4.0),
     ("cost against error", frontier.frontier, 4.0),
     ("comparators", comparison.comparison, 3.0),
     ("level", levels.level, 3.0),
