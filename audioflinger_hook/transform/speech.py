@@ -188,16 +188,20 @@ class SpeechSuppressor:
         self._voiced = 0.0
         self._follow(np.zeros(OCTAVES), self._log_pitch)
 
-    def gains(self, audio_hz: FloatArray) -> FloatArray:
-        """Return the factor on partials at these audio frequencies, in this hop, 0 to 1."""
+    def gains(self, audio_hz: FloatArray, coarse: bool = False) -> FloatArray:
+        """Return the factor on partials at these audio frequencies, in this hop, 0 to 1.
+
+        coarse: they are not known well enough to tell whether they lie on harmonics of a pitch.
+        """
         over_db = self._level - self._voice_limit()
         hidden = (1.0 - self._voiced) * _ramp(float(over_db.max()), "excess_db")
         excess = np.maximum(hidden, _ramps(over_db - CLEAR_DB * self._voiced, "excess_db"))
         spoken = (1.0 - excess) * _ramps(self._level - self._background, "background_db")
         share = np.interp(audio_hz, self._centres_hz, spoken) * _ramps(audio_hz, "spared_hz")
-        harmonic = audio_hz / math.exp(self._log_pitch)
-        apart = np.abs(harmonic - np.rint(harmonic)) - APART_A_HARMONIC * harmonic
-        share *= 1.0 - self._voiced * _ramps(apart, "between")
+        if not coarse:
+            harmonic = audio_hz / math.exp(self._log_pitch)
+            apart = np.abs(harmonic - np.rint(harmonic)) - APART_A_HARMONIC * harmonic
+            share *= 1.0 - self._voiced * _ramps(apart, "between")
         lowered: FloatArray = 10.0 ** (-self._suppression_db / 20.0 * self.belief * share)
         return lowered
 

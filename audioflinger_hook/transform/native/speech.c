@@ -236,7 +236,8 @@ int speech_is_at_rest(const Speech *speech) { return !(speech->hops_to_rest > 0.
 
 /* ------------------------------------------------------------------------------------------ gain */
 
-double speech_gain(const Settings *s, const Speech *speech, double audio_hz)
+/* How much of a partial can be the voice's, by where it stands alone. */
+static double spoken_share(const Settings *s, const Speech *speech, double audio_hz)
 {
     double spoken[OCTAVES], over_db[OCTAVES], loudest = speech->loudness[0], most = -INFINITY;
     for (size_t octave = 1; octave < OCTAVES; octave++)
@@ -262,8 +263,23 @@ double speech_gain(const Settings *s, const Speech *speech, double audio_hz)
         const double place = (audio_hz - centres[above - 1]) / (centres[above] - centres[above - 1]);
         share = spoken[above - 1] + place * (spoken[above] - spoken[above - 1]);
     }
+    return share * ramp(s, SPARED, audio_hz);
+}
+
+static double lowered(const Settings *s, const Speech *speech, double share)
+{
+    return pow(10.0, -s->speech_db / 20.0 * speech->belief * share);
+}
+
+double speech_coarse_gain(const Settings *s, const Speech *speech, double audio_hz)
+{
+    return lowered(s, speech, spoken_share(s, speech, audio_hz));
+}
+
+double speech_gain(const Settings *s, const Speech *speech, double audio_hz)
+{
     const double harmonic = audio_hz / exp(speech->log_pitch);
     const double apart = fabs(harmonic - rint(harmonic)) - s->speech_apart * harmonic;
-    share *= ramp(s, SPARED, audio_hz) * (1.0 - speech->voiced * ramp(s, BETWEEN, apart));
-    return pow(10.0, -s->speech_db / 20.0 * speech->belief * share);
+    const double on_harmonic = 1.0 - speech->voiced * ramp(s, BETWEEN, apart);
+    return lowered(s, speech, spoken_share(s, speech, audio_hz) * on_harmonic);
 }

@@ -35,6 +35,9 @@ void speech_pause(const Settings *settings, Speech *speech);
 /* The factor on a partial of this audio frequency in this hop, 0 to 1. */
 double speech_gain(const Settings *settings, const Speech *speech, double audio_hz);
 
+/* The same where the frequency is not known well enough to tell whether it is a harmonic's. */
+double speech_coarse_gain(const Settings *settings, const Speech *speech, double audio_hz);
+
 /* Whether nothing is remembered of what was heard. */
 int speech_is_at_rest(const Speech *speech);
 
