@@ -354,7 +354,8 @@ class LiveTransform:
         """Return the factor on what begins: its vibration frequency in Hz, its level."""
         gain = self.follower.onset_gain(level) if self.follower else 1.0
         if self._speech:
-            gain *= float(self._speech.gains(np.array([heard_hz(hz, self._parameters)]))[0])
+            heard = np.array([heard_hz(hz, self._parameters)])
+            gain *= float(self._speech.gains(heard, coarse=True)[0])
         return gain
 
     def _play(self, hops: Glides, fresh: Glides, awake: list[bool]) -> FloatArray:

@@ -28,7 +28,8 @@ static Told told(const Settings *settings, Heard heard, Group group)
         found.amplitude *=
             follower_onset_gain(settings, heard.follower, onsets_level(heard.onsets));
     if (settings->speech_db > 0.0)
-        found.amplitude *= speech_gain(settings, heard.speech, heard_hz(settings, found.hz));
+        found.amplitude *=
+            speech_coarse_gain(settings, heard.speech, heard_hz(settings, found.hz));
     found.amplitude *= smoothing_gain(settings, found.hz);
     return found;
 }
