@@ -27,7 +27,7 @@ PROGRAMME_START_DB = -20.0
 
 RELEASE_DB_A_S = 10.0
 """How fast what was loud is forgotten: loudness is followed up at once, and down by this. With 20
-an explosion stands half a dB less above speech, and level goes less with level (0.62 for 0.69)."""
+an explosion stands half a dB less above speech, and level goes less with level (0.63 for 0.67)."""
 
 PROGRAMME_DB_A_S = 2.0
 """The programme's level goes to the loudness by this, so that half of the time is over it ..."""
