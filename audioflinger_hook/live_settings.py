@@ -45,7 +45,7 @@ class LiveSettings:
     device: str | None = None
     offset_ms: float = 0.0
     drop_in: bool = False
-    block_frames: int = 256
+    block_frames: int = 512
     realtime: bool = True
     device_volume_db: float | None = None
     include: tuple[str, ...] = ()
@@ -85,7 +85,7 @@ def problems(values: Mapping[str, Any]) -> dict[str, Problem]:
         "device": _wrong_device(values.get("device", "twin")),
         "offset_ms": _wrong_offset(values.get("offset_ms", 0.0), values.get("drop_in", False)),
         "device_volume_db": _wrong_volume(values.get("device_volume_db", 0.0)),
-        "block_frames": _wrong_block(values.get("block_frames", 256)),
+        "block_frames": _wrong_block(values.get("block_frames", LiveSettings.block_frames)),
         **{name: _wrong_list(values.get(name, ())) for name in LISTS},
     }
     return found | {name: problem for name, problem in wrong.items() if problem is not None}

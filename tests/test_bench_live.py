@@ -21,7 +21,7 @@ from audioflinger_hook.bench.lag import (
     swelling_tone,
 )
 from audioflinger_hook.bench.live_latency import Rendering
-from audioflinger_hook.bench.live_report import LiveRecord
+from audioflinger_hook.bench.live_report import USUAL_BLOCK_FRAMES, LiveRecord
 from audioflinger_hook.bench.live_usage import ProcessUse
 from audioflinger_hook.bench.workbench import QUICK, SUBJECTS, Workbench
 from audioflinger_hook.clients import mixdown
@@ -276,7 +276,7 @@ def test_the_tone_never_falls_silent_and_joins_itself():
 def a_record(**changed):
     record = LiveRecord(
         server="PulseAudio 16.1",
-        block_frames=256,
+        block_frames=USUAL_BLOCK_FRAMES,
         date="2026-01-01T00:00:00Z",
         cpu="a processor",
         cores=2,
@@ -347,8 +347,8 @@ def test_the_table_asks_its_limits_of_the_usual_blocks_only(monkeypatch, tmp_pat
     late = a_record(block_frames=1024, lag_median_ms=140.0)
     table = section(monkeypatch, tmp_path, a_record(), late)
     by_name = {(row.name, row.column): row for row in table.rows}
-    assert by_name["PulseAudio 16.1, 256 frames", "lag"].met is True
-    assert by_name["PulseAudio 16.1, 256 frames", "change over the run"].value == 0.4
+    assert by_name["PulseAudio 16.1, 512 frames", "lag"].met is True
+    assert by_name["PulseAudio 16.1, 512 frames", "change over the run"].value == 0.4
     assert by_name["PulseAudio 16.1, 1024 frames", "lag"].met is None
     assert "a processor (2 cores), load 0.5 to 1.5" in table.footnote
 

@@ -55,7 +55,7 @@ ORDER = Order(TapAddress("default"), DeviceAddress("sink", "a"), Settings(), Liv
             Changes(volume=True),
             "the device's volume",
         ),
-        (replace(ORDER, live=LiveSettings(block_frames=512)), Changes(blocks=True), None),
+        (replace(ORDER, live=LiveSettings(block_frames=256)), Changes(blocks=True), None),
         (replace(ORDER, live=LiveSettings(realtime=False)), Changes(priority=True), None),
     ],
 )

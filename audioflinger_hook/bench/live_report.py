@@ -17,6 +17,7 @@ from audioflinger_hook.bench.records import typed
 from audioflinger_hook.bench.report import Missing, Must, Row, Section
 from audioflinger_hook.bench.signals import PROJECT_ROOT
 from audioflinger_hook.bench.workbench import Workbench
+from audioflinger_hook.live_settings import LiveSettings
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 
@@ -24,7 +25,7 @@ SCHEMA_VERSION = 1
 RECORD = Path("docs/live.json")
 COMMAND = "python tools/latency.py --seconds 60 --out docs/live.json"
 
-USUAL_BLOCK_FRAMES = 256
+USUAL_BLOCK_FRAMES = LiveSettings.block_frames
 """What the daemon's streams take at a time unless told otherwise; limits are asked of it."""
 
 LAG = Must("<=", 90.0)

@@ -348,7 +348,7 @@ def connections(server: SoundServer, what: str) -> list[list[str]]:
     return [line.split()[1:3] for line in server.pactl("list", "short", what).splitlines()]
 
 
-@pytest.mark.parametrize("frames", [128, 512, 1024])
+@pytest.mark.parametrize("frames", [128, 256, 1024])
 def test_blocks_of_other_lengths_carry_the_vibration(
     server: SoundServer, config: Callable[..., Path], tmp_path: Path, frames: int
 ) -> None:
@@ -363,7 +363,7 @@ def test_blocks_of_other_lengths_carry_the_vibration(
         # one and a half of the tap's, and one of the output's
         assert status.delay_line.target_ms > 2.5e3 * frames / RATE_HZ
         felt_before = level_db(more(felt, 0.5))
-        config("block_frames = 256")
+        config("block_frames = 512")
         assert "both streams open anew" in reload(daemon)
         daemon.wait(
             lambda s: (
@@ -509,7 +509,7 @@ def test_the_audio_threads_are_real_time_where_that_is_granted_until_the_config_
         reload(daemon)
         wait_for(lambda: os.SCHED_RR not in schedulers(daemon), "threads like others")
         config()
-        path.write_text('device = "haptic"\nblock_frames = 512\n')
+        path.write_text('device = "haptic"\nblock_frames = 256\n')
         reload(daemon)
         wait_for(lambda: schedulers(daemon).count(os.SCHED_RR) == 2, "priority again")
 
