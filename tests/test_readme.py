@@ -41,7 +41,7 @@ def test_the_library_example_runs_and_says_what_it_should() -> None:
         check=True,
         cwd=ROOT,
     )
-    assert ran.stdout == "41.2 ms late, peak 0.41\n"
+    assert ran.stdout == "7.3 ms late, peak 0.46\n"
 
 
 def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) -> None:

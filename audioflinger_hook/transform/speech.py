@@ -42,6 +42,8 @@ COMB_TOP_HZ, COMB_TEETH = 1_600.0, 10
 """A comb's highest tooth, and how many it has at most."""
 COMB_POWER = 0.2
 """Combs add up powers of this exponent: many weak harmonics count, one loud tone does not."""
+EVEN = 1e-14
+"""Share of the highest power that every bin has at least: what is beside a line is rounding."""
 EQUAL = 1e-9
 """Combs this near to the best are equals, of which the lowest is taken."""
 FLAT = 1e-6
@@ -160,7 +162,8 @@ class SpeechSuppressor:
         power = spectrum.real**2 + spectrum.imag**2
         edges = self._edges
         octaves = np.array([power[edges[one] : edges[one + 1]].sum() for one in range(OCTAVES)])
-        roots = power[: self._comb_bins] ** COMB_POWER
+        comb = power[: self._comb_bins]
+        roots = (comb + EVEN * comb.max()) ** COMB_POWER
         here = roots.take(self._below)
         teeth = here + self._beyond * (roots.take(self._below + 1) - here)
         on, between = np.where(self._used, teeth, 0.0).sum(axis=2)
@@ -285,6 +288,7 @@ def speech_settings(speech: SpeechSuppressor | None, bin_hz: float, bins: int) -
         "speech_swing_max_db": SWING_MAX_DB,
         "speech_silent_power": SILENT_POWER,
         "speech_unheard": UNHEARD,
+        "speech_even": EVEN,
         "speech_equal": EQUAL,
         "speech_flat": FLAT,
         "speech_steady_pitch": STEADY_PITCH,

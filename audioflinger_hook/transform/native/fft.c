@@ -152,35 +152,62 @@ WIDE static void pass_through(const Passes *passes, Complexes *from, Complexes *
     }
 }
 
+/* Two numbers in one register. */
+typedef double Pair __attribute__((vector_size(2 * sizeof(double))));
+
+INLINED Pair pair_of(double number) { return (Pair){number, number}; }
+
+INLINED Pair pair_at(const double *at)
+{
+    Pair pair;
+    memcpy(&pair, at, sizeof pair);
+    return pair;
+}
+
+INLINED void pair_to(double *at, Pair pair) { memcpy(at, &pair, sizeof pair); }
+
 /* Turn each number of the grid and write rows as columns. */
-INLINED void exchanged_lanes(const Fft *fft, Complexes from, Complexes to, size_t lanes)
+INLINED void exchanged_one(const Fft *fft, Complexes from, Complexes to)
 {
     const size_t rows = fft->columns.size, columns = fft->rows.size;
     const double *turn = fft->grid_turn;
-    for (size_t column = 0; column < columns; column++) {
-        const double *restrict re = from.re + column * lanes;
-        const double *restrict im = from.im + column * lanes;
-        double *restrict to_re = to.re + column * rows * lanes;
-        double *restrict to_im = to.im + column * rows * lanes;
+    for (size_t column = 0; column < columns; column++, turn += 2 * rows) {
+        const double *restrict re = from.re + column, *restrict im = from.im + column;
+        double *restrict to_re = to.re + column * rows, *restrict to_im = to.im + column * rows;
         APART
         for (size_t row = 0; row < rows; row++) {
             const double c = turn[2 * row], s = turn[2 * row + 1];
-            for (size_t lane = 0; lane < lanes; lane++) {
-                const size_t here = row * columns * lanes + lane, there = row * lanes + lane;
-                to_re[there] = re[here] * c + im[here] * s;
-                to_im[there] = im[here] * c - re[here] * s;
-            }
+            const double x = re[row * columns], y = im[row * columns];
+            to_re[row] = x * c + y * s;
+            to_im[row] = y * c - x * s;
         }
-        turn += 2 * rows;
+    }
+}
+
+/* The same for two numbers that lie side by side, in one register. */
+INLINED void exchanged_two(const Fft *fft, Complexes from, Complexes to)
+{
+    const size_t rows = fft->columns.size, columns = fft->rows.size;
+    const double *turn = fft->grid_turn;
+    for (size_t column = 0; column < columns; column++, turn += 2 * rows) {
+        const double *restrict re = from.re + 2 * column, *restrict im = from.im + 2 * column;
+        double *restrict to_re = to.re + 2 * column * rows;
+        double *restrict to_im = to.im + 2 * column * rows;
+        for (size_t row = 0; row < rows; row++) {
+            const Pair c = pair_of(turn[2 * row]), s = pair_of(turn[2 * row + 1]);
+            const Pair x = pair_at(re + 2 * row * columns), y = pair_at(im + 2 * row * columns);
+            pair_to(to_re + 2 * row, x * c + y * s);
+            pair_to(to_im + 2 * row, y * c - x * s);
+        }
     }
 }
 
 WIDE static void exchanged(const Fft *fft, Complexes from, Complexes to)
 {
     if (fft->lanes == 2)
-        exchanged_lanes(fft, from, to, 2);
+        exchanged_two(fft, from, to);
     else
-        exchanged_lanes(fft, from, to, 1);
+        exchanged_one(fft, from, to);
 }
 
 /* ------------------------------------------------------------------------------ real to complex */

@@ -145,6 +145,7 @@
     ENTRY(speech_swing_max_db)                                                                     \
     ENTRY(speech_silent_power)                                                                     \
     ENTRY(speech_unheard)                                                                          \
+    ENTRY(speech_even)                                                                             \
     ENTRY(speech_equal)                                                                            \
     ENTRY(speech_flat)                                                                             \
     ENTRY(speech_steady_pitch)                                                                     \

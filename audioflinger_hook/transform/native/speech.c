@@ -93,8 +93,12 @@ static double found_pitch(const Settings *s, double *power, double *contrasts, d
     double last = 0.0, highest = -1.0;
     for (size_t tooth = 0; tooth < s->speech_teeth.length; tooth++)
         last = larger(s->speech_teeth.at[tooth], last);
+    double even = 0.0;
     for (size_t bin = 0; bin < (size_t)last + 2; bin++)
-        power[bin] = fifth_root(larger(power[bin], ROOT_MIN));
+        even = larger(power[bin], even);
+    even *= s->speech_even;
+    for (size_t bin = 0; bin < (size_t)last + 2; bin++)
+        power[bin] = fifth_root(larger(power[bin] + even, ROOT_MIN));
     for (size_t pitch = 0; pitch < pitches(s); pitch++) {
         contrasts[pitch] = contrast(s, power, pitch);
         highest = larger(contrasts[pitch], highest);
