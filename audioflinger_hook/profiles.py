@@ -34,7 +34,7 @@ PROFILES: dict[str, dict[str, Choice]] = {
         "level_law": BY_ENERGY,
         "follower_db": FOLLOWED,
         "window_s": Choice(
-            0.03, "onsets felt 6 ms earlier, 13 ms less delay in all; vibration begins at 33 Hz"
+            0.03, "what lasts, and its end, is felt 13 ms earlier; vibration begins at 33 Hz"
         ),
         "partials_max": Choice(8, "as many as so short a window tells apart"),
     },
