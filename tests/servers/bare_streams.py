@@ -1,8 +1,8 @@
 """Streams that do nothing, beside the ones under test: what the server and the machine do to any.
 
-A program of its own, `python -m tests.servers.bare_streams TAP SINK [TAP'S SERVER, SINK'S SERVER]`,
-until it is killed: its processor time is what streams alone cost, and when its callbacks did not
-come in time, which it prints, nobody's did.
+A program of its own, `python -m tests.servers.bare_streams FRAMES TAP SINK [TAP'S SERVER, SINK'S
+SERVER]`, until it is killed: its processor time is what streams alone cost, and when its callbacks
+did not come in time, which it prints, nobody's did.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from device.units import Float32Array
 from tests.servers.listening import RATE_HZ
 
 ROOT = Path(__file__).parents[2]
+WITNESS_FRAMES = 256
 CAPTURE_LATE_S = 0.022
-"""Captured blocks come two at a time where the server's own are longer than ours."""
+"""Of blocks of so many frames. Captured ones come in twos where the server's own are longer."""
 PLAYBACK_LATE_S = 0.012
 TELLS_S = 0.2
 
@@ -42,17 +43,25 @@ class Late:
 
 
 def main(
-    tap: str, sink: str, tap_server: str | None = None, sink_server: str | None = None
+    block_frames: int,
+    tap: str,
+    sink: str,
+    tap_server: str | None = None,
+    sink_server: str | None = None,
 ) -> None:
     """Open both, say so, and tell of gaps."""
     quiet_libraries()
     config = PcmConfig("bare_tap", "bare_output")
     captured, played = Late(CAPTURE_LATE_S), Late(PLAYBACK_LATE_S)
     config.pcms["bare_output"].lead(sink, sink_server)
-    playback = PlaybackStream(config.pcms["bare_output"], RATE_HZ, 2, played)
+    playback = PlaybackStream(
+        config.pcms["bare_output"], RATE_HZ, 2, played, block_frames=block_frames
+    )
     playback.audible = True
     config.pcms["bare_tap"].lead(tap, tap_server)
-    capture = CaptureStream(config.pcms["bare_tap"], RATE_HZ, 2, captured)
+    capture = CaptureStream(
+        config.pcms["bare_tap"], RATE_HZ, 2, captured, block_frames=block_frames
+    )
     spare_what_is_there()
     print("ready", flush=True)
     while not threading.Event().wait(TELLS_S):
@@ -89,10 +98,12 @@ class BareStreams:
 
 
 @contextmanager
-def bare_streams(environment: Mapping[str, str], *arguments: str) -> Iterator[BareStreams]:
+def bare_streams(
+    environment: Mapping[str, str], *arguments: str, block_frames: int = WITNESS_FRAMES
+) -> Iterator[BareStreams]:
     """They run from when both are open until the context ends. arguments: of `main`."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.servers.bare_streams", *arguments],
+        [sys.executable, "-m", "tests.servers.bare_streams", str(block_frames), *arguments],
         cwd=ROOT,
         env=dict(environment),
         stdout=subprocess.PIPE,
@@ -110,4 +121,4 @@ def bare_streams(environment: Mapping[str, str], *arguments: str) -> Iterator[Ba
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main(int(sys.argv[1]), *sys.argv[2:])

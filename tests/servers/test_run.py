@@ -10,6 +10,7 @@ import pytest
 import soundfile
 
 from audioflinger_hook.clients import mixdown
+from audioflinger_hook.live_settings import LiveSettings
 from audioflinger_hook.render import render_file
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.service.state import Cause, DaemonState
@@ -191,7 +192,8 @@ def least_cpu_percent(daemon: Daemon, limit_percent: float) -> float:
 
 def beside_bare_streams(daemon: Daemon, server: SoundServer) -> tuple[float, float]:
     """What daemon and bare streams use, in the window where their ratio is least."""
-    with bare_streams(server.environment, "desktop.monitor", "haptic") as bare:
+    frames = LiveSettings().block_frames
+    with bare_streams(server.environment, "desktop.monitor", "haptic", block_frames=frames) as bare:
         pids = (daemon.process.pid, bare.process.pid)
         windows = [cpu_percent(*pids) for _ in range(WINDOWS)]
     daemon_percent, bare_percent = min(windows, key=lambda window: window[0] / window[1])
