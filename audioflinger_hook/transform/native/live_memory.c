@@ -1,0 +1,212 @@
+/* The live form's memory: where everything of a stream lies, and what its state may be. */
+
+#include "live.h"
+
+#include <stdlib.h>
+
+#include "common.h"
+#include "space.h"
+
+#define SLOT_NUMBERS 10
+#define FRESH_NUMBERS (sizeof(Fresh) / sizeof(double))
+#define GLIDE_NUMBERS 5
+#define FOUND_NUMBERS 4
+
+/* The state of all voices is one piece, so that it can be kept and returned to. */
+static double *placed(double **next, size_t count)
+{
+    double *here = *next;
+    *next += count;
+    return here;
+}
+
+static double *numbers(Space *space, size_t count) { return taken(space, count, sizeof(double)); }
+
+static size_t onset_numbers(const Settings *s)
+{
+    const size_t bands = onsets_bands(s);
+    return s->short_ticks + (s->back_ticks + 2) * bands + s->short_bins + 3;
+}
+
+static size_t voice_numbers(const Settings *s)
+{
+    return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->tick_frames + s->steps +
+           onset_numbers(s) + FRESH_NUMBERS * s->fresh_max + SLOT_NUMBERS * tracking_slots(s) +
+           FOLLOWER_NUMBERS + SPEECH_STATES + smoothing_states(s) + smoothing_tail(s) + 2;
+}
+
+static void lay_out_voice(const Settings *s, Voice *voice, double **next)
+{
+    const size_t slots = tracking_slots(s), bands = onsets_bands(s);
+    voice->band = placed(next, s->band_b.length - 1);
+    voice->past = placed(next, s->window_frames);
+    voice->peaks = placed(next, s->hops_in_window);
+    voice->played = placed(next, s->tick_frames);
+    voice->hop = placed(next, s->steps);
+    voice->onsets.peaks = placed(next, s->short_ticks);
+    voice->onsets.past = placed(next, s->back_ticks * bands);
+    voice->onsets.highest = placed(next, bands);
+    voice->onsets.rising = placed(next, bands);
+    voice->onsets.power = placed(next, s->short_bins);
+    voice->onsets.since = placed(next, 1);
+    voice->onsets.newest = placed(next, 1);
+    voice->onsets.peak = placed(next, 1);
+    voice->fresh = (Fresh *)placed(next, FRESH_NUMBERS * s->fresh_max);
+    double **of_slots[SLOT_NUMBERS] = {
+        &voice->slots.hz,            &voice->slots.amplitude,  &voice->slots.phase,
+        &voice->slots.alive,         &voice->slots.held_first, &voice->slots.held_last,
+        &voice->slots.held_loudness, &voice->slots.held_hops,  &voice->slots.held_amplitude,
+        &voice->slots.lacking,
+    };
+    for (size_t which = 0; which < SLOT_NUMBERS; which++)
+        *of_slots[which] = placed(next, slots);
+    voice->slots.start_sum = placed(next, 1);
+    voice->follower.programme = placed(next, 1);
+    voice->follower.floor = placed(next, 1);
+    voice->follower.loud = placed(next, 1);
+    voice->follower.gain = placed(next, 1);
+    voice->smoothing.state = placed(next, smoothing_states(s));
+    voice->smoothing.tail = placed(next, smoothing_tail(s));
+    voice->ringing = placed(next, 1);
+    voice->speech = (Speech *)placed(next, SPEECH_STATES);
+}
+
+/* Give every part its place in the work space, or count how much that is where there is none. */
+static size_t lay_out_work(Live *live, void *memory)
+{
+    const Settings *s = &live->settings;
+    const size_t slots = tracking_slots(s);
+    Space space = {memory, 0};
+    live->mono = numbers(&space, s->tick_frames);
+    live->newest = numbers(&space, s->short_frames);
+    live->onset_space = numbers(&space, onsets_work(s, &live->short_fft));
+    live->windowed = numbers(&space, live->fft.frames);
+    live->real = numbers(&space, s->bins);
+    live->imaginary = numbers(&space, s->bins);
+    live->fft_space = numbers(&space, fft_work(&live->fft));
+    live->tracking_space = taken(&space, tracking_work(s), 1);
+    live->synthesis_space = numbers(&space, synthesis_work(s));
+    live->speech_space = numbers(&space, speech_work(s));
+    live->analysis_space = taken(&space, analysis_work(s->bins), 1);
+    double **found[FOUND_NUMBERS] = {&live->found.audio_hz, &live->found.amplitude,
+                                     &live->found.bandwidth_hz, &live->found.r};
+    for (size_t which = 0; which < FOUND_NUMBERS; which++)
+        *found[which] = numbers(&space, s->partials_max);
+    live->hz = numbers(&space, s->partials_max);
+    live->amplitude = numbers(&space, s->partials_max);
+    double **glides[GLIDE_NUMBERS] = {&live->glides.start_hz, &live->glides.end_hz,
+                                      &live->glides.start_amplitude, &live->glides.end_amplitude,
+                                      &live->glides.start_phase};
+    for (size_t which = 0; which < GLIDE_NUMBERS; which++)
+        *glides[which] = numbers(&space, slots);
+    double **fresh[GLIDE_NUMBERS] = {
+        &live->fresh_glides.start_hz,      &live->fresh_glides.end_hz,
+        &live->fresh_glides.start_amplitude, &live->fresh_glides.end_amplitude,
+        &live->fresh_glides.start_phase,
+    };
+    for (size_t which = 0; which < GLIDE_NUMBERS; which++)
+        *fresh[which] = numbers(&space, s->fresh_max);
+    return space.used;
+}
+
+int live_open(Live *live, const Settings *settings, size_t channels, int each)
+{
+    memset(live, 0, sizeof *live);
+    live->settings = *settings;
+    live->channels = channels;
+    live->each = each;
+    live->voices_count = each ? channels : 1;
+    int failed = fft_open(&live->fft, settings->fft_length, 1);
+    if (!failed)
+        failed = fft_open(&live->short_fft, settings->short_length, 0);
+    if (failed) {
+        live_close(live);
+        return failed;
+    }
+    if (live->voices_count > SIZE_MAX / sizeof(double) / voice_numbers(settings)) {
+        live_close(live);
+        return -1;
+    }
+    live->state_length = live->voices_count * voice_numbers(settings);
+    live->voices = calloc(live->voices_count, sizeof(Voice));
+    live->state = calloc(live->state_length, sizeof(double));
+    live->work = calloc(lay_out_work(live, NULL), 1);
+    if (!live->voices || !live->state || !live->work) {
+        live_close(live);
+        return -1;
+    }
+    lay_out_work(live, live->work);
+    double *next = live->state;
+    for (size_t voice = 0; voice < live->voices_count; voice++) {
+        lay_out_voice(settings, &live->voices[voice], &next);
+    }
+    live_reset(live);
+    return 0;
+}
+
+void live_close(Live *live)
+{
+    fft_close(&live->fft);
+    fft_close(&live->short_fft);
+    free(live->voices);
+    free(live->state);
+    free(live->work);
+    live->voices = NULL;
+    live->state = NULL;
+    live->work = NULL;
+}
+
+void live_reset(Live *live)
+{
+    memset(live->state, 0, live->state_length * sizeof(double));
+    live->filled = live->tick = live->oldest = 0;
+    live->silent = live->settings.window_frames; /* before the beginning there was nothing */
+    for (size_t voice = 0; voice < live->voices_count; voice++) {
+        onsets_reset(&live->settings, &live->voices[voice].onsets);
+        follower_reset(&live->settings, &live->voices[voice].follower);
+    }
+}
+
+/* Whether a number is within a range and whole. */
+static int is_count(double number, double least, double most)
+{
+    return number >= least && number <= most && number == floor(number);
+}
+
+static int are_bands(const Settings *s, double first, double last)
+{
+    return is_count(first, 0.0, (double)onsets_bands(s)) &&
+           is_count(last, 0.0, (double)onsets_bands(s));
+}
+
+static int voice_is_possible(const Settings *s, const Voice *voice)
+{
+    size_t alive = 0;
+    for (size_t slot = 0; slot < tracking_slots(s); slot++) {
+        alive += voice->slots.alive[slot] != 0.0;
+        if (!are_bands(s, voice->slots.held_first[slot], voice->slots.held_last[slot]) ||
+            !is_count(voice->slots.held_hops[slot], 0.0, (double)s->hold_hops + 1.0))
+            return 0;
+    }
+    const double oldest = (double)s->heard_ticks + (double)s->rise_shares.length;
+    for (size_t slot = 0; slot < s->fresh_max; slot++)
+        if (!are_bands(s, voice->fresh[slot].first_band, voice->fresh[slot].last_band) ||
+            !is_count(voice->fresh[slot].age, 0.0, oldest))
+            return 0;
+    return alive <= s->partials_max + s->fresh_max &&
+           is_count(*voice->onsets.since, 0.0, (double)(s->rest_ticks + s->heard_ticks)) &&
+           *voice->ringing >= 0.0 && *voice->ringing <= (double)s->ring_hops &&
+           follower_is_possible(s, &voice->follower);
+}
+
+int live_is_possible(const Live *live)
+{
+    const Settings *s = &live->settings;
+    if (live->filled >= s->tick_frames || live->tick >= s->ticks ||
+        live->oldest >= s->window_frames || live->silent > s->window_frames)
+        return 0;
+    for (size_t which = 0; which < live->voices_count; which++)
+        if (!voice_is_possible(s, &live->voices[which]))
+            return 0;
+    return 1;
+}
