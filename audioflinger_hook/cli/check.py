@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import json
 import sys
@@ -11,8 +12,10 @@ from audioflinger_hook import config
 from device.errors import UsageError
 
 
-def run(path: Path | None, *, as_json: bool) -> int:
+def run(options: argparse.Namespace) -> int:
     """Check a config file; exit 2 where it has mistakes."""
+    path: Path | None = options.config
+    as_json: bool = options.json
     if path is None:
         path = config.default_path()
         if not path.exists():

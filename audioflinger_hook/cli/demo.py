@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import time
 from dataclasses import dataclass, field
@@ -48,9 +49,10 @@ class Played:
     buffer_s: list[float] = field(default_factory=list)
 
 
-def run(out: Path, *, fast: bool, profile: str | None = None) -> int:
+def run(options: argparse.Namespace) -> int:
     """Play the scene, write vibration.wav, acceleration.wav, scene.wav and report.png to `out`."""
-    settings = Settings(profile=profile) if profile else Settings()
+    out: Path = options.out
+    settings = Settings(profile=options.profile) if options.profile else Settings()
     _make_folder(out)
     scene = demo_scene()
     sound = mixdown(scene)
@@ -70,7 +72,7 @@ def run(out: Path, *, fast: bool, profile: str | None = None) -> int:
     chain = Chain(SceneClient(scene, BLOCKSIZE_FRAMES), framework, aligned)
     try:
         heard.write(sound)
-        played = _play(chain, scene, twin, fast=fast)
+        played = _play(chain, scene, twin, fast=options.fast)
         heard.close()
         chain.close()
     except BaseException:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import json
-from pathlib import Path
 
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.inspection import Unit, inspect_file
@@ -15,9 +15,10 @@ HEADER = (
 )
 
 
-def run(path: Path, *, at_s: float | None, as_json: bool) -> int:
+def run(options: argparse.Namespace) -> int:
     """Print the units of a file, as a table or as one JSON list, as they are found."""
-    units = inspect_file(path, at_s=at_s, warn=warn)
+    as_json: bool = options.json
+    units = inspect_file(options.input, at_s=options.at, warn=warn)
     first = next(units, None)  # errors come before anything is printed
     print("[" if as_json else HEADER)
     separator = ""

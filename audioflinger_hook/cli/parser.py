@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -55,12 +56,12 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="version", version=f"cushion {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
-    demo = _add(commands, "demo", "play the bundled scene through the whole chain", _demo)
+    demo = _add(commands, "demo", "play the bundled scene through the whole chain")
     demo.add_argument("--out", type=Path, default=Path("out"), metavar="DIR")
     demo.add_argument("--profile", metavar="NAME", help=PROFILE_HELP)
     demo.add_argument("--fast", action="store_true", help="as fast as it can, not in real time")
 
-    render = _add(commands, "render", "write the vibration of sound files", _render)
+    render = _add(commands, "render", "write the vibration of sound files")
     render.usage = "%(prog)s [options] IN OUT\n       %(prog)s [options] --out-dir DIR IN..."
     # Both are one list here: what is missing or too much `cli.render` says.
     render.any_order = True
@@ -79,32 +80,32 @@ def build_parser() -> Parser:
     )
     _add_rendering(render)
 
-    inspect = _add(commands, "inspect", "list the principal frequencies of a sound file", _inspect)
+    inspect = _add(commands, "inspect", "list the principal frequencies of a sound file")
     inspect.add_argument("input", type=Path, metavar="IN")
     inspect.add_argument("--at", type=_seconds, metavar="SECONDS", help="only the unit there")
     _add_json(inspect)
 
-    capture = _add(commands, "capture", "record buffers of sound as they are delivered", _capture)
+    capture = _add(commands, "capture", "record buffers of sound as they are delivered")
     capture.add_argument("folder", type=Path, metavar="OUTDIR", help="a new or empty folder")
     _add_tap(capture)
     capture.add_argument(
         "--seconds", type=_duration, default=math.inf, metavar="S", help="default: to its end"
     )
 
-    replay = _add(commands, "replay", "write the vibration of a capture", _replay)
+    replay = _add(commands, "replay", "write the vibration of a capture")
     replay.add_argument("folder", type=Path, metavar="DIR", help="a capture")
     replay.add_argument("output", type=Path, metavar="OUT", help="float32 WAV")
     replay.add_argument("--speed", default="max", metavar="1|max", help="default: max")
     _add_rendering(replay)
 
-    dump = _add(commands, "dump", "show threads, tracks, effects and counters", _dump)
+    dump = _add(commands, "dump", "show threads, tracks, effects and counters")
     _add_tap(dump)
     dump.add_argument(
         "--at", type=_seconds, default=1.0, metavar="SECONDS", help="of sound; default: 1"
     )
     dump.add_argument("--config", type=Path, metavar="FILE", help="take the settings from it")
 
-    run = _add(commands, "run", "feel everything this computer plays", _run_daemon)
+    run = _add(commands, "run", "feel everything this computer plays")
     run.add_argument(
         "--tap",
         action="append",
@@ -143,14 +144,14 @@ def build_parser() -> Parser:
         "--wait", action="store_true", help="for a server, device or tap that is not there yet"
     )
 
-    status = _add(commands, "status", "ask a running daemon", _status)
+    status = _add(commands, "status", "ask a running daemon")
     status.add_argument("--watch", action="store_true", help="again and again")
     _add_json(status)
 
-    devices = _add(commands, "devices", "list outputs, and who plays", _devices)
+    devices = _add(commands, "devices", "list outputs, and who plays")
     _add_json(devices)
 
-    usb = _add(commands, "usb", "decode a USB audio device, or a dump of one", _usb)
+    usb = _add(commands, "usb", "decode a USB audio device, or a dump of one")
     usb.add_argument("does", choices=("describe",), metavar="describe", help="what it says it is")
     usb.add_argument(
         "device", nargs="?", metavar="DEVICE", help="usb:VID:PID[:SERIAL][@PORT]; default: all"
@@ -163,13 +164,13 @@ def build_parser() -> Parser:
     )
     _add_json(usb)
 
-    tone = _add(commands, "test-tone", "vibrate one output, to find the right one", _test_tone)
+    tone = _add(commands, "test-tone", "vibrate one output, to find the right one")
     tone.add_argument("--device", required=True, metavar="DEVICE", help="see `cushion devices`")
     tone.add_argument("--hz", type=float, default=60.0, metavar="HZ", help="default: 60")
     tone.add_argument("--level", type=float, default=0.2, metavar="L", help="default: 0.2 of 1")
     tone.add_argument("--seconds", type=float, default=2.0, metavar="S", help="default: 2")
 
-    calibrate = _add(commands, "calibrate", "measure a rig by sweeps, from low on", _calibrate)
+    calibrate = _add(commands, "calibrate", "measure a rig by sweeps, from low on")
     calibrate.add_argument(
         "--device",
         required=True,
@@ -227,7 +228,7 @@ def build_parser() -> Parser:
     calibrate.add_argument("--out", type=Path, metavar="FILE", help="the rig's file, to be written")
     _add_json(calibrate)
 
-    service = _add(commands, "install-service", "run from every login on", _install_service)
+    service = _add(commands, "install-service", "run from every login on")
     service.add_argument(
         "--device", metavar="DEVICE", help="see `cushion devices`; default: the config's"
     )
@@ -235,7 +236,7 @@ def build_parser() -> Parser:
     service.add_argument("--remove", action="store_true", help="take it away again")
     service.add_argument("--udev", action="store_true", help="print a rule for USB devices, too")
 
-    bench = _add(commands, "bench", "measure speed against error on this machine", _bench)
+    bench = _add(commands, "bench", "measure speed against error on this machine")
     bench.add_argument(
         "--quick",
         action="store_true",
@@ -245,7 +246,7 @@ def build_parser() -> Parser:
     bench.add_argument("--out", type=Path, metavar="FILE", help="default: docs/benchmarks.md")
     _add_json(bench)
 
-    check = _add(commands, "check", "report every mistake of a config file", _check)
+    check = _add(commands, "check", "report every mistake of a config file")
     check.add_argument("--config", type=Path, metavar="FILE", help="default: the user's own")
     _add_json(check)
     return parser
@@ -255,10 +256,17 @@ def _add(
     commands: argparse._SubParsersAction[Parser],
     name: str,
     does: str,
-    run: Callable[[argparse.Namespace], int],
 ) -> Parser:
+    """Add a command, which is the `run` of the module of its name."""
     command = commands.add_parser(name, help=does, description=does, epilog=EXIT_CODES)
     _add_debug(command)
+
+    def run(options: argparse.Namespace) -> int:
+        # Imported when it runs: what it needs may take a second to load.
+        module = import_module(f"audioflinger_hook.cli.{name.replace('-', '_')}")
+        code: int = module.run(options)
+        return code
+
     command.set_defaults(run=run)
     return command
 
@@ -315,96 +323,3 @@ def _duration(text: str) -> float:
     if not value:
         raise argparse.ArgumentTypeError(f"{text!r} is no time to listen; allowed: above 0 seconds")
     return value
-
-
-# Each command's module is imported when it runs: what it needs may take a second to load.
-
-
-def _demo(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import demo
-
-    return demo.run(options.out, fast=options.fast, profile=options.profile)
-
-
-def _render(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import render
-
-    return render.run(options)
-
-
-def _inspect(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import inspect
-
-    return inspect.run(options.input, at_s=options.at, as_json=options.json)
-
-
-def _capture(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import capture
-
-    return capture.run(options)
-
-
-def _replay(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import replay
-
-    return replay.run(options)
-
-
-def _dump(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import dump
-
-    return dump.run(options)
-
-
-def _run_daemon(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import run
-
-    return run.run(options)
-
-
-def _status(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import status
-
-    return status.run(options)
-
-
-def _devices(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import devices
-
-    return devices.run(options)
-
-
-def _usb(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import usb
-
-    return usb.run(options)
-
-
-def _test_tone(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import test_tone
-
-    return test_tone.run(options)
-
-
-def _calibrate(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import calibrate
-
-    return calibrate.run(options)
-
-
-def _install_service(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import install_service
-
-    return install_service.run(options)
-
-
-def _bench(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import bench
-
-    return bench.run(options)
-
-
-def _check(options: argparse.Namespace) -> int:
-    from audioflinger_hook.cli import check
-
-    return check.run(options.config, as_json=options.json)
