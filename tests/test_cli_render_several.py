@@ -1,5 +1,6 @@
 """`cushion render IN... --out-dir DIR`: several files at once, each as if alone."""
 
+import contextlib
 import json
 import os
 import signal
@@ -49,10 +50,12 @@ def folder(tmp_path):
 
 def children(pid):
     """The processes that a process has started and that have not been waited for."""
-    tasks = Path(f"/proc/{pid}/task")
-    return [
-        int(child) for task in tasks.iterdir() for child in (task / "children").read_text().split()
-    ]
+    found: list[int] = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        # A thread may end between being listed and being asked.
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            found += map(int, (task / "children").read_text().split())
+    return found
 
 
 @pytest.mark.parametrize(("form", "workers"), [("live", 1), ("live", 2), ("reference", 5)])
@@ -177,12 +180,14 @@ def written(pid: int, folder: Path) -> int:
 def two_under_way(process, folder):
     """Wait until two workers have each written half a megabyte; return their process ids."""
 
+    found: list[int] = []
+
     def both_write():
-        found = children(process.pid)
+        found[:] = children(process.pid)
         return len(found) == 2 and all(written(pid, folder) > 500_000 for pid in found)
 
     until(both_write, process)
-    return children(process.pid)
+    return found
 
 
 @needs_proc
