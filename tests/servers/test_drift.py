@@ -30,6 +30,8 @@ from tests.servers.bare_streams import bare_streams
 from tests.servers.listening import RATE_HZ, playing, wait_for
 from tools.sound_server import SoundServer, missing_clock, missing_programs
 
+pytestmark = pytest.mark.calm
+
 SOAK_S = float(os.environ.get("CUSHION_DRIFT_SOAK_S", "300"))
 """How long each pair of clocks is watched in the soak."""
 

@@ -27,6 +27,8 @@ from tests.servers.daemons import ROOT, environment, running
 from tools.latency import main
 from tools.sound_server import PROGRAMS, SoundServer, missing_programs
 
+pytestmark = pytest.mark.calm
+
 SOAK_S = float(os.environ.get("CUSHION_LATENCY_SOAK_S", "600"))
 """How long the latency is watched in the soak."""
 

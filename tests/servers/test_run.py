@@ -33,6 +33,8 @@ from tests.servers.daemons import (
 from tests.servers.listening import RATE_HZ, playing, recording, wait_for
 from tools.sound_server import SoundServer
 
+pytestmark = pytest.mark.calm
+
 SCENE_S = 8.0
 
 PLAYING_PERCENT, IDLE_PERCENT = 8.0, 0.5

@@ -13,6 +13,8 @@ from tests.servers.daemons import FELT, felt_now, running, tone
 from tests.servers.listening import playing, recording, wait_for
 from tools.sound_server import SoundServer
 
+pytestmark = pytest.mark.calm
+
 BACK_S = 2.0
 """Within this it plays again once the fault is over."""
 

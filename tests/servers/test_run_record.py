@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from audioflinger_hook.capture import Capture
 from audioflinger_hook.service.state import Cause, DaemonState
@@ -211,6 +212,7 @@ def lost(sent: Float32Array, heard: Float32Array) -> int:
     return len(sent) - len(heard)
 
 
+@pytest.mark.calm
 def test_the_device_stream_is_what_reached_the_device(server: SoundServer, tmp_path: Path) -> None:
     record = tmp_path / "rec"
     with recording(server, "haptic.monitor", tmp_path / "felt") as felt:
@@ -296,6 +298,7 @@ def captured(folder: Path) -> Float32Array:
     return recorded(folder, "tap")
 
 
+@pytest.mark.calm
 def test_what_plays_is_captured_bit_for_bit_and_ends_after_its_seconds(
     server: SoundServer, tmp_path: Path
 ) -> None:
