@@ -66,6 +66,7 @@ def arguments(out: Path) -> list[str]:
     ]
 
 
+@pytest.mark.calm
 def test_a_cushion_on_a_sound_server_is_identified_and_its_file_is_used_at_once(
     server: SoundServer, tmp_path: Path
 ) -> None:

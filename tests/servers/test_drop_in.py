@@ -211,6 +211,7 @@ def test_another_delay_while_sound_plays_is_no_more_than_a_short_gap(
         )  # loading anew would cost 75 ms and more; xruns come on top
 
 
+@pytest.mark.calm
 def test_a_killed_process_leaves_the_sound_going_and_the_next_one_takes_over(
     server: SoundServer, connection: PulseConnection, tmp_path: Path
 ) -> None:

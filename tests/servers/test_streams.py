@@ -48,6 +48,7 @@ def output(pcms: PcmConfig, sink: str = "haptic") -> PlaybackStream:
     return stream
 
 
+@pytest.mark.calm
 def test_a_tap_hears_every_sample_as_it_was_played(server: SoundServer, pcms: PcmConfig) -> None:
     played = noise(2.0)
 
