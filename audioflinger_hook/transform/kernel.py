@@ -216,7 +216,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "steady_gain": partials.STEADY_GAIN,
         "gain_step_hz": TABLE_STEP_HZ,
         "still": oscillators.STILL,
-        "window": spectrum._window,
+        "window": spectrum.window,
         "band_b": form._bandpass._b,
         "band_a": form._bandpass._a,
         "image_table": analysis._table,

@@ -10,6 +10,10 @@
  * walk on it. */
 #define NEIGHBOURS 7
 
+/* Peaks under this bin are cleared twice: the first time their images are looked up in a place that
+ * those very images have moved. */
+#define TWICE_BELOW 20
+
 /* Entries of the window's table a bin: between them a straight line is within 0.2 % of a side
  * lobe. */
 #define TABLE_BINS_A_BIN 32
