@@ -93,6 +93,7 @@ class LiveAnalysis:
         self._side_lobe = SIDE_LOBE_FOLLOWED if parameters.follower_db else SIDE_LOBE
         self._partials_max = parameters.partials_max
         self._turn, self._table = window_tables(spectrum, bins)
+        self._first_sample = spectrum._window[0] / spectrum._window[1:].sum()
 
     def all_principal(self, spectra: ComplexArray) -> Principals:
         """Return everything with r > C_th in each row of (rows, columns), nothing left out."""
@@ -171,14 +172,21 @@ class LiveAnalysis:
         """Return amplitudes (peaks, places) around each peak without the image of its tone.
 
         places: in bins from the peaks'; those below bin 0 count as it. With phases counted
-        from the window's centre its spectrum is real. There the image is the tone's conjugate, on
-        the window's spectrum around minus the tone's frequency.
+        from the window's centre its spectrum is real, but for its first sample, 0.08, which has no
+        partner on the other side. There the image is the tone's conjugate, on the window's spectrum
+        around minus the tone's frequency. Of the first sample it adds the same number to all bins.
         """
         cosine, sine = self._turn
-        turned = spectra[row, peak] * (cosine[peak] + 1j * sine[peak])
-        tone = (turned / self._window_at(np.abs(offset)))[:, None]
+        height = self._window_at(np.abs(offset))
+        tone = (spectra[row, peak] * (cosine[peak] + 1j * sine[peak]) / height)[:, None]
+        # A bin is a quarter of a turn there, or a little less.
+        angle = (0.5 * np.pi) * offset
+        square = angle * angle
+        across, along = 1.0 - square * (0.5 - square / 24.0), angle * (1.0 - square / 6.0)
+        share = self._first_sample / height
+        first = (share * np.conj(spectra[row, peak]) * (across + 1j * along))[:, None]
         bins = np.maximum(peak[:, None] + places, 0)
-        turned = spectra[row[:, None], bins] * (cosine[bins] + 1j * sine[bins])
+        turned = (spectra[row[:, None], bins] - first) * (cosine[bins] + 1j * sine[bins])
         image = self._window_at(bins + (peak + offset)[:, None])
         cleared: FloatArray = np.abs(turned - np.conj(tone) * image)
         return cleared
@@ -242,6 +250,8 @@ def window_tables(
     # Its lowest part alone, on a grid that much finer than a bin.
     entries = TABLE_BINS_A_BIN * 2 * turn.shape[-1] + 2
     fine_length = TABLE_BINS_A_BIN * length
-    fine = zoom_fft(spectrum.window, (0, entries), entries, fs=fine_length)
+    partnered = spectrum._window.copy()
+    partnered[0] = 0.0
+    fine = zoom_fft(partnered, (0, entries), entries, fs=fine_length)
     turned = fine * np.exp(2j * np.pi * np.arange(entries) * (frames / 2) / fine_length)
     return np.stack((np.cos(turn), np.sin(turn))), turned.real / turned[0].real

@@ -71,7 +71,7 @@ class LiveTransform:
     ) -> None:
         self._parameters = parameters
         self._grid = LiveGrid.at(parameters, samplerate)
-        self._spectrum = Spectrum(parameters, samplerate, symmetric=True)
+        self._spectrum = Spectrum(parameters, samplerate)
         bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / self._spectrum.bin_hz)
         bins = min(self._spectrum.bins, bins)
         threshold_hz = parameters.heard_threshold_hz

@@ -43,7 +43,7 @@ def bin_weights(spectrum: Spectrum, bins: int) -> FloatArray:
 
     The sum over a tone's bins is its squared amplitude, times `k_weight`.
     """
-    window = spectrum.window
+    window = spectrum._window
     # By Parseval: what a tone's energy is spread over, in bins.
     spread = spectrum.fft_length * float((window * window).sum()) / float(window.sum()) ** 2
     bin_hz = spectrum.bin_hz * np.arange(bins, dtype=np.float64)

@@ -16,13 +16,10 @@ class Spectrum:
     """Spectra at one samplerate; pure, holds only its window.
 
     samplerate (Hz), window_frames (N), fft_length (NFFT), bins (NFFT/2 + 1) and bin_hz describe
-    its grid. symmetric: the window's first sample, 0.08, is 0. It alone has no partner on the
-    other side of N/2; without it the window's spectrum is real where phases are counted from there.
+    its grid.
     """
 
-    def __init__(
-        self, parameters: TransformParameters, samplerate: int, *, symmetric: bool = False
-    ) -> None:
+    def __init__(self, parameters: TransformParameters, samplerate: int) -> None:
         self.samplerate = samplerate
         self.window_frames = parameters.window_frames(samplerate)
         self.fft_length = parameters.fft_length(samplerate)
@@ -30,16 +27,14 @@ class Spectrum:
         self.bin_hz = samplerate / self.fft_length
         phase = 2.0 * np.pi * np.arange(self.window_frames) / self.window_frames
         hamming = 0.54 - 0.46 * np.cos(phase)
-        if symmetric:
-            hamming[0] = 0.0
-        self.window = hamming * (2.0 / hamming.sum())
+        self._window = hamming * (2.0 / hamming.sum())
 
     def transform(self, windows: FloatArray) -> ComplexArray:
         """Return 2 X[k] / sum(w) of each row: (rows, N) to (rows, bins), complex128.
 
         Each row of the batch is transformed by itself: its bytes do not depend on its company.
         """
-        return np.asarray(rfft(windows * self.window, self.fft_length, axis=1))
+        return np.asarray(rfft(windows * self._window, self.fft_length, axis=1))
 
 
 def magnitude(spectra: ComplexArray) -> FloatArray:

@@ -20,7 +20,8 @@
 
 /* The window's own spectrum, by which images are known. */
 typedef struct {
-    const double *table; /* real, 1 at 0, TABLE_BINS_A_BIN entries a bin */
+    const double *table; /* real, 1 at 0, TABLE_BINS_A_BIN entries a bin; without the first sample, */
+    double first_sample; /* which is this share of the others' sum */
     int32_t entries;
     const double *cosine, *sine; /* of the turn of a bin's phase to the window's centre */
     int32_t low_bins;            /* peaks under this bin are cleared */

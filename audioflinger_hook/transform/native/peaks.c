@@ -98,8 +98,9 @@ static void strong_low_peaks(const Window *window, const double *amplitude, Peak
 /* Write the amplitudes of bins from `first` up to `end` without the image of the tone whose peak this
  * is.
  *
- * With phases counted from the window's centre its spectrum is real. There the image is the
- * tone's conjugate, on the window's spectrum around minus the tone's frequency.
+ * With phases counted from the window's centre its spectrum is real, but for its first sample, which
+ * has no partner. There the image is the tone's conjugate, on the window's spectrum around minus the
+ * tone's frequency. Of the first sample it adds the same number to all bins.
  */
 static void without_image(const Window *window, Spectrum spectrum, int32_t peak, double offset,
                           int32_t first, int32_t end, double *cleared)
@@ -110,10 +111,16 @@ static void without_image(const Window *window, Spectrum spectrum, int32_t peak,
     const double cosine = window->cosine[peak], sine = window->sine[peak];
     const double tone_real = (re * cosine - im * sine) / height;
     const double tone_imaginary = (re * sine + im * cosine) / height;
+    /* A bin is a quarter of a turn there, or a little less. */
+    const double angle = (0.5 * PI) * offset, square = angle * angle;
+    const double across = 1.0 - square * (0.5 - square / 24.0), along = angle * (1.0 - square / 6.0);
+    const double share = window->first_sample / height;
+    const double first_real = share * (re * across + im * along);
+    const double first_imaginary = share * (re * along - im * across);
     for (int32_t bin = first; bin < end; bin++) {
         const double image = window_at(window, (double)(bin + peak) + offset);
-        const double x = spectrum.real[bin * spectrum.step];
-        const double y = spectrum.imaginary[bin * spectrum.step];
+        const double x = spectrum.real[bin * spectrum.step] - first_real;
+        const double y = spectrum.imaginary[bin * spectrum.step] - first_imaginary;
         const double c = window->cosine[bin], s = window->sine[bin];
         const double real = x * c - y * s - tone_real * image;
         const double imaginary = x * s + y * c + tone_imaginary * image;
