@@ -53,6 +53,7 @@ class CompiledAnalysis(LiveAnalysis):
             spectra,
             self._table,
             self._turn,
+            self._first_sample,
             self._bins,
             self._first,
             self._last,
@@ -298,6 +299,24 @@ def test_a_copy_and_a_pickle_find_the_same():
             assert identical(one, two)
 
 
+# --- images -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samplerate", [8_000, 44_100, 48_000])
+def test_a_low_tone_is_found_at_the_same_frequency_in_any_phase(samplerate):
+    # Cleared, what is left of the image's pull is what lines between the table's entries leave. A
+    # wobble of 5e-4 Hz at 55 Hz, however slow, stands at -70 dB if it lasts 4 s.
+    spectrum = Spectrum(PARAMETERS, samplerate)
+    phases = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
+    time = (np.arange(spectrum.window_frames) / samplerate)[None]
+    for hz in (52.0, 55.5, 60.0, 83.25, 111.0, 138.75, 200.0, 215.0):
+        spectra = spectrum.transform(0.3 * np.cos(2 * np.pi * hz * time + phases[:, None]))
+        for form in both(PARAMETERS, spectrum):
+            found = form.strongest(spectra)
+            assert len(found) == phases.size
+            assert np.ptp(found.audio_hz) < 5e-4, hz
+
+
 # --- numbers that no sound makes ----------------------------------------------------------------
 
 STRANGE = (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e155, 5e-324, 1e-308, 1e-160, 0.0, -0.0, 1.0)
@@ -363,6 +382,7 @@ def good_call():
         "spectra": np.zeros((rows, bins), dtype=np.complex128),
         "table": np.ones(64),
         "turn": np.ones((2, 12)),
+        "first_sample": 1e-4,
         "bins": bins,
         "first": 1,
         "last": bins - 2,
@@ -434,7 +454,7 @@ def test_room_for_results_must_be_writable(name):
         _kernel.find(*arguments.values())
 
 
-@pytest.mark.parametrize("count", [0, 1, 13, 15])
+@pytest.mark.parametrize("count", [0, 1, 14, 16])
 def test_another_number_of_arguments_is_refused(count):
     with pytest.raises(TypeError):
         _kernel.find(*[*good_call().values(), None][:count])

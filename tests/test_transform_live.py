@@ -41,11 +41,12 @@ PARAMETERS = TransformParameters()
 AUDIBLE_HZ = 250.0
 """Above this a shaker is heard rather than felt."""
 
-TONES_HZ = (150, 173.3, 220, 350, 511.1, 997, 1_566.6, 2_000.7, 4_200, 8_000, 11_000)
+LOW_HZ = (55, 61.7, 80, 110)
+TONES_HZ = (*LOW_HZ, 150, 173.3, 220, 350, 511.1, 997, 1_566.6, 2_000.7, 4_200, 8_000, 11_000)
 
 SLOW_BEATS_HZ = {
-    44_100: (159.93, 638.9, 671.24, 703.2, 862.98),
-    48_000: (163.34, 652.5, 848.13, 880.8, 945.95),
+    44_100: (79.0, 159.93, 638.9, 671.24, 703.2, 862.98),
+    48_000: (55.75, 83.0, 112.0, 163.34, 652.5, 848.13, 880.8, 945.95),
 }
 """Multiples of half the hop rate, and nearly: there a tone's phase against its own image turns so
 slowly from hop to hop that no averaging takes the image's pull away."""
@@ -75,7 +76,7 @@ def steady(hz, amplitude, samplerate):
     vibration = made(sound, samplerate).process(sound)[:, 0]
     middle = vibration[round(1.5 * samplerate) : round(3.5 * samplerate)]
     found_hz, level, residual_db = best_sinusoid(*thinned(middle, samplerate), felt_hz(hz))
-    level_db = 20 * np.log10(level / reference_level(sound[: samplerate // 2], samplerate))
+    level_db = 20 * np.log10(level / reference_level(sound, samplerate))
     return found_hz - felt_hz(hz), level_db, residual_db
 
 
@@ -90,17 +91,19 @@ def tones():
 
 @pytest.mark.parametrize(("hz", "amplitude", "samplerate"), tones())
 def test_a_steady_tone_is_felt_at_its_scaled_frequency(hz, amplitude, samplerate):
-    assert abs(steady(hz, amplitude, samplerate)[0]) <= 0.3
+    assert abs(steady(hz, amplitude, samplerate)[0]) <= 0.05
 
 
 @pytest.mark.parametrize(("hz", "amplitude", "samplerate"), tones())
 def test_a_steady_tone_is_as_strong_as_in_the_reference_form(hz, amplitude, samplerate):
-    assert abs(steady(hz, amplitude, samplerate)[1]) <= 0.5
+    # The reference form's own level moves by 0.2 dB, by where between two bins a tone stands. At
+    # full scale its side lobes can pass C_th, two at a time, each with a percent of the tone's r.
+    assert abs(steady(hz, amplitude, samplerate)[1]) <= (0.2 if amplitude < 1 else 0.3)
 
 
 @pytest.mark.parametrize(("hz", "amplitude", "samplerate"), tones())
 def test_a_steady_tone_becomes_one_pure_sinusoid(hz, amplitude, samplerate):
-    assert steady(hz, amplitude, samplerate)[2] <= -60.0
+    assert steady(hz, amplitude, samplerate)[2] <= -70.0
 
 
 def onset_lag_s(vibration, samplerate, onset_s):

@@ -60,6 +60,7 @@ def find(
     spectra: ComplexArray,
     table: FloatArray,
     turn: FloatArray,
+    first_sample: float,
     bins: int,
     first: int,
     last: int,
@@ -76,10 +77,11 @@ def find(
     """Find the principal frequencies of each row; return how many there are in all.
 
     spectra: (rows, columns), of which the first `bins` are looked at. table: the window's real
-    spectrum, 1 at 0. turn: (2, low bins + NEIGHBOURS), cosine and sine of the turn of each bin's
-    phase to the window's centre. first, last: bins on which a peak counts. weakest_image: peaks
-    up to this amplitude keep their image. side_lobe: share of a row's highest amplitude that the
-    others must exceed. most: of more in a row those with the largest r stay.
+    spectrum, 1 at 0, without the window's first sample. turn: (2, low bins + NEIGHBOURS), cosine
+    and sine of the turn of each bin's phase to the window's centre. first_sample: as a share of
+    the other samples' sum. first, last: bins on which a peak counts. weakest_image: peaks up to
+    this amplitude keep their image. side_lobe: share of a row's highest amplitude that the others
+    must exceed. most: of more in a row those with the largest r stay.
 
     Overwritten: row, (rows x most,), the row of each; found, (4, rows x most), their audio_hz,
     amplitude, bandwidth_hz and r. For `most` over bins // 2 room for bins // 2 will do. All arrays

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.signal import zoom_fft
-from scipy.signal.windows import hamming
 
 from audioflinger_hook.transform.arrays import FloatArray, IntArray
 from audioflinger_hook.transform.parameters import TransformParameters
@@ -37,6 +36,10 @@ IMAGE_REACH_WINDOWS = 75.0
 
 NEIGHBOURS = 7
 """Bins to either side of a peak that are cleared: its main lobe, and the half-power walk on it."""
+
+TWICE_BELOW = 20
+"""Peaks under this bin, 210 Hz, are cleared once more, by what the first time has made of them. So
+near to its image a peak is pulled so far that the image is first looked up in a wrong place."""
 
 TABLE_BINS_A_BIN = 32
 """Entries of the window's table a bin: a line between them is within 0.2 % of a side lobe."""
@@ -61,6 +64,9 @@ between equals: the spectrum of a single sample is flat."""
 
 LOWER_FIRST = 1e-10
 """Of two peaks with the same r the lower is the stronger: a bin up takes this share of r."""
+
+BESIDE, NEIGHBOURHOOD = np.arange(-1, 2), np.arange(-NEIGHBOURS, NEIGHBOURS + 1)
+"""Bins from a peak's."""
 
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -87,6 +93,7 @@ class LiveAnalysis:
         self._side_lobe = SIDE_LOBE_FOLLOWED if parameters.follower_db else SIDE_LOBE
         self._partials_max = parameters.partials_max
         self._turn, self._table = window_tables(spectrum, bins)
+        self._first_sample = spectrum._window[0] / spectrum._window[1:].sum()
 
     def all_principal(self, spectra: ComplexArray) -> Principals:
         """Return everything with r > C_th in each row of (rows, columns), nothing left out."""
@@ -97,7 +104,7 @@ class LiveAnalysis:
         if not peaks.row.size:
             return Principals(peaks.row, *np.zeros((4, 0)))
         flat, peak = amplitude.reshape(-1), peaks.peak
-        offset, height = _refined(flat, peak)
+        offset, height = _refined(flat.take(peak[:, None] + BESIDE))
         sides = _half_power_on_bells(
             flat,
             np.concatenate((peak, peak)),
@@ -130,8 +137,7 @@ class LiveAnalysis:
 
     def _clear_images(self, spectra: ComplexArray, amplitude: FloatArray) -> None:
         """Rewrite the low amplitudes (rows, bins) without what images of strong peaks add."""
-        cosine, sine = self._turn
-        low = amplitude[:, : max(0, cosine.size - NEIGHBOURS) + 1]
+        low = amplitude[:, : max(0, self._turn.shape[1] - NEIGHBOURS) + 1]
         middle = low[:, 1:-1]
         highest = middle.max(axis=1, initial=0.0, keepdims=True)
         weakest = np.maximum(self._weakest_image, self._weakest_share * highest)
@@ -143,16 +149,47 @@ class LiveAnalysis:
         if not row.size:
             return
         peak = before_peak + 1
-        offset, _ = _refined(amplitude.reshape(-1), row * amplitude.shape[1] + peak)
-        # With phases counted from the window's centre its spectrum is real. There the image is
-        # the tone's conjugate, on the window's spectrum around minus the tone's frequency.
-        turned = spectra[row, peak] * (cosine[peak] + 1j * sine[peak])
-        tone = (turned / self._window_at(np.abs(offset)))[:, None]
+        flat, first = amplitude.reshape(-1), row * amplitude.shape[1]
+        offset, _ = _refined(flat.take((first + peak)[:, None] + BESIDE))
+        near = peak < TWICE_BELOW
+        if near.any():
+            tops = self._without_image(spectra, row[near], peak[near], offset[near], BESIDE)
+            still = tops.argmax(axis=1) == 1
+            offset[near.nonzero()[0][still]] = _refined(tops[still])[0]
         # Where neighbourhoods of peaks overlap, in the valley between, the upper one's stands.
-        bins = np.maximum(peak[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0)
-        turned = spectra[row[:, None], bins] * (cosine[bins] + 1j * sine[bins])
+        bins = np.maximum(peak[:, None] + NEIGHBOURHOOD, 0)
+        cleared = self._without_image(spectra, row, peak, offset, NEIGHBOURHOOD)
+        amplitude[row[:, None], bins] = cleared
+
+    def _without_image(
+        self,
+        spectra: ComplexArray,
+        row: IntArray,
+        peak: IntArray,
+        offset: FloatArray,
+        places: IntArray,
+    ) -> FloatArray:
+        """Return amplitudes (peaks, places) around each peak without the image of its tone.
+
+        places: in bins from the peaks'; those below bin 0 count as it. With phases counted
+        from the window's centre its spectrum is real, but for its first sample, 0.08, which has no
+        partner on the other side. There the image is the tone's conjugate, on the window's spectrum
+        around minus the tone's frequency. Of the first sample it adds the same number to all bins.
+        """
+        cosine, sine = self._turn
+        height = self._window_at(np.abs(offset))
+        tone = (spectra[row, peak] * (cosine[peak] + 1j * sine[peak]) / height)[:, None]
+        # A bin is a quarter of a turn there, or a little less.
+        angle = (0.5 * np.pi) * offset
+        square = angle * angle
+        across, along = 1.0 - square * (0.5 - square / 24.0), angle * (1.0 - square / 6.0)
+        share = self._first_sample / height
+        first = (share * np.conj(spectra[row, peak]) * (across + 1j * along))[:, None]
+        bins = np.maximum(peak[:, None] + places, 0)
+        turned = (spectra[row[:, None], bins] - first) * (cosine[bins] + 1j * sine[bins])
         image = self._window_at(bins + (peak + offset)[:, None])
-        amplitude[row[:, None], bins] = np.abs(turned - np.conj(tone) * image)
+        cleared: FloatArray = np.abs(turned - np.conj(tone) * image)
+        return cleared
 
     def _window_at(self, distance_bins: FloatArray) -> FloatArray:
         """Return the window's real spectrum, 1 at 0, on lines between the entries of its table."""
@@ -163,12 +200,11 @@ class LiveAnalysis:
         return value
 
 
-def _refined(flat: FloatArray, peak: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return offset in bins and height of each peak's refined top."""
-    top = flat.take(peak)
+def _refined(around: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return offset in bins and height of the refined tops, of (peaks, 3) amplitudes around."""
+    left, top, right = around.T
     floor = PEAK_FLOOR * top
-    left, right = np.maximum(flat.take(peak - 1), floor), np.maximum(flat.take(peak + 1), floor)
-    return parabola(left, top, right, PEAK_CURVED)
+    return parabola(np.maximum(left, floor), top, np.maximum(right, floor), PEAK_CURVED)
 
 
 def _half_power_on_bells(
@@ -214,6 +250,8 @@ def window_tables(
     # Its lowest part alone, on a grid that much finer than a bin.
     entries = TABLE_BINS_A_BIN * 2 * turn.shape[-1] + 2
     fine_length = TABLE_BINS_A_BIN * length
-    fine = zoom_fft(hamming(frames, sym=False), (0, entries), entries, fs=fine_length)
+    partnered = spectrum._window.copy()
+    partnered[0] = 0.0
+    fine = zoom_fft(partnered, (0, entries), entries, fs=fine_length)
     turned = fine * np.exp(2j * np.pi * np.arange(entries) * (frames / 2) / fine_length)
     return np.stack((np.cos(turn), np.sin(turn))), turned.real / turned[0].real

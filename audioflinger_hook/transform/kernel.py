@@ -197,6 +197,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         **_following(form),
         "peak_span_min": analysis._peak_span_min,
         "weakest_image": analysis._weakest_image,
+        "image_first": analysis._first_sample,
         "weakest_share": analysis._weakest_share,
         "side_lobe": analysis._side_lobe,
         "full_scale_r": form._full_scale_r,

@@ -16,8 +16,11 @@ EDGE_MARGIN = 1.01
 """The pass band ends this little above the top vibration frequency."""
 
 TAPS = 4
-"""Interpolation by cubics through four samples: images of 220 Hz are under -85 dB, lower ones far
-under that, for 0.7 ms of delay."""
+"""Interpolation by four samples: what it adds to any partial up to 220 Hz is under -83 dB, for
+0.7 ms of delay."""
+
+FITTED_AT = 200
+"""Frequencies at which the kernel is fitted."""
 
 TABLE_STEP_HZ = 0.25
 
@@ -39,26 +42,29 @@ class Smoother:
         self._table_hz = np.arange(0.0, EDGE_MARGIN * top_hz, TABLE_STEP_HZ)
         _, response = freqz(self._b, self._a, self._table_hz, fs=grid.low_rate_hz)
         self._table_gain = 1.0 / np.abs(response)
-        self._phases = self._interpolation_phases(grid)
+        self._phases = self._interpolation_phases(grid, EDGE_MARGIN * top_hz)
         self.reset()
 
     @staticmethod
-    def _interpolation_phases(grid: LiveGrid) -> FloatArray:
-        """Return the kernel as (taps, decimation): each column yields one of the new frames."""
+    def _interpolation_phases(grid: LiveGrid, top_hz: float) -> FloatArray:
+        """Return the kernel as (taps, decimation): each column yields one of the new frames.
+
+        Nearest to a delay, by least squares, at all frequencies that are ever played: a cubic is
+        better at the lowest ones, where it leaves nothing at all, and 13 dB worse at the top.
+        """
         if grid.decimation == 1:
             return np.ones((1, 1))
-        # Of Lagrange's polynomials, between the two samples in the middle.
-        at = (np.arange(grid.decimation) + 0.5) / grid.decimation
-        before, after = at + 1.0, at - 1.0
-        beyond = at - 2.0
-        return np.stack(
-            (
-                -at * after * beyond / 6.0,
-                before * after * beyond / 2.0,
-                -before * at * beyond / 2.0,
-                before * at * after / 6.0,
-            )
+        # Between the two samples in the middle.
+        between = (np.arange(grid.decimation) + 0.5) / grid.decimation
+        turn = 2.0 * np.pi * np.linspace(0.0, top_hz, FITTED_AT)[:, None] / grid.low_rate_hz
+        taps = turn * (np.arange(TAPS) - (TAPS // 2 - 1))
+        wanted = turn * between
+        # Cosines and sines of both: a fit in real numbers.
+        phases, *_ = np.linalg.lstsq(
+            np.concatenate((np.cos(taps), np.sin(taps))),
+            np.concatenate((np.cos(wanted), np.sin(wanted))),
         )
+        return np.asarray(phases)
 
     def reset(self) -> None:
         """Return to rest."""

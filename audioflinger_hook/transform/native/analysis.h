@@ -10,13 +10,18 @@
  * walk on it. */
 #define NEIGHBOURS 7
 
+/* Peaks under this bin are cleared twice: the first time their images are looked up in a place that
+ * those very images have moved. */
+#define TWICE_BELOW 20
+
 /* Entries of the window's table a bin: between them a straight line is within 0.2 % of a side
  * lobe. */
 #define TABLE_BINS_A_BIN 32
 
 /* The window's own spectrum, by which images are known. */
 typedef struct {
-    const double *table; /* real, 1 at 0, TABLE_BINS_A_BIN entries a bin */
+    const double *table; /* real, 1 at 0, TABLE_BINS_A_BIN entries a bin; without the first sample, */
+    double first_sample; /* which is this share of the others' sum */
     int32_t entries;
     const double *cosine, *sine; /* of the turn of a bin's phase to the window's centre */
     int32_t low_bins;            /* peaks under this bin are cleared */

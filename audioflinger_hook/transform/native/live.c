@@ -50,6 +50,7 @@ static size_t analysed(Live *live, Voice *voice, double *strength)
         .cosine = s->image_turn.at,
         .sine = s->image_turn.at + turned,
         .low_bins = turned > NEIGHBOURS ? (int32_t)turned - NEIGHBOURS : 0,
+        .first_sample = s->image_first,
         .weakest = s->weakest_image,
         .weakest_share = s->weakest_share,
     };

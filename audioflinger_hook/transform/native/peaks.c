@@ -28,6 +28,15 @@ WIDE void peaks_amplitudes(Spectrum spectrum, double *restrict amplitude, int32_
         }
 }
 
+/* Bins from a peak's own to its refined top, of the fifth roots of the amplitudes around. */
+INLINED double top_offset(double l, double m, double r)
+{
+    const double curvature = smaller(l - 2.0 * m + r, -CURVED * m);
+    const double ratio = (l - r) / (2.0 * curvature);
+    /* True half a bin at most; infinite amplitudes give no number. */
+    return fabs(ratio) <= 1.0 ? ratio : 0.0;
+}
+
 /* Refine the tops of all peaks: the parabola in A^0.2, in which a Hamming main lobe is nearest to
  * one, through each peak and the bins beside it. */
 WIDE void peaks_refine(const double *amplitude, Peaks *peaks)
@@ -47,10 +56,7 @@ WIDE void peaks_refine(const double *amplitude, Peaks *peaks)
     for (int32_t one = 0; one < count; one++) {
         const double l = fifth_root(before[one]), m = fifth_root(top[one]);
         const double r = fifth_root(after[one]);
-        const double curvature = smaller(l - 2.0 * m + r, -CURVED * m);
-        const double ratio = (l - r) / (2.0 * curvature);
-        /* True half a bin at most; infinite amplitudes give no number. */
-        const double offset = fabs(ratio) <= 1.0 ? ratio : 0.0;
+        const double offset = top_offset(l, m, r);
         const double root = m - (l - r) * offset / 4.0;
         const double square = root * root, height = square * square * root;
         offsets[one] = offset;
@@ -89,14 +95,15 @@ static void strong_low_peaks(const Window *window, const double *amplitude, Peak
     peaks->count = count;
 }
 
-/* Rewrite amplitudes of bins from `first` up to `end` without the image of the tone whose peak this
+/* Write the amplitudes of bins from `first` up to `end` without the image of the tone whose peak this
  * is.
  *
- * With phases counted from the window's centre its spectrum is real. There the image is the
- * tone's conjugate, on the window's spectrum around minus the tone's frequency.
+ * With phases counted from the window's centre its spectrum is real, but for its first sample, which
+ * has no partner. There the image is the tone's conjugate, on the window's spectrum around minus the
+ * tone's frequency. Of the first sample it adds the same number to all bins.
  */
-static void without_image(const Window *window, Spectrum spectrum, double *amplitude, int32_t peak,
-                          double offset, int32_t first, int32_t end)
+static void without_image(const Window *window, Spectrum spectrum, int32_t peak, double offset,
+                          int32_t first, int32_t end, double *cleared)
 {
     const double height = window_at(window, fabs(offset));
     const double re = spectrum.real[peak * spectrum.step];
@@ -104,14 +111,35 @@ static void without_image(const Window *window, Spectrum spectrum, double *ampli
     const double cosine = window->cosine[peak], sine = window->sine[peak];
     const double tone_real = (re * cosine - im * sine) / height;
     const double tone_imaginary = (re * sine + im * cosine) / height;
+    /* A bin is a quarter of a turn there, or a little less. */
+    const double angle = (0.5 * PI) * offset, square = angle * angle;
+    const double across = 1.0 - square * (0.5 - square / 24.0), along = angle * (1.0 - square / 6.0);
+    const double share = window->first_sample / height;
+    const double first_real = share * (re * across + im * along);
+    const double first_imaginary = share * (re * along - im * across);
     for (int32_t bin = first; bin < end; bin++) {
         const double image = window_at(window, (double)(bin + peak) + offset);
-        const double x = spectrum.real[bin * spectrum.step];
-        const double y = spectrum.imaginary[bin * spectrum.step];
+        const double x = spectrum.real[bin * spectrum.step] - first_real;
+        const double y = spectrum.imaginary[bin * spectrum.step] - first_imaginary;
         const double c = window->cosine[bin], s = window->sine[bin];
         const double real = x * c - y * s - tone_real * image;
         const double imaginary = x * s + y * c + tone_imaginary * image;
-        amplitude[bin] = sqrt(real * real + imaginary * imaginary);
+        cleared[bin - first] = sqrt(real * real + imaginary * imaginary);
+    }
+}
+
+/* Refine the tops of the lowest peaks once more, without the images that the first places tell of. */
+static void refine_without_images(const Window *window, Spectrum spectrum, Peaks *peaks)
+{
+    for (int32_t one = 0; one < peaks->count && peaks->bin[one] < TWICE_BELOW; one++) {
+        const int32_t peak = peaks->bin[one];
+        double around[3];
+        without_image(window, spectrum, peak, peaks->offset[one], peak - 1, peak + 2, around);
+        if (!(around[1] > around[0]) || !(around[1] >= around[2]))
+            continue;
+        const double least = FLOOR * around[1];
+        peaks->offset[one] = top_offset(fifth_root(larger(around[0], least)), fifth_root(around[1]),
+                                        fifth_root(larger(around[2], least)));
     }
 }
 
@@ -124,13 +152,14 @@ void peaks_clear_images(const Window *window, Spectrum spectrum, double *amplitu
 {
     strong_low_peaks(window, amplitude, peaks);
     peaks_refine(amplitude, peaks);
+    refine_without_images(window, spectrum, peaks);
     for (int32_t one = 0; one < peaks->count; one++) {
         const int32_t peak = peaks->bin[one];
         const int32_t first = peak > NEIGHBOURS ? peak - NEIGHBOURS : 0;
         int32_t end = peak + NEIGHBOURS + 1;
         if (one + 1 < peaks->count && end > peaks->bin[one + 1] - NEIGHBOURS)
             end = peaks->bin[one + 1] - NEIGHBOURS;
-        without_image(window, spectrum, amplitude, peak, peaks->offset[one], first, end);
+        without_image(window, spectrum, peak, peaks->offset[one], first, end, amplitude + first);
     }
 }
 

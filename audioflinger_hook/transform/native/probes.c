@@ -44,8 +44,8 @@ static const char *misfit(const Py_buffer *views, Py_ssize_t bins, Py_ssize_t fi
     return NULL;
 }
 
-static Py_ssize_t found_in_rows(const Py_buffer *views, const Rule *rule, double weakest,
-                                void *work)
+static Py_ssize_t found_in_rows(const Py_buffer *views, const Rule *rule, double first_sample,
+                                double weakest, void *work)
 {
     const double *turn = views[TURN].buf;
     const Py_ssize_t turned = views[TURN].shape[1], pitch = views[FOUND].shape[1];
@@ -55,6 +55,7 @@ static Py_ssize_t found_in_rows(const Py_buffer *views, const Rule *rule, double
         .cosine = turn,
         .sine = turn + turned,
         .low_bins = turned > NEIGHBOURS ? (int32_t)turned - NEIGHBOURS : 0,
+        .first_sample = first_sample,
         .weakest = weakest,
     };
     int64_t *row_of = views[ROW].buf;
@@ -78,9 +79,9 @@ static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
 {
     PyObject *arrays[ARRAYS];
     Py_ssize_t bins, first, last, most;
-    double bin_hz, threshold_hz, peak_span_min, weakest, side_lobe;
-    if (!PyArg_ParseTuple(arguments, "OOOnnndddddnOO:find", &arrays[SPECTRA], &arrays[TABLE],
-                          &arrays[TURN], &bins, &first, &last, &bin_hz, &threshold_hz,
+    double first_sample, bin_hz, threshold_hz, peak_span_min, weakest, side_lobe;
+    if (!PyArg_ParseTuple(arguments, "OOOdnnndddddnOO:find", &arrays[SPECTRA], &arrays[TABLE],
+                          &arrays[TURN], &first_sample, &bins, &first, &last, &bin_hz, &threshold_hz,
                           &peak_span_min, &weakest, &side_lobe, &most, &arrays[ROW],
                           &arrays[FOUND]))
         return NULL;
@@ -108,7 +109,7 @@ static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
         else if (!work)
             PyErr_NoMemory();
         else
-            count = found_in_rows(views, &rule, weakest, work);
+            count = found_in_rows(views, &rule, first_sample, weakest, work);
         PyMem_Free(work);
     }
     while (open-- > 0)

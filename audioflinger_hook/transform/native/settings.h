@@ -44,6 +44,7 @@
     ENTRY(threshold_hz)   /* r of what is principal is above */                                    \
     ENTRY(peak_span_min)  /* amplitude times bins between valleys from which it can be */          \
     ENTRY(weakest_image)  /* amplitude up to which a peak keeps its image */                       \
+    ENTRY(image_first)    /* the window's first sample as a share of the others' sum */            \
     ENTRY(weakest_share)  /* or this share of the highest low amplitude */                         \
     ENTRY(side_lobe)      /* share of the highest amplitude up to which a peak is left out */      \
     ENTRY(full_scale_r)   /* r of a tone at full scale, Hz */                                      \
