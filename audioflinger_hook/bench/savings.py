@@ -151,7 +151,7 @@ def savings(bench: Workbench) -> Section:
     missing: list[Missing] = []
     saved: dict[str, list[tuple[float, str]]] = {saving.name: [] for saving in SAVINGS}
     change: dict[str, float] = dict.fromkeys(saved, 0.0)
-    for scene, sound in _scenes(bench.effort.cost_s, bench.recordings).items():
+    for scene, sound in _scenes(bench.effort.saving_s, bench.recordings).items():
         if sound is None:
             missing.append(bench.missing_recordings(f"savings on {scene}"))
             continue
@@ -174,9 +174,10 @@ def savings(bench: Workbench) -> Section:
         "What each saving saves",
         "The live form leaves out what a scene does not need. First the cost of a second with "
         f"all of its savings, then without one at a time (one channel, blocks of {BLOCKSIZE} "
-        "frames, in NumPy; the kernel leaves out the same). Then the most that this one saves on "
-        "any scene, and the most that it changes any sample, full scale being 1, with the bound "
-        "that it states.",
+        f"frames, in NumPy, medians of {bench.effort.saving_repeats} over "
+        f"{bench.effort.saving_s:g} s; the kernel leaves out the same). Then the most that this "
+        "one saves on any scene, and the most that it changes any sample, full scale being 1, with "
+        "the bound that it states.",
         tuple(rows),
         tuple(missing),
     )
