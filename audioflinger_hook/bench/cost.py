@@ -74,10 +74,13 @@ def interleaved(
     works: Sequence[Callable[[], object]],
     repeats: int | Sequence[int],
     before: Sequence[Callable[[], object]] | None = None,
+    *,
+    warm: bool = True,
 ) -> list[Timings]:
     """Return the timings of several works, in turns: each round runs every one of them once.
 
-    One round before the first warms caches and is not counted. repeats: of all of them, or of
+    warm: one round before the first warms caches and is not counted; works that last long need
+    none. repeats: of all of them, or of
     each; those with fewer sit out rounds evenly from first to last. before: for each work, what
     has to be done before every run of it and is not timed.
     """
@@ -85,9 +88,10 @@ def interleaved(
     firsts = before or [_nothing] * len(works)
     counts = [repeats] * len(works) if isinstance(repeats, int) else list(repeats)
     rounds = max(counts, default=0)
-    for first, work in zip(firsts, works, strict=True):
-        first()
-        work()
+    if warm:
+        for first, work in zip(firsts, works, strict=True):
+            first()
+            work()
     for turn in range(rounds):
         for first, work, kept, count in zip(firsts, works, timings, counts, strict=True):
             if (turn + 1) * count // rounds == turn * count // rounds:

@@ -8,19 +8,28 @@ Needs matplotlib, an optional extra, and uses only its objects: no pyplot, no gl
 from __future__ import annotations
 
 import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from os.path import relpath
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 import numpy as np
 
+from audioflinger_hook.bench.damping import TITLE as DAMPING_TITLE
 from audioflinger_hook.bench.damping_figure import damping_figure
 from audioflinger_hook.bench.fidelity import LAG_P95
+from audioflinger_hook.bench.frequency_error import TITLE as FREQUENCY_TITLE
 from audioflinger_hook.bench.frequency_figure import frequency_figure
+from audioflinger_hook.bench.frontier import TITLE as FRONTIER_TITLE
 from audioflinger_hook.bench.frontier_figure import frontier_figure
+from audioflinger_hook.bench.levels import TITLE as LEVELS_TITLE
 from audioflinger_hook.bench.levels_figure import levels_figure
 from audioflinger_hook.bench.precision import TITLE as RUNGS_TITLE
 from audioflinger_hook.bench.report import BenchReport, Row
 from audioflinger_hook.bench.speech_figure import speech_figure
+from audioflinger_hook.bench.speech_suppression import EFFECTS_TITLE as SPEECH_TITLE
 from audioflinger_hook.bench.speed import BLOCKSIZES, SECOND
 from audioflinger_hook.bench.workbench import LIVE, REFERENCE, TWIN
 from device.atomic_file import write_bytes_atomically
@@ -39,8 +48,45 @@ TICK_MS = 5.0
 TEXT_PT, TITLE_PT, SMALL_PT = 10.0, 14.0, 9.0
 
 
+@dataclass(frozen=True)
+class Picture:
+    """One picture of a report: what is in it, in which section it is shown, and how it is drawn.
+
+    by_series: whether it shows single measurements, not rows.
+    """
+
+    name: str
+    says: str
+    section: str
+    draw: Callable[[BenchReport], Figure]
+    by_series: bool = False
+
+    @property
+    def file_name(self) -> str:
+        """Its file's name."""
+        return f"{self.name}.png"
+
+    def can_be_drawn(self, report: BenchReport) -> bool:
+        """Return whether what it shows was measured."""
+        shown = [section for section in report.sections if section.title == self.section]
+        return any(bool(each.series if self.by_series else each.rows) for each in shown)
+
+
 def draw_all(report: BenchReport, folder: Path) -> list[Path]:
     """Write every picture into the folder and return the paths; see `bench.plots`."""
+    need_matplotlib()
+    paths = []
+    for picture in PICTURES:
+        if picture.can_be_drawn(report):
+            content = io.BytesIO()
+            picture.draw(report).savefig(content, format="png", dpi=DPI)
+            paths.append(folder / picture.file_name)
+            write_bytes_atomically(paths[-1], content.getvalue())
+    return paths
+
+
+def need_matplotlib() -> None:
+    """Raise UsageError where matplotlib is not installed: better told before all is measured."""
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError:
@@ -48,23 +94,21 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
             "matplotlib is not installed, so no plots can be drawn; "
             "install it: .venv/bin/python -m pip install matplotlib"
         ) from None
-    paths = []
-    figures = {
-        "cost.png": cost_figure(report),
-        "lag.png": lag_figure(report),
-        "rungs.png": rungs_figure(report),
-        "damping.png": damping_figure(report),
-        "frequency.png": frequency_figure(report),
-        "frontier.png": frontier_figure(report),
-        "levels.png": levels_figure(report),
-        "speech.png": speech_figure(report),
+
+
+def shown_in(page: Path, drawn: Sequence[Path]) -> dict[str, str]:
+    """Return what shows each of these pictures in a page, as Markdown, by its section's title.
+
+    drawn: from `draw_all`. Pictures that do not lie under the page's folder are not shown in it:
+    whoever moves the page with its folder takes them along.
+    """
+    home = page.parent.resolve()
+    files = {path.name: path.resolve() for path in drawn if path.resolve().is_relative_to(home)}
+    return {
+        picture.section: f"![{picture.says}]({quote(Path(relpath(file, home)).as_posix())})"
+        for picture in PICTURES
+        if (file := files.get(picture.file_name))
     }
-    for name, figure in figures.items():
-        content = io.BytesIO()
-        figure.savefig(content, format="png", dpi=DPI)
-        paths.append(folder / name)
-        write_bytes_atomically(paths[-1], content.getvalue())
-    return paths
 
 
 def cost_figure(report: BenchReport) -> Figure:
@@ -241,3 +285,19 @@ def _plain(axis: Axes) -> None:
         axis.spines[side].set_visible(False)
     axis.spines["bottom"].set_color(palette.HAIRLINE)
     axis.tick_params(labelsize=SMALL_PT, colors=palette.GREY, length=3, color=palette.HAIRLINE)
+
+
+PICTURES = (
+    Picture("cost", "CPU time of a second of each scene", COST_TITLE, cost_figure),
+    Picture("lag", "Share of bursts felt by a time", LAG_TITLE, lag_figure, by_series=True),
+    Picture("frequency", "Frequency error over the ratio of signal to noise, against the bound",
+            FREQUENCY_TITLE, frequency_figure, by_series=True),
+    Picture("frontier", "Three errors over cost, by setting", FRONTIER_TITLE, frontier_figure),
+    Picture("levels", "Levels of vibration by profile", LEVELS_TITLE, levels_figure),
+    Picture("speech", "Vibration of speech with and without suppression", SPEECH_TITLE,
+            speech_figure, by_series=True),
+    Picture("rungs", "Error of the motion over cost", RUNGS_TITLE, rungs_figure, by_series=True),
+    Picture("damping", "Residual vibration over the true f0", DAMPING_TITLE, damping_figure,
+            by_series=True),
+)  # fmt: skip
+"""Every picture, in the order of the report."""

@@ -21,10 +21,14 @@ from audioflinger_hook.bench.fidelity import (
 from audioflinger_hook.bench.frontier_settings import DEFAULT, SETTINGS, Setup
 from audioflinger_hook.bench.measures import energy_above_db, onset_lag_s, sine_fit
 from audioflinger_hook.bench.report import Row, Section, number
-from audioflinger_hook.bench.signals import SAMPLERATE, Stereo, burst, tone
+from audioflinger_hook.bench.signals import (
+    SAMPLERATE,
+    Stereo,
+    burst,
+    demo_sound,
+    tone,
+)
 from audioflinger_hook.bench.workbench import Playback, Workbench
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters, kernel_warning
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.principal import PrincipalFinder
@@ -66,7 +70,7 @@ def frontier(bench: Workbench) -> Section:
     """Cost and errors of the live form, one setting changed at a time, and who dominates whom."""
     setups = [Setup(setting) for setting in SETTINGS]
     first = round(SCENE_FROM_S * SAMPLERATE)
-    scene = mixdown(demo_scene())[first : first + round(SCENE_S * SAMPLERATE)]
+    scene = demo_sound()[first : first + round(SCENE_S * SAMPLERATE)]
     costs_ms = _costs_ms(setups, scene, bench.effort.cost_repeats)
     count = bench.effort.frontier_sounds
     measured = {

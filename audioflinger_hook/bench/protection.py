@@ -80,7 +80,7 @@ def protection(_bench: Workbench) -> Section:
 
 def live_cost(bench: Workbench) -> Section:
     """What damping, protection and exposure cost in the live path."""
-    duration_s = min(COST_S, bench.effort.rig_s)
+    duration_s = min(COST_S, bench.effort.rig_timed_s)
     time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
     tone = np.sin(2.0 * np.pi * 86.0 * time_s)
     damping = choose_damping(PAPER.actuator).damping

@@ -15,10 +15,12 @@ import soundfile
 
 from audioflinger_hook.bench.cost import in_ffts
 from audioflinger_hook.bench.report import Missing, Must, Row, Section
-from audioflinger_hook.bench.signals import PROJECT_ROOT, SAMPLERATE
+from audioflinger_hook.bench.signals import (
+    PROJECT_ROOT,
+    SAMPLERATE,
+    demo_sound,
+)
 from audioflinger_hook.bench.workbench import Workbench, not_compiled
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.workers import usable_cores
 
 PACKAGE = "audioflinger_hook"
@@ -186,7 +188,7 @@ def _environment() -> dict[str, str]:
 
 def _write_sound(path: Path, duration_s: float) -> None:
     """Write the demo scene in a loop, 16 bit, without holding all of it."""
-    demo = mixdown(demo_scene())
+    demo = demo_sound()
     demo = np.clip(demo, -1.0, 1.0)
     left = round(duration_s * SAMPLERATE)
     with soundfile.SoundFile(path, "w", SAMPLERATE, demo.shape[1], "PCM_16") as file:

@@ -174,10 +174,14 @@ class BenchReport:
         finite: dict[str, Any] = _finite(document)
         return finite
 
-    def to_markdown(self) -> str:
-        """Return the report as a Markdown document."""
-        parts = [self._header(), *(_section_markdown(section) for section in self.sections)]
-        return "\n".join(parts)
+    def to_markdown(self, pictures: Mapping[str, str] | None = None) -> str:
+        """Return the report as a Markdown document.
+
+        pictures: by the title of the section that they are shown in, as Markdown.
+        """
+        shown = pictures or {}
+        sections = (_section_markdown(each, shown.get(each.title, "")) for each in self.sections)
+        return "\n".join([self._header(), *sections])
 
     def _header(self) -> str:
         command = f"{COMMAND} --quick" if self.quick else COMMAND
@@ -236,7 +240,7 @@ def _verdict(row: Row) -> str:
     return f"{row.shown()}, must {row.must.shown(row.unit)}" if row.must else row.shown()
 
 
-def _section_markdown(section: Section) -> str:
+def _section_markdown(section: Section, picture: str) -> str:
     columns = list(dict.fromkeys(row.column for row in section.rows))
     limited = any(row.must for row in section.rows)
     led = any(row.lead for row in section.rows)
@@ -244,6 +248,7 @@ def _section_markdown(section: Section) -> str:
     heading = ["", *columns, *(["must", ""] if limited else [])]
     heading += [*(["lead", ""] if led else []), *(["note"] if noted else [])]
     lines = [f"## {section.title}", "", section.explanation, ""]
+    lines += [picture, ""] if picture else []
     if section.rows:
         lines += [_line(heading), _line(["---"] * len(heading))]
     for name in dict.fromkeys(row.name for row in section.rows):

@@ -18,14 +18,13 @@ from audioflinger_hook.bench.signals import (
     SAMPLERATE,
     Recording,
     chord,
+    demo_sound,
     looped,
     speech,
     stereo,
     white_noise,
 )
 from audioflinger_hook.bench.workbench import Workbench
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.analysis import LiveAnalysis, window_tables
 from audioflinger_hook.transform.arrays import FloatArray
@@ -124,7 +123,7 @@ def _scenes(duration_s: float, recordings: tuple[Recording, ...]) -> dict[str, F
     cut_short = chord(duration_s)
     cut_short[SAMPLERATE // 2 :] = 0.0
     spoken = speech(recordings)
-    demo = mixdown(demo_scene())[round(DEMO_FROM_S * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
+    demo = demo_sound()[round(DEMO_FROM_S * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
     scenes = {
         "0.5 s, then silence": cut_short,
         "demo scene": demo,
@@ -202,5 +201,5 @@ def _with_and_without(
     ways: dict[str, Callable[[LiveTransform], None]] = {EVERY_SAVING: lambda _: None}
     ways |= {saving.name: saving.switch_off for saving in SAVINGS}
     works = [partial(play, name, switch_off) for name, switch_off in ways.items()]
-    timings = interleaved(works, repeats)
+    timings = interleaved(works, repeats, warm=False)  # each takes a tenth of a second or more
     return outputs, dict(zip(ways, timings, strict=True))

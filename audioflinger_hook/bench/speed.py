@@ -19,6 +19,7 @@ from audioflinger_hook.bench.signals import (
     COST_SCENES,
     SAMPLERATE,
     Stereo,
+    demo_sound,
     white_noise,
 )
 from audioflinger_hook.bench.workbench import (
@@ -32,8 +33,6 @@ from audioflinger_hook.bench.workbench import (
     not_compiled,
     speed_subjects,
 )
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.grid import LiveGrid
 
@@ -81,13 +80,14 @@ def cost_of_a_second(bench: Workbench) -> Section:
     for (name, subject, duration_s), timings in zip(labels, all_timings, strict=True):
         rows += _cost_rows(name, subject.name, timings, duration_s)
     rows += _slow_downs(rows)
+    demo_s = next(duration_s for _, _, duration_s in labels)
     return Section(
         "Cost of a second of sound",
         "What a second of 48 kHz stereo costs: 10 ms are 1 % of one core. Blocks of "
         f"{BLOCKSIZES[0]} frames are what a sound server delivers, {BLOCKSIZES[1]} what a "
-        f"rendering takes at once; medians over {effort.cost_s:g} s of sound, "
-        f"{effort.cost_repeats} repeats of `{LIVE}` and {effort.slow_repeats} of the others, all "
-        "in turns, the opening of a stream not counted. The limit in FFTs is the one in ms on a "
+        f"rendering takes at once; medians over {effort.cost_s:g} s of sound (of the demo scene "
+        f"{demo_s:g} s), {effort.cost_repeats} repeats of `{LIVE}` and {effort.slow_repeats} of "
+        "the others, all in turns, the opening of a stream not counted. The limit in FFTs is the one in ms on a "
         f"machine whose FFT takes {1e6 * LIMITS_RFFT_S:g} µs. `{TWIN}` is the live form where its "
         "compiled kernel is not there. Denormal numbers, on which many processors are slow, "
         "should cost what silence costs.",
@@ -137,7 +137,7 @@ def cost_after_pauses(bench: Workbench) -> Section:
     blocksize = BLOCKSIZES[0]
     blocks = round(bench.effort.cold_s * SAMPLERATE / blocksize)
     rows: list[Row] = []
-    for name, sound in (("demo scene", mixdown(demo_scene())), ("white noise", white_noise(5.0))):
+    for name, sound in (("demo scene", demo_sound()), ("white noise", white_noise(5.0))):
         cut = [
             sound[first : first + blocksize] for first in range(0, blocks * blocksize, blocksize)
         ]
@@ -180,7 +180,7 @@ def worst_hop(bench: Workbench) -> Section:
     hop_s = grid.hop_frames / SAMPLERATE
     hops = bench.effort.hops_timed
     rows: list[Row] = []
-    for name, sound in (("demo scene", mixdown(demo_scene())), ("white noise", white_noise(15.0))):
+    for name, sound in (("demo scene", demo_sound()), ("white noise", white_noise(15.0))):
         for subject in _live_subjects():
             count = hops if subject.name == LIVE else bench.effort.hops_timed_in_numpy
             shares = 100.0 * _hop_times_s(subject, sound, grid.hop_frames, count) / hop_s

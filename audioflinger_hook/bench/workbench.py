@@ -97,7 +97,8 @@ class Effort:
     """How much is measured: counts, and durations in seconds. More narrows the spread.
 
     slow_repeats: of everything but the compiled live form; saving_s: of each sound that savings
-    are tried on, in NumPy; rig_timed_s: of the drive that the ladder's cost is taken from.
+    are tried on, in NumPy; rig_timed_s: of the drives that the ladder, and what protects a rig,
+    are timed on.
     """
 
     tones: int
@@ -139,7 +140,7 @@ class Effort:
 QUICK = Effort(
     tones=6,
     low_tones=3,
-    tone_s=5.0,
+    tone_s=3.0,
     gain_tones=8,
     bursts=25,
     onsets_a_burst=4,
@@ -152,21 +153,21 @@ QUICK = Effort(
     split_s=0.3,
     cost_repeats=3,
     slow_repeats=1,
-    cost_s=1.0,
-    cold_s=1.0,
+    cost_s=0.5,
+    cold_s=0.4,
     saving_repeats=1,
     saving_s=1.0,
-    mix_rounds=30,
+    mix_rounds=15,
     mix_repeats=2,
     growth_s=8.0,
     channels_s=1.0,
-    hops_timed=5_000,
-    hops_timed_in_numpy=1_000,
-    hops_held=20_000,
-    render_s=(60.0,),
+    hops_timed=3_000,
+    hops_timed_in_numpy=300,
+    hops_held=10_000,
+    render_s=(30.0,),
     rig_s=4.0,
-    rig_timed_s=2.0,
-    random_rigs=4,
+    rig_timed_s=1.0,
+    random_rigs=3,
 )
 FULL = Effort(
     tones=40,
