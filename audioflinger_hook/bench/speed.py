@@ -87,10 +87,10 @@ def cost_of_a_second(bench: Workbench) -> Section:
         f"{BLOCKSIZES[0]} frames are what a sound server delivers, {BLOCKSIZES[1]} what a "
         f"rendering takes at once; medians over {effort.cost_s:g} s of sound (of the demo scene "
         f"{demo_s:g} s), {effort.cost_repeats} repeats of `{LIVE}` and {effort.slow_repeats} of "
-        "the others, all in turns, the opening of a stream not counted. The limit in FFTs is the one in ms on a "
-        f"machine whose FFT takes {1e6 * LIMITS_RFFT_S:g} µs. `{TWIN}` is the live form where its "
-        "compiled kernel is not there. Denormal numbers, on which many processors are slow, "
-        "should cost what silence costs.",
+        "the others, all in turns, the opening of a stream not counted. The limit in FFTs is the "
+        f"one in ms on a machine whose FFT takes {1e6 * LIMITS_RFFT_S:g} µs. `{TWIN}` is the "
+        "live form where its compiled kernel is not there. Denormal numbers, on which many "
+        "processors are slow, should cost what silence costs.",
         tuple(rows),
         tuple(missing),
     )
