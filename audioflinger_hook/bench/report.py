@@ -203,8 +203,9 @@ class BenchReport:
             "of 48 kHz stereo, median over repeats with the smallest and the largest in "
             "brackets. *FFTs* is the same cost as a multiple of one `scipy.fft.rfft` of 2048 "
             f"float32 samples ({machine.rfft_us:.1f} µs here), timed in turn with it: that "
-            "number travels between machines, so every limit of CPU time is asked in FFTs as well, "
-            f"as many as it is on a machine whose FFT takes {1e6 * LIMITS_RFFT_S:g} µs.",
+            "number travels between machines, so limits of what a second or a block costs are "
+            "asked in FFTs as well: as many as they are on a machine whose FFT takes "
+            f"{1e6 * LIMITS_RFFT_S:g} µs.",
             "- **live** is the form of the transform that a cushion plays; **reference** is the "
             "paper's, literally. *must* is the limit the project set itself, *lead* a closer one "
             "that it aims at.",
