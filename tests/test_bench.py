@@ -22,7 +22,7 @@ from audioflinger_hook.bench import (
     soak_record,
     soak_report,
 )
-from audioflinger_hook.bench.cost import interleaved, rfft_unit_s
+from audioflinger_hook.bench.cost import in_ffts, interleaved, rfft_unit_s
 from audioflinger_hook.bench.machine import MachineFacts
 from audioflinger_hook.bench.report import BenchReport, Missing, Must, Row, Section, number
 from audioflinger_hook.bench.signals import (
@@ -55,9 +55,11 @@ LEAST = Effort(
     settled_s=1.0,
     split_s=0.05,
     cost_repeats=1,
+    slow_repeats=1,
     cost_s=0.2,
     cold_s=0.1,
     saving_repeats=1,
+    saving_s=0.2,
     mix_rounds=2,
     mix_repeats=1,
     growth_s=1.6,
@@ -67,6 +69,7 @@ LEAST = Effort(
     hops_held=200,
     render_s=(1.0,),
     rig_s=0.5,
+    rig_timed_s=0.5,
     random_rigs=2,
 )
 
@@ -190,6 +193,57 @@ def test_work_is_repeated_in_turns_and_one_round_is_not_counted():
     timings = interleaved([lambda: order.append("a"), lambda: order.append("b")], 3)
     assert order == ["a", "b"] * 4
     assert [len(timing.seconds) for timing in timings] == [3, 3]
+
+
+def test_a_work_of_fewer_repeats_sits_out_rounds_evenly():
+    order: list[str] = []
+    works = [lambda name=name: order.append(name) for name in "abc"]
+    timings = interleaved(works, [4, 2, 1])
+    assert "".join(order) == "abc" + "a" + "ab" + "a" + "abc"
+    assert [len(timing.seconds) for timing in timings] == [4, 2, 1]
+
+
+def test_a_limit_of_time_is_so_many_ffts_of_the_machine_that_it_was_set_on():
+    assert in_ffts(1.5e-3) == 195.0  # of 7.7 us
+    assert in_ffts(125e-6) == 16.2
+
+
+TIMES = {"ms", "µs", "x real time"}
+
+
+def test_every_limit_of_cpu_time_is_asked_in_ffts_too(report):
+    asked = [
+        (section.title, row)
+        for section in report.sections
+        for row in section.rows
+        if row.must and (row.unit in TIMES - {"ms"} or "x real time" in row.column)
+    ]
+    costs = ("Cost of a second of sound", "Cost after pauses")
+    asked += [(t, row) for t in costs for row in report.section(t).rows if row.must]
+    in_time = [(title, row) for title, row in asked if row.unit not in {"FFTs", "times"}]
+    # blocks of 256 and 32768 of some scenes, two with pauses, and so on
+    assert len(in_time) >= 12
+    for title, row in in_time:
+        beside = [
+            other
+            for other in report.section(title).rows
+            if other.name == row.name and other.unit == "FFTs" and other.must
+        ]
+        assert len(beside) == 1, (title, row.name)
+        assert beside[0].must.relation == "<="
+
+
+def test_the_ffts_beside_a_cost_are_the_same_cost(report):
+    section = report.section("Cost of a second of sound")
+    by_place = {(row.name, row.column): row for row in section.rows}
+    scenes = [row for row in section.rows if row.column == "live" and row.unit == "ms"]
+    assert scenes
+    for row in scenes:
+        ffts = by_place[row.name, "live, FFTs"]
+        unit_us = 1e3 * row.value / max(ffts.value, 1.0)
+        # one repeat here, so the ratio is that of one pair; the machine may be busy
+        assert report.machine.rfft_us / 4 < unit_us < report.machine.rfft_us * 6
+        assert ffts.must == Must("<=", in_ffts(1e-3 * row.must.bound))
 
 
 def test_what_has_to_be_done_before_a_work_is_done_before_each_run_of_it_and_not_timed():
@@ -473,7 +527,9 @@ def test_the_plots_are_pictures(report, tmp_path):
     if os.environ.get("CI") != "true":
         pytest.importorskip("matplotlib")
     paths = bench.plots(report, tmp_path)
-    names = ["cost", "lag", "rungs", "damping", "frequency", "frontier", "levels", "speech"]
+    names = ["cost", "lag", "frequency", "frontier", "levels", "speech", "rungs", "damping"]
     assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
-        assert path.read_bytes().startswith(b"\x89PNG")
+        content = path.read_bytes()
+        assert content.startswith(b"\x89PNG")
+        assert len(content) < 100_000  # they are kept with the documentation

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.bench import frontier
-from audioflinger_hook.bench.frontier import COST, LAG, LEAK, UNLIKE
+from audioflinger_hook.bench.frontier import COST, LAG, LEAK, PURITY, UNLIKE
 from audioflinger_hook.bench.frontier_settings import (
     DEFAULT,
     SETTINGS,
@@ -97,6 +97,21 @@ def test_a_setting_dominates_only_if_it_is_better_in_something_and_worse_in_noth
     assert "- blurred: better in nothing; worse in nothing" in verdict
     verdict = frontier._verdict({DEFAULT: default, "cheaper": cheaper} | others)
     assert "do not lie on the frontier: cheaper is better in something" in verdict
+
+
+def test_a_setting_that_is_better_only_beyond_what_is_aimed_at_is_said_to_be_so():
+    good, bad = a_measured(**{PURITY: -71.0}), a_measured(**{PURITY: -50.0})
+    purer = {"purer": a_measured(**{PURITY: -95.0, COST: 1.05})}
+    verdict = frontier._verdict({DEFAULT: good} | purer)
+    assert "lie on the frontier but for what is better only where they are good enough" in verdict
+    assert "purer (THD+N -95 dB; cost +5 %)" in verdict
+    assert "THD+N ≤ -70 dB" in verdict
+    verdict = frontier._verdict({DEFAULT: bad} | purer)
+    assert "do not lie on the frontier: purer is better in something" in verdict
+    cheaper = {"cheaper": a_measured(**{PURITY: -71.0, COST: 0.5})}
+    verdict = frontier._verdict({DEFAULT: good} | purer | cheaper)
+    assert "do not lie on the frontier: cheaper is better" in verdict
+    assert "Better only in what is good enough: purer" in verdict
 
 
 def test_the_error_of_a_tone_is_that_of_its_vibration():

@@ -23,6 +23,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tools.sound_server_files import RATE_HZ, pulseaudio_options, write_configuration
+
 PROGRAMS = {
     "pulse": ("pulseaudio", "pactl", "pacat"),
     "pipewire": ("pipewire", "wireplumber", "pipewire-pulse", "pactl", "pacat", "pw-play"),
@@ -34,8 +38,6 @@ START_S = 15.0
 """How long a server may take until it answers; it usually takes a tenth of a second."""
 
 _FOREIGN = ("PULSE_", "PIPEWIRE_", "WIREPLUMBER_", "XDG_", "DBUS_", "ALSA_", "JACK_", "DISPLAY")
-_RATE_HZ = 48_000
-_QUANTUM_FRAMES = 256
 
 
 class ServerError(Exception):
@@ -93,13 +95,7 @@ class SoundServer:
             "PULSE_SERVER": self.address,
             "PIPEWIRE_RUNTIME_DIR": str(self.folder),
         }
-        wireplumber = str(self.folder / "wireplumber")
-        self._configuration = {
-            "PIPEWIRE_CONFIG_DIR": str(self.folder / "pipewire"),
-            "WIREPLUMBER_CONFIG_DIR": wireplumber,
-            "WIREPLUMBER_DATA_DIR": wireplumber,
-        }
-        self._write_configuration()
+        self._configuration = write_configuration(kind, self.folder, socket)
         self.start()
 
     def __enter__(self) -> Self:
@@ -117,7 +113,7 @@ class SoundServer:
             (self.folder / leftover).unlink(missing_ok=True)
         try:
             if self.kind == "pulse":
-                self._run("pulseaudio", *self._pulse_arguments())
+                self._run("pulseaudio", *pulseaudio_options(self.folder))
             else:
                 self._run("pipewire")
                 self._wait(lambda: (self.folder / "pipewire-0").exists(), "PipeWire's socket")
@@ -172,7 +168,7 @@ class SoundServer:
         """Add a null sink: stereo, float32, 48 kHz; it never renders ahead of what is played."""
         arguments = [
             f"sink_name={name}",
-            f"rate={_RATE_HZ}",
+            f"rate={RATE_HZ}",
             "channels=2",
             "format=float32le",
             f'sink_properties="device.description={name} {properties}"',
@@ -258,39 +254,6 @@ class SoundServer:
                 raise ServerError(f"{self.kind}: no {what}; {ended}{''.join(logs)[-2000:]}")
             time.sleep(0.005)
 
-    def _pulse_arguments(self) -> list[str]:
-        return [
-            "-n",  # not the system's start-up script
-            f"--file={self.folder / 'start.pa'}",
-            "--daemonize=no",
-            "--use-pid-file=no",
-            "--exit-idle-time=-1",
-            "--realtime=no",
-            "--high-priority=no",
-            "--log-target=stderr",
-            "--log-level=warning",
-        ]
-
-    def _write_configuration(self) -> None:
-        (self.folder / "start.pa").write_text(
-            ".fail\n"
-            f"load-module module-native-protocol-unix socket={self._socket} auth-anonymous=1\n"
-        )
-        if self.kind == "pipewire":
-            folder = self.folder / "pipewire"
-            folder.mkdir(exist_ok=True)
-            (folder / "pipewire.conf").write_text(PIPEWIRE_CONF)
-            (folder / "pipewire-pulse.conf").write_text(
-                PIPEWIRE_PULSE_CONF.replace("@ADDRESS@", self.address)
-            )
-            for name in ("client.conf", "client-rt.conf"):  # what pw-play and pw-cli read
-                shutil.copy(f"/usr/share/pipewire/{name}", folder)
-            wireplumber = self.folder / "wireplumber"
-            if not wireplumber.exists():
-                shutil.copytree("/usr/share/wireplumber", wireplumber)
-            (wireplumber / "main.lua.d" / "90-enable-all.lua").write_text(WIREPLUMBER_LUA)
-            (wireplumber / "bluetooth.lua.d" / "90-enable-all.lua").write_text("")
-
 
 def _faketime() -> Path | None:
     return next(Path("/usr/lib").glob(f"*/faketime/{FAKETIME}"), None)
@@ -308,74 +271,6 @@ def _clock_environment(kind: str, ratio: float) -> dict[str, str]:
     if library is None:
         raise ServerError(f"missing: {FAKETIME}; run tools/fetch_servers.sh")
     return {"LD_PRELOAD": str(library), "FAKETIME": f"+0 x{ratio:.9f}"}
-
-
-PIPEWIRE_CONF = f"""
-context.properties = {{
-    core.daemon = true
-    core.name = pipewire-0
-    mem.allow-mlock = false
-    default.clock.rate = {_RATE_HZ}
-    default.clock.quantum = {_QUANTUM_FRAMES}
-    default.clock.min-quantum = 64
-    default.clock.max-quantum = 1024
-}}
-context.spa-libs = {{
-    audio.convert.* = audioconvert/libspa-audioconvert
-    support.* = support/libspa-support
-}}
-context.modules = [
-    {{ name = libpipewire-module-protocol-native }}
-    {{ name = libpipewire-module-metadata }}
-    {{ name = libpipewire-module-spa-node-factory }}
-    {{ name = libpipewire-module-client-node }}
-    {{ name = libpipewire-module-client-device }}
-    {{ name = libpipewire-module-access }}
-    {{ name = libpipewire-module-adapter }}
-    {{ name = libpipewire-module-link-factory }}
-    {{ name = libpipewire-module-session-manager }}
-]
-context.objects = [
-    # drives the graph while there is no sink
-    {{ factory = spa-node-factory
-      args = {{ factory.name = support.node.driver node.name = Dummy-Driver
-               node.group = pipewire.dummy priority.driver = 20000 }} }}
-]
-"""
-
-# without vm.overrides: a virtual machine is to behave as a desktop does
-PIPEWIRE_PULSE_CONF = """
-context.spa-libs = {
-    audio.convert.* = audioconvert/libspa-audioconvert
-    support.* = support/libspa-support
-}
-context.modules = [
-    { name = libpipewire-module-protocol-native }
-    { name = libpipewire-module-client-node }
-    { name = libpipewire-module-adapter }
-    { name = libpipewire-module-metadata }
-    { name = libpipewire-module-protocol-pulse }
-]
-pulse.properties = {
-    server.address = [ "@ADDRESS@" ]
-    pulse.min.req = 64/48000
-    pulse.min.frag = 64/48000
-    pulse.min.quantum = 64/48000
-}
-"""
-
-# the policy of a desktop, without devices, without a session bus, without a memory
-WIREPLUMBER_LUA = """
-default_access.properties["enable-flatpak-portal"] = false
-device_defaults.properties["use-persistent-storage"] = false
-stream_defaults.properties["restore-props"] = false
-stream_defaults.properties["restore-target"] = false
-load_module("metadata")
-default_access.enable()
-device_defaults.enable()
-stream_defaults.enable()
-load_script("intended-roles.lua")
-"""
 
 
 def main() -> int:

@@ -10,7 +10,8 @@
                  '- live_latency (live_daemon, live_recording, arrival, lag), by tools/latency.py
 
     report = run_bench(quick=True, progress=None)
-    print(report.to_markdown())
+    drawn = plots(report, Path("docs/images"))
+    print(report.to_markdown(pictures_in(Path("docs/benchmarks.md"), drawn)))
 
 Nothing in a report is typed in: benches return rows, and limits are compared by the report.
 """
@@ -18,7 +19,7 @@ Nothing in a report is typed in: benches return rows, and limits are compared by
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from audioflinger_hook.bench import (
@@ -63,6 +64,7 @@ __all__ = [
     "Must",
     "Row",
     "Section",
+    "pictures_in",
     "plots",
     "run_bench",
 ]
@@ -158,6 +160,8 @@ def _measured(name: str, measure: Bench, bench: Workbench) -> Section:
 def plots(report: BenchReport, folder: Path) -> list[Path]:
     """Write the pictures of a report, PNG, into a folder that exists; return their paths.
 
+    What could not be measured has no picture.
+
     Raises
     ------
     UsageError
@@ -166,3 +170,10 @@ def plots(report: BenchReport, folder: Path) -> list[Path]:
     from audioflinger_hook.bench.drawing import draw_all
 
     return draw_all(report, folder)
+
+
+def pictures_in(page: Path, drawn: Sequence[Path]) -> dict[str, str]:
+    """Return what `to_markdown` takes to show pictures that `plots` drew under a page's folder."""
+    from audioflinger_hook.bench.drawing import shown_in
+
+    return shown_in(page, drawn)

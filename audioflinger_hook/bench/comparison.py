@@ -161,7 +161,7 @@ def _cost_rows(subjects: Sequence[Subject], bench: Workbench) -> list[Row]:
     playbacks = [Playback(subject, sound, BLOCKSIZE) for subject in subjects]
     timings = interleaved(
         [each.play for each in playbacks],
-        bench.effort.cost_repeats,
+        [bench.effort.repeats_of(subject) for subject in subjects],
         [each.open for each in playbacks],
     )
     rows: list[Row] = []

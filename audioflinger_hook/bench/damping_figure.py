@@ -60,12 +60,17 @@ def damping_figure(report: BenchReport) -> Figure:
     axis.plot([-LIMITED, LIMITED], [DETUNED_DB.bound] * 2, color=palette.INK, lw=0.9,
               ls=(0, (4, 3)))  # fmt: skip
     axis.plot([0.0], [EXACT_DB.bound], marker="v", color=palette.INK, ms=6)
-    axis.text(-LIMITED, DETUNED_DB.bound + 0.2, "must", fontsize=SMALL_PT, color=palette.INK)
+    axis.text(
+        0.0, 0.015, "dashed line and triangle: what must be reached by “automatic”", va="bottom",
+        fontsize=SMALL_PT, color=palette.GREY, transform=axis.transAxes,
+    )  # fmt: skip
     _name_ends(axis, ends)
     axis.set_xlim(percent[0], percent[-1])
     axis.set_xticks(
         [-20, -10, -5, 0, 5, 10, 20], ["−20 %", "−10", "−5", "f0", "+5", "+10", "+20 %"]
     )
+    low_db = min(min(levels) for levels in series.values())
+    axis.set_ylim(bottom=low_db - 2.2)
     axis.set_ylabel("dB", rotation=0, fontsize=SMALL_PT, color=palette.GREY, loc="top", labelpad=-4)
     return figure
 

@@ -8,20 +8,29 @@ Needs matplotlib, an optional extra, and uses only its objects: no pyplot, no gl
 from __future__ import annotations
 
 import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from os.path import relpath
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote
 
 import numpy as np
 
+from audioflinger_hook.bench.damping import TITLE as DAMPING_TITLE
 from audioflinger_hook.bench.damping_figure import damping_figure
 from audioflinger_hook.bench.fidelity import LAG_P95
+from audioflinger_hook.bench.frequency_error import TITLE as FREQUENCY_TITLE
 from audioflinger_hook.bench.frequency_figure import frequency_figure
+from audioflinger_hook.bench.frontier import TITLE as FRONTIER_TITLE
 from audioflinger_hook.bench.frontier_figure import frontier_figure
+from audioflinger_hook.bench.levels import TITLE as LEVELS_TITLE
 from audioflinger_hook.bench.levels_figure import levels_figure
 from audioflinger_hook.bench.precision import TITLE as RUNGS_TITLE
 from audioflinger_hook.bench.report import BenchReport, Row
 from audioflinger_hook.bench.speech_figure import speech_figure
-from audioflinger_hook.bench.speed import BLOCKSIZES, SECOND
+from audioflinger_hook.bench.speech_suppression import EFFECTS_TITLE as SPEECH_TITLE
+from audioflinger_hook.bench.speed import BLOCKSIZES, SECOND, SECOND_FFTS
 from audioflinger_hook.bench.workbench import LIVE, REFERENCE, TWIN
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
@@ -32,15 +41,63 @@ if TYPE_CHECKING:
 
 COST_TITLE, LAG_TITLE = "Cost of a second of sound", "Onset lag"
 DPI = 150
+COLOURS = 48
 WIDTH_IN = 10.0
 COST_HEIGHT_IN, LAG_HEIGHT_IN = 5.6, 4.4
-BAR = 0.27
-TICK_MS = 5.0
+LINE = 0.26
+COST_TICKS_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 TEXT_PT, TITLE_PT, SMALL_PT = 10.0, 14.0, 9.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One picture of a report: what is in it, in which section it is shown, and how it is drawn.
+
+    by_series: whether it shows single measurements, not rows.
+    """
+
+    name: str
+    says: str
+    section: str
+    draw: Callable[[BenchReport], Figure]
+    by_series: bool = False
+
+    @property
+    def file_name(self) -> str:
+        """Its file's name."""
+        return f"{self.name}.png"
+
+    def can_be_drawn(self, report: BenchReport) -> bool:
+        """Return whether what it shows was measured."""
+        shown = [section for section in report.sections if section.title == self.section]
+        return any(bool(each.series if self.by_series else each.rows) for each in shown)
 
 
 def draw_all(report: BenchReport, folder: Path) -> list[Path]:
     """Write every picture into the folder and return the paths; see `bench.plots`."""
+    need_matplotlib()
+    paths = []
+    for picture in PICTURES:
+        if picture.can_be_drawn(report):
+            paths.append(folder / picture.file_name)
+            write_bytes_atomically(paths[-1], _small_png(picture.draw(report)))
+    return paths
+
+
+def _small_png(figure: Figure) -> bytes:
+    """Return the figure as a PNG of few colours: what smooths an edge needs no more."""
+    from PIL import Image
+
+    drawn, small = io.BytesIO(), io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=DPI)
+    picture = Image.open(drawn).convert("RGB")
+    indexed = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    indexed.save(small, format="PNG", optimize=True, dpi=(DPI, DPI))
+    return small.getvalue()
+
+
+def need_matplotlib() -> None:
+    """Raise UsageError where matplotlib is not installed: better told before all is measured."""
     try:
         import matplotlib.figure  # noqa: F401
     except ImportError:
@@ -48,27 +105,25 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
             "matplotlib is not installed, so no plots can be drawn; "
             "install it: .venv/bin/python -m pip install matplotlib"
         ) from None
-    paths = []
-    figures = {
-        "cost.png": cost_figure(report),
-        "lag.png": lag_figure(report),
-        "rungs.png": rungs_figure(report),
-        "damping.png": damping_figure(report),
-        "frequency.png": frequency_figure(report),
-        "frontier.png": frontier_figure(report),
-        "levels.png": levels_figure(report),
-        "speech.png": speech_figure(report),
+
+
+def shown_in(page: Path, drawn: Sequence[Path]) -> dict[str, str]:
+    """Return what shows each of these pictures in a page, as Markdown, by its section's title.
+
+    drawn: from `draw_all`. Pictures that do not lie under the page's folder are not shown in it:
+    whoever moves the page with its folder takes them along.
+    """
+    home = page.parent.resolve()
+    files = {path.name: path.resolve() for path in drawn if path.resolve().is_relative_to(home)}
+    return {
+        picture.section: f"![{picture.says}]({quote(Path(relpath(file, home)).as_posix())})"
+        for picture in PICTURES
+        if (file := files.get(picture.file_name))
     }
-    for name, figure in figures.items():
-        content = io.BytesIO()
-        figure.savefig(content, format="png", dpi=DPI)
-        paths.append(folder / name)
-        write_bytes_atomically(paths[-1], content.getvalue())
-    return paths
 
 
 def cost_figure(report: BenchReport) -> Figure:
-    """The cost of each scene as bars, one for each way: small blocks left, large blocks right."""
+    """The cost of each scene as points, one for each way: small blocks left, large blocks right."""
     from matplotlib.figure import Figure
 
     from audioflinger_hook.figures import palette
@@ -76,13 +131,13 @@ def cost_figure(report: BenchReport) -> Figure:
     ways = (
         (LIVE, palette.FELT, 0.235),
         (TWIN, palette.FELT_LIGHT, 0.31),
-        (REFERENCE, palette.HEARD_LIGHT, 0.46),
+        (REFERENCE, palette.HEARD, 0.46),
     )
 
     rows = [row for row in report.section(COST_TITLE).rows if row.unit == "ms"]
     by_place = {(row.name, row.column): row for row in rows}
     scenes = list(dict.fromkeys(row.name.rsplit(", blocks of ", 1)[0] for row in rows))
-    longest = max(row.high or row.value or 0.0 for row in rows)
+    costs = [cost for row in rows for cost in (row.low, row.value, row.high) if cost]
     figure = Figure(figsize=(WIDTH_IN, COST_HEIGHT_IN), facecolor=palette.WHITE)
     _headline(
         figure,
@@ -91,27 +146,31 @@ def cost_figure(report: BenchReport) -> Figure:
         f"{report.machine.cpu}, one rfft(2048) {report.machine.rfft_us:.1f} µs",
     )
     axes = figure.subplots(1, len(BLOCKSIZES), sharey=True, sharex=True)
-    figure.subplots_adjust(left=0.235, right=0.975, top=0.76, bottom=0.07, wspace=0.06)
+    figure.subplots_adjust(left=0.235, right=0.975, top=0.76, bottom=0.09, wspace=0.06)
     for axis, blocksize in zip(axes, BLOCKSIZES, strict=True):
         _plain(axis)
         axis.set_title(f"blocks of {blocksize} frames", fontsize=TEXT_PT, color=palette.INK)
         axis.axvline(SECOND.bound, color=palette.INK, lw=0.9, ls=(0, (4, 3)), zorder=1)
         for side, (column, colour, _) in enumerate(ways):
             for line, scene in enumerate(scenes):
-                row = by_place[f"{scene}, blocks of {blocksize}", column]
-                _bar(axis, line + (side - 1) * BAR, row, colour, longest)
+                row = by_place.get((f"{scene}, blocks of {blocksize}", column))
+                if row:
+                    _point(axis, line + (side - 1) * LINE, row, colour)
         axis.set_yticks(range(len(scenes)), scenes, fontsize=TEXT_PT, color=palette.INK)
-        axis.set_ylim(len(scenes) - 0.45, -0.75)
-        axis.set_xlim(0.0, 1.17 * max(longest, SECOND.bound))
-        axis.set_xticks(np.arange(0.0, 1.17 * max(longest, SECOND.bound), TICK_MS))
+        axis.set_ylim(len(scenes) - 0.45, -0.55)
+        axis.set_xscale("log")
+        axis.set_xlim(0.8 * min(costs), 2.2 * max(costs))
+        ticks = [tick for tick in COST_TICKS_MS if min(costs) <= tick <= 2.2 * max(costs)]
+        axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        axis.tick_params(axis="x", which="minor", length=0)
         axis.tick_params(axis="y", length=0)
-    limit = f"must {SECOND.bound:g} ms for\nlive, where it sounds"
-    axes[1].text(
-        0.99, 0.01, limit, fontsize=SMALL_PT, color=palette.INK, ha="right", va="bottom",
-        linespacing=1.3, transform=axes[1].transAxes,
-    )  # fmt: skip
+    axes[-1].set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
+    x = 0.62
+    figure.text(x, 0.835, "- -", color=palette.INK, fontsize=TEXT_PT + 2, va="center")
+    limit = f"must for {LIVE}: {SECOND.bound:g} ms, {SECOND_FFTS.bound:g} rfft"
+    figure.text(x + 0.027, 0.835, limit, color=palette.INK, fontsize=TEXT_PT, va="center")
     for column, colour, x in ways:
-        figure.text(x, 0.835, "■", color=colour, fontsize=TEXT_PT + 2, va="center")
+        figure.text(x, 0.835, "●", color=colour, fontsize=TEXT_PT + 2, va="center")
         figure.text(x + 0.019, 0.835, column, color=palette.INK, fontsize=TEXT_PT, va="center")
     return figure
 
@@ -182,14 +241,15 @@ def rungs_figure(report: BenchReport) -> Figure:
         costs_ms, errors = 1e3 * np.array(values[::2]), np.array(values[1::2])
         colour = palette.GREY if place else palette.FELT
         axis.plot(costs_ms, errors, "o-", ms=5, lw=2.2 if place == 0 else 1.2, color=colour)
-        # A rung that is one point has its name above or below it, the next one the other way.
-        single = len(costs_ms) == 1
-        beside = (0, 9 if place % 2 else -10) if single else (7, 0)
+        single = len(costs_ms) == 1  # its name stands under it, or above where curves are under it
+        beside = (0, -11 if errors[0] > 0.1 else 11) if single else (7, 0)
         axis.annotate(
             name, (costs_ms[-1], errors[-1]), xytext=beside, textcoords="offset points",
             fontsize=SMALL_PT, color=colour, va="center", ha="center" if single else "left",
         )  # fmt: skip
+    axis.tick_params(which="minor", length=0)
     axis.set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
+    axis.set_title("error over peak", loc="left", fontsize=SMALL_PT, color=palette.GREY, x=-0.06)
     axis.grid(True, axis="y", color=palette.HAIRLINE, lw=0.8)
     return figure
 
@@ -211,18 +271,18 @@ def _label_curve(axis: Axes, column: str, lags: np.ndarray, p95: float, colour: 
     )
 
 
-def _bar(axis: Axes, place: float, row: Row, colour: str, longest: float) -> None:
-    """Draw one bar with its spread and its number."""
+def _point(axis: Axes, place: float, row: Row, colour: str) -> None:
+    """Draw one cost with its spread and its number."""
     from audioflinger_hook.figures import palette
 
     value = row.value or 0.0
-    axis.barh(place, value, height=0.92 * BAR, color=colour, zorder=2)
     low, high = row.low or value, row.high or value
-    axis.plot([low, high], [place, place], color=palette.INK, lw=1.0, zorder=3)
-    axis.text(
-        high + 0.012 * longest, place, f"{value:.1f}", fontsize=SMALL_PT - 0.5,
-        color=palette.GREY, va="center_baseline", zorder=4,
-        bbox={"facecolor": palette.WHITE, "edgecolor": "none", "pad": 0.6},
+    axis.plot([low, high], [place, place], color=colour, lw=2.0, zorder=2)
+    axis.plot([value], [place], "o", ms=5.5, color=colour, zorder=3)
+    axis.annotate(
+        f"{value:.1f}", (high, place), xytext=(6, 0), textcoords="offset points",
+        fontsize=SMALL_PT - 0.5, color=palette.GREY, va="center_baseline", zorder=4,
+        bbox={"facecolor": palette.WHITE, "edgecolor": "none", "pad": 0.4},
     )  # fmt: skip
 
 
@@ -241,3 +301,19 @@ def _plain(axis: Axes) -> None:
         axis.spines[side].set_visible(False)
     axis.spines["bottom"].set_color(palette.HAIRLINE)
     axis.tick_params(labelsize=SMALL_PT, colors=palette.GREY, length=3, color=palette.HAIRLINE)
+
+
+PICTURES = (
+    Picture("cost", "CPU time of a second of each scene", COST_TITLE, cost_figure),
+    Picture("lag", "Share of bursts felt by a time", LAG_TITLE, lag_figure, by_series=True),
+    Picture("frequency", "Frequency error over the ratio of signal to noise, against the bound",
+            FREQUENCY_TITLE, frequency_figure, by_series=True),
+    Picture("frontier", "Four errors over cost, by setting", FRONTIER_TITLE, frontier_figure),
+    Picture("levels", "Levels of vibration by profile", LEVELS_TITLE, levels_figure),
+    Picture("speech", "Vibration of speech with and without suppression", SPEECH_TITLE,
+            speech_figure, by_series=True),
+    Picture("rungs", "Error of the motion over cost", RUNGS_TITLE, rungs_figure, by_series=True),
+    Picture("damping", "Residual vibration over the true f0", DAMPING_TITLE, damping_figure,
+            by_series=True),
+)  # fmt: skip
+"""Every picture, in the order of the report."""

@@ -19,11 +19,10 @@ from audioflinger_hook.bench.signals import (
     SAMPLERATE,
     Recording,
     burst,
+    demo_sound,
     white_noise,
 )
 from audioflinger_hook.bench.workbench import LIVE, Subject, Workbench
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.live import LiveTransform
@@ -206,7 +205,7 @@ def _unit_batches(recording: Recording) -> Iterator[FloatArray]:
 def any_split(bench: Workbench) -> Section:
     """Whether the bytes depend on how the sound arrives."""
     first = round(SPLIT_FROM_S * SAMPLERATE)
-    sound = mixdown(demo_scene())[first : first + round(bench.effort.split_s * SAMPLERATE)]
+    sound = demo_sound()[first : first + round(bench.effort.split_s * SAMPLERATE)]
     rng = np.random.default_rng(2)
     rows = []
     for subject in bench.subjects:

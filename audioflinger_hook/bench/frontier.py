@@ -5,7 +5,7 @@ One setting is changed at a time (`frontier_settings`); the verdict under the ta
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Literal
 
 import numpy as np
@@ -16,15 +16,22 @@ from audioflinger_hook.bench.fidelity import (
     BURST_AMPLITUDE,
     BURST_HZ,
     BURST_ONSET_S,
+    LAG_P95_LEAD,
+    LEAK_RECORDING_LEAD,
     REST_S,
 )
 from audioflinger_hook.bench.frontier_settings import DEFAULT, SETTINGS, Setup
 from audioflinger_hook.bench.measures import energy_above_db, onset_lag_s, sine_fit
 from audioflinger_hook.bench.report import Row, Section, number
-from audioflinger_hook.bench.signals import SAMPLERATE, Stereo, burst, tone
+from audioflinger_hook.bench.signals import (
+    SAMPLERATE,
+    Stereo,
+    burst,
+    demo_sound,
+    tone,
+)
+from audioflinger_hook.bench.tones import LEADS
 from audioflinger_hook.bench.workbench import Playback, Workbench
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters, kernel_warning
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.principal import PrincipalFinder
@@ -59,6 +66,8 @@ BLUR = {
 """Differences under this, of cost as a share, are none: they are within the spread of repeats."""
 
 
+ENOUGH = {PURITY: LEADS[2], LEAK: LEAK_RECORDING_LEAD, LAG: LAG_P95_LEAD}
+"""What is aimed at: of a setting that is better only beyond it there is nothing to be felt."""
 NOT_COMPARED = {COST: "not compiled", UNLIKE: "other units"}
 
 
@@ -66,7 +75,7 @@ def frontier(bench: Workbench) -> Section:
     """Cost and errors of the live form, one setting changed at a time, and who dominates whom."""
     setups = [Setup(setting) for setting in SETTINGS]
     first = round(SCENE_FROM_S * SAMPLERATE)
-    scene = mixdown(demo_scene())[first : first + round(SCENE_S * SAMPLERATE)]
+    scene = demo_sound()[first : first + round(SCENE_S * SAMPLERATE)]
     costs_ms = _costs_ms(setups, scene, bench.effort.cost_repeats)
     count = bench.effort.frontier_sounds
     measured = {
@@ -82,8 +91,8 @@ def frontier(bench: Workbench) -> Section:
     return Section(
         TITLE,
         f"The live form ({'compiled' if kernel_warning() is None else 'in NumPy'}) with one "
-        "setting changed at a time. Cost of a second of stereo of the demo scene, the least of "
-        f"{bench.effort.cost_repeats} repeats; then errors "
+        f"setting changed at a time. Cost of a second of stereo, on {SCENE_S:g} s of the demo "
+        f"scene, the least of {bench.effort.cost_repeats} repeats; then errors "
         "against what is known: root mean square over steady tones "
         f"({TONES_HZ[0]:g} to {TONES_HZ[1]:g} Hz) in Hz of vibration and dB, and their worst "
         f"THD+N; a chirp of {CHIRP_OCTAVES_A_S:g} octaves a second; a level that swells at "
@@ -260,30 +269,71 @@ def _compared(
 def _verdict(measured: Mapping[str, Mapping[str, float | None]]) -> str:
     """Return why the defaults lie where they lie: what every other setting costs and gains."""
     default = measured[DEFAULT]
-    dominating, lines = [], []
+    dominating: dict[str, list[str]] = {}
+    lines = []
     for name, values in measured.items():
         if name == DEFAULT:
             continue
         compared = _compared(values, default)
         gains, losses = (
-            [f"{column} {number(_plain(values[column]))} {UNITS[column]}"
-             for column, side in compared.items() if side == wanted]
+            [column for column, side in compared.items() if side == wanted]
             for wanted in ("better", "worse")
-        )  # fmt: skip
-        if gains and not losses:
-            dominating.append(name)
-        lines.append(
-            f"- {name}: better in {', '.join(gains) or 'nothing'}; "
-            f"worse in {', '.join(losses) or 'nothing'}"
         )
-    shown = ", ".join(
-        f"{column} {number(_plain(value))} {UNITS[column]}" for column, value in default.items()
-    )
-    head = (
-        f"The defaults ({shown}) lie on the frontier: no other setting is better in something "
-        "and worse in nothing."
-        if not dominating
-        else f"The defaults ({shown}) do not lie on the frontier: {', '.join(dominating)} "
-        "is better in something and worse in nothing."
-    )
+        if gains and not losses:
+            dominating[name] = gains
+        lines.append(
+            f"- {name}: better in {_listed(gains, values) or 'nothing'}; "
+            f"worse in {_listed(losses, values) or 'nothing'}"
+        )
+    head = f"The defaults ({_listed(default, default)}) {_place(dominating, measured)}"
     return "\n".join((head, "Against them, as far as the spread of repeats lets one tell:", *lines))
+
+
+def _listed(columns: Iterable[str], values: Mapping[str, float | None]) -> str:
+    return ", ".join(
+        f"{column} {number(_plain(values[column]))} {UNITS[column]}" for column in columns
+    )
+
+
+def _place(
+    dominating: Mapping[str, list[str]], measured: Mapping[str, Mapping[str, float | None]]
+) -> str:
+    """Return where the defaults lie, given what each setting that dominates them is better in."""
+    if not dominating:
+        return "lie on the frontier: no other setting is better in something and worse in nothing."
+    default = measured[DEFAULT]
+    needless = {
+        name: gains
+        for name, gains in dominating.items()
+        if all(column in ENOUGH and ENOUGH[column].met(_plain(default[column])) for column in gains)
+    }
+    rest = [name for name in dominating if name not in needless]
+    said = []
+    if rest:
+        verb = "is" if len(rest) == 1 else "are"
+        said.append(
+            f"do not lie on the frontier: {', '.join(rest)} {verb} better in something and worse "
+            "in nothing."
+        )
+    if needless:
+        each = "; ".join(
+            f"{name} ({_listed(gains, measured[name])}; cost {_dearer(measured[name], default)})"
+            for name, gains in needless.items()
+        )
+        aims = dict.fromkeys(column for gains in needless.values() for column in gains)
+        reached = ", ".join(f"{column} {ENOUGH[column].shown(UNITS[column])}" for column in aims)
+        said.append(
+            ("Better only in what is good enough: " if rest else "lie on the frontier but for what "
+             "is better only where they are good enough: ")
+            + f"{each}. The defaults reach what is aimed at there ({reached}) already, and whoever "
+            "feels it cannot tell the rest."
+        )  # fmt: skip
+    return " ".join(said)
+
+
+def _dearer(values: Mapping[str, float | None], default: Mapping[str, float | None]) -> str:
+    """Return by how much a setting costs more than the defaults, as measured."""
+    cost, ours = values[COST], default[COST]
+    if cost is None or ours is None:
+        return NOT_COMPARED[COST]
+    return f"{100.0 * (cost / ours - 1.0):+.0f} %"

@@ -15,10 +15,13 @@ import numpy as np
 from audioflinger_hook.bench.cost import Timings, interleaved
 from audioflinger_hook.bench.measures import growth_exponent
 from audioflinger_hook.bench.report import Must, Row, Section
-from audioflinger_hook.bench.signals import SAMPLERATE, Stereo, chord
+from audioflinger_hook.bench.signals import (
+    SAMPLERATE,
+    Stereo,
+    chord,
+    demo_sound,
+)
 from audioflinger_hook.bench.workbench import LIVE, Playback, Stream, Subject, Workbench
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.grid import LiveGrid
 
@@ -140,7 +143,7 @@ def memory_held(bench: Workbench) -> Section:
     hop_frames = LiveGrid.at(TransformParameters(), SAMPLERATE).hop_frames
     held = memory_growth(
         bench.subject(LIVE).start(SAMPLERATE, 2),
-        mixdown(demo_scene()),
+        demo_sound(),
         hop_frames,
         bench.effort.hops_held * hop_frames,
     )

@@ -46,12 +46,12 @@ def levels_figure(report: BenchReport) -> Figure:
     )
     figure.text(
         0.02, 0.89,
-        "Loudest tenth of the units, dB of full scale: dot at full volume, end of the line 20 dB "
-        "lower. Right: how far an explosion stands above speech; units not felt at -20 dB",
+        "Left: the loudest tenth of the units; dot: at full volume, end of the line: played 20 dB "
+        "lower. Right: how far an explosion stands above speech; units not felt",
         fontsize=SMALL_PT, color=palette.GREY, va="center",
     )  # fmt: skip
     wide, contrast, silence = figure.subplots(1, 3, width_ratios=(3.0, 1.2, 1.2))
-    figure.subplots_adjust(left=0.105, right=0.985, top=0.77, bottom=0.09, wspace=0.28)
+    figure.subplots_adjust(left=0.115, right=0.985, top=0.755, bottom=0.09, wspace=0.28)
     for axis in (wide, contrast, silence):
         _plain(axis)
     for line, sound in enumerate(sounds):
@@ -66,7 +66,12 @@ def levels_figure(report: BenchReport) -> Figure:
     wide.set_yticks(range(len(sounds)), sounds, fontsize=TEXT_PT, color=palette.INK)
     wide.set_ylim(len(sounds) - 0.5, -0.5)
     wide.tick_params(axis="y", length=0)
-    wide.set_xlabel("dB; grey: the sound's own", fontsize=SMALL_PT, color=palette.GREY, loc="right")
+    wide.set_xlabel(
+        "dB of full scale; grey: the sound's own",
+        fontsize=SMALL_PT,
+        color=palette.GREY,
+        loc="right",
+    )
     heard = values[f"{CONTRAST} of the scene", "in"]
     contrast.axvline(heard, color=palette.HAIRLINE, lw=3.0)
     contrast.set_title("explosion over speech, dB", fontsize=SMALL_PT + 0.5, color=palette.INK)
@@ -83,9 +88,9 @@ def levels_figure(report: BenchReport) -> Figure:
         axis.margins(x=0.25)
     contrast.set_xlabel("grey: phon heard", fontsize=SMALL_PT, color=palette.GREY, loc="right")
     for number, name in enumerate(names):
-        x = 0.105 + 0.155 * number
-        figure.text(x, 0.83, "●", color=colours[name], fontsize=TEXT_PT + 1, va="center")
-        figure.text(x + 0.018, 0.83, name, color=palette.INK, fontsize=TEXT_PT, va="center")
+        x = 0.115 + 0.155 * number
+        figure.text(x, 0.835, "●", color=colours[name], fontsize=TEXT_PT + 1, va="center")
+        figure.text(x + 0.018, 0.835, name, color=palette.INK, fontsize=TEXT_PT, va="center")
     return figure
 
 

@@ -13,10 +13,12 @@ import numpy as np
 from scipy.signal import resample_poly
 
 from audioflinger_hook.bench.report import Must, Row, Section
-from audioflinger_hook.bench.signals import SAMPLERATE, chord
+from audioflinger_hook.bench.signals import (
+    SAMPLERATE,
+    chord,
+    demo_sound,
+)
 from audioflinger_hook.bench.workbench import Workbench
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.live import LiveTransform
@@ -189,7 +191,7 @@ def onsets_found(bench: Workbench) -> Section:
     """Precision and recall of onsets, made and planted; and what fires without one."""
     made = found(*onset_train(bench.effort.onsets_made, seed=1))
     rows = _rows("made", made)
-    scene = mixdown(demo_scene()).astype(np.float64).mean(axis=1)
+    scene = demo_sound().astype(np.float64).mean(axis=1)
     hidden = [found(*planted(scene, seed=2))]
     hidden += [
         found(*planted(_at_48_khz(item.frames.astype(np.float64).mean(axis=1), item.samplerate), 4))

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from audioflinger_hook.bench.cost import interleaved, thread_seconds
+from audioflinger_hook.bench.cost import in_ffts, interleaved, thread_seconds
 from audioflinger_hook.bench.report import Must, Row, Section, number
 from audioflinger_hook.bench.rig import DRIVE_HZ, state_space
 from audioflinger_hook.bench.signals import SAMPLERATE
@@ -27,6 +27,7 @@ from device.rig.rungs import Rung
 
 TITLE = "Work and precision of the rungs"
 REAL_TIME, ERROR = Must(">=", 60.0), Must("<=", 1e-4)
+REAL_TIME_FFTS = Must("<=", in_ffts(1.0 / REAL_TIME.bound))
 TIMES_FASTER = Must(">=", 15.0)
 AIM_FASTER = 100.0
 
@@ -53,11 +54,13 @@ STATES = ("displacement_m", "velocity_m_s", "current_a")
 class Point:
     """One way of computing the motion: seconds of CPU for a second of signal, and its error.
 
-    error: of the displacement, the largest one over the peak.
+    error: of the displacement, the largest one over the peak. ffts: the cost in FFTs that were
+    timed with it; None where none were.
     """
 
     cost: float
     error: float
+    ffts: float | None = None
 
 
 def work_and_precision(bench: Workbench) -> Section:
@@ -157,7 +160,7 @@ def _our_points(duration_s: float, expected: FloatArray) -> dict[float, Point]:
     works = [partial(_afresh_smoothly, ladder, volts) for ladder in ladders.values()]
     timings = interleaved(works, REPEATS)
     return {
-        hz: Point(timing.median_s / duration_s, errors[hz])
+        hz: Point(timing.median_s / duration_s, errors[hz], timing.median_units / duration_s)
         for hz, timing in zip(NODES_HZ, timings, strict=True)
     }
 
@@ -243,10 +246,14 @@ def _linear_rows(duration_s: float) -> list[Row]:
 
 
 def _point_rows(name: str, point: Point, limited: bool) -> list[Row]:
-    return [
+    rows = [
         Row(name, 1.0 / point.cost, "", "x real time", REAL_TIME if limited else None),
         Row(name, point.error, "", "error", ERROR if limited else None),
     ]
+    if point.ffts is not None:
+        must = REAL_TIME_FFTS if limited else None
+        rows.append(Row(name, round(point.ffts), "FFTs", "a second, FFTs", must))
+    return rows
 
 
 def _faster_rows(ours: dict[float, Point], theirs: dict[str, list[Point]]) -> list[Row]:

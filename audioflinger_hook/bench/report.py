@@ -19,6 +19,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
+from audioflinger_hook.bench.cost import LIMITS_RFFT_S
 from audioflinger_hook.bench.machine import MachineFacts
 
 SCHEMA_VERSION = 1
@@ -173,10 +174,14 @@ class BenchReport:
         finite: dict[str, Any] = _finite(document)
         return finite
 
-    def to_markdown(self) -> str:
-        """Return the report as a Markdown document."""
-        parts = [self._header(), *(_section_markdown(section) for section in self.sections)]
-        return "\n".join(parts)
+    def to_markdown(self, pictures: Mapping[str, str] | None = None) -> str:
+        """Return the report as a Markdown document.
+
+        pictures: by the title of the section that they are shown in, as Markdown.
+        """
+        shown = pictures or {}
+        sections = (_section_markdown(each, shown.get(each.title, "")) for each in self.sections)
+        return "\n".join([self._header(), *sections])
 
     def _header(self) -> str:
         command = f"{COMMAND} --quick" if self.quick else COMMAND
@@ -198,7 +203,9 @@ class BenchReport:
             "of 48 kHz stereo, median over repeats with the smallest and the largest in "
             "brackets. *FFTs* is the same cost as a multiple of one `scipy.fft.rfft` of 2048 "
             f"float32 samples ({machine.rfft_us:.1f} µs here), timed in turn with it: that "
-            "number travels between machines.",
+            "number travels between machines, so limits of what a second or a block costs are "
+            "asked in FFTs as well: as many as they are on a machine whose FFT takes "
+            f"{1e6 * LIMITS_RFFT_S:g} µs.",
             "- **live** is the form of the transform that a cushion plays; **reference** is the "
             "paper's, literally. *must* is the limit the project set itself, *lead* a closer one "
             "that it aims at.",
@@ -234,7 +241,7 @@ def _verdict(row: Row) -> str:
     return f"{row.shown()}, must {row.must.shown(row.unit)}" if row.must else row.shown()
 
 
-def _section_markdown(section: Section) -> str:
+def _section_markdown(section: Section, picture: str) -> str:
     columns = list(dict.fromkeys(row.column for row in section.rows))
     limited = any(row.must for row in section.rows)
     led = any(row.lead for row in section.rows)
@@ -242,6 +249,7 @@ def _section_markdown(section: Section) -> str:
     heading = ["", *columns, *(["must", ""] if limited else [])]
     heading += [*(["lead", ""] if led else []), *(["note"] if noted else [])]
     lines = [f"## {section.title}", "", section.explanation, ""]
+    lines += [picture, ""] if picture else []
     if section.rows:
         lines += [_line(heading), _line(["---"] * len(heading))]
     for name in dict.fromkeys(row.name for row in section.rows):
@@ -268,7 +276,7 @@ def _limits_and_verdict(asked: list[Row]) -> list[str]:
     missed = [row.column for row in asked if not row.met]
     if not missed:
         return [", ".join(limits), MET if asked else ""]
-    return [", ".join(limits), NOT_MET + (f": {', '.join(missed)}" if len(asked) > 1 else "")]
+    return [", ".join(limits), NOT_MET + (f": {'; '.join(missed)}" if len(asked) > 1 else "")]
 
 
 def _lead_and_verdict(aimed: list[Row]) -> list[str]:

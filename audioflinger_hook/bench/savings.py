@@ -18,14 +18,13 @@ from audioflinger_hook.bench.signals import (
     SAMPLERATE,
     Recording,
     chord,
+    demo_sound,
     looped,
     speech,
     stereo,
     white_noise,
 )
 from audioflinger_hook.bench.workbench import Workbench
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.analysis import LiveAnalysis, window_tables
 from audioflinger_hook.transform.arrays import FloatArray
@@ -124,7 +123,7 @@ def _scenes(duration_s: float, recordings: tuple[Recording, ...]) -> dict[str, F
     cut_short = chord(duration_s)
     cut_short[SAMPLERATE // 2 :] = 0.0
     spoken = speech(recordings)
-    demo = mixdown(demo_scene())[round(DEMO_FROM_S * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
+    demo = demo_sound()[round(DEMO_FROM_S * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
     scenes = {
         "0.5 s, then silence": cut_short,
         "demo scene": demo,
@@ -151,7 +150,7 @@ def savings(bench: Workbench) -> Section:
     missing: list[Missing] = []
     saved: dict[str, list[tuple[float, str]]] = {saving.name: [] for saving in SAVINGS}
     change: dict[str, float] = dict.fromkeys(saved, 0.0)
-    for scene, sound in _scenes(bench.effort.cost_s, bench.recordings).items():
+    for scene, sound in _scenes(bench.effort.saving_s, bench.recordings).items():
         if sound is None:
             missing.append(bench.missing_recordings(f"savings on {scene}"))
             continue
@@ -174,9 +173,10 @@ def savings(bench: Workbench) -> Section:
         "What each saving saves",
         "The live form leaves out what a scene does not need. First the cost of a second with "
         f"all of its savings, then without one at a time (one channel, blocks of {BLOCKSIZE} "
-        "frames, in NumPy; the kernel leaves out the same). Then the most that this one saves on "
-        "any scene, and the most that it changes any sample, full scale being 1, with the bound "
-        "that it states.",
+        f"frames, in NumPy, medians of {bench.effort.saving_repeats} over "
+        f"{bench.effort.saving_s:g} s; the kernel leaves out the same). Then the most that this "
+        "one saves on any scene, and the most that it changes any sample, full scale being 1, with "
+        "the bound that it states.",
         tuple(rows),
         tuple(missing),
     )
@@ -201,5 +201,5 @@ def _with_and_without(
     ways: dict[str, Callable[[LiveTransform], None]] = {EVERY_SAVING: lambda _: None}
     ways |= {saving.name: saving.switch_off for saving in SAVINGS}
     works = [partial(play, name, switch_off) for name, switch_off in ways.items()]
-    timings = interleaved(works, repeats)
+    timings = interleaved(works, repeats, warm=False)  # each takes a tenth of a second or more
     return outputs, dict(zip(ways, timings, strict=True))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,8 @@ PROJECT_ROOT = Path(str(audioflinger_hook.__path__[0])).resolve().parent
 RECORDINGS_VARIABLE = "CUSHION_RECORDINGS"
 RECORDINGS_FOLDER = ".cache/recordings"
 RECORDINGS_COMMAND = "tools/fetch_recordings.sh"
+DEMO_TIMES, DEMO_PART_S = 3.0, (6.9, 8.9)
+"""Of the demo scene, for who has no time for all of it: footsteps, then speech."""
 SHORTEST_S = 0.3
 """Shorter recordings hold no more than a few windows and are left out."""
 
@@ -170,8 +173,8 @@ def speech(recordings: tuple[Recording, ...]) -> Stereo | None:
 class CostScene:
     """A kind of sound whose cost is measured.
 
-    make: (seconds, recordings) to sound of about that length, None where it cannot be had; the demo
-    scene comes whole.
+    make: (seconds, recordings) to sound of about that length, None where it cannot be had; of the
+    demo scene all, or where that is more than three times as long two seconds.
     """
 
     name: str
@@ -183,8 +186,25 @@ def _speech_scene(duration_s: float, recordings: tuple[Recording, ...]) -> Stere
     return None if spoken is None else looped(spoken, duration_s)
 
 
+@cache
+def demo_sound() -> Stereo:
+    """Return the mix of the demo scene, not to be written to; it is made once."""
+    sound = mixdown(demo_scene())
+    sound.flags.writeable = False
+    return sound
+
+
+def _demo_scene(duration_s: float, _recordings: tuple[Recording, ...]) -> Stereo:
+    """Return the whole scene, or a part of it where that would take far longer than asked."""
+    whole = demo_sound()
+    if len(whole) <= DEMO_TIMES * duration_s * SAMPLERATE:
+        return whole
+    first, last = (round(second * SAMPLERATE) for second in DEMO_PART_S)
+    return whole[first:last]
+
+
 COST_SCENES: tuple[CostScene, ...] = (
-    CostScene("demo scene", lambda _s, _: mixdown(demo_scene())),
+    CostScene("demo scene", _demo_scene),
     CostScene("chord, 10 modulated partials", lambda s, _: chord(s)),
     CostScene("speech recordings", _speech_scene),
     CostScene("white noise, 0 dBFS", lambda s, _: white_noise(s)),

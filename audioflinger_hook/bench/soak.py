@@ -13,10 +13,12 @@ from audioflinger_hook.bench.growth import NO_GROWTH_KB, NO_GROWTH_OBJECTS, memo
 from audioflinger_hook.bench.machine import cpu_model
 from audioflinger_hook.bench.measures import SineFit, sine_fit
 from audioflinger_hook.bench.report import Must
-from audioflinger_hook.bench.signals import SAMPLERATE, tone
+from audioflinger_hook.bench.signals import (
+    SAMPLERATE,
+    demo_sound,
+    tone,
+)
 from audioflinger_hook.bench.soak_record import SoakRecord, now
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.grid import LiveGrid
@@ -37,9 +39,7 @@ def soak_scene(hops: int = HOPS) -> SoakRecord:
     """Return what `hops` hops of the demo scene in a loop leave behind in memory."""
     hop_frames = LiveGrid.at(TransformParameters(), SAMPLERATE).hop_frames
     start_s = time.process_time()
-    held = memory_growth(
-        HapticTransform(SAMPLERATE, 2), mixdown(demo_scene()), BLOCKSIZE, hops * hop_frames
-    )
+    held = memory_growth(HapticTransform(SAMPLERATE, 2), demo_sound(), BLOCKSIZE, hops * hop_frames)
     return SoakRecord(
         what="demo scene in a loop",
         date=now(),

@@ -43,7 +43,7 @@ def speech_figure(report: BenchReport) -> Figure:
         fontsize=SMALL_PT, color=palette.GREY, va="center",
     )  # fmt: skip
     axes = np.atleast_1d(figure.subplots(1, len(voices), sharey=True))
-    figure.subplots_adjust(left=0.06, right=0.985, top=0.75, bottom=0.10, wspace=0.06)
+    figure.subplots_adjust(left=0.06, right=0.985, top=0.735, bottom=0.125, wspace=0.06)
     for axis, voice in zip(axes, voices, strict=True):
         for side in ("top", "right", "left"):
             axis.spines[side].set_visible(False)
@@ -58,6 +58,8 @@ def speech_figure(report: BenchReport) -> Figure:
             axis.plot(time_s, levels_db, color=colour, lw=width)
         axis.set_ylim(LEAST_DB, 0.0)
         axis.margins(x=0.0)
+        axis.set_xlabel("s", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=0)
+    axes[0].set_title("dB", fontsize=TEXT_PT, color=palette.GREY, loc="left", x=-0.055)
     for x, colour, name in ((0.06, palette.HEARD_LIGHT, "off"), (0.13, palette.FELT, "suppressed")):
         figure.text(x, 0.82, "■", color=colour, fontsize=TEXT_PT + 2, va="center")
         figure.text(x + 0.019, 0.82, name, color=palette.INK, fontsize=TEXT_PT, va="center")

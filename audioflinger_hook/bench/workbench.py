@@ -94,7 +94,12 @@ def not_compiled(name: str) -> tuple[Missing, ...]:
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured: counts, and durations in seconds. More narrows the spread."""
+    """How much is measured: counts, and durations in seconds. More narrows the spread.
+
+    slow_repeats: of everything but the compiled live form; saving_s: of each sound that savings
+    are tried on, in NumPy; rig_timed_s: of the drives that the ladder, and what protects a rig,
+    are timed on.
+    """
 
     tones: int
     low_tones: int
@@ -110,9 +115,11 @@ class Effort:
     settled_s: float
     split_s: float
     cost_repeats: int
+    slow_repeats: int
     cost_s: float
     cold_s: float
     saving_repeats: int
+    saving_s: float
     mix_rounds: int
     mix_repeats: int
     growth_s: float
@@ -122,13 +129,18 @@ class Effort:
     hops_held: int
     render_s: tuple[float, ...]
     rig_s: float
+    rig_timed_s: float
     random_rigs: int
+
+    def repeats_of(self, subject: Subject) -> int:
+        """Return how often a subject is timed: what is not compiled costs some ten times more."""
+        return self.cost_repeats if subject.name == LIVE else self.slow_repeats
 
 
 QUICK = Effort(
     tones=6,
     low_tones=3,
-    tone_s=5.0,
+    tone_s=3.0,
     gain_tones=8,
     bursts=25,
     onsets_a_burst=4,
@@ -140,19 +152,22 @@ QUICK = Effort(
     settled_s=3.0,
     split_s=0.3,
     cost_repeats=3,
-    cost_s=1.0,
-    cold_s=1.0,
+    slow_repeats=1,
+    cost_s=0.5,
+    cold_s=0.4,
     saving_repeats=1,
-    mix_rounds=30,
+    saving_s=1.0,
+    mix_rounds=15,
     mix_repeats=2,
     growth_s=8.0,
     channels_s=1.0,
-    hops_timed=5_000,
+    hops_timed=3_000,
     hops_timed_in_numpy=1_000,
-    hops_held=20_000,
+    hops_held=10_000,
     render_s=(60.0,),
     rig_s=4.0,
-    random_rigs=4,
+    rig_timed_s=1.0,
+    random_rigs=3,
 )
 FULL = Effort(
     tones=40,
@@ -169,18 +184,21 @@ FULL = Effort(
     settled_s=10.0,
     split_s=4.0,
     cost_repeats=15,
-    cost_s=10.0,
+    slow_repeats=5,
+    cost_s=6.0,
     cold_s=4.0,
-    saving_repeats=7,
+    saving_repeats=3,
+    saving_s=4.0,
     mix_rounds=400,
     mix_repeats=9,
     growth_s=64.0,
     channels_s=4.0,
     hops_timed=50_000,
-    hops_timed_in_numpy=10_000,
+    hops_timed_in_numpy=4_000,
     hops_held=100_000,
     render_s=(60.0, 600.0),
     rig_s=60.0,
+    rig_timed_s=10.0,
     random_rigs=40,
 )
 

@@ -242,7 +242,12 @@ def build_parser() -> Parser:
         action="store_true",
         help="every row from less material, in under a minute instead of six",
     )
-    bench.add_argument("--plots", type=Path, metavar="DIR", help="draw the figures there")
+    bench.add_argument(
+        "--plots",
+        type=Path,
+        metavar="DIR",
+        help="draw the figures there; a report above that folder shows them",
+    )
     bench.add_argument("--out", type=Path, metavar="FILE", help="default: docs/benchmarks.md")
     _add_json(bench)
 

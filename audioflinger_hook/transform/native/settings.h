@@ -186,6 +186,9 @@ typedef struct {
 /* The largest fresh_max. */
 #define FRESH_MAX 16
 
+/* The largest back_ticks. */
+#define BACK_MAX 64
+
 /* Return what of the settings does not fit the rest; NULL where all of it does. */
 const char *settings_misfit(const Settings *settings);
 
