@@ -361,16 +361,16 @@ def test_a_sample_that_does_not_begin_where_its_type_should_is_read():
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("channels", [1, 2, 3])
 def test_silence_is_the_same_however_its_frames_lie_in_memory(channels, dtype):
-    # Between sounds of any length, with a frame here and there that only one channel breaks.
+    # Silences that it falls asleep in; what then wakes it is one channel of one frame.
     rng = np.random.default_rng(0)
-    sound = white_noise(6.0, 8_000, 0.5)[: 8_000 * channels].reshape(-1, channels).astype(dtype)
-    for first in (1_000, 3_000, 5_500):
-        sound[first : first + 1_600] = 0.0
-        sound[first + rng.integers(1_300, 1_600), -1] = 1e-40
+    sound = white_noise(4.0 * channels, 8_000, 0.5).reshape(-1, channels).astype(dtype)
+    for first in (1_000, 9_000, 17_000, 25_000):
+        sound[first : first + 6_000] = 0.0
+        sound[first + rng.integers(5_000, 6_000), -1] = 1e-40
     sound[2_000:2_100] = -0.0
     apart = np.ones((len(sound), 2 * channels), dtype)[:, ::2]
     apart[:] = sound
-    for block in (1, 7, 100, 8_000):
+    for block in (7, 100, 32_000):
         one, other = made(sound, 8_000), made(sound, 8_000)
         for first in range(0, len(sound), block):
             dense, strided = sound[first : first + block], apart[first : first + block]
