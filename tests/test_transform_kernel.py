@@ -358,6 +358,32 @@ def test_a_sample_that_does_not_begin_where_its_type_should_is_read():
 
 
 @needs_kernel
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("channels", [1, 2, 3])
+def test_silence_is_the_same_however_its_frames_lie_in_memory(channels, dtype):
+    # Silences that it falls asleep in; what then wakes it is one channel of one frame.
+    rng = np.random.default_rng(0)
+    sound = white_noise(4.0 * channels, 8_000, 0.5).reshape(-1, channels).astype(dtype)
+    for first in (1_000, 9_000, 17_000, 25_000):
+        sound[first : first + 6_000] = 0.0
+        sound[first + rng.integers(5_000, 6_000), -1] = 1e-40
+    sound[2_000:2_100] = -0.0
+    apart = np.ones((len(sound), 2 * channels), dtype)[:, ::2]
+    apart[:] = sound
+    for block in (7, 100, 32_000):
+        one, other = made(sound, 8_000), made(sound, 8_000)
+        for first in range(0, len(sound), block):
+            dense, strided = sound[first : first + block], apart[first : first + block]
+            assert identical(one.process(dense), other.process(strided))
+
+
+@needs_kernel
+def test_twins_agree_after_a_silence_in_which_the_band_pass_comes_to_rest():
+    noise = white_noise(0.2, 48_000, 0.5)
+    assert assert_twins(joined(noise, silence(1.0, 48_000), noise), 48_000)[58_000:].any()
+
+
+@needs_kernel
 @pytest.mark.parametrize(
     "block",
     [

@@ -13,13 +13,15 @@
 /* The smallest normal number: keeps a divisor and a logarithm's argument off 0. */
 #define TINY 2.2250738585072014e-308
 
-/* A function of plain loops over arrays, compiled once for every processor and once for those with
- * registers of 32 bytes; the right one is chosen when the module is loaded. Both do the same
- * operations on each number, so both give the same bits. */
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(ONE_MACHINE)
+/* A function of plain loops over arrays, compiled once for every processor and once each for those
+ * with registers of 32 and of 64 bytes; the right one is chosen when the module is loaded. All do the
+ * same operations on each number, so all give the same bits. */
+#if !defined(__x86_64__) || !defined(__GLIBC__) || !defined(__GNUC__) || defined(ONE_MACHINE)
+#define WIDE
+#elif defined(TWO_MACHINES)
 #define WIDE __attribute__((target_clones("avx2", "default")))
 #else
-#define WIDE
+#define WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
 #endif
 
 /* Before a loop: what it writes is not what it reads a step later. */

@@ -18,7 +18,71 @@ INLINED double sample_at(const char *place, int is_float)
     return sample;
 }
 
-int intake_is_silent(const char *place, int is_float) { return sample_at(place, is_float) == 0.0; }
+/* ------------------------------------------------------------------------------------- silence */
+
+/* Frames that are looked at together. */
+#define FEW_FRAMES 16
+
+static int is_silent(Sound sound, size_t frame)
+{
+    const char *place = sound.at + (ptrdiff_t)frame * sound.frame_bytes;
+    for (size_t channel = 0; channel < sound.channels; channel++, place += sound.channel_bytes)
+        if (sample_at(place, sound.is_float) != 0.0)
+            return 0;
+    return 1;
+}
+
+/* Whether frames lie one behind the other without a gap. */
+static int is_dense(Sound sound)
+{
+    const ptrdiff_t sample_bytes = sound.is_float ? sizeof(float) : sizeof(double);
+    return sound.channel_bytes == sample_bytes &&
+           sound.frame_bytes == sample_bytes * (ptrdiff_t)sound.channels;
+}
+
+/* Whether nothing but a sign is in any of these bytes, a multiple of 8 of them. */
+WIDE static int are_zeros(const char *at, size_t bytes, uint64_t signs)
+{
+    uint64_t all = 0;
+    for (size_t place = 0; place < bytes; place += sizeof all) {
+        uint64_t here;
+        memcpy(&here, at + place, sizeof here);
+        all |= here;
+    }
+    return !(all & ~signs);
+}
+
+/* Whether a few frames of dense sound are silent. */
+static int few_are_silent(Sound sound, size_t first)
+{
+    const uint64_t signs = sound.is_float ? UINT64_C(0x8000000080000000) : UINT64_C(1) << 63;
+    const char *at = sound.at + (ptrdiff_t)first * sound.frame_bytes;
+    return are_zeros(at, FEW_FRAMES * (size_t)sound.frame_bytes, signs);
+}
+
+size_t intake_silent_first(Sound sound, size_t frames)
+{
+    size_t silent = 0;
+    if (is_dense(sound))
+        while (frames - silent >= FEW_FRAMES && few_are_silent(sound, silent))
+            silent += FEW_FRAMES;
+    while (silent < frames && is_silent(sound, silent))
+        silent++;
+    return silent;
+}
+
+size_t intake_silent_last(Sound sound, size_t frames)
+{
+    size_t sounding = frames;
+    if (is_dense(sound))
+        while (sounding >= FEW_FRAMES && few_are_silent(sound, sounding - FEW_FRAMES))
+            sounding -= FEW_FRAMES;
+    while (sounding && is_silent(sound, sounding - 1))
+        sounding--;
+    return frames - sounding;
+}
+
+/* ---------------------------------------------------------------------------------------- intake */
 
 /* Channels are added one by one, then divided by their number: the same order for any block. */
 INLINED size_t mean(const char *at, ptrdiff_t frame_bytes, ptrdiff_t channel_bytes, size_t channels,
@@ -99,4 +163,20 @@ double intake_band_pass(const Settings *settings, double *state, double *mono, s
     if (order == 2)
         return band_passed(settings, state, 2, mono, frames);
     return band_passed(settings, state, order, mono, frames);
+}
+
+double intake_band_pass_silence(const Settings *settings, double *state, double *mono,
+                                size_t frames)
+{
+    const size_t bytes = (settings->band_b.length - 1) * sizeof(double);
+    double before[ORDER_MAX];
+    memcpy(before, state, bytes);
+    memset(mono, 0, frames * sizeof(double));
+    const double first = intake_band_pass(settings, state, mono, 1);
+    if (memcmp(before, state, bytes) != 0)
+        return larger(intake_band_pass(settings, state, mono + 1, frames - 1), first);
+    /* It has come to rest, in 0.4 s of silence: every frame leaves it as the first has. */
+    for (size_t frame = 1; frame < frames; frame++)
+        mono[frame] = mono[0];
+    return first;
 }

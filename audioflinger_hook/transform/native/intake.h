@@ -15,8 +15,11 @@ typedef struct {
     int is_float; /* 32 bits a sample, else 64 */
 } Sound;
 
-/* Whether the sample at this place is exactly 0. */
-int intake_is_silent(const char *place, int is_float);
+/* How many of so many frames, from the first on, are exactly 0 in all their channels. */
+size_t intake_silent_first(Sound sound, size_t frames);
+
+/* The same from the last on backwards. */
+size_t intake_silent_last(Sound sound, size_t frames);
 
 /* Write the mean of the channels of so many frames; return how many samples were unusable and count
  * as 0: not finite, or above magnitude_max. */
@@ -25,5 +28,9 @@ size_t intake_mono(const Settings *settings, Sound sound, size_t frames, double 
 /* Band-pass so many frames in place; return the largest magnitude among them. state: as many as the
  * filter's order. */
 double intake_band_pass(const Settings *settings, double *state, double *mono, size_t frames);
+
+/* The same of so many frames of silence, one at least. */
+double intake_band_pass_silence(const Settings *settings, double *state, double *mono,
+                                size_t frames);
 
 #endif

@@ -218,11 +218,17 @@ static void advance(Live *live, Voice *voice)
 
 /* -------------------------------------------------------------------------------------- a block */
 
-static void collect(Live *live, Voice *voice, Sound sound, size_t frames)
+/* Take frames into a voice's window. silent: all of them are exactly 0. */
+static void collect(Live *live, Voice *voice, Sound sound, size_t frames, int silent)
 {
     const Settings *s = &live->settings;
-    live->replaced += intake_mono(s, sound, frames, live->mono);
-    const double loudest = intake_band_pass(s, voice->band, live->mono, frames);
+    double loudest;
+    if (silent) {
+        loudest = intake_band_pass_silence(s, voice->band, live->mono, frames);
+    } else {
+        live->replaced += intake_mono(s, sound, frames, live->mono);
+        loudest = intake_band_pass(s, voice->band, live->mono, frames);
+    }
     double *of_hop = &voice->peaks[s->hops_in_window - 1];
     double *of_tick = &voice->onsets.peaks[s->short_ticks - 1];
     *of_hop = larger(loudest, *of_hop);
@@ -248,25 +254,13 @@ static void deliver(const Voice *voice, size_t from, size_t frames, double *vibr
             vibration[frame * apart] = played[frame];
 }
 
-/* Whether a frame is exactly 0 in all its channels. */
-static int is_silent(Sound sound, size_t frame)
+/* Count the silence that these frames end with; return whether they are nothing else. */
+static int note_silence(Live *live, Sound sound, size_t frames)
 {
-    const char *place = sound.at + (ptrdiff_t)frame * sound.frame_bytes;
-    for (size_t channel = 0; channel < sound.channels; channel++, place += sound.channel_bytes)
-        if (!intake_is_silent(place, sound.is_float))
-            return 0;
-    return 1;
-}
-
-/* Count the silence that these frames end with. */
-static void note_silence(Live *live, Sound sound, size_t frames)
-{
-    size_t silent = 0;
-    while (silent < frames && is_silent(sound, frames - 1 - silent))
-        silent++;
-    if (silent == frames)
-        silent += live->silent;
-    live->silent = silent < live->settings.window_frames ? silent : live->settings.window_frames;
+    const size_t silent = intake_silent_last(sound, frames);
+    const size_t total = silent == frames ? live->silent + frames : silent;
+    live->silent = total < live->settings.window_frames ? total : live->settings.window_frames;
+    return silent == frames;
 }
 
 /* Whether nothing is played, and what was heard has no effect any more. */
@@ -290,9 +284,7 @@ static size_t up_to_onset(Live *live, Sound sound, size_t frames)
         return frames;
     const size_t room = live->settings.tick_frames - live->filled;
     const size_t most = frames < room ? frames : room;
-    size_t silent = 0;
-    while (silent < most && is_silent(sound, silent))
-        silent++;
+    const size_t silent = intake_silent_first(sound, most);
     if (silent)
         return silent;
     if (asleep(live)) {
@@ -320,7 +312,7 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
     while (frames) {
         const size_t same = up_to_onset(live, sound, frames);
         const size_t room = s->tick_frames - live->filled, part = same < room ? same : room;
-        note_silence(live, sound, part);
+        const int silent = note_silence(live, sound, part);
         for (size_t which = 0; which < live->voices_count; which++) {
             Sound heard = sound;
             if (live->each) {
@@ -328,7 +320,7 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
                 heard.channels = 1;
             }
             Voice *voice = &live->voices[which];
-            collect(live, voice, heard, part);
+            collect(live, voice, heard, part, silent);
             deliver(voice, live->filled, part, vibration + which, live->voices_count);
         }
         sound.at += (ptrdiff_t)part * sound.frame_bytes;
