@@ -126,7 +126,7 @@ def run_bench(
 ) -> BenchReport:
     """Measure everything on this machine and return the report.
 
-    quick: the same rows from less material, in under a minute instead of about six. effort: other
+    quick: the same rows from less material, in under a minute instead of about five. effort: other
     counts than those two. The calling thread does the work; costs are its own CPU time.
     """
     start_s = time.monotonic()

@@ -38,6 +38,8 @@ EVERY_SAVING = "all savings on"
 SAVED, CHANGE = "saves at most", "largest change"
 DEMO_FROM_S, DEMO_TO_S = 8.0, 12.0
 """Of the demo scene: speech, a second of silence, an explosion, a chord."""
+DEMO_TIMES = 2.5
+"""So many times as long as the other scenes that part is at most; its beginning is left out."""
 INAUDIBLE = 1e-300
 """Stands for an amplitude of 0 where a rule looks for 0; added to anything it changes nothing."""
 
@@ -123,7 +125,8 @@ def _scenes(duration_s: float, recordings: tuple[Recording, ...]) -> dict[str, F
     cut_short = chord(duration_s)
     cut_short[SAMPLERATE // 2 :] = 0.0
     spoken = speech(recordings)
-    demo = demo_sound()[round(DEMO_FROM_S * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
+    from_s = max(DEMO_FROM_S, DEMO_TO_S - DEMO_TIMES * duration_s)
+    demo = demo_sound()[round(from_s * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
     scenes = {
         "0.5 s, then silence": cut_short,
         "demo scene": demo,

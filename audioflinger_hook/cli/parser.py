@@ -240,7 +240,7 @@ def build_parser() -> Parser:
     bench.add_argument(
         "--quick",
         action="store_true",
-        help="every row from less material, in under a minute instead of six",
+        help="every row from less material, in under a minute instead of about five",
     )
     bench.add_argument(
         "--plots",
