@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfilt
 
-from audioflinger_hook.bench.savings import SAVINGS
+from audioflinger_hook.bench.savings import SAVINGS, Saving, kept_alike
 from audioflinger_hook.transform import (
     TransformParameters,
     bandpass,
@@ -107,6 +107,24 @@ def test_no_saving_changes_more_than_it_states(saving):
         saving.switch_off(switched)
         change = switched.process(sound) - LiveTransform(PARAMETERS, 48_000).process(sound)
         assert np.abs(change).max() <= saving.bound
+
+
+def test_images_of_high_peaks_change_next_to_nothing_where_they_decide_nothing():
+    (saving,) = (saving for saving in SAVINGS if "high peaks" in saving.name)
+    change, others, hops = kept_alike(white_noise(4.0, 48_000), saving)
+    assert hops > 200
+    assert saving.partial_bound is not None
+    assert 0.0 < change <= saving.partial_bound
+    # Which of two peaks that tie for the last place is kept: 1 to 9 of 553 hops hold such a tie.
+    assert others <= hops / 40
+
+
+def test_what_keeps_other_peaks_is_counted_and_not_taken_for_a_change_of_one():
+    def keep_one(transform):
+        transform._analysis._partials_max = 1
+
+    change, others, hops = kept_alike(white_noise(0.5, 48_000), Saving("one peak", keep_one))
+    assert (change, others) == (0.0, hops)
 
 
 # --- silence ------------------------------------------------------------------------------------
@@ -330,8 +348,8 @@ def test_the_low_passs_ripple_is_undone_for_steady_vibration(samplerate):
         )
         # A table of 0.25 Hz: between its entries the gain is interpolated.
         assert abs(20 * np.log10(level)) < 0.02
-        # The images of the interpolation, under -70 dB at any rate.
-        assert residual_db < -70.0
+        # The images of the interpolation, under -80 dB at any rate.
+        assert residual_db < -80.0
 
 
 # --- candidates ---------------------------------------------------------------------------------
