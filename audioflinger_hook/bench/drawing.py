@@ -246,6 +246,7 @@ def rungs_figure(report: BenchReport) -> Figure:
         axis.annotate(
             name, (costs_ms[-1], errors[-1]), xytext=beside, textcoords="offset points",
             fontsize=SMALL_PT, color=colour, va="center", ha="center" if single else "left",
+            bbox={"facecolor": palette.WHITE, "edgecolor": "none", "pad": 0.6}, zorder=4,
         )  # fmt: skip
     axis.tick_params(which="minor", length=0)
     axis.set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
