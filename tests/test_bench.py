@@ -527,7 +527,7 @@ def test_the_plots_are_pictures(report, tmp_path):
     if os.environ.get("CI") != "true":
         pytest.importorskip("matplotlib")
     paths = bench.plots(report, tmp_path)
-    names = ["cost", "lag", "frequency", "frontier", "levels", "speech", "rungs", "damping"]
+    names = "cost lag frequency frontier comparators levels speech rungs damping".split()
     assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
         content = path.read_bytes()
