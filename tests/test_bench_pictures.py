@@ -65,7 +65,7 @@ def test_what_could_not_be_measured_has_no_picture(drawing, monkeypatch, tmp_pat
 
 
 def test_without_matplotlib_that_is_told_before_anything_is_measured(monkeypatch, tmp_path):
-    measured = []
+    measured: list[object] = []
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     done = ran(monkeypatch, tmp_path / "page.md", tmp_path / "images", measured.append)

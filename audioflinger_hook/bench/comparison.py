@@ -53,6 +53,7 @@ TONE_AMPLITUDE, TONE_S = 0.3, 1.0
 QUIETER_DB = (0.0, -20.0, -40.0)
 
 COST = "cost of a second, blocks of 256"
+COST_FFTS = f"{COST}, in FFTs"
 LAG_MEAN, LAG_P95 = "onset lag, mean", "onset lag, 95th percentile"
 BURSTS_FELT = "bursts felt"
 CORRELATION = "envelope correlation, median recording"
@@ -170,7 +171,7 @@ def _cost_rows(subjects: Sequence[Subject], bench: Workbench) -> list[Row]:
         cost_ms = 1e3 * timing.median_s / COST_S
         rows.append(Row(COST, cost_ms, "ms", subject.name, low=low, high=high))
         units = float(round(timing.median_units / COST_S))
-        rows.append(Row(f"{COST}, in FFTs", units, "", subject.name))
+        rows.append(Row(COST_FFTS, units, "", subject.name))
     return rows
 
 

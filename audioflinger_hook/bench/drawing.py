@@ -1,7 +1,6 @@
-"""Pictures of a report: what a second of each scene costs, how late onsets are felt, what error
-of the simulated rig costs how much, what is left of a burst, how far off frequencies are, and what
-is left of speech.
+"""Pictures of a report, `PICTURES`, and how a page shows them.
 
+Three are drawn here, the others in the modules *_figure.
 Needs matplotlib, an optional extra, and uses only its objects: no pyplot, no global setting.
 """
 
@@ -17,6 +16,8 @@ from urllib.parse import quote
 
 import numpy as np
 
+from audioflinger_hook.bench.comparison import TITLE as COMPARISON_TITLE
+from audioflinger_hook.bench.comparison_figure import comparison_figure
 from audioflinger_hook.bench.damping import TITLE as DAMPING_TITLE
 from audioflinger_hook.bench.damping_figure import damping_figure
 from audioflinger_hook.bench.fidelity import LAG_P95
@@ -246,6 +247,7 @@ def rungs_figure(report: BenchReport) -> Figure:
         axis.annotate(
             name, (costs_ms[-1], errors[-1]), xytext=beside, textcoords="offset points",
             fontsize=SMALL_PT, color=colour, va="center", ha="center" if single else "left",
+            bbox={"facecolor": palette.WHITE, "edgecolor": "none", "pad": 0.6}, zorder=4,
         )  # fmt: skip
     axis.tick_params(which="minor", length=0)
     axis.set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
@@ -309,6 +311,8 @@ PICTURES = (
     Picture("frequency", "Frequency error over the ratio of signal to noise, against the bound",
             FREQUENCY_TITLE, frequency_figure, by_series=True),
     Picture("frontier", "Four errors over cost, by setting", FRONTIER_TITLE, frontier_figure),
+    Picture("comparators", "Cost, lag and likeness of each way from sound to vibration",
+            COMPARISON_TITLE, comparison_figure),
     Picture("levels", "Levels of vibration by profile", LEVELS_TITLE, levels_figure),
     Picture("speech", "Vibration of speech with and without suppression", SPEECH_TITLE,
             speech_figure, by_series=True),

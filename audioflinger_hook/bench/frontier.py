@@ -322,12 +322,11 @@ def _place(
         )
         aims = dict.fromkeys(column for gains in needless.values() for column in gains)
         reached = ", ".join(f"{column} {ENOUGH[column].shown(UNITS[column])}" for column in aims)
+        said += [] if rest else ["lie on the frontier where there is more to be felt."]
         said.append(
-            ("Better only in what is good enough: " if rest else "lie on the frontier but for what "
-             "is better only where they are good enough: ")
-            + f"{each}. The defaults reach what is aimed at there ({reached}) already, and whoever "
-            "feels it cannot tell the rest."
-        )  # fmt: skip
+            f"Better only where the defaults are good enough already: {each}. What is aimed at "
+            f"there is {reached}; beyond it cost decides."
+        )
     return " ".join(said)
 
 
