@@ -290,7 +290,7 @@ WIDE static void joined(const Fft *fft, Complexes from, size_t bins, double *res
 void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *real,
                   double *imaginary, double *work)
 {
-    const size_t size = fft->points * fft->lanes;
+    const size_t size = fft->points * fft->lanes + FREE;
     Complexes one = {work, work + size}, other = {work + 2 * size, work + 3 * size};
     const int few = fft->points == 120 && fft->lanes == 1;
     paired(fft, samples, one);
