@@ -98,7 +98,8 @@ def find(
 def spectrum(samples: FloatArray, length: int, bins: FloatArray, /) -> None:
     """Write the first bins of scipy.fft.rfft(samples, length): bins, (2, bins), real, imaginary.
 
-    samples: (frames,), no more than length / 2. length: of the factors 2, 3 and 5.
+    samples: (frames,), no more than length; up to length / 2 it is done as of what is padded.
+    length: of the factors 2, 3 and 5.
 
     Raises
     ------

@@ -18,10 +18,14 @@
  * same operations on each number, so all give the same bits. */
 #if !defined(__x86_64__) || !defined(__GLIBC__) || !defined(__GNUC__) || defined(ONE_MACHINE)
 #define WIDE
+#define WIDE_FOR_FEW
 #elif defined(TWO_MACHINES)
 #define WIDE __attribute__((target_clones("avx2", "default")))
+#define WIDE_FOR_FEW WIDE
 #else
 #define WIDE __attribute__((target_clones("avx512f", "avx2", "default")))
+/* For loops over a dozen numbers, where half of a register of 64 bytes would stay empty. */
+#define WIDE_FOR_FEW __attribute__((target_clones("avx2", "default")))
 #endif
 
 /* Before a loop: what it writes is not what it reads a step later. */

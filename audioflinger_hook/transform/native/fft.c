@@ -130,26 +130,50 @@ typedef struct {
     double *re, *im;
 } Complexes;
 
+/* Do one pass, of one factor; return its end in the table of turns. */
+INLINED const double *pass_once(size_t factor, size_t size, size_t run, const double *turn,
+                                Complexes *from, Complexes *to)
+{
+    const size_t rest = size / factor;
+    const Places places = {rest * run, run, run};
+    butterfly(factor, from->re, from->im, to->re, to->im, places, turn, 0);
+    turn += 2 * (factor - 1);
+    for (size_t place = 1; place < rest; place++, turn += 2 * (factor - 1))
+        butterfly(factor, from->re + run * place, from->im + run * place,
+                  to->re + run * factor * place, to->im + run * factor * place, places, turn, 1);
+    const Complexes done = *to;
+    *to = *from;
+    *from = done;
+    return turn;
+}
+
 /* Do all passes of one transform (Stockham's: nothing has to be put in order afterwards). */
 WIDE static void pass_through(const Passes *passes, Complexes *from, Complexes *to)
 {
     const double *turn = passes->turns;
     size_t size = passes->size, run = passes->run;
     for (size_t which = 0; which < passes->count; which++) {
-        const size_t factor = passes->factors[which], rest = size / factor;
-        const Places places = {rest * run, run, run};
-        butterfly(factor, from->re, from->im, to->re, to->im, places, turn, 0);
-        turn += 2 * (factor - 1);
-        for (size_t place = 1; place < rest; place++, turn += 2 * (factor - 1))
-            butterfly(factor, from->re + run * place, from->im + run * place,
-                      to->re + run * factor * place, to->im + run * factor * place, places, turn,
-                      1);
-        size = rest;
+        const size_t factor = passes->factors[which];
+        turn = pass_once(factor, size, run, turn, from, to);
+        size /= factor;
         run *= factor;
-        const Complexes done = *to;
-        *to = *from;
-        *from = done;
     }
+}
+
+/* The same for 120 complex numbers, those of the short window at 44.1 and 48 kHz. There loops are so
+ * short that a quarter is won where the compiler knows how long they are and what is how far away. */
+WIDE_FOR_FEW static void pass_through_columns_of_10(const Passes *passes, Complexes *from,
+                                                    Complexes *to)
+{
+    const double *turn = pass_once(3, 12, 10, passes->turns, from, to);
+    pass_once(4, 4, 30, turn, from, to);
+}
+
+WIDE_FOR_FEW static void pass_through_rows_of_12(const Passes *passes, Complexes *from,
+                                                 Complexes *to)
+{
+    const double *turn = pass_once(5, 10, 12, passes->turns, from, to);
+    pass_once(2, 2, 60, turn, from, to);
 }
 
 /* Two numbers in one register. */
@@ -167,10 +191,9 @@ INLINED Pair pair_at(const double *at)
 INLINED void pair_to(double *at, Pair pair) { memcpy(at, &pair, sizeof pair); }
 
 /* Turn each number of the grid and write rows as columns. */
-INLINED void exchanged_one(const Fft *fft, Complexes from, Complexes to)
+INLINED void exchanged_one(const double *turn, size_t rows, size_t columns, Complexes from,
+                           Complexes to)
 {
-    const size_t rows = fft->columns.size, columns = fft->rows.size;
-    const double *turn = fft->grid_turn;
     for (size_t column = 0; column < columns; column++, turn += 2 * rows) {
         const double *restrict re = from.re + column, *restrict im = from.im + column;
         double *restrict to_re = to.re + column * rows, *restrict to_im = to.im + column * rows;
@@ -207,7 +230,13 @@ WIDE static void exchanged(const Fft *fft, Complexes from, Complexes to)
     if (fft->lanes == 2)
         exchanged_two(fft, from, to);
     else
-        exchanged_one(fft, from, to);
+        exchanged_one(fft->grid_turn, fft->columns.size, fft->rows.size, from, to);
+}
+
+/* The same of 12 rows and 10 columns. */
+WIDE_FOR_FEW static void exchanged_12_10(const Fft *fft, Complexes from, Complexes to)
+{
+    exchanged_one(fft->grid_turn, 12, 10, from, to);
 }
 
 /* ------------------------------------------------------------------------------ real to complex */
@@ -261,12 +290,22 @@ WIDE static void joined(const Fft *fft, Complexes from, size_t bins, double *res
 void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *real,
                   double *imaginary, double *work)
 {
-    const size_t size = fft->points * fft->lanes;
+    const size_t size = fft->points * fft->lanes + FREE;
     Complexes one = {work, work + size}, other = {work + 2 * size, work + 3 * size};
+    const int few = fft->points == 120 && fft->lanes == 1;
     paired(fft, samples, one);
-    pass_through(&fft->columns, &one, &other);
-    exchanged(fft, one, other);
-    pass_through(&fft->rows, &other, &one);
+    if (few)
+        pass_through_columns_of_10(&fft->columns, &one, &other);
+    else
+        pass_through(&fft->columns, &one, &other);
+    if (few)
+        exchanged_12_10(fft, one, other);
+    else
+        exchanged(fft, one, other);
+    if (few)
+        pass_through_rows_of_12(&fft->rows, &other, &one);
+    else
+        pass_through(&fft->rows, &other, &one);
     if (fft->halved)
         joined(fft, other, bins, real, imaginary);
     else

@@ -7,6 +7,10 @@
 
 #define FACTORS_MAX 24
 
+/* Doubles that are left free between the parts of the work space. Of lengths that are powers of 2 all
+ * parts would else share the same lines of the cache. */
+#define FREE 72
+
 /* A transform of `size` complex numbers that stand `run` apart, for `run` of them side by side. */
 typedef struct {
     size_t size, run;

@@ -121,4 +121,4 @@ void fft_close(Fft *fft)
     fft->tables = NULL;
 }
 
-size_t fft_work(const Fft *fft) { return 4 * fft->points * fft->lanes; }
+size_t fft_work(const Fft *fft) { return 4 * (fft->points * fft->lanes + FREE); }

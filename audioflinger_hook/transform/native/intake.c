@@ -74,6 +74,8 @@ size_t intake_silent_first(Sound sound, size_t frames)
 size_t intake_silent_last(Sound sound, size_t frames)
 {
     size_t sounding = frames;
+    if (!frames || !is_silent(sound, frames - 1))
+        return 0; /* as in all that sounds */
     if (is_dense(sound))
         while (sounding >= FEW_FRAMES && few_are_silent(sound, sounding - FEW_FRAMES))
             sounding -= FEW_FRAMES;

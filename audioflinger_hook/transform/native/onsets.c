@@ -56,6 +56,14 @@ WIDE static void powers(const double *restrict real, const double *restrict imag
         power[bin] = (real[bin] * real[bin] + imaginary[bin] * imaginary[bin]) * scale;
 }
 
+static double sum(const double *values, size_t count)
+{
+    double total = 0.0;
+    for (size_t one = 0; one < count; one++)
+        total += values[one];
+    return total;
+}
+
 /* Write the powers of bins and bands; what stays under the quietest onset is taken for silence. */
 static void see(const Settings *s, const Fft *fft, double loudest, const double *samples,
                 double *power, double *bands, double *work)
@@ -72,16 +80,7 @@ static void see(const Settings *s, const Fft *fft, double loudest, const double 
     fft_spectrum(fft, out, s->short_bins, real, imaginary, imaginary + s->short_bins);
     powers(real, imaginary, s->short_scale, s->short_bins, power);
     for (size_t band = 0; band < count; band++)
-        for (size_t bin = edge(s, band); bin < edge(s, band + 1); bin++)
-            bands[band] += power[bin];
-}
-
-static double sum(const double *values, size_t count)
-{
-    double total = 0.0;
-    for (size_t one = 0; one < count; one++)
-        total += values[one];
-    return total;
+        bands[band] = sum(power + edge(s, band), edge(s, band + 1) - edge(s, band));
 }
 
 static double mean_square(const double *samples, size_t count)

@@ -137,11 +137,11 @@ static PyObject *spectrum(PyObject *Py_UNUSED(module), PyObject *arguments)
     Fft fft = {0};
     double *work = NULL;
     const char *wrong = NULL;
-    if (length < 2 || length > 1 << 24 || samples.shape[0] > length / 2)
-        wrong = "length: not at least twice the samples";
+    if (length < 2 || length > 1 << 24 || samples.shape[0] > length)
+        wrong = "length: not that of the samples or more";
     else if (bins.shape[0] != 2 || bins.shape[1] < 1 || bins.shape[1] > length / 2 + 1)
         wrong = "bins: not two rows of as many as there are at most";
-    else if (fft_open(&fft, (size_t)length, 1))
+    else if (fft_open(&fft, (size_t)length, samples.shape[0] <= length / 2))
         wrong = "length: has other factors than 2, 3 and 5";
     else if (!(work = PyMem_Calloc(fft_work(&fft) + fft.frames, sizeof(double))))
         wrong = "no memory";

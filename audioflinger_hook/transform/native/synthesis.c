@@ -110,18 +110,26 @@ INLINED void low_passed(Table b, Table a, double *state, size_t order, double *s
 
 /* Each step of the low rate becomes `decimation` frames: a matrix, by which the last `taps` samples
  * are multiplied. */
-WIDE static void interpolated(const double *restrict low_rate, size_t steps, Table phases,
-                              size_t decimation, double *restrict vibration)
+INLINED void multiplied(const double *restrict low_rate, size_t steps, const double *restrict phases,
+                        size_t taps, size_t decimation, double *restrict vibration)
+{
+    for (size_t step = 0; step < steps; step++, low_rate++, vibration += decimation)
+        for (size_t frame = 0; frame < decimation; frame++) {
+            double total = low_rate[0] * phases[frame];
+            for (size_t tap = 1; tap < taps; tap++)
+                total += low_rate[tap] * phases[tap * decimation + frame];
+            vibration[frame] = total;
+        }
+}
+
+WIDE static void interpolated(const double *low_rate, size_t steps, Table phases, size_t decimation,
+                              double *vibration)
 {
     const size_t taps = phases.length / decimation;
-    memset(vibration, 0, steps * decimation * sizeof(double));
-    for (size_t step = 0; step < steps; step++)
-        for (size_t tap = 0; tap < taps; tap++) {
-            const double sample = low_rate[step + tap];
-            const double *restrict phase = phases.at + tap * decimation;
-            for (size_t frame = 0; frame < decimation; frame++)
-                vibration[step * decimation + frame] += sample * phase[frame];
-        }
+    if (taps == 4)
+        multiplied(low_rate, steps, phases.at, 4, decimation, vibration);
+    else
+        multiplied(low_rate, steps, phases.at, taps, decimation, vibration);
 }
 
 void synthesis_play(const Settings *settings, const double *hop, const Glides *fresh,

@@ -17,10 +17,17 @@ typedef struct {
     double gap_hz;  /* to the nearest; infinite where none sounds */
 } Match;
 
+/* To each of some what of others is nearest, by its place among them, and how near. */
+typedef struct {
+    uint64_t *nearest;
+    double *gap_hz;
+} Neighbours;
+
 /* The slots that sound, by their place among them. */
 typedef struct {
-    size_t *slot, *nearest_partial;
-    double *hz, *gap_hz;
+    size_t *slot;
+    double *hz;
+    Neighbours of_slots, of_partials;
 } Alive;
 
 static size_t most_alive(const Settings *settings)
@@ -37,9 +44,11 @@ static size_t lay_out(void *memory, const Settings *settings, Match **matches, A
     const size_t partials_max = settings->partials_max, living = most_alive(settings);
     *matches = taken(&space, partials_max, sizeof(Match));
     alive->slot = taken(&space, living, sizeof(size_t));
-    alive->nearest_partial = taken(&space, living, sizeof(size_t));
     alive->hz = taken(&space, living, sizeof(double));
-    alive->gap_hz = taken(&space, living, sizeof(double));
+    alive->of_slots.nearest = taken(&space, living, sizeof(uint64_t));
+    alive->of_slots.gap_hz = taken(&space, living, sizeof(double));
+    alive->of_partials.nearest = taken(&space, partials_max, sizeof(uint64_t));
+    alive->of_partials.gap_hz = taken(&space, partials_max, sizeof(double));
     return space.used;
 }
 
@@ -116,6 +125,34 @@ static double followed(const Settings *settings, double relative_change)
     return smaller(1.0, settings->steady_gain + relative_change * relative_change);
 }
 
+/* Find the nearest of others to each of some; of equals the first. Between a partial and the slot
+ * with that place among those alive lies `first_hz` times the place more. Nothing branches: in noise
+ * nobody could foresee which way. */
+INLINED void nearest_of(const double *restrict hz, size_t count, const double *restrict other_hz,
+                        size_t others, double first_hz, double others_first_hz, Neighbours found)
+{
+    uint64_t *restrict nearest = found.nearest;
+    double *restrict gap_hz = found.gap_hz;
+    for (size_t one = 0; one < count; one++) {
+        nearest[one] = 0;
+        gap_hz[one] = INFINITY;
+    }
+    for (size_t other = 0; other < others; other++)
+        for (size_t one = 0; one < count; one++) {
+            const double place_hz = first_hz * (double)(uint32_t)one + others_first_hz * (double)other;
+            const double distance_hz = fabs(hz[one] - other_hz[other]) + place_hz;
+            const int nearer = distance_hz < gap_hz[one];
+            nearest[one] = nearer ? other : nearest[one];
+            gap_hz[one] = nearer ? distance_hz : gap_hz[one];
+        }
+}
+
+WIDE static void find_neighbours(Partials partials, Alive alive, size_t count, double first_hz)
+{
+    nearest_of(partials.hz, partials.count, alive.hz, count, 0.0, first_hz, alive.of_partials);
+    nearest_of(alive.hz, count, partials.hz, partials.count, first_hz, 0.0, alive.of_slots);
+}
+
 /* Find the slot nearest to each partial, and whether it is its own. */
 static void match(const Settings *settings, const Slots *slots, Partials partials, Match *matches,
                   Alive alive)
@@ -125,31 +162,15 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
     for (size_t slot = 0; slot < none && count < most_alive(settings); slot++)
         if (slots->alive[slot] != 0.0) {
             alive.slot[count] = slot;
-            alive.nearest_partial[count] = 0;
-            alive.hz[count] = slots->hz[slot];
-            alive.gap_hz[count++] = INFINITY;
+            alive.hz[count++] = slots->hz[slot];
         }
-    for (size_t one = 0; one < partials.count; one++) {
-        size_t nearest = 0;
-        double gap_hz = INFINITY;
-        for (size_t other = 0; other < count; other++) {
-            /* Written so that nothing branches: in noise nobody could foresee which way. */
-            const double distance_hz =
-                fabs(partials.hz[one] - alive.hz[other]) + settings->first_hz * (double)other;
-            const int nearer = distance_hz < gap_hz, to_slot = distance_hz < alive.gap_hz[other];
-            nearest = nearer ? other : nearest;
-            gap_hz = nearer ? distance_hz : gap_hz;
-            alive.nearest_partial[other] = to_slot ? one : alive.nearest_partial[other];
-            alive.gap_hz[other] = to_slot ? distance_hz : alive.gap_hz[other];
-        }
-        matches[one].nearest = nearest;
-        matches[one].gap_hz = gap_hz;
-    }
+    find_neighbours(partials, alive, count, settings->first_hz);
     for (size_t one = 0; one < partials.count; one++) {
         const double ratio = settings->match_audio_hz / partials.audio_hz[one];
-        const size_t nearest = matches[one].nearest;
-        const int mutual = count && alive.nearest_partial[nearest] == one;
+        const size_t nearest = alive.of_partials.nearest[one];
+        const int mutual = count && alive.of_slots.nearest[nearest] == one;
         matches[one].nearest = count ? alive.slot[nearest] : 0;
+        matches[one].gap_hz = alive.of_partials.gap_hz[one];
         const int held = count && slots->held_hops[matches[one].nearest] > 0.0;
         const double slope_hz = settings->scale_hz + settings->scale_ratio * partials.hz[one];
         const double reach_hz = slope_hz * larger(settings->match_ratio, ratio) *
