@@ -30,7 +30,7 @@ PEAK_MEMORY = Must("<=", 400.0)
 TIMEOUT_S = 300.0
 A_CORE = {"live": Must(">=", 400.0), "reference": Must(">=", 250.0)}
 A_CORE_FFTS = {form: Must("<=", in_ffts(1.0 / must.bound)) for form, must in A_CORE.items()}
-REPEATS = 2
+REPEATS = 3
 
 # A small process of its own starts the command: the peak of a child includes what its parent
 # occupied when it was started, and the bench occupies a lot.
