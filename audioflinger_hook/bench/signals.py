@@ -59,6 +59,8 @@ CHORD_AMPLITUDE = 0.08
 BURST_S, BURST_RISE_S = 0.25, 0.001
 DENORMAL, DENORMAL_FLOAT64 = 1e-40, 1e-310
 """Denormal numbers of float32 and of float64, far under anything audible."""
+WEAK = 1e-30
+"""As inaudible, and a normal number of both: what denormal ones should cost."""
 
 
 def tone(
@@ -209,7 +211,9 @@ COST_SCENES: tuple[CostScene, ...] = (
     CostScene("speech recordings", _speech_scene),
     CostScene("white noise, 0 dBFS", lambda s, _: white_noise(s)),
     CostScene("silence", lambda s, _: stereo(np.zeros(round(s * SAMPLERATE)))),
+    CostScene("weak numbers", lambda s, _: stereo(np.full(round(s * SAMPLERATE), WEAK))),
     CostScene("denormal numbers", lambda s, _: stereo(np.full(round(s * SAMPLERATE), DENORMAL))),
+    CostScene("weak numbers of float64", lambda s, _: np.full((round(s * SAMPLERATE), 2), WEAK)),
     CostScene(
         "denormal numbers of float64",
         lambda s, _: np.full((round(s * SAMPLERATE), 2), DENORMAL_FLOAT64),
