@@ -93,13 +93,15 @@ def _draw_error(axis: Axes, column: str, values: dict[tuple[str, str], float | N
                 *([place] for place in points[setting.name]), "o", ms=9 if default else 4.5,
                 color=palette.FELT if default else colour, zorder=5 if default else 4,
             )  # fmt: skip
-    axis.margins(0.09, 0.14)
+    axis.margins(0.09, 0.2)
     low, high = axis.get_xlim()
     ticks = [tick for tick in COST_TICKS_MS if low <= tick <= high]
     axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     error = points[DEFAULT][1]
     named = [
-        (name, place) for name, place in points.items() if abs(place[1] - error) > BLUR[column]
+        (name.replace("low-pass of ", ""), place)
+        for name, place in points.items()
+        if abs(place[1] - error) > BLUR[column]
     ]
     _name_points(axis, list(points.values()), sorted(hops), named)
 
@@ -128,31 +130,48 @@ def _name_points(
         for x, y in some
     ]
     field = axis.get_window_extent()
-    left_end, right_end = (float(end) * to_points for end in (field.x0, field.x1))
+    left_end, right_end, low_end, high_end = (
+        float(end) * to_points for end in (field.x0, field.x1, field.y0, field.y1)
+    )
     for name, point in named:
         x, y = place(point)
         width = LETTER_PT * len(name)
         boxes = [
             (left, y + dy - LINE_PT / 2.0, left + width, y + dy + LINE_PT / 2.0)
-            for dy in (0.0, 6.0, -6.0, 12.0, -12.0, 18.0, -18.0, 26.0, -26.0)
-            for left in (x + 6.0, x - 6.0 - width)
+            for dy in (0.0, 6.0, -6.0, 12.0, -12.0, 18.0, -18.0, 26.0, -26.0, 34.0, -34.0)
+            for left in (x + 6.0, x - 6.0 - width, x - width / 2.0)
         ]
-        fitting = [
+        inside = [
             box
             for box in boxes
-            if left_end < box[0] and box[2] < right_end + 4.0 and not _touches(box, taken)
+            if left_end < box[0]
+            and box[2] < right_end + 4.0
+            and low_end < box[1]
+            and box[3] < high_end
         ]
-        left, bottom, *_ = box = (fitting or boxes)[0]
+        left, bottom, *_ = box = min(
+            inside or boxes,
+            key=lambda box: _covered(box, taken) + abs(box[1] + LINE_PT / 2.0 - y),
+        )
         taken.append(box)
         axis.annotate(
             name, point, xytext=(left - x, bottom + LINE_PT / 2.0 - y),
             textcoords="offset points", fontsize=LABEL_PT, color=palette.GREY, va="center",
-            zorder=6,
+            zorder=6, arrowprops=_leader(bottom + LINE_PT / 2.0 - y, palette.GREY),
         )  # fmt: skip
 
 
-def _touches(box: Box, others: Sequence[Box]) -> bool:
-    return any(
-        box[0] < other[2] and other[0] < box[2] and box[1] < other[3] and other[1] < box[3]
+def _leader(away_pt: float, colour: str) -> dict[str, object] | None:
+    """Return how a name that stands higher or lower than its point is led to it."""
+    if abs(away_pt) < LINE_PT:
+        return None
+    return {"arrowstyle": "-", "color": colour, "lw": 0.6, "shrinkA": 1.0, "shrinkB": 2.0}
+
+
+def _covered(box: Box, others: Sequence[Box]) -> float:
+    """Return how much of other boxes one covers, in square points."""
+    return sum(
+        max(0.0, min(box[2], other[2]) - max(box[0], other[0]))
+        * max(0.0, min(box[3], other[3]) - max(box[1], other[1]))
         for other in others
     )
