@@ -24,6 +24,7 @@ from audioflinger_hook.bench.pauses import Pause, PauseWitness, undisturbed
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.garbage import spare_what_is_there
 from audioflinger_hook.daemon.pulled import PulledFeed
+from audioflinger_hook.live_settings import LiveSettings
 from device.clock.status import DelayState, DelayStatus
 from device.server import CaptureStream, PcmConfig, PlaybackStream, portaudio
 from tests.servers.bare_streams import bare_streams
@@ -128,18 +129,23 @@ def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
     clocks = Clocks(time.monotonic, time.thread_time)
     feed = PulledFeed()
     client = feed.client(RATE_HZ, 2)
-    engine = Engine(client, RATE_HZ, clocks=clocks, now_s=time.monotonic())
+    blocks = LiveSettings.block_frames
+    engine = Engine(client, RATE_HZ, clocks=clocks, now_s=time.monotonic(), block_frames=blocks)
     feed.serve(engine)
     feed.opened(RATE_HZ, 2)
 
     streams: list[CaptureStream | PlaybackStream] = []
     try:
         config.pcms["cushion_output"].lead("haptic", felt.address)
-        playback = PlaybackStream(config.pcms["cushion_output"], RATE_HZ, 2, engine.fill)
+        playback = PlaybackStream(
+            config.pcms["cushion_output"], RATE_HZ, 2, engine.fill, block_frames=blocks
+        )
         streams.append(playback)
         playback.audible = True
         config.pcms["cushion_tap"].lead("desktop.monitor", heard.address)
-        streams.append(CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, feed.push))
+        streams.append(
+            CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, feed.push, block_frames=blocks)
+        )
         spare_what_is_there()  # as the daemon does
         yield engine
         assert all(stream.errors == {} for stream in streams)
