@@ -302,7 +302,8 @@ def captured(folder: Path) -> Float32Array:
 def test_what_plays_is_captured_bit_for_bit_and_ends_after_its_seconds(
     server: SoundServer, tmp_path: Path
 ) -> None:
-    played = noise(2.0)  # whole quanta: PipeWire drops the rest
+    # Whole quanta, of up to 1024 frames: PipeWire drops the rest.
+    played = noise(96 * 1024 / RATE_HZ)
 
     def heard(attempt: int) -> Float32Array:
         folder = tmp_path / f"cap{attempt}"
