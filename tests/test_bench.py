@@ -70,6 +70,8 @@ LEAST = Effort(
     render_s=(1.0,),
     rig_s=0.5,
     rig_timed_s=0.5,
+    rung_repeats=1,
+    integrator_repeats=1,
     random_rigs=2,
 )
 

@@ -16,7 +16,7 @@ from audioflinger_hook.bench.cost import in_ffts, interleaved, thread_seconds
 from audioflinger_hook.bench.report import Must, Row, Section, number
 from audioflinger_hook.bench.rig import DRIVE_HZ, state_space
 from audioflinger_hook.bench.signals import SAMPLERATE
-from audioflinger_hook.bench.workbench import Workbench
+from audioflinger_hook.bench.workbench import Effort, Workbench
 from audioflinger_hook.transform.arrays import FloatArray
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator, Motion
@@ -45,7 +45,6 @@ COMPARED = 24
 LONGEST_S = 1.0
 SOLVED_S = 0.2
 """The integrators solve the beginning only: their cost is in proportion to the time."""
-REPEATS, SOLVED_REPEATS = 7, 5
 STATES = ("displacement_m", "velocity_m_s", "current_a")
 """What an integrator gives, and so what the non-linear rung is asked for beside it."""
 
@@ -65,10 +64,11 @@ class Point:
 
 def work_and_precision(bench: Workbench) -> Section:
     """Cost and error of each rung and of each integrator, on the same equations and drive."""
-    duration_s = min(LONGEST_S, bench.effort.rig_s)
+    effort = bench.effort
+    duration_s = min(LONGEST_S, effort.rig_s)
     expected = reference(LEVEL_V, SOLVED_S)
-    rows, series = _linear_rows(duration_s), {}
-    ours, theirs = _nonlinear_points(duration_s, expected)
+    rows, series = _linear_rows(duration_s, effort.rung_repeats), {}
+    ours, theirs = _nonlinear_points(effort, duration_s, expected)
     for nodes_hz, point in ours.items():
         name = f"non-linear rung, {number(nodes_hz)} nodes a second"
         rows += _point_rows(name, point, nodes_hz == DEFAULT_NODES_HZ)
@@ -91,8 +91,9 @@ def work_and_precision(bench: Workbench) -> Section:
         "sinusoids as a function in plain Python floats, and solve the first "
         f"{SOLVED_S} s, asked for the motion {SAMPLERATE // COMPARED} times a second. The "
         "reference is DOP853 at 1e-12, and lsim for the linear equations. Non-linear rung and "
-        f"integrators in turns, the least of {REPEATS} and of {SOLVED_REPEATS} repeats. What "
-        "is asked of the linear rung stands in the section above, over longer blocks.",
+        f"integrators in turns, the least of {effort.rung_repeats} and of "
+        f"{effort.integrator_repeats} repeats. What is asked of the linear rung stands in the "
+        "section above, over longer blocks.",
         tuple(rows),
         series=series,
         footnote="How many times faster: the cost of an integrator at the error of ours is read "
@@ -151,7 +152,7 @@ def _solved(method: str, level_v: float, duration_s: float, tolerance: float) ->
 
 
 def _nonlinear_points(
-    duration_s: float, expected: FloatArray
+    effort: Effort, duration_s: float, expected: FloatArray
 ) -> tuple[dict[float, Point], dict[str, list[Point]]]:
     """Ours by nodes, and the integrators' by method; timed in turns, since they are compared.
 
@@ -176,7 +177,8 @@ def _nonlinear_points(
         *(partial(_afresh_smoothly, ladder, volts) for ladder in ladders.values()),
         *(partial(solve, *each) for each in asked),
     ]
-    timings = interleaved(works, [REPEATS] * len(ladders) + [SOLVED_REPEATS] * len(asked))
+    repeats = [effort.rung_repeats] * len(ladders) + [effort.integrator_repeats] * len(asked)
+    timings = interleaved(works, repeats, warm=False)  # the first is hardly ever the least
     ours = {
         hz: Point(min(timing.seconds) / duration_s, error, timing.median_units / duration_s)
         for hz, error, timing in zip(NODES_HZ, errors, timings, strict=False)
@@ -222,7 +224,7 @@ def _afresh_smoothly(ladder: Ladder, volts: FloatArray) -> None:
     ladder.move(with_straight_lines(volts), STATES)
 
 
-def _linear_rows(duration_s: float) -> list[Row]:
+def _linear_rows(duration_s: float, repeats: int) -> list[Row]:
     """The linear rungs on the linear equations, and what simpler ones would be off by."""
     volts = drive(LOW_LEVEL_V, duration_s)
     p = PAPER.actuator
@@ -239,8 +241,8 @@ def _linear_rows(duration_s: float) -> list[Row]:
         partial(_afresh, ladder, volts),
         partial(lsim, system, volts, times),
     ]
-    repeats = (REPEATS, REPEATS, 1)  # lsim takes a hundred times as long
-    costs = [timing.median_s / duration_s for timing in interleaved(works, repeats)]
+    turns = (repeats, repeats, 1)  # lsim takes a hundred times as long
+    costs = [timing.median_s / duration_s for timing in interleaved(works, turns)]
     names = ("linear rung", "linear rung, chosen by the ladder", "scipy.signal.lsim")
     rows = [
         Row(name, 1.0 / cost, "", "x real time") for name, cost in zip(names, costs, strict=True)

@@ -130,6 +130,8 @@ class Effort:
     render_s: tuple[float, ...]
     rig_s: float
     rig_timed_s: float
+    rung_repeats: int
+    integrator_repeats: int
     random_rigs: int
 
     def repeats_of(self, subject: Subject) -> int:
@@ -167,6 +169,8 @@ QUICK = Effort(
     render_s=(60.0,),
     rig_s=4.0,
     rig_timed_s=0.5,
+    rung_repeats=3,
+    integrator_repeats=2,
     random_rigs=3,
 )
 FULL = Effort(
@@ -199,6 +203,8 @@ FULL = Effort(
     render_s=(60.0, 600.0),
     rig_s=60.0,
     rig_timed_s=10.0,
+    rung_repeats=7,
+    integrator_repeats=5,
     random_rigs=40,
 )
 
