@@ -34,6 +34,7 @@ class _Fresh:
     amplitude: float
     goal: float
     base: float
+    weight: float
     age: int
 
 
@@ -79,7 +80,7 @@ class FreshPartials:
         for one in young:
             one.goal = 0.0
         for group in self._detector.groups():
-            hz, amplitude = self._told(group)
+            hz, weight, amplitude = self._told(group)
             base = self._sounding_near(hz, tracker)
             lacking = min(amplitude - base, self._room(tracker))
             if lacking <= WORTH * amplitude:
@@ -87,11 +88,12 @@ class FreshPartials:
             if young:
                 one = young.pop(0)
                 one.group, one.base, one.goal, one.age = group, base, lacking, 1
+                one.weight = weight
                 continue
             free = [slot for slot, one in enumerate(self._sounding) if one is None]
             if not free:
                 break
-            self._sounding[free[0]] = _Fresh(group, hz, BIRTH_PHASE, 0.0, lacking, base, 0)
+            self._sounding[free[0]] = _Fresh(group, hz, BIRTH_PHASE, 0.0, lacking, base, weight, 0)
         for one in young:
             one.age = HEARD_TICKS
 
@@ -100,10 +102,11 @@ class FreshPartials:
         fresh = sum(one.goal for one in self._sounding if one and abs(one.hz - hz) < near_hz)
         return tracker.sounding_near(hz) + fresh
 
-    def _told(self, group: tuple[int, int]) -> tuple[float, float]:
-        hz, amplitude = self._detector.told(group)
-        amplitude *= self._gain(hz, self._detector.level)
-        return hz, amplitude * float(self._smoother.compensation(np.array(hz)))
+    def _told(self, group: tuple[int, int]) -> tuple[float, float, float]:
+        hz, weight = self._detector.told(group)
+        level = self._detector.level
+        amplitude = weight * level * self._gain(hz, level)
+        return hz, weight, amplitude * float(self._smoother.compensation(np.array(hz)))
 
     def _room(self, tracker: PartialTracker) -> float:
         taken = tracker.loudest_sum + sum(one.goal for one in self._sounding if one)
@@ -116,7 +119,7 @@ class FreshPartials:
                 continue
             hz = one.hz
             if 0 < one.age < HEARD_TICKS and self._detector.still_told:
-                hz, amplitude = self._told(one.group)
+                hz, one.weight, amplitude = self._told(one.group)
                 wanted = amplitude - one.base
                 # Of a sound that is there already rounding leaves nothing, or next to nothing.
                 if wanted < WORTH_HOLDING * amplitude or wanted < 0.0:
@@ -138,7 +141,7 @@ class FreshPartials:
         for slot, one in enumerate(self._sounding):
             if one is not None and one.age >= HEARD_TICKS:
                 loudness = self._detector.loudness(one.group)
-                held = Held(one.goal + one.base, one.group, loudness)
+                held = Held(one.goal + one.base, one.weight, one.group, loudness)
                 tracker.adopt(one.hz, one.phase, one.amplitude, held)
                 self._sounding[slot] = None
 

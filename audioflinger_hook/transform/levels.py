@@ -30,3 +30,19 @@ def law_amplitudes(
     else:
         strength = r * r / (r.sum() * full_scale_r)
     return strength
+
+
+def left_by_law(
+    amplitude: FloatArray, r: FloatArray, full_scale_r: float, parameters: TransformParameters
+) -> float:
+    """Return what the law leaves of the level of one window's frequencies, as if of one tone.
+
+    Parameters as of `law_amplitudes`. The root of the sum of squares of what the law gives, over
+    that by energy: 1 for a steady tone, 1 / M for M equal ones by `tonal`, always 1 by `energy`.
+    A window that is full in part only of what it shows says the same.
+    """
+    if parameters.level_law == "energy" or not r.size:
+        return 1.0
+    strength = law_amplitudes(amplitude, r, full_scale_r, parameters)
+    energy = float((amplitude * r).sum()) / full_scale_r
+    return float(np.sqrt(float((strength * strength).sum()) / energy))

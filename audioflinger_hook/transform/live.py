@@ -12,7 +12,7 @@ from audioflinger_hook.transform.bandpass import BandPass
 from audioflinger_hook.transform.follower import LoudnessFollower
 from audioflinger_hook.transform.fresh import FreshPartials
 from audioflinger_hook.transform.grid import LiveGrid
-from audioflinger_hook.transform.levels import law_amplitudes
+from audioflinger_hook.transform.levels import law_amplitudes, left_by_law
 from audioflinger_hook.transform.limiter import CEILING, below_full_scale, limited_amplitudes
 from audioflinger_hook.transform.loudness import bin_weights, loudness_db
 from audioflinger_hook.transform.onsets import FRESH_MAX, OnsetDetector, Ticks
@@ -316,7 +316,9 @@ class LiveTransform:
         elif self._speech:
             self._speech.pause()
         count = found.hz.size if found and strength > 0.0 else 0
+        left = 1.0
         if found and count:
+            left = self._left_by_law(found.principal)
             amplitude, limited = self._levelled(found.principal, strength)
             if limited:
                 self.limited_frames += self._grid.hop_frames
@@ -326,7 +328,7 @@ class LiveTransform:
         if count or self._tracker.holds:
             room = max(0.0, CEILING - float(amplitude.sum()))
             self._tracker.follow(
-                hops, hop, audio_hz, hz, amplitude * gain, room, self._fresh.still_heard
+                hops, hop, audio_hz, hz, amplitude * gain, room, self._fresh.still_heard, left
             )
             self._ringing = self._ring_hops
         elif not self._tracker.idle:
@@ -354,6 +356,9 @@ class LiveTransform:
         return law_amplitudes(
             found.amplitude * left, found.r * left, self._full_scale_r, self._parameters
         )
+
+    def _left_by_law(self, found: Principals) -> float:
+        return left_by_law(found.amplitude, found.r, self._full_scale_r, self._parameters)
 
     def _onset_gain(self, hz: float, level: float) -> float:
         """Return the factor on what begins: its vibration frequency in Hz, its level."""

@@ -225,9 +225,10 @@ class OnsetDetector:
         return sorted(group for _, group in loud)
 
     def told(self, group: tuple[int, int]) -> tuple[float, float]:
-        """Return vibration frequency in Hz and amplitude of what begins in a group of bands.
+        """Return vibration frequency in Hz and weight of what begins in a group of bands.
 
-        The amplitude is 0 of what is too weak to be principal.
+        The weight is what the law would leave of `level`, which is the amplitude as of one tone; 0
+        of what is too weak to be principal.
         """
         weighted, squares, power = 0.0, 0.0, 0.0
         for band in range(*group):
@@ -247,7 +248,7 @@ class OnsetDetector:
             return hz, 0.0
         # Of M equal tones of amplitude a each sounds with a / M, as by r^2 / sum r.
         weight = by_energy if self._by_energy else share * float(np.sqrt(share)) * purity
-        return hz, weight * self.level
+        return hz, weight
 
     @property
     def level(self) -> float:

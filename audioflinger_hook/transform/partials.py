@@ -44,11 +44,13 @@ WORTH_HOLDING = 0.05
 class Held:
     """What keeps a partial that was born of an onset: its amplitude at least, while it is heard.
 
-    amplitude: in full scale, with what sounded near to it before. group: of bands, by which it is
-    heard. loudness: their power then.
+    amplitude: in full scale, with what sounded near to it before. weight: what the law was taken
+    to leave it of its sound's level. group: of bands, by which it is heard. loudness: their power
+    then.
     """
 
     amplitude: float
+    weight: float
     group: tuple[int, int]
     loudness: float
 
@@ -156,12 +158,14 @@ class PartialTracker:
         amplitude: FloatArray,
         room: float,
         still_heard: Callable[[Held], float],
+        left: float,
     ) -> None:
         """Write one hop of `glides`: on to the partials that stand at its end.
 
         audio_hz, hz (of vibration), amplitude: (partials,), ascending in frequency. room: what
         partials that are held may add to the sum of amplitudes. still_heard: what those are to
-        have now.
+        have now. left: what the law leaves of the level of what this window shows, which tells
+        tones apart that were one for an onset.
         """
         slot, beside, gap_hz = self._match(audio_hz, hz)
         new = (slot < 0).nonzero()[0]
@@ -185,12 +189,16 @@ class PartialTracker:
         self._amplitude[slot] = level + change * _followed(change / (STEADY_RATIO * amplitude))
         self._alive[:] = False
         self._alive[slot] = True
-        self._hold(room, still_heard)
+        self._hold(room, still_heard, left)
         self._finish_hop(glides, hop)
 
-    def _hold(self, room: float, still_heard: Callable[[Held], float]) -> None:
-        """Keep what is held at its amplitude, as far as there is room."""
+    def _hold(self, room: float, still_heard: Callable[[Held], float], left: float) -> None:
+        """Keep what is held at its amplitude, as far as there is room and the law leaves it."""
         lacking = {}
+        squares = 0.0
+        for _, (held, _) in sorted(self._held.items()):
+            squares += held.weight * held.weight
+        known = 1.0 if squares <= left * left else left / float(np.sqrt(squares))
         for slot, (held, hops) in sorted(self._held.items()):
             wanted = still_heard(held)
             full = not self._alive[slot] and int(self._alive.sum()) >= self._most
@@ -199,6 +207,7 @@ class PartialTracker:
                 continue
             self._held[slot] = held, hops - 1
             self._alive[slot] = True
+            wanted *= known
             lacking[slot] = max(0.0, wanted - self.sounding_near(float(self._hz[slot])))
         total = sum(lacking.values())
         share = 1.0 if total <= room else room / total

@@ -21,17 +21,22 @@ static Group group_of(const Fresh *one)
     return group;
 }
 
-static Told told(const Settings *settings, Heard heard, Group group)
+/* What begins, and its amplitude. */
+typedef struct {
+    double hz, weight, amplitude;
+} Begun;
+
+static Begun begun(const Settings *settings, Heard heard, Group group)
 {
-    Told found = onsets_told(settings, heard.onsets, group);
+    const Told told = onsets_told(settings, heard.onsets, group);
+    const double level = onsets_level(heard.onsets);
+    double gain = 1.0;
     if (follower_is_on(settings))
-        found.amplitude *=
-            follower_onset_gain(settings, heard.follower, onsets_level(heard.onsets));
+        gain = follower_onset_gain(settings, heard.follower, level);
     if (settings->speech_db > 0.0)
-        found.amplitude *=
-            speech_coarse_gain(settings, heard.speech, heard_hz(settings, found.hz));
-    found.amplitude *= smoothing_gain(settings, found.hz);
-    return found;
+        gain *= speech_coarse_gain(settings, heard.speech, heard_hz(settings, told.hz));
+    const double amplitude = told.weight * level * gain * smoothing_gain(settings, told.hz);
+    return (Begun){told.hz, told.weight, amplitude};
 }
 
 /* What all sums of amplitudes leave under the ceiling. */
@@ -81,7 +86,7 @@ void fresh_bear(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots
             fresh[slot].goal = 0.0;
     }
     for (size_t which = 0; which < count; which++) {
-        const Told found = told(s, heard, groups[which]);
+        const Begun found = begun(s, heard, groups[which]);
         const double base = tracking_sounding_near(s, slots, found.hz) +
                             sounding_near(s, fresh, found.hz);
         const double lacking = smaller(found.amplitude - base, room(s, fresh, slots));
@@ -100,6 +105,7 @@ void fresh_bear(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots
         fresh[slot].first_band = (double)groups[which].first;
         fresh[slot].last_band = (double)groups[which].last;
         fresh[slot].base = base;
+        fresh[slot].weight = found.weight;
         fresh[slot].goal = lacking;
     }
     for (size_t slot = 0; slot < s->fresh_max; slot++)
@@ -118,12 +124,13 @@ void fresh_play(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots
         }
         double hz = one->hz;
         if (one->age > 0.0 && one->age < (double)s->heard_ticks && onsets_still_told(s, heard.onsets)) {
-            const Told found = told(s, heard, group_of(one));
+            const Begun found = begun(s, heard, group_of(one));
             /* Of a sound that is there already rounding leaves nothing, or next to nothing. */
             const double lacking = found.amplitude - one->base;
             const int little = lacking < s->worth_holding * found.amplitude || lacking < 0.0;
             const double wanted = little ? 0.0 : lacking;
             hz = found.hz;
+            one->weight = found.weight;
             one->goal += smaller(wanted - one->goal, room(s, fresh, slots));
         }
         const size_t share = (size_t)smaller(one->age, (double)(s->rise_shares.length - 1));
@@ -149,7 +156,8 @@ void fresh_hand_over(const Settings *s, Fresh *fresh, const Onsets *onsets, Slot
         Fresh *one = &fresh[slot];
         if (one->sounds == 0.0 || one->age < (double)s->heard_ticks)
             continue;
-        const Held held = {one->goal + one->base, onsets_loudness(s, onsets, group_of(one)), group_of(one)};
+        const Held held = {one->goal + one->base, one->weight,
+                           onsets_loudness(s, onsets, group_of(one)), group_of(one)};
         tracking_adopt(s, slots, one->hz, one->phase, one->amplitude, held);
         memset(one, 0, sizeof *one);
     }

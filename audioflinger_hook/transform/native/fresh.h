@@ -16,7 +16,8 @@ typedef struct {
     double hz, phase, amplitude;
     double goal; /* amplitude that it grows to */
     double base; /* amplitude that sounds there without it */
-    double age;  /* ticks */
+    double weight; /* what the law was taken to leave it of the level */
+    double age;    /* ticks */
 } Fresh;
 
 /* By what they are told. */

@@ -118,9 +118,25 @@ static int levelled(Live *live, Voice *voice, double strength, size_t count)
     return limited;
 }
 
+/* What the law leaves of the level of what was found, 1 of one tone. */
+static double left_by_law(const Live *live, size_t count)
+{
+    double sum_r = 0.0, fourths = 0.0, energy = 0.0;
+    if (live->settings.by_energy || !count)
+        return 1.0;
+    for (size_t one = 0; one < count; one++) {
+        const double r = live->found.r[one];
+        sum_r += r;
+        fourths += r * r * r * r;
+        energy += live->found.amplitude[one] * r;
+    }
+    return sqrt(fourths / (sum_r * sum_r * energy * live->settings.full_scale_r));
+}
+
 static void follow(Live *live, Voice *voice, double strength, size_t count)
 {
     const Settings *s = &live->settings;
+    const double left = tracking_holds(s, &voice->slots) ? left_by_law(live, count) : 1.0;
     if (levelled(live, voice, strength, count))
         live->limited += s->hop_frames;
     double total = 0.0;
@@ -131,7 +147,7 @@ static void follow(Live *live, Voice *voice, double strength, size_t count)
     }
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};
     tracking_follow(s, &voice->slots, &live->glides, partials, larger(0.0, s->ceiling - total),
-                    &voice->onsets, live->tracking_space);
+                    left, &voice->onsets, live->tracking_space);
 }
 
 /* Compute the next hop of the partials. */

@@ -7,7 +7,7 @@
 #include "common.h"
 #include "space.h"
 
-#define SLOT_NUMBERS 10
+#define SLOT_NUMBERS 11
 #define FRESH_NUMBERS (sizeof(Fresh) / sizeof(double))
 #define GLIDE_NUMBERS 5
 #define FOUND_NUMBERS 4
@@ -56,7 +56,7 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
         &voice->slots.hz,            &voice->slots.amplitude,  &voice->slots.phase,
         &voice->slots.alive,         &voice->slots.held_first, &voice->slots.held_last,
         &voice->slots.held_loudness, &voice->slots.held_hops,  &voice->slots.held_amplitude,
-        &voice->slots.lacking,
+        &voice->slots.held_weight,   &voice->slots.lacking,
     };
     for (size_t which = 0; which < SLOT_NUMBERS; which++)
         *of_slots[which] = placed(next, slots);

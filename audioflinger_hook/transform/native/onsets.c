@@ -235,7 +235,7 @@ Told onsets_told(const Settings *s, const Onsets *onsets, Group group)
     const double level = onsets_level(onsets), by_energy = sqrt(share * purity);
     const double weight = s->by_energy ? by_energy : share * sqrt(share) * purity;
     const int weak = by_energy * level < s->weakest;
-    const Told found = {weighted / larger(squares, TINY), weak ? 0.0 : weight * level};
+    const Told found = {weighted / larger(squares, TINY), weak ? 0.0 : weight};
     return found;
 }
 

@@ -25,9 +25,9 @@ typedef struct {
     size_t first, last;
 } Group;
 
-/* Vibration frequency in Hz and amplitude. */
+/* Vibration frequency in Hz, and what the law would leave of the level. */
 typedef struct {
-    double hz, amplitude;
+    double hz, weight;
 } Told;
 
 size_t onsets_bands(const Settings *settings);
@@ -52,7 +52,7 @@ size_t onsets_groups(const Settings *settings, const Onsets *onsets, Group *grou
 /* Amplitude of the sound that begins, as that of one tone. */
 double onsets_level(const Onsets *onsets);
 
-/* Tell what begins in a group of bands; at amplitude 0 what is too weak to be principal. */
+/* Tell what begins in a group of bands; with weight 0 what is too weak to be principal. */
 Told onsets_told(const Settings *settings, const Onsets *onsets, Group group);
 
 /* Return the power that a group of bands has had of late. */

@@ -113,6 +113,7 @@ void tracking_adopt(const Settings *settings, Slots *slots, double hz, double ph
     slots->amplitude[slot] = amplitude;
     slots->alive[slot] = 1.0;
     slots->held_amplitude[slot] = held.amplitude;
+    slots->held_weight[slot] = held.weight;
     slots->held_loudness[slot] = held.loudness;
     slots->held_first[slot] = (double)held.group.first;
     slots->held_last[slot] = (double)held.group.last;
@@ -249,9 +250,20 @@ static double still_heard(const Settings *settings, const Slots *slots, size_t s
     return slots->held_amplitude[slot] * sqrt(smaller(1.0, share));
 }
 
-/* Keep what is held at its amplitude, as far as there is room. */
-static void hold(const Settings *s, Slots *slots, double room, const Onsets *onsets)
+/* What is held of its amplitude now that a window shows what it consists of. */
+static double known(const Settings *s, const Slots *slots, double left)
 {
+    double squares = 0.0;
+    for (size_t slot = 0; slot < tracking_slots(s); slot++)
+        if (slots->held_hops[slot] != 0.0)
+            squares += slots->held_weight[slot] * slots->held_weight[slot];
+    return squares <= left * left ? 1.0 : left / sqrt(squares);
+}
+
+/* Keep what is held at its amplitude, as far as there is room and the law leaves it. */
+static void hold(const Settings *s, Slots *slots, double room, double left, const Onsets *onsets)
+{
+    const double share_known = known(s, slots, left);
     double total = 0.0;
     for (size_t slot = 0; slot < tracking_slots(s); slot++) {
         slots->lacking[slot] = 0.0;
@@ -266,7 +278,8 @@ static void hold(const Settings *s, Slots *slots, double room, const Onsets *ons
             continue;
         }
         slots->alive[slot] = 1.0;
-        slots->lacking[slot] = larger(0.0, wanted - tracking_sounding_near(s, slots, slots->hz[slot]));
+        const double near = tracking_sounding_near(s, slots, slots->hz[slot]);
+        slots->lacking[slot] = larger(0.0, wanted * share_known - near);
         total += slots->lacking[slot];
     }
     const double share = total <= room ? 1.0 : room / total;
@@ -275,7 +288,7 @@ static void hold(const Settings *s, Slots *slots, double room, const Onsets *ons
 }
 
 void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Partials partials,
-                     double room, const Onsets *onsets, void *work)
+                     double room, double left, const Onsets *onsets, void *work)
 {
     Match *matches;
     Alive alive;
@@ -293,7 +306,7 @@ void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Par
         slots->amplitude[slot] = level + change * followed(settings, change / steady);
         slots->alive[slot] = 1.0;
     }
-    hold(settings, slots, room, onsets);
+    hold(settings, slots, room, left, onsets);
     finish_hop(settings, slots, glides);
 }
 

@@ -13,6 +13,7 @@ typedef struct {
     double *alive; /* 1 or 0 */
     /* Of partials that were born of an onset, and are held: */
     double *held_amplitude;           /* while they are heard */
+    double *held_weight;              /* what the law was taken to leave of the sound's level */
     double *held_first, *held_last;   /* bands by which they are */
     double *held_loudness;            /* the power of those at their birth */
     double *held_hops;                /* that are left, and one; 0 of all others */
@@ -22,7 +23,7 @@ typedef struct {
 
 /* What keeps a partial that was born of an onset. */
 typedef struct {
-    double amplitude, loudness;
+    double amplitude, weight, loudness;
     Group group;
 } Held;
 
@@ -63,9 +64,10 @@ void tracking_adopt(const Settings *settings, Slots *slots, double hz, double ph
                     double amplitude, Held held);
 
 /* Write one hop of glides: on to the partials that stand at its end. room: what those that are held
- * may add to the sum of amplitudes. */
+ * may add to the sum of amplitudes. left: what the law leaves of the level of what the window shows,
+ * which tells tones apart that were one for an onset. */
 void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Partials partials,
-                     double room, const Onsets *onsets, void *work);
+                     double room, double left, const Onsets *onsets, void *work);
 
 /* Write one hop of glides in which every partial that sounds dies away. */
 void tracking_fade(const Settings *settings, Slots *slots, Glides *glides);
