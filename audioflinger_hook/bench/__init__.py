@@ -23,6 +23,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from audioflinger_hook.bench import (
+    attacks,
     comparison,
     damping,
     damping_levels,
@@ -77,6 +78,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("steady tones", tones.steady_tones, 5.0),
     ("onset lag", fidelity.onset_lag, 2.0),
     ("onsets found", onset_detection.onsets_found, 4.0),
+    ("attacks", attacks.attacks, 2.0),
     ("energy above 250 Hz", fidelity.energy_above, 1.0),
     ("principal frequencies", fidelity.principal_frequencies, 0.5),
     ("frequency error", frequency_error.frequency_error, 2.0),
