@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from types import ModuleType
 
 import numpy as np
 
+from device.extension import load
 from device.units import Float32Array, FloatArray
 
 compiled: ModuleType | None
 """`_blocks`, or None."""
 try:
-    compiled = importlib.import_module("device._blocks")
+    compiled = load("device._blocks", "linear_motion")
 except ImportError:
     compiled = None
 

@@ -25,7 +25,7 @@ IO = r"(soundfile|os|io|time|pathlib|rich|pulsectl|pyaudio|threading|socket|subp
 FORBIDDEN = [
     ("device", "audioflinger_hook"),
     ("audioflinger_hook/transform", OURS_BUT_TRANSFORM),
-    ("audioflinger_hook/transform", r"device(?!\.errors\b)"),
+    ("audioflinger_hook/transform", r"device(?!\.(errors|extension)\b)"),
     ("audioflinger_hook/transform", IO),
     ("audioflinger_hook/mixer", r"audioflinger_hook\.(effect|clients|taps|transform|capture)\b"),
     ("audioflinger_hook/mixer", IO),

@@ -28,7 +28,7 @@ from audioflinger_hook.bench.signals import (
 )
 from audioflinger_hook.bench.workbench import LIVE, QUICK, SUBJECTS, TWIN, Workbench
 from audioflinger_hook.transform import kernel
-from tests.commands import call, noise, sound
+from tests.commands import call, noise, refused, sound
 from tests.recordings import require_recordings
 from tests.test_bench import LEAST
 
@@ -336,3 +336,12 @@ def test_a_quick_run_measures_no_row_less_than_a_full_one_but_for_the_long_rende
     for name in vars(QUICK):
         assert getattr(QUICK, name) <= getattr(workbench.FULL, name), name
     assert QUICK.hops_timed_in_numpy >= 1_000  # else no 99.9th percentile
+
+
+def test_a_report_that_cannot_be_written_is_refused_before_anything_is_measured(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr(bench, "BENCHES", (("broken", broken, 1.0),))
+    error = refused(call("bench", "--out", tmp_path))
+    assert "it is a folder" in error
+    assert list(tmp_path.iterdir()) == []

@@ -437,3 +437,10 @@ def test_a_long_sound_takes_no_more_memory_than_a_short_one(tmp_path, out):
     # 100 s more are 38 MB of sound and 19 MB of vibration; an allocator's moods are a few MB.
     assert peaks[1] - peaks[0] < 10.0
     assert peaks[1] < 400.0
+
+
+def test_behind_two_dashes_everything_is_a_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    sound(tmp_path / "-a.wav", noise(500))
+    assert call("render", "--json", "--", "-a.wav", "--json").code == 0
+    assert (tmp_path / "--json").is_file()

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from audioflinger_hook.framework import Framework
 from audioflinger_hook.settings import Settings
 from audioflinger_hook.transform import HapticTransform, kernel, kernel_warning
 from device.errors import UsageError
+from tests.commands import cushion, noise, sound
 from tests.recordings import ROOT
 from tests.signals import identical, made, tone, white_noise
 
@@ -134,3 +136,45 @@ def test_a_rendering_without_the_kernel_warns_in_one_line_and_makes_the_same_vib
     assert "fifteen times the processor time" in warned[0]
     assert "fifteen times" not in made_by["usual"][1] or kernel_warning()
     np.testing.assert_allclose(made_by["bare"][0], made_by["usual"][0], rtol=0, atol=1e-6)
+
+
+KERNEL_AT = """
+import sys
+from importlib.util import spec_from_file_location
+class Finder:
+    def find_spec(name, path=None, target=None):
+        if name == "audioflinger_hook.transform._kernel":
+            return spec_from_file_location(name, {path!r})
+sys.meta_path.insert(0, Finder)
+"""
+
+
+def without_use_of(path, tmp_path):
+    """Render with this file for a kernel, and return the warning."""
+    source = sound(tmp_path / "sound.wav", noise(4_000))
+    done = cushion("render", source, tmp_path / "o.wav", prelude=KERNEL_AT.format(path=str(path)))
+    assert done.code == 0, done.stderr
+    assert done.stderr.count("fifteen times the processor time") == 1
+    return done.stderr
+
+
+@pytest.mark.skipif(kernel_warning() is not None, reason=str(kernel_warning()))
+@pytest.mark.parametrize("share", [0.001, 0.02, 0.5, 0.9])
+def test_a_kernel_that_is_cut_off_is_told_and_not_loaded(tmp_path, share):
+    # The loader would map what is not there: the process would end by SIGBUS.
+    assert kernel._kernel
+    built = Path(str(kernel._kernel.__file__))
+    cut = tmp_path / built.name
+    cut.write_bytes(built.read_bytes()[: int(share * built.stat().st_size)])
+    assert "_kernel" in without_use_of(cut, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [("raise SystemError('out of order')", "out of order"), ("", "another version")],
+    ids=["fails to start", "of another version"],
+)
+def test_a_kernel_that_cannot_be_used_is_told_with_the_reason(tmp_path, text, why):
+    path = tmp_path / "_kernel.py"
+    path.write_text(text)
+    assert why in without_use_of(path, tmp_path)

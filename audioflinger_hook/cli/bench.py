@@ -10,7 +10,7 @@ from pathlib import Path
 from audioflinger_hook.bench import pictures_in, plots, run_bench
 from audioflinger_hook.bench.drawing import need_matplotlib
 from audioflinger_hook.cli.terminal import progress_bar
-from device.atomic_file import write_bytes_atomically
+from device.atomic_file import AtomicFile, write_bytes_atomically
 from device.errors import UsageError
 
 REPORT = Path("docs/benchmarks.md")
@@ -26,6 +26,8 @@ def run(options: argparse.Namespace) -> int:
     target = options.out or (REPORT if HOME.is_dir() and REPORT.parent.is_dir() else None)
     if target and not target.parent.is_dir():
         raise UsageError(f"the folder {target.parent} does not exist; name another with --out")
+    if target:
+        AtomicFile(target).abort()  # what cannot be written is said now, not after minutes
     if options.plots:
         need_matplotlib()
         _make_folder(options.plots)

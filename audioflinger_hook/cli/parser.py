@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -38,9 +39,15 @@ class Parser(argparse.ArgumentParser):
         """Return what was found, and what nobody knows."""
         if not self.any_order:
             return super().parse_known_args(args, namespace)
+        given = list(sys.argv[1:] if args is None else args)
+        if "--" in given:
+            # What is left comes here again without the mark: no name may look like an option then.
+            place = given.index("--")
+            names = (f"./{name}" if name.startswith("-") else name for name in given[place + 1 :])
+            given = [*given[:place], *names]
         self.any_order = False  # the options first, then what is left: both come here again
         try:
-            return self.parse_known_intermixed_args(args, namespace)
+            return self.parse_known_intermixed_args(given, namespace)
         finally:
             self.any_order = True
 

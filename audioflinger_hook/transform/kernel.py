@@ -8,7 +8,6 @@ not be built or does not load, `live.py` itself is what plays.
 
 from __future__ import annotations
 
-import importlib
 from types import ModuleType
 from typing import Any
 
@@ -29,12 +28,13 @@ from audioflinger_hook.transform.live import LiveTransform
 from audioflinger_hook.transform.scaling import slope
 from audioflinger_hook.transform.smoothing import TABLE_STEP_HZ
 from audioflinger_hook.transform.speech import speech_settings
+from device.extension import load
 
 _MadeOf = tuple[dict[str, Any], int, bool, tuple[int, int]]
 
 _kernel: ModuleType | None
 try:
-    _kernel = importlib.import_module("audioflinger_hook.transform._kernel")
+    _kernel = load("audioflinger_hook.transform._kernel", "LiveKernel")
 except ImportError as error:
     _kernel = None
     _why_missing = str(error)

@@ -1,0 +1,67 @@
+"""Compiled parts of the program, each of which may be missing, damaged or of another version."""
+
+from __future__ import annotations
+
+import struct
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+LOADED = 1
+"""PT_LOAD, the type of a part of an ELF file that is mapped into memory."""
+
+
+def load(name: str, wanted: str) -> ModuleType:
+    """Return a compiled module that has `wanted`.
+
+    Raises
+    ------
+    ImportError
+        It is not there or not usable, whatever the reason.
+    """
+    found = find_spec(name)
+    if found is not None and found.origin is not None:
+        _refuse_cut_off(Path(found.origin))
+    try:
+        module = import_module(name)
+    except ImportError:
+        raise
+    except Exception as error:
+        raise ImportError(f"{name}: {type(error).__name__}: {error}") from error
+    if not hasattr(module, wanted):
+        raise ImportError(f"{module.__file__} has no {wanted}: it is of another version")
+    return module
+
+
+def _refuse_cut_off(path: Path) -> None:
+    """Raise ImportError for an ELF file that ends within what is to be mapped.
+
+    The system's loader does not look: it maps what is not there, and the process ends by SIGBUS.
+    What else is wrong, the loader says by itself.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(64)
+            if len(head) < 64 or head[:4] != b"\x7fELF":
+                return
+            order = "<" if head[5] == 1 else ">"
+            # Where the headers of the parts lie, their length and count; in each, what is mapped.
+            if head[4] == 2:
+                place, part = "32xQ14xHH", "I4xQ16xQ"
+            else:
+                place, part = "28xI10xHH", "II8xI"
+            where, length, count = struct.unpack_from(order + place, head)
+            file.seek(where)
+            headers = file.read(length * count)
+            size = path.stat().st_size
+    except OSError as error:
+        raise ImportError(f"{path} cannot be read ({error.strerror})") from error
+    if len(headers) == length * count:
+        parts = (
+            struct.unpack_from(order + part, headers, first)
+            for first in range(0, len(headers), max(1, length))
+        )
+        if all(first + taken <= size for kind, first, taken in parts if kind == LOADED):
+            return
+    raise ImportError(f"{path} is cut off")
