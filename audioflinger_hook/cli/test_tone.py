@@ -11,6 +11,7 @@ import numpy as np
 from device.address import parse_device
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import (
+    Hold,
     PcmConfig,
     PlaybackStream,
     PulseConnection,
@@ -69,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
             guard = StreamGuard(connection, stream, sink.name)
             try:
                 print(f"{sink.name} ({sink.description}): {options.hz:g} Hz", flush=True)
-                _wait(tone, stream)
+                _wait(tone, stream, guard)
             finally:
                 guard.release()
                 stream.close()
@@ -81,8 +82,8 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _wait(tone: Tone, stream: PlaybackStream) -> None:
-    """Wait for the end of the tone, or of the stream."""
+def _wait(tone: Tone, stream: PlaybackStream, guard: StreamGuard) -> None:
+    """Wait for the end of the tone, or of the stream, which PulseAudio lets go on elsewhere."""
     while not tone.ended.wait(0.1):
-        if stream.is_lost(time.monotonic()):
+        if guard.hold is Hold.NO_DEVICE or stream.is_lost(time.monotonic()):
             raise LostError("the device went away while the tone was played; plug it in again")

@@ -21,6 +21,7 @@ from device.server import (
     is_ours,
     monitor_of,
 )
+from device.server.forwarding import reached
 from device.server.identity import tagged
 from device.server.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
@@ -102,7 +103,8 @@ class LiveInput:
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Source:
         """Find the monitor to capture, and return it.
 
-        device: the sink that the vibration goes to, which is never tapped.
+        device: the sink that the vibration goes to, which is never tapped, and neither is one that
+        it comes to by virtual sinks and loopbacks.
 
         Raises
         ------
@@ -119,6 +121,11 @@ class LiveInput:
                     f"the tap {str(self)!r} is the sink that the vibration goes to, which would "
                     "feed back; tap another sink"
                 )
+        if device is not None and source.monitor_of in reached(snapshot, device):
+            raise NotFoundError(
+                f"the server leads what {device!r} plays on to {source.monitor_of!r}, and a tap "
+                "there would feed back; tap another sink, or take that connection away"
+            )
         self._found = source
         return source
 

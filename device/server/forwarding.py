@@ -10,9 +10,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from device.errors import UsageError
-from device.server.guard import REFUGE
 from device.server.identity import identity_of, is_own
-from device.server.pcms import APPLICATION_ID, ROLE
+from device.server.pcms import APPLICATION_ID, REFUGE, ROLE
 from device.server.snapshot import ServerSnapshot, Sink, Stream
 
 SINK = "cushion"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from device.errors import NotFoundError, UsageError
 from device.nearest import no_such
-from device.server.pcms import TAG
+from device.server.pcms import REFUGE, TAG
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
 
 
@@ -28,7 +28,8 @@ def find_sink(snapshot: ServerSnapshot, name: str) -> Sink:
     for sink in snapshot.sinks:
         if sink.name == name:
             return sink
-    raise NotFoundError(_no_such("sink", name, (sink.name for sink in snapshot.sinks)))
+    names = (sink.name for sink in snapshot.sinks if sink.name != REFUGE)
+    raise NotFoundError(_no_such("sink", name, names))
 
 
 def monitor_of(snapshot: ServerSnapshot, sink_name: str) -> Source:

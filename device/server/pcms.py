@@ -30,6 +30,9 @@ APPLICATION_ID = "haptic-cushion"
 APPLICATION_NAME = "Haptic Cushion"
 """What mixers show for our streams."""
 
+REFUGE = "cushion_refuge"
+"""Name of the silent sink that stands by for our output: see `guard`."""
+
 TAG = "cushion.stream"
 """The property that holds the tag of one opening of one stream."""
 

@@ -42,7 +42,7 @@ class ServerDevice:
     Raises
     ------
     UsageError
-        The name or address holds a character that no server allows in one.
+        The name is empty.
     """
 
     device: str
@@ -54,12 +54,6 @@ class ServerDevice:
     )
 
     def __post_init__(self) -> None:
-        for what, value in (("device", self.device), ("server", self.server)):
-            if value is not None and (not value.isprintable() or set(value) & set("\"'\\")):
-                raise UsageError(
-                    f"the name of a {what} cannot be {value!r}: quotes, backslashes and control "
-                    "characters are not allowed; give the name as `pactl list short sinks` does"
-                )
         if not self.device:
             raise UsageError('the name of a device cannot be ""; give a sink\'s name')
 
@@ -69,8 +63,8 @@ class ServerDevice:
     @property
     def definition(self) -> str:
         """ALSA's plugin for sound servers."""
-        server = f' server "{self.server}"' if self.server else ""
-        return f'type pulse device "{self.device}"{server}'
+        server = f" server {_quoted(self.server)}" if self.server else ""
+        return f"type pulse device {_quoted(self.device)}{server}"
 
 
 @dataclass(frozen=True)
@@ -95,3 +89,13 @@ class CardDevice:
     def definition(self) -> str:
         """ALSA's way to the kernel."""
         return f"type hw card {self.card} device {self.device}"
+
+
+def _quoted(text: str) -> str:
+    """Text as ALSA reads it from a configuration, whatever is in it.
+
+    PipeWire lets anything be a sink's name, and the default sink is not ours to choose.
+    """
+    octal = (f"\\{byte:03o}" for byte in text.encode("utf-8", "surrogateescape"))
+    plain = text.isascii() and text.isprintable() and not set(text) & set('"\\')
+    return f'"{text if plain else "".join(octal)}"'

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from device.server.guard import REFUGE, Hold, Refuge, StreamGuard
+from device.server.guard import Hold, Refuge, StreamGuard
 from device.server.identity import monitor_of, tagged
-from device.server.pcms import PcmConfig
+from device.server.pcms import REFUGE, PcmConfig
 from device.server.pulse import PulseConnection
 from device.server.streams import CaptureStream, PlaybackStream
 from tests.servers.listening import RATE_HZ, Collector, noise, playing, recording, steady, wait_for

@@ -21,9 +21,9 @@ from device.server.forwarding import (
     real_sinks,
     whole_ms,
 )
-from device.server.guard import REFUGE, Hold, Place
+from device.server.guard import Hold, Place
 from device.server.identity import default_monitor, find_sink, find_source, identity_of, is_own
-from device.server.pcms import TAG, PcmConfig
+from device.server.pcms import REFUGE, TAG, PcmConfig
 from device.server.quiet import loud_libraries, quiet_libraries
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream, _kind
 
@@ -97,6 +97,9 @@ def test_a_name_that_is_not_there_offers_what_is() -> None:
         find_sink(snapshot(), "haptik")
     with pytest.raises(NotFoundError, match=r"there are 'desktop', 'haptic'$"):
         find_sink(snapshot(), "qqqq")
+    sinks = (sink(1, "desktop"), sink(2, REFUGE))  # ours, and for nobody else
+    with pytest.raises(NotFoundError, match=r"there are 'desktop'$"):
+        find_sink(ServerSnapshot("PulseAudio", "16.1", "", "", sinks, (), (), (), 0), "qqqq")
     nothing = ServerSnapshot("PipeWire", "1", "", "", (), (), (), (), 0)
     with pytest.raises(NotFoundError, match="there is none at all"):
         find_sink(nothing, "x")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.service.state import DaemonState
-from tests.servers.daemons import FELT, felt_now, running, tone
+from tests.servers.daemons import CUSHION, FELT, ROOT, environment, felt_now, running, tone
 from tests.servers.listening import playing, recording, wait_for
 from tools.sound_server import SoundServer
 
@@ -95,3 +96,21 @@ def test_a_suspended_sink_stops_the_vibration_and_it_goes_on_afterwards(
     print(f"{server.kind}: felt {took_s:.2f} s after {sink} was resumed, at most {loudest:.2f}")
     assert took_s < BACK_S
     assert loudest <= 1.0
+
+
+def test_a_test_tone_whose_device_vanishes_ends_and_says_so(server: SoundServer) -> None:
+    command = [*CUSHION, "test-tone", "--device", "haptic", "--seconds", "20"]
+    with subprocess.Popen(
+        command,
+        env=environment(server),
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert "60 Hz" in process.stdout.readline()
+        server.remove("haptic")
+        assert process.wait(10.0) == 4
+        assert "the device went away" in process.stderr.read()

@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from audioflinger_hook.service.state import Cause, DaemonState
 from device.server.pcms import TAG
@@ -66,6 +67,27 @@ def test_the_device_as_default_sink_feeds_nothing_back(server: SoundServer, tmp_
         server.pactl("set-default-sink", "desktop")
         daemon.wait_state(DaemonState.RUNNING)
         wait_for(lambda: felt_now(felt), "vibration again", 3.0)
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "device"),
+    [
+        ("module-remap-sink", ("sink_name=seat", "master=desktop"), "seat"),
+        ("module-loopback", ("source=haptic.monitor", "sink=desktop"), "haptic"),
+    ],
+)
+def test_a_device_that_is_led_on_to_the_tapped_sink_feeds_nothing_back(
+    server: SoundServer, module: str, arguments: tuple[str, ...], device: str
+) -> None:
+    loaded = server.pactl("load-module", module, *arguments)
+    wait_for(lambda: device in server.names("sinks"), "the device")
+    with running(server, "--wait", device=device, ready=False) as daemon:
+        status = daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
+        assert f"leads what '{device}' plays on to 'desktop'" in status.reason
+        assert TAG not in server.pactl("list", "source-outputs")
+        if device == "haptic":
+            server.pactl("unload-module", loaded)
+            daemon.wait_state(DaemonState.RUNNING)
 
 
 def test_a_microphone_is_never_felt(server: SoundServer, tmp_path: Path) -> None:
