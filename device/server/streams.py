@@ -24,10 +24,16 @@ from device.server.foreign_thread import LET_GO_LIMIT_S, ForeignThread
 from device.server.pcms import Pcm
 from device.server.portaudio import BLOCK_FRAMES, OpenStream, close_stream, open_stream
 from device.server.priority import AudioPriority
+from device.server.targets import ServerDevice
 from device.units import Float32Array
 
 LOST_AFTER_S = 0.5
 """Callbacks come 20 ms apart at worst on an idle machine, 25 ms with a thread that hogs Python."""
+
+BEGUN_AFTER_S, BEGINS_WITHIN_S = 0.05, 2.5
+"""A sink of PulseAudio without norewinds has played up to 2 s ahead while nobody played to it. What
+begins there gets its first callbacks at once and the next when those 2 s are over; what captures,
+the first."""
 
 _CONTINUE = 0
 _INPUT_UNDERFLOW, _INPUT_OVERFLOW, _OUTPUT_UNDERFLOW, _OUTPUT_OVERFLOW = 1, 2, 4, 8
@@ -78,6 +84,8 @@ class _Stream:
         self._closing = False
         self._thread = ForeignThread()
         self._close_lock = threading.Lock()
+        self._on_server = isinstance(pcm.target, ServerDevice)
+        self._output = output
         self._open: OpenStream | None = None
         self._open = open_stream(
             pcm,
@@ -93,10 +101,18 @@ class _Stream:
     def is_lost(self, now_s: float | None = None) -> bool:
         """Whether no callback came for LOST_AFTER_S, or the stream ended. Any thread may call it.
 
-        now_s: time.monotonic() if the caller has it at hand. A closed stream is lost.
+        On a server a stream that has hardly begun has BEGINS_WITHIN_S. now_s: time.monotonic() if
+        the caller has it at hand. A closed stream is lost.
         """
         now = time.monotonic() if now_s is None else now_s
-        return now - self.last_callback_s > LOST_AFTER_S or not self.is_active()
+        begins = self.last_callback_s - self.opened_s < BEGUN_AFTER_S and self._may_wait
+        limit_s = BEGINS_WITHIN_S if begins else LOST_AFTER_S
+        return now - self.last_callback_s > limit_s or not self.is_active()
+
+    @property
+    def _may_wait(self) -> bool:
+        """Whether there may be a pause at the beginning."""
+        return self._on_server and (not self._output or self.callbacks > 0)
 
     def is_active(self) -> bool:
         """Whether PortAudio takes the stream for running, which it does of a suspended one too."""

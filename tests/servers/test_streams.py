@@ -36,8 +36,8 @@ ATTEMPTS = 3
 """A shared machine drops whole buffers now and then."""
 
 
-def tap(pcms: PcmConfig, collector: Collector) -> CaptureStream:
-    pcms.pcms["cushion_tap"].lead("desktop.monitor")
+def tap(pcms: PcmConfig, collector: Collector, source: str = "desktop.monitor") -> CaptureStream:
+    pcms.pcms["cushion_tap"].lead(source)
     return CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
 
 
@@ -194,6 +194,30 @@ def test_a_suspended_sink_is_noticed(server: SoundServer, pcms: PcmConfig) -> No
     server.pactl("suspend-sink", "haptic", "0")
     wait_for(lambda: not stream.is_lost(), "callbacks again", 2.0)
     assert stream.close()
+
+
+def test_a_sink_that_has_played_2_s_ahead_is_waited_for(
+    server: SoundServer, pcms: PcmConfig
+) -> None:
+    if server.kind == "pipewire":
+        pytest.skip("PipeWire plays nothing ahead")
+    server.pactl("load-module", "module-null-sink", "sink_name=ahead", "rate=48000", "channels=2")
+    wait_for(lambda: "ahead" in server.names("sinks"), "the sink")
+    lost, waited_s = [], []
+    for open_stream in (
+        lambda: output(pcms, "ahead"),
+        lambda: tap(pcms, Collector(), "ahead.monitor"),
+    ):
+        stream: PlaybackStream | CaptureStream = open_stream()
+        longest_s = 0.0
+        while (now_s := time.monotonic()) < stream.opened_s + 3.0:
+            lost.append(stream.is_lost(now_s))
+            longest_s = max(longest_s, now_s - stream.last_callback_s)
+            threading.Event().wait(0.01)
+        assert stream.close()
+        waited_s.append(longest_s)
+    assert not any(lost)
+    assert min(waited_s) > LOST_AFTER_S  # there was something to wait for
 
 
 def test_no_such_sink_is_an_error_or_a_stream_that_ends(
