@@ -79,13 +79,13 @@ def profiles(bench: Workbench) -> Section:
         TITLE,
         "What the profiles change, on the sounds of the section above. Lag: time until a tone "
         "burst's vibration passes half of its level, latency included. Envelope correlation: how "
-        "the levels of sound and vibration go together, 1 at best; a follower compresses, and so "
-        "gives up some of it for strength that is heard strength. Range: of the units of 46 ms of "
-        "speech. Energy: share of each octave of vibration, median sound; a small shaker does "
-        "little under 40 Hz. Smallest step: by how much vibration rises for an octave of sound, "
-        "where it rises least; differences are felt from about 35 % on. Acceleration: r.m.s. of "
-        f"the chord on the simulated rigs. *{OTHER_MAPPING}* is no profile: that for music with "
-        '`mapping = "jnd"`.',
+        "the levels of sound and vibration go together, 1 at best; it tells of the course, not of "
+        "the range, so a follower, which compresses, need not lower it. Range: of the units of "
+        "46 ms of speech. Energy: share of each octave of vibration, median sound; a small shaker "
+        "does little under 40 Hz. Smallest step: by how much vibration rises for an octave of "
+        "sound, where it rises least; differences are felt from about 35 % on. Acceleration: "
+        f"r.m.s. of the chord on the simulated rigs. *{OTHER_MAPPING}* is no profile: that for "
+        'music with `mapping = "jnd"`.',
         tuple(rows),
         footnote=f"Values and their reasons: {reasons}.",
     )

@@ -86,6 +86,7 @@ def run(options: argparse.Namespace) -> int:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
     _print_table(out, framework, twin, played, drawn)
+    print("to feel your own sound: README.md, 'Feel what your desktop plays'")
     return 0
 
 
