@@ -1,5 +1,6 @@
 """`cushion demo`: what it writes, draws and says, without waiting for the scene to be played."""
 
+import io
 import os
 import re
 import sys
@@ -8,7 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from rich.console import Console
 
+from audioflinger_hook.cli.meter import Meter
+from audioflinger_hook.cli.terminal import level_text
 from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import Scene, demo_scene
 from tests.commands import (
@@ -162,6 +166,36 @@ def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(plain, 
     unwatched, out = plain
     assert "220 Hz" not in unwatched.stderr
     assert (tmp_path / "vibration.wav").read_bytes() == (out / "vibration.wav").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("peak", "text"),
+    [(1.0, "0.0 dBFS"), (0.9999, "0.0 dBFS"), (0.5, "-6.0 dBFS"), (0.0, "silence")],
+)
+def test_a_level_has_no_minus_before_zero_and_silence_is_a_word(peak, text):
+    assert level_text(peak) == text
+
+
+class Terminal(io.StringIO):
+    """A text stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_meter_says_silence_and_names_every_row():
+    terminal = Terminal()
+    screen = Console(file=terminal, force_terminal=True, width=100, color_system=None)
+    block = np.full((RATE // 5, 1), 1e-4)
+    with Meter(Scene("short", RATE, (), 1.0), screen) as meter:
+        meter.show(RATE // 5, block, 5_000.0 * block, 10.0 * block)
+    drawn = terminal.getvalue()
+    sounds = [line for line in drawn.splitlines() if "sound" in line]
+    assert sounds
+    assert all(line.rstrip().endswith("silence") for line in sounds)
+    assert "-6.0 dBFS" in drawn
+    assert "felt at 20 Hz" in drawn
+    assert "m/s²" in drawn
 
 
 def fast_demo(folder, *, monkeypatch, seconds=0.5):
