@@ -309,6 +309,26 @@ def test_the_page_puts_columns_side_by_side_with_limit_and_verdict():
     assert "not met: A section: cost (live), 16 ms (15.5 to 17), must ≤ 15 ms" in page
 
 
+def test_limits_of_time_that_are_met_in_ffts_stand_apart_from_faults():
+    report = a_report(
+        Row("slow", 16.0, "ms", "live", Must("<=", 15.0), ffts_column="live, FFTs"),
+        Row("slow", 90.0, "FFTs", "live, FFTs", Must("<=", 100.0)),
+        Row("dear", 17.0, "ms", "live", Must("<=", 15.0), ffts_column="live, FFTs"),
+        Row("dear", 110.0, "FFTs", "live, FFTs", Must("<=", 100.0)),
+        Row("wrong", 2.0, "dB", "live", Must("<=", 1.0)),
+    )
+    assert report.met_in_ffts == {"A section: slow (live)"}
+    page = report.to_markdown()
+    assert "1 of 5 limits met; of the 4 not met 1 is met in FFTs." in page
+    faults, slow = page.split("in this machine's time only; met in FFTs", 1)
+    assert faults.count("not met: A section: ") == 3
+    assert "    - A section: slow (live), 16 ms, must ≤ 15 ms" in slow
+    must = report.to_json()["must"]
+    assert must["met"] == 1
+    assert len(must["not_met"]) == 4
+    assert must["met_in_ffts"] == ["A section: slow (live)"]
+
+
 def test_the_page_names_what_is_missing_with_reason_and_command():
     gone = Missing("precision", "there are no recordings", "fetch them")
     report = a_report(missing=(gone,))
@@ -338,6 +358,17 @@ def test_the_json_document_has_exactly_the_fields_of_the_dataclasses():
 
 
 # ------------------------------------------------------------------------------------- the run
+
+
+def test_a_row_that_names_a_twin_in_ffts_has_one_on_its_line(report):
+    named = 0
+    for section in report.sections:
+        for row in (row for row in section.rows if row.ffts_column):
+            twins = [r for r in section.rows if (r.name, r.column) == (row.name, row.ffts_column)]
+            assert [twin.unit for twin in twins] == ["FFTs"], (section.title, row)
+            assert (row.must is None) == (twins[0].must is None), (section.title, row)
+            named += 1
+    assert named > 10
 
 
 def test_every_bench_gives_rows_and_says_what_they_mean(report):

@@ -1,12 +1,18 @@
 """`cushion demo`: what it writes, draws and says, without waiting for the scene to be played."""
 
+import io
 import os
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
+from rich.console import Console
 
+from audioflinger_hook.cli.meter import Meter
+from audioflinger_hook.cli.terminal import level_text
 from audioflinger_hook.clients import mixdown
 from audioflinger_hook.scenes import Scene, demo_scene
 from tests.commands import (
@@ -21,6 +27,11 @@ from tests.commands import (
 
 SOUNDS = {"scene.wav", "vibration.wav", "acceleration.wav"}
 FRAMES = 15 * RATE
+
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
+REMAKE = "make docs/images/report.png again: it is out/report.png of `cushion demo --fast`"
+NUMBERS = re.compile(r"-?\d+\.\d+")
+WORDS = re.compile(r"[^\d.-]+")
 
 WITHOUT_MATPLOTLIB = """
 import sys
@@ -66,6 +77,26 @@ def test_the_demo_draws_a_report(demo):
     assert done.stderr == ""
 
 
+def described(picture):
+    """The text chunk that a PNG carries beside its pixels."""
+    from PIL import Image
+
+    with Image.open(picture) as image:
+        return image.info["Description"]
+
+
+def test_the_picture_in_the_readme_is_of_the_demo_as_it_is_now(demo):
+    pytest.importorskip("matplotlib", reason="pip install matplotlib")
+    _, out = demo
+    now, shown = (described(folder / "report.png") for folder in (out, IMAGES))
+    for name in ("latency of the transform", "vibration, peak", "acceleration, peak"):
+        assert f"{name}: " in now
+    # The last digit may be another where another processor rounds otherwise.
+    assert WORDS.findall(shown) == WORDS.findall(now), REMAKE
+    for was, is_now in zip(NUMBERS.findall(shown), NUMBERS.findall(now), strict=True):
+        assert float(was) == pytest.approx(float(is_now), abs=0.101), REMAKE
+
+
 def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
     _, out = demo
     assert np.array_equal(vibration(out / "scene.wav"), mixdown(demo_scene()))
@@ -90,9 +121,16 @@ def test_the_closing_table_says_what_is_in_the_files(demo):
     peak_db = 20 * np.log10(np.abs(vibration(out / "vibration.wav")).max())
     assert f"{peak_db:.1f} dBFS" in done.stdout
     peak_m_s2 = 100 * np.abs(vibration(out / "acceleration.wav")).max()
-    assert f"{peak_m_s2:.1f} m/s^2" in done.stdout
+    assert f"{peak_m_s2:.1f} m/s²" in done.stdout
     for name in SOUNDS:
         assert f"out/{name}" in done.stdout
+    for words in (
+        "samples held back at full scale",
+        "unusable samples in the sound",
+        "time taken for 5.33 ms of sound",
+        "report.png: all of it as a picture",
+    ):
+        assert words in done.stdout
     assert "\x1b" not in done.stdout
 
 
@@ -128,6 +166,36 @@ def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(plain, 
     unwatched, out = plain
     assert "220 Hz" not in unwatched.stderr
     assert (tmp_path / "vibration.wav").read_bytes() == (out / "vibration.wav").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("peak", "text"),
+    [(1.0, "0.0 dBFS"), (0.9999, "0.0 dBFS"), (0.5, "-6.0 dBFS"), (0.0, "silence")],
+)
+def test_a_level_has_no_minus_before_zero_and_silence_is_a_word(peak, text):
+    assert level_text(peak) == text
+
+
+class Terminal(io.StringIO):
+    """A text stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_meter_says_silence_and_names_every_row():
+    terminal = Terminal()
+    screen = Console(file=terminal, force_terminal=True, width=100, color_system=None)
+    block = np.full((RATE // 5, 1), 1e-4)
+    with Meter(Scene("short", RATE, (), 1.0), screen) as meter:
+        meter.show(RATE // 5, block, 5_000.0 * block, 10.0 * block)
+    drawn = terminal.getvalue()
+    sounds = [line for line in drawn.splitlines() if "sound" in line]
+    assert sounds
+    assert all(line.rstrip().endswith("silence") for line in sounds)
+    assert "-6.0 dBFS" in drawn
+    assert "felt at 20 Hz" in drawn
+    assert "m/s²" in drawn
 
 
 def fast_demo(folder, *, monkeypatch, seconds=0.5):

@@ -77,10 +77,10 @@ def test_a_flood_becomes_a_few_lines_and_a_count(told: Told) -> None:
     told.lines()
     said = []
     for tick in range(1_000):
-        told.keeper.count(Cause.RESYNC, "the delay was set anew")
+        told.keeper.count(Cause.RESYNC, "the computer was late: the delay was set anew")
         said += told.lines(0.05 * tick)
     assert AT_ONCE + 3 <= len(said) <= AT_ONCE + 1_000 * 0.05 / EVERY_S + 1
-    assert said[0] == "cushion: resync: the delay was set anew"
+    assert said[0] == "cushion: resync: the computer was late: the delay was set anew"
     assert "more like it before)" in said[-1]
     told.keeper.count(Cause.STALL, "a pause")
     assert told.lines(50.0) == ["cushion: stall: a pause"]

@@ -192,6 +192,15 @@ def test_numbers_that_are_not_finite_neither_go_out_nor_come_in(number):
 # ----------------------------------------------------------------------------------- the view
 
 
+def test_vibration_that_comes_before_its_sound_is_said_to():
+    budget = LatencyBudget.of(
+        tap_ms=20.0, transform_ms=7.5, delay_line_ms=20.0, output_ms=31.0, offset_ms=-80.0
+    )
+    early = status_text(replace(STATUS, latency=budget), 140)
+    assert "-1.5 ms (1.5 ms before the sound) = tap 20.0" in early
+    assert "before the sound" not in status_text(STATUS, 140)
+
+
 def test_the_view_shows_every_figure():
     assert status_text(STATUS, 100).splitlines() == [
         "cushion    0.1.0, process 4321",

@@ -33,6 +33,9 @@ FIELDS = {
     CORRELATION: "envelope correlation,\nmedian recording",
 }
 
+MORE = (BURSTS_FELT, CORRELATION)
+"""Of these more is better, of the others less."""
+
 
 def comparison_figure(report: BenchReport) -> Figure:
     """A line for each way, the live form first, and a field of points for each measure."""
@@ -54,9 +57,9 @@ def comparison_figure(report: BenchReport) -> Figure:
         fontsize=SMALL_PT, color=palette.GREY, va="center",
     )  # fmt: skip
     axes = figure.subplots(1, len(fields), sharey=True)
-    figure.subplots_adjust(left=0.105, right=0.985, top=0.715, bottom=0.05, wspace=0.12)
+    figure.subplots_adjust(left=0.105, right=0.985, top=0.69, bottom=0.05, wspace=0.12)
     for axis, (name, title) in zip(axes, fields.items(), strict=True):
-        title = title.format(played=played)
+        title = f"{title.format(played=played)}\n{'better →' if name in MORE else '← better'}"
         axis.set_title(title, fontsize=SMALL_PT, color=palette.INK, linespacing=1.3)
         _draw_measure(axis, [rows.get((name, way)) for way in ways], ways, name == COST_FFTS)
     axes[0].set_yticks(range(len(ways)), ways, fontsize=TEXT_PT, color=palette.INK)

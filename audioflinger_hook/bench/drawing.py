@@ -46,7 +46,11 @@ COLOURS = 48
 WIDTH_IN = 10.0
 COST_HEIGHT_IN, LAG_HEIGHT_IN = 5.6, 4.4
 LINE = 0.26
+CURVE_MARKERS, POINT_MARKERS = "osD^v<", "*PXp"
+"""What tells curves, and single points, from each other where their tones are close."""
 COST_TICKS_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+BESIDE_LIMIT = 3.5
+"""By so much over a cost its number ends, on the axis of costs."""
 TEXT_PT, TITLE_PT, SMALL_PT = 10.0, 14.0, 9.0
 
 
@@ -160,7 +164,7 @@ def cost_figure(report: BenchReport) -> Figure:
         axis.set_yticks(range(len(scenes)), scenes, fontsize=TEXT_PT, color=palette.INK)
         axis.set_ylim(len(scenes) - 0.45, -0.55)
         axis.set_xscale("log")
-        axis.set_xlim(0.8 * min(costs), 2.2 * max(costs))
+        axis.set_xlim(0.45 * min(costs), 2.2 * max(costs))
         ticks = [tick for tick in COST_TICKS_MS if min(costs) <= tick <= 2.2 * max(costs)]
         axis.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
         axis.tick_params(axis="x", which="minor", length=0)
@@ -168,7 +172,7 @@ def cost_figure(report: BenchReport) -> Figure:
     axes[-1].set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
     x = 0.62
     figure.text(x, 0.835, "- -", color=palette.INK, fontsize=TEXT_PT + 2, va="center")
-    limit = f"must for {LIVE}: {SECOND.bound:g} ms, {SECOND_FFTS.bound:g} rfft"
+    limit = f"limit for {LIVE}: {SECOND.bound:g} ms, {SECOND_FFTS.bound:g} rfft"
     figure.text(x + 0.027, 0.835, limit, color=palette.INK, fontsize=TEXT_PT, va="center")
     for column, colour, x in ways:
         figure.text(x, 0.835, "●", color=colour, fontsize=TEXT_PT + 2, va="center")
@@ -208,7 +212,7 @@ def lag_figure(report: BenchReport) -> Figure:
         _label_curve(axis, column, lags, p95, colour)
     axis.axvline(LAG_P95.bound, color=palette.INK, lw=0.9, ls=(0, (4, 3)), zorder=1)
     axis.text(
-        LAG_P95.bound + 0.4, 3.0, f"must: 95 % by {LAG_P95.bound:g} ms", fontsize=SMALL_PT,
+        LAG_P95.bound + 0.4, 3.0, f"limit: 95 % by {LAG_P95.bound:g} ms", fontsize=SMALL_PT,
         color=palette.INK,
     )  # fmt: skip
     axis.set_xlim(0.0, 5.0 * np.ceil((latest + 3.0) / 5.0))
@@ -234,23 +238,33 @@ def rungs_figure(report: BenchReport) -> Figure:
         "displacement over its peak, by CPU time for a second of signal",
     )
     axis = figure.subplots()
-    figure.subplots_adjust(left=0.085, right=0.90, top=0.80, bottom=0.125)
+    figure.subplots_adjust(left=0.085, right=0.725, top=0.80, bottom=0.125)
     _plain(axis)
     axis.set_xscale("log")
     axis.set_yscale("log")
+    points = -1
     for place, (name, values) in enumerate(section.series.items()):
         costs_ms, errors = 1e3 * np.array(values[::2]), np.array(values[1::2])
-        colour = palette.GREY if place else palette.FELT
-        axis.plot(costs_ms, errors, "o-", ms=5, lw=2.2 if place == 0 else 1.2, color=colour)
-        single = len(costs_ms) == 1  # its name stands under it, or above where curves are under it
-        beside = (0, -11 if errors[0] > 0.1 else 11) if single else (7, 0)
-        axis.annotate(
-            name, (costs_ms[-1], errors[-1]), xytext=beside, textcoords="offset points",
-            fontsize=SMALL_PT, color=colour, va="center", ha="center" if single else "left",
-            bbox={"facecolor": palette.WHITE, "edgecolor": "none", "pad": 0.6}, zorder=4,
+        single = len(costs_ms) == 1
+        if single:
+            points += 1
+            marker = POINT_MARKERS[points % len(POINT_MARKERS)]
+            colour = palette.FELT if name.endswith("rung") else palette.INK
+        else:
+            marker = CURVE_MARKERS[place % len(CURVE_MARKERS)]
+            tones = (palette.INK, palette.HEARD, palette.GREY, palette.HEARD_LIGHT)
+            colour = tones[(place - 1) % len(tones)] if place else palette.FELT
+        axis.plot(
+            costs_ms, errors, marker=marker, ls="none" if single else "-", ms=7 if single else 5.5,
+            lw=2.2 if place == 0 else 1.2, color=colour, label=name, zorder=3 if place else 4,
         )  # fmt: skip
+    # Curves cross and end close together: names stand beside all of them.
+    axis.legend(
+        loc="center left", bbox_to_anchor=(1.02, 0.5), frameon=False, fontsize=SMALL_PT,
+        labelcolor=palette.INK, labelspacing=0.9, handlelength=2.2,
+    )  # fmt: skip
     axis.tick_params(which="minor", length=0)
-    axis.set_xlabel("ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
+    axis.set_xlabel("CPU time, ms", fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
     axis.set_title("error over peak", loc="left", fontsize=SMALL_PT, color=palette.GREY, x=-0.06)
     axis.grid(True, axis="y", color=palette.HAIRLINE, lw=0.8)
     return figure
@@ -279,10 +293,13 @@ def _point(axis: Axes, place: float, row: Row, colour: str) -> None:
 
     value = row.value or 0.0
     low, high = row.low or value, row.high or value
+    # To the right of a point just under the limit its number would stand on the limit's line.
+    left = high < SECOND.bound < BESIDE_LIMIT * high
     axis.plot([low, high], [place, place], color=colour, lw=2.0, zorder=2)
     axis.plot([value], [place], "o", ms=5.5, color=colour, zorder=3)
     axis.annotate(
-        f"{value:.1f}", (high, place), xytext=(6, 0), textcoords="offset points",
+        f"{value:.1f}", (low if left else high, place), xytext=(-6 if left else 6, 0),
+        textcoords="offset points", ha="right" if left else "left",
         fontsize=SMALL_PT - 0.5, color=palette.GREY, va="center_baseline", zorder=4,
         bbox={"facecolor": palette.WHITE, "edgecolor": "none", "pad": 0.4},
     )  # fmt: skip

@@ -67,13 +67,13 @@ def levels_figure(report: BenchReport) -> Figure:
     wide.set_ylim(len(sounds) - 0.5, -0.5)
     wide.tick_params(axis="y", length=0)
     wide.set_xlabel(
-        "dB of full scale; grey: the sound's own",
+        "dB of full scale",
         fontsize=SMALL_PT,
         color=palette.GREY,
         loc="right",
     )
     heard = values[f"{CONTRAST} of the scene", "in"]
-    contrast.axvline(heard, color=palette.HAIRLINE, lw=3.0)
+    contrast.axvline(heard, ymax=0.9, color=palette.HAIRLINE, lw=3.0)
     contrast.set_title("explosion over speech, dB", fontsize=SMALL_PT + 0.5, color=palette.INK)
     silence.set_title("not felt at -20 dB, %", fontsize=SMALL_PT + 0.5, color=palette.INK)
     for axis, title in ((contrast, f"{CONTRAST} of the scene"), (silence, SILENT)):
@@ -84,13 +84,21 @@ def levels_figure(report: BenchReport) -> Figure:
                 value, number, f" {value:.1f}", fontsize=SMALL_PT, color=palette.GREY, va="center"
             )
         axis.set_yticks([])
-        axis.set_ylim(len(names) - 0.4, -0.6)
+        axis.set_ylim(len(names) - 0.4, -1.1)
         axis.margins(x=0.25)
-    contrast.set_xlabel("grey: phon heard", fontsize=SMALL_PT, color=palette.GREY, loc="right")
+    contrast.text(
+        heard or 0.0, -0.65, f"heard: {heard:.0f} phon", fontsize=SMALL_PT, color=palette.GREY,
+        va="bottom", ha="center",
+    )  # fmt: skip
     for number, name in enumerate(names):
-        x = 0.115 + 0.155 * number
+        x = 0.115 + 0.14 * number
         figure.text(x, 0.835, "●", color=colours[name], fontsize=TEXT_PT + 1, va="center")
         figure.text(x + 0.018, 0.835, name, color=palette.INK, fontsize=TEXT_PT, va="center")
+    x = 0.115 + 0.14 * len(names)
+    figure.text(x, 0.835, "▮", color=palette.HAIRLINE, fontsize=TEXT_PT + 1, va="center")
+    figure.text(
+        x + 0.018, 0.835, "the sound itself", color=palette.INK, fontsize=TEXT_PT, va="center"
+    )
     return figure
 
 

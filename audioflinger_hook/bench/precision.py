@@ -258,13 +258,14 @@ def _linear_rows(duration_s: float, repeats: int) -> list[Row]:
 
 
 def _point_rows(name: str, point: Point, limited: bool) -> list[Row]:
+    must, twin = REAL_TIME if limited else None, "" if point.ffts is None else "a second, FFTs"
     rows = [
-        Row(name, 1.0 / point.cost, "", "x real time", REAL_TIME if limited else None),
+        Row(name, 1.0 / point.cost, "", "x real time", must, ffts_column=twin),
         Row(name, point.error, "", "error", ERROR if limited else None),
     ]
     if point.ffts is not None:
         must = REAL_TIME_FFTS if limited else None
-        rows.append(Row(name, round(point.ffts), "FFTs", "a second, FFTs", must))
+        rows.append(Row(name, round(point.ffts), "FFTs", twin, must))
     return rows
 
 

@@ -122,6 +122,7 @@ def _cost_rows(name: str, column: str, timings: Timings, duration_s: float) -> l
         return 1e3 * seconds / duration_s
 
     must, must_ffts = (SECOND, SECOND_FFTS) if column == LIVE else (None, None)
+    twin = f"{column}, FFTs"
     return [
         Row(
             name,
@@ -131,8 +132,9 @@ def _cost_rows(name: str, column: str, timings: Timings, duration_s: float) -> l
             must,
             low=ms(min(timings.seconds)),
             high=ms(max(timings.seconds)),
+            ffts_column=twin,
         ),
-        Row(name, round(timings.median_units / duration_s), "FFTs", f"{column}, FFTs", must_ffts),
+        Row(name, round(timings.median_units / duration_s), "FFTs", twin, must_ffts),
     ]
 
 
@@ -153,7 +155,7 @@ def cost_after_pauses(bench: Workbench) -> Section:
                 (COLD_SECOND, COLD_SECOND_FFTS) if subject.name == LIVE else (None, None)
             )
             row, ffts = f"{name}, with pauses", f"{subject.name}, FFTs"
-            rows.append(Row(row, 1e3 * seconds, "ms", subject.name, must))
+            rows.append(Row(row, 1e3 * seconds, "ms", subject.name, must, ffts_column=ffts))
             rows.append(Row(row, round(units), "FFTs", ffts, must_ffts))
     return Section(
         "Cost after pauses",

@@ -85,7 +85,7 @@ def _mode(mode: Mode, *, scaled: bool, found: Calibration) -> list[str]:
         if scaled:
             unit = "V" if ("voltage", "acceleration") in _names(found) else "full scale"
             rows.append(
-                f"sensitivity above the resonance: {s.value:.4g} m/s^2 per {unit} "
+                f"sensitivity above the resonance: {s.value:.4g} m/s² per {unit} "
                 f"({s.low:.4g} to {s.high:.4g})"
             )
         else:

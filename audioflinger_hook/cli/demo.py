@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -79,13 +80,14 @@ def run(options: argparse.Namespace) -> int:
         heard.abort()
         chain.abort()
         raise
+    values = _main_values(framework, twin, played)
     drawn = True
     try:
-        _draw(picture, scene, sound, played, framework)
+        _draw(picture, scene, sound, played, framework, values)
     except ImportError:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
-    _print_table(out, framework, twin, played, drawn)
+    _print_table(out, framework, twin, played, values, drawn)
     print("to feel your own sound: README.md, 'Feel what your desktop plays'")
     return 0
 
@@ -129,8 +131,9 @@ def _draw(
     sound: NDArray[np.float32],
     played: Played,
     framework: Framework,
+    values: Mapping[str, str],
 ) -> None:
-    """Write the picture, which needs matplotlib."""
+    """Write the picture, which needs matplotlib and carries the main values as text."""
     from audioflinger_hook.figures.report import draw_report
 
     settings = framework.settings
@@ -164,12 +167,29 @@ def _draw(
             f"latency {framework.latency_s * 1e3:.1f} ms, taken out here",
             f"rig {settings.rig} (simulated)",
         ),
+        description="; ".join(f"{name}: {value}" for name, value in values.items()),
     )
     write_bytes_atomically(path, picture.getvalue())
 
 
-def _print_table(out: Path, framework: Framework, twin: Twin, played: Played, drawn: bool) -> None:
+def _main_values(framework: Framework, twin: Twin, played: Played) -> dict[str, str]:
+    """Return what the closing table and the picture's text both say, by name."""
     peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
+    return {
+        "latency of the transform": f"{framework.latency_s * 1e3:.1f} ms",
+        "vibration, peak": level_text(peak),
+        "acceleration, peak": f"{twin.peak_acceleration_m_s2:.1f} m/s² (predicted)",
+    }
+
+
+def _print_table(
+    out: Path,
+    framework: Framework,
+    twin: Twin,
+    played: Played,
+    values: Mapping[str, str],
+    drawn: bool,
+) -> None:
     buffer_ms = np.array(played.buffer_s) * 1e3
     buffer_length_ms = BLOCKSIZE_FRAMES / framework.samplerate * 1e3
     median, tail, worst = np.percentile(buffer_ms, (50, 99, 100))
@@ -179,22 +199,21 @@ def _print_table(out: Path, framework: Framework, twin: Twin, played: Played, dr
     formats = ", ".join(f"{t.name} {t.format.value} {t.samplerate / 1e3:g} kHz" for t in tracks)
     table.add_row(f"{len(tracks)} tracks mixed", formats)
     table.add_row("sound", f"{len(buffer_ms)} buffers of {BLOCKSIZE_FRAMES} frames")
-    table.add_row("latency of the transform", f"{framework.latency_s * 1e3:.1f} ms")
-    table.add_row("vibration, peak", level_text(peak))
-    table.add_row("limited samples", str(framework.limited_samples))
-    table.add_row("replaced samples", str(framework.replaced_samples))
-    table.add_row("acceleration, peak", f"{twin.peak_acceleration_m_s2:.1f} m/s^2 (predicted)")
+    for name, value in values.items():
+        table.add_row(name, value)
+    table.add_row("samples held back at full scale", str(framework.limited_samples))
+    table.add_row("unusable samples in the sound", str(framework.replaced_samples))
     table.add_row("excursion, peak", f"{twin.peak_displacement_m * 1e3:.2f} mm (predicted)")
     table.add_row("current, peak", f"{twin.peak_current_a:.2f} A (predicted)")
     table.add_row(
-        f"time a buffer of {buffer_length_ms:.2f} ms",
+        f"time taken for {buffer_length_ms:.2f} ms of sound",
         f"median {median:.2f}, p99 {tail:.2f}, max {worst:.2f} ms ({share:.1f} % of one core)",
     )
     written = {
         "scene.wav": "what was played",
         "vibration.wav": "what is felt, to be heard",
-        "acceleration.wav": f"full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2",
-        "report.png": "both seen" if drawn else "not drawn",
+        "acceleration.wav": f"full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s²",
+        "report.png": "all of it as a picture" if drawn else "not drawn",
     }
     for name, what in written.items():
         table.add_row(

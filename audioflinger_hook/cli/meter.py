@@ -17,6 +17,8 @@ from device.units import amplitude_to_db
 REFRESH_S = 1 / 15
 BAR_CELLS = 40
 BAR_RANGE_DB = 60.0
+SILENCE_DB = -70.0
+"""A peak under this is told as silence."""
 SPECTRUM_WINDOW_S = 0.1
 SPECTRUM_BANDS_HZ = np.arange(20, 221, 5)
 STEPS = " ▁▂▃▄▅▆▇█"
@@ -75,9 +77,9 @@ class Meter:
         sound, vibration, acceleration = self._peaks
         return Group(
             Text(f"{now_s:5.1f} of {self._scene.duration_s:.0f} s   {playing or '-'}", "bold"),
-            _bar("sound", sound, f"{_db(sound)} dBFS", "cyan"),
-            _bar("vibration", vibration, f"{_db(vibration)} dBFS", "yellow"),
-            _bar("cushion", acceleration / 100.0, f"{acceleration:5.1f} m/s^2", "magenta"),
+            _bar("sound", sound, _level(sound), "cyan"),
+            _bar("vibration", vibration, _level(vibration), "yellow"),
+            _bar("cushion", acceleration / 100.0, f"{acceleration:5.1f} m/s²", "magenta"),
             self._spectrum(),
         )
 
@@ -85,7 +87,7 @@ class Meter:
         level_db = 20.0 * np.log10(np.abs(self._probe @ self._recent) + 1e-9)
         height = np.clip(1.0 + level_db / 50.0, 0.0, 1.0) * (len(STEPS) - 1)
         bars = "".join(STEPS[round(h)] for h in height)
-        return Text.assemble(f"{'20 Hz':>10} ", (bars, "yellow"), " 220 Hz")
+        return Text.assemble(f"{'felt at':>10} 20 Hz ", (bars, "yellow"), " 220 Hz")
 
 
 def _bar(label: str, amplitude: float, reading: str, colour: str) -> Text:
@@ -96,5 +98,7 @@ def _bar(label: str, amplitude: float, reading: str, colour: str) -> Text:
     )
 
 
-def _db(amplitude: float) -> str:
-    return f"{max(-99.9, amplitude_to_db(amplitude)):6.1f}"
+def _level(amplitude: float) -> str:
+    level_db = amplitude_to_db(amplitude)
+    # What is left of a block that rings out is nobody's sound; the bar is empty long before.
+    return " silence" if level_db < SILENCE_DB else f"{round(level_db, 1) + 0.0:6.1f} dBFS"

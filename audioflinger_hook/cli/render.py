@@ -142,5 +142,5 @@ def _summary(report: RenderReport, output: Path) -> str:
     if report.replaced_samples:
         parts.append(f"{report.replaced_samples} unusable samples taken for 0")
     if report.peak_acceleration_m_s2 is not None:
-        parts.append(f"peak acceleration {report.peak_acceleration_m_s2:.1f} m/s^2")
+        parts.append(f"peak acceleration {report.peak_acceleration_m_s2:.1f} m/s²")
     return ", ".join(parts)

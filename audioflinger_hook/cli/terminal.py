@@ -24,9 +24,10 @@ def complain(message: str) -> None:
 
 
 def level_text(amplitude: float) -> str:
-    """Return an amplitude as dBFS, `-inf` for silence."""
-    level_db = amplitude_to_db(amplitude)
-    return "-inf dBFS" if level_db == -math.inf else f"{level_db:.1f} dBFS"
+    """Return an amplitude as dBFS, or `silence` for 0."""
+    # Adding 0 makes the -0.0 of what is just under full scale a plain 0.0.
+    level_db = round(amplitude_to_db(amplitude), 1) + 0.0
+    return "silence" if level_db == -math.inf else f"{level_db:.1f} dBFS"
 
 
 class LineConsole(Console):

@@ -91,7 +91,7 @@ class PacedOutput:
         if not isinstance(output, Twin | Twins):
             return ""
         return (
-            f"twin (predicted): peak acceleration {output.peak_acceleration_m_s2:.1f} m/s^2, "
+            f"twin (predicted): peak acceleration {output.peak_acceleration_m_s2:.1f} m/s², "
             f"excursion {output.peak_displacement_m * 1e3:.2f} mm, "
             f"current {output.peak_current_a:.2f} A"
         )

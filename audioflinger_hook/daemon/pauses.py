@@ -45,5 +45,5 @@ class Pauses:
     def count_resyncs(self, resyncs: int) -> None:
         """Count those of the delay line that are new; resyncs: so far."""
         for _ in range(resyncs - self._resyncs):
-            self._states.count(Cause.RESYNC, "the delay was set anew")
+            self._states.count(Cause.RESYNC, "the computer was late: the delay was set anew")
         self._resyncs = resyncs

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from numpy.typing import NDArray
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 WHITE = "#ffffff"
 INK = "#24303c"
@@ -45,8 +46,10 @@ def level_map() -> LinearSegmentedColormap:
     return LinearSegmentedColormap.from_list("level", LEVEL_COLOURS)
 
 
-def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int) -> bytes:
+def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int, description: str = "") -> bytes:
     """A PNG of the opaque picture `rgba` (height, width, 4) in 256 colours, as bytes.
+
+    `description`, if any, is its text chunk of that name.
 
     The colours are those of this module and their blends; anything else becomes the nearest of
     them. A spectrogram is noise to a PNG: one byte a pixel makes the file a third as large.
@@ -57,7 +60,11 @@ def indexed_png(rgba: NDArray[np.uint8], dots_per_inch: int) -> bytes:
     picture = Image.fromarray(rgba[:, :, :3])
     indexed = picture.quantize(palette=palette, dither=Image.Dither.NONE)
     content = io.BytesIO()
-    indexed.save(content, format="PNG", optimize=True, dpi=(dots_per_inch, dots_per_inch))
+    texts = PngInfo()
+    if description:
+        texts.add_text("Description", description)
+    dpi = (dots_per_inch, dots_per_inch)
+    indexed.save(content, format="PNG", optimize=True, dpi=dpi, pnginfo=texts)
     return content.getvalue()
 
 

@@ -69,6 +69,7 @@ def draw_report(
     principals: Sequence[Principal],
     events: Sequence[Event],
     facts: Sequence[str] = (),
+    description: str = "",
 ) -> None:
     """Writes the report as a PNG of 1600 x 1500 pixels to `path`, a file name or a binary file.
 
@@ -76,7 +77,8 @@ def draw_report(
     at its own samplerate in Hz and all starting at the same moment; audio and vibration have full
     scale 1. `principals` are (time in s, audio frequency in Hz, vibration frequency in Hz, strength
     from 0 to 1); `events` are (start in s, end in s, label); `facts` are short texts for the line
-    under the title. Samples that are not finite are drawn as zero.
+    under the title; `description` is not drawn but stored as the PNG's text chunk of that name.
+    Samples that are not finite are drawn as zero.
 
     A file name gets the whole picture or stays as it was. Raises ValueError for arrays of the wrong
     shape or without frames, and what `device.AtomicFile` raises if the file cannot be written.
@@ -126,7 +128,7 @@ def draw_report(
     # matplotlib's canvas is not typed yet everywhere
     canvas.draw()  # type: ignore[no-untyped-call, unused-ignore]
     rgba = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call, unused-ignore]
-    picture = palette.indexed_png(rgba, DPI)
+    picture = palette.indexed_png(rgba, DPI, description)
     if isinstance(path, (str, os.PathLike)):
         write_bytes_atomically(path, picture)
     else:

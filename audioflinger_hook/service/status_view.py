@@ -135,8 +135,11 @@ def _latency(status: Status) -> Text:
     latency = status.latency
     driving = f"driving {latency.driving_ms:.1f} + " if latency.driving_ms else ""
     driving += f"actuator {latency.delay_ms:.1f} + " if latency.delay_ms else ""
+    # What drop-in mode holds the sound back by may be more than all else together.
+    early_ms = round(-latency.total_ms, 1)
+    early = f" ({early_ms:.1f} ms before the sound)" if early_ms > 0.0 else ""
     return Text(
-        f"{latency.total_ms:.1f} ms = tap {latency.tap_ms:.1f} + transform "
+        f"{latency.total_ms:.1f} ms{early} = tap {latency.tap_ms:.1f} + transform "
         f"{latency.transform_ms:.1f} + {driving}delay line {latency.delay_line_ms:.1f} + output "
         f"{latency.output_ms:.1f} {'-' if latency.offset_ms < 0 else '+'} offset "
         f"{abs(latency.offset_ms):.1f}"
