@@ -195,11 +195,10 @@ class PartialTracker:
     def _hold(self, room: float, still_heard: Callable[[Held], float], left: float) -> None:
         """Keep what is held at its amplitude, as far as there is room and the law leaves it."""
         lacking = {}
-        squares = 0.0
-        for _, (held, _) in sorted(self._held.items()):
-            squares += held.weight * held.weight
+        by_slot = sorted(self._held.items())
+        squares = sum(held.weight * held.weight for _, (held, _) in by_slot)
         known = 1.0 if squares <= left * left else left / float(np.sqrt(squares))
-        for slot, (held, hops) in sorted(self._held.items()):
+        for slot, (held, hops) in by_slot:
             wanted = still_heard(held)
             full = not self._alive[slot] and int(self._alive.sum()) >= self._most
             if full or hops < 1 or wanted < WORTH_HOLDING * held.amplitude:

@@ -105,14 +105,14 @@ class _Stream:
         the caller has it at hand. A closed stream is lost.
         """
         now = time.monotonic() if now_s is None else now_s
-        begins = self.last_callback_s - self.opened_s < BEGUN_AFTER_S and self._may_wait
-        limit_s = BEGINS_WITHIN_S if begins else LOST_AFTER_S
+        limit_s = BEGINS_WITHIN_S if self._begins else LOST_AFTER_S
         return now - self.last_callback_s > limit_s or not self.is_active()
 
     @property
-    def _may_wait(self) -> bool:
-        """Whether there may be a pause at the beginning."""
-        return self._on_server and (not self._output or self.callbacks > 0)
+    def _begins(self) -> bool:
+        """Whether it is so young that the server's sink may be ahead of it."""
+        young = self.last_callback_s - self.opened_s < BEGUN_AFTER_S
+        return young and self._on_server and (self.callbacks > 0 or not self._output)
 
     def is_active(self) -> bool:
         """Whether PortAudio takes the stream for running, which it does of a suspended one too."""
