@@ -12,9 +12,9 @@ from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
 from audioflinger_hook.effect.haptic import DRAIN, HAPTIC_CUSHION
 from audioflinger_hook.effect.haptic_parameters import from_settings
 from audioflinger_hook.effect.interface import OK, Command
-from audioflinger_hook.effect.library import EffectRegistry
 from audioflinger_hook.effect.module import EffectModule
 from audioflinger_hook.effect.parameters import Values
+from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
 from audioflinger_hook.mixer import CycleReport, Mixer, Sink, dump
 from audioflinger_hook.sessions import OUTPUT_MIX

@@ -22,8 +22,8 @@ from audioflinger_hook.effect.interface import (
     EffectFlag,
     VendorCommand,
 )
-from audioflinger_hook.effect.library import EffectLibrary
 from audioflinger_hook.effect.parameters import Parameter
+from audioflinger_hook.effect.registry import EffectLibrary
 
 RATE = 48_000
 FRAMES = 960

@@ -11,8 +11,8 @@ import pytest
 
 from audioflinger_hook.effect.haptic import CUSHION, HAPTIC_CUSHION, HapticEffect
 from audioflinger_hook.effect.interface import OK, EffectFlag, VendorCommand
-from audioflinger_hook.effect.library import EffectLibrary, EffectRegistry, descriptor_problem
 from audioflinger_hook.effect.parameters import Parameter
+from audioflinger_hook.effect.registry import EffectLibrary, EffectRegistry, descriptor_problem
 from device.errors import InternalError, NotFoundError, UsageError
 from tests.test_effect_engines import DELAY, LIBRARY, Delay, Probe, descriptor, noise, running
 
@@ -21,7 +21,7 @@ HALVER_UUID = UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0001")
 HALVER = """
     from uuid import UUID
     from audioflinger_hook.effect.interface import EINVAL, OK, Command, EffectDescriptor
-    from audioflinger_hook.effect.library import EffectLibrary
+    from audioflinger_hook.effect.registry import EffectLibrary
     from audioflinger_hook.effect.parameters import Parameter
 
     HALVER = EffectDescriptor(
@@ -86,19 +86,19 @@ BROKEN = {
     "no object": ("", entry("not a reference"), "halving"),
     "taken UUID": (
         "from audioflinger_hook.effect.haptic import HAPTIC_CUSHION, HapticEffect\n"
-        "from audioflinger_hook.effect.library import EffectLibrary\n"
+        "from audioflinger_hook.effect.registry import EffectLibrary\n"
         "L = EffectLibrary('twin', ((HAPTIC_CUSHION, HapticEffect),))",
         entry("broken_package:L"),
         "is that of effect 'Haptic Cushion'",
     ),
     "taken name": (
-        "from audioflinger_hook.effect.library import EffectLibrary\n"
+        "from audioflinger_hook.effect.registry import EffectLibrary\n"
         "L = EffectLibrary('cushion', ())",
         entry("broken_package:L"),
         "'cushion' exists already",
     ),
     "wrong shape": (
-        "from audioflinger_hook.effect.library import EffectLibrary\n"
+        "from audioflinger_hook.effect.registry import EffectLibrary\n"
         "L = EffectLibrary('odd', (3, 4))",
         entry("broken_package:L"),
         "TypeError",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.effect.chain import EffectChains
 from audioflinger_hook.effect.haptic import CUSHION, HAPTIC_CUSHION
-from audioflinger_hook.effect.library import EffectRegistry
+from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import (
     OUTPUT_MIX_STREAM,
     SIZE_MAX,

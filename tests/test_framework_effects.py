@@ -17,7 +17,7 @@ from audioflinger_hook.settings import Settings
 from audioflinger_hook.taps import FramesTap
 from device.errors import UsageError
 from tests.commands import call, cushion, listing, refused, sound, vibration
-from tests.test_effect_library import HALVER, HALVER_UUID, entry
+from tests.test_effect_registry import HALVER, HALVER_UUID, entry
 from tests.test_framework import RATE, music, steps_of, transformed
 
 OTHER_UUID = UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0007")
@@ -25,7 +25,7 @@ OTHER_UUID = UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0007")
 OTHER = f"""
     from uuid import UUID
     from audioflinger_hook.effect.interface import OK, EffectDescriptor, EffectFlag
-    from audioflinger_hook.effect.library import EffectLibrary
+    from audioflinger_hook.effect.registry import EffectLibrary
 
     NOW_S = [0.0]
     SEEN = [0]

@@ -22,7 +22,7 @@ from audioflinger_hook.transform import TransformParameters
 from device.errors import UsageError, WriteError
 from device.units import Float32Array
 from tests.commands import call, noise, refused, vibration
-from tests.test_effect_library import HALVER, HALVER_UUID, entry
+from tests.test_effect_registry import HALVER, HALVER_UUID, entry
 from tests.test_framework_effects import effects_xml
 
 STILL = Clocks(lambda: 0.0, lambda: 0.0)

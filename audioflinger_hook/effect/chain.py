@@ -15,8 +15,8 @@ from audioflinger_hook.effect.interface import (
     EffectEngine,
     EffectFlag,
 )
-from audioflinger_hook.effect.library import descriptor_problem
 from audioflinger_hook.effect.module import EffectModule
+from audioflinger_hook.effect.registry import descriptor_problem
 from audioflinger_hook.sessions import DEVICE, OUTPUT_STAGE
 from device.errors import UsageError
 

@@ -30,8 +30,8 @@ from audioflinger_hook.effect.interface import (
     EffectFlag,
     VendorCommand,
 )
-from audioflinger_hook.effect.library import EffectLibrary
 from audioflinger_hook.effect.parameters import ParameterValues, Value, Values
+from audioflinger_hook.effect.registry import EffectLibrary
 from audioflinger_hook.effect.vibration import Vibration
 from audioflinger_hook.layouts import source_weights
 from audioflinger_hook.transform import Form, HapticTransform

@@ -11,7 +11,7 @@ from pathlib import Path
 from uuid import UUID
 from xml.parsers import expat
 
-from audioflinger_hook.effect.library import EffectRegistry
+from audioflinger_hook.effect.registry import EffectRegistry
 from device.errors import UsageError
 
 SIZE_MAX = 2**20
