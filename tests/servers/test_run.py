@@ -216,18 +216,18 @@ def test_silence_costs_little_and_the_sound_after_it_is_felt(
         with playing(server, "desktop", np.tile(sound, (8, 1))):
             wait_for(lambda: felt_now(felt), "vibration", 2.0)
             playing_percent = least_cpu_percent(daemon, PLAYING_PERCENT)
-            beside_percent, bare_percent = 0.0, 1.0
+            beside_percent = bare_percent = None
             if playing_percent > PLAYING_PERCENT:
                 beside_percent, bare_percent = beside_bare_streams(daemon, server)
             status = daemon.wait_state(DaemonState.RUNNING)
         assert np.abs(felt()[began:]).max() > FELT
     print(
         f"{server.kind}: {idle_percent:.1f} % of a core idle, {playing_percent:.1f} % playing, "
-        f"{beside_percent / bare_percent:.1f} times what bare streams do ({bare_percent:.1f} %); "
+        f"bare streams {bare_percent or 'not asked'}; "
         f"delay {idle.delay_line.delay_ms:.1f} then {status.delay_line.delay_ms:.1f} ms"
     )
     assert idle_percent <= IDLE_PERCENT
-    if playing_percent > PLAYING_PERCENT:
+    if beside_percent is not None and bare_percent is not None:
         assert beside_percent <= TIMES_BARE * bare_percent
         pytest.skip(
             f"{playing_percent:.1f} % of a core, over {PLAYING_PERCENT:g}: not shown on a machine "
