@@ -1,6 +1,6 @@
 """Feel what a computer plays: sound in, vibration of 20-220 Hz out.
 
-    taps -> clients -> mixer -> effect (transform) -> device.alignment -> device outputs
+    taps -> clients -> mixer -> effect (transform) -> device.drive.alignment -> device outputs
 
 `render_file` does a whole file; `HapticTransform` works on arrays, block by block.
 """
@@ -14,15 +14,15 @@ __version__ = "0.1.0"
 __all__ = ["HapticTransform", "Settings", "TransformParameters", "__version__", "render_file"]
 
 if TYPE_CHECKING:
-    from audioflinger_hook.render import render_file
-    from audioflinger_hook.settings import Settings
+    from audioflinger_hook.config.settings import Settings
+    from audioflinger_hook.offline.render import render_file
     from audioflinger_hook.transform import HapticTransform, TransformParameters
 
 _HOMES = {
     "HapticTransform": "audioflinger_hook.transform",
-    "Settings": "audioflinger_hook.settings",
+    "Settings": "audioflinger_hook.config.settings",
     "TransformParameters": "audioflinger_hook.transform",
-    "render_file": "audioflinger_hook.render",
+    "render_file": "audioflinger_hook.offline.render",
 }
 
 

@@ -1,4 +1,4 @@
-"""The imports run the way the page docs/architecture.md says, and the page names what there is."""
+"""Imports run one way: down the table of rooms in docs/architecture.md."""
 
 from __future__ import annotations
 
@@ -12,37 +12,25 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("audioflinger_hook", "device")
 PAGE = (ROOT / "docs/architecture.md").read_text()
 
-# What a part may import of ours: the last column of the page's table.
-TABLE = {
-    part: {allowed} if allowed == "everything" else set(re.findall(r"`(\w+)`", allowed))
-    for part, allowed in re.findall(r"^\| `([\w/.]+)` \|.*\| ([^|]+) \|$", PAGE, re.MULTILINE)
-    if part.split("/")[0] in PACKAGES
-}
+# The rooms in the order of the page's table: a room may import the rooms that stand below it.
+ROOMS = [room.replace("/", ".") for room in re.findall(r"^\| `([\w/]+)` \|", PAGE, re.MULTILINE)]
 
 # Held whatever the page says.
-OURS_BUT_TRANSFORM = r"audioflinger_hook(?!\.transform\b)"
 IO = r"(soundfile|os|io|time|pathlib|rich|pulsectl|pyaudio|threading|socket|subprocess|logging)\b"
 FORBIDDEN = [
     ("device", "audioflinger_hook"),
-    ("audioflinger_hook/transform", OURS_BUT_TRANSFORM),
-    ("audioflinger_hook/transform", r"device(?!\.(errors|extension)\b)"),
+    ("audioflinger_hook/transform", r"audioflinger_hook(?!\.transform\b)"),
+    ("audioflinger_hook/transform", r"device(?!\.(errors|extension|values)\b)"),
     ("audioflinger_hook/transform", IO),
-    ("audioflinger_hook/mixer", r"audioflinger_hook\.(effect|clients|taps|transform|capture)\b"),
+    ("audioflinger_hook/mixer", r"audioflinger_hook\.(effect|sources|transform|capture)\b"),
     ("audioflinger_hook/mixer", IO),
-    ("audioflinger_hook/effect", r"audioflinger_hook\.(mixer|clients|taps|capture)\b"),
-    ("audioflinger_hook/capture", r"audioflinger_hook\.(mixer|effect|clients|taps|transform)\b"),
-    ("audioflinger_hook/taps", r"audioflinger_hook\.(mixer|effect|clients|scenes)\b"),
-    ("audioflinger_hook/clients", r"audioflinger_hook\.(effect|capture|transform)\b"),
-    ("audioflinger_hook/scenes", r"audioflinger_hook\.(?!scenes\b|mixer\.PcmFormat$)"),
+    ("audioflinger_hook/effect", r"audioflinger_hook\.(sources|capture)\b"),
 ]
-
-# Folders of which the page names every module, because sound passes through them.
-FLOW = ("taps", "clients", "mixer", "effect", "capture")
+ROOT_MODULES = {"__init__", "__main__", "errors"}
 
 
-def modules_of(part: str) -> list[Path]:
-    path = ROOT / part
-    return [path] if path.suffix == ".py" else sorted(path.rglob("*.py"))
+def modules_of(folder: str) -> list[Path]:
+    return sorted((ROOT / folder).rglob("*.py"))
 
 
 def imports_of(path: Path) -> list[str]:
@@ -57,19 +45,13 @@ def imports_of(path: Path) -> list[str]:
     return names
 
 
-def part_of_ours(name: str) -> str | None:
-    """Return the part that an import leads to, as the page calls it; None where it is not ours."""
-    package, _, rest = name.partition(".")
-    if package == "device":
-        return package
-    return rest.partition(".")[0] if package == "audioflinger_hook" else None
-
-
-def parts() -> list[str]:
-    """Return every part of ours: the package `device`, folders and modules of the other one."""
-    entries = (path for path in (ROOT / "audioflinger_hook").iterdir() if path.name[0] != "_")
-    found = [f"audioflinger_hook/{p.name}" for p in entries if p.is_dir() or p.suffix == ".py"]
-    return ["device", *sorted(found)]
+def room_of(name: str) -> str | None:
+    """Return the room that a dotted name lies in; None for names that are not ours."""
+    package, *rest = name.split(".")
+    if package not in PACKAGES:
+        return None
+    room = f"{package}.{rest[0]}" if rest else package
+    return room if room in ROOMS else package
 
 
 @pytest.mark.parametrize(("folder", "pattern"), FORBIDDEN)
@@ -85,74 +67,59 @@ def test_no_import_runs_against_the_flow(folder: str, pattern: str) -> None:
     assert not wrong
 
 
-def test_the_table_has_every_part_and_no_other() -> None:
-    assert sorted(TABLE) == sorted(parts())
-
-
-@pytest.mark.parametrize("part", parts())
-def test_a_part_imports_just_what_the_table_says(part: str) -> None:
-    imported = {
-        found
-        for module in modules_of(part)
-        for name in imports_of(module)
-        if (found := part_of_ours(name)) and found != "__version__"
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_table_lists_every_room_and_no_other(package: str) -> None:
+    folders = {
+        f"{package}.{path.name}"
+        for path in (ROOT / package).iterdir()
+        if path.is_dir() and list(path.rglob("*.py"))
     }
-    imported.discard(Path(part).stem)
-    if "everything" not in TABLE[part]:
-        assert imported == TABLE[part]
+    listed = {room for room in ROOMS if room.startswith(f"{package}.")}
+    modules = {room for room in listed if (ROOT / f"{room.replace('.', '/')}.py").is_file()}
+    assert listed - modules == folders
 
 
-def test_only_the_commands_and_the_bench_import_either_of_them() -> None:
-    users = {
-        part
-        for part in parts()
-        for module in modules_of(part)
+def test_a_room_imports_only_rooms_that_stand_below_it_in_the_table() -> None:
+    floors = {room: len(ROOMS) - index for index, room in enumerate(ROOMS)}
+    wrong = []
+    for package in PACKAGES:
+        for module in modules_of(package):
+            dotted = ".".join(module.relative_to(ROOT).with_suffix("").parts)
+            if module.parent == ROOT / package and module.stem in ROOT_MODULES:
+                continue  # what a package offers comes from all of its rooms
+            room = room_of(dotted)
+            for name in imports_of(module):
+                found = room_of(name)
+                if found in (None, room, "audioflinger_hook"):
+                    continue
+                if floors[found or ""] >= floors[room or ""]:
+                    wrong.append(f"{module.relative_to(ROOT)} imports {name}")
+    assert not wrong
+
+
+def test_every_module_of_the_first_package_has_a_room() -> None:
+    loose = {path.stem for path in (ROOT / "audioflinger_hook").glob("*.py")} - ROOT_MODULES
+    assert not loose
+
+
+def test_no_shipped_module_imports_the_tools_or_the_tests() -> None:
+    wrong = [
+        f"{module.relative_to(ROOT)} imports {name}"
+        for package in PACKAGES
+        for module in modules_of(package)
         for name in imports_of(module)
-        if part_of_ours(name) in {"cli", "bench"}
-    }
-    assert users <= {"audioflinger_hook/cli", "audioflinger_hook/bench"}
+        if re.match(r"(tools|tests)\b", name) and module.name != "bench.py"
+    ]
+    assert not wrong
 
 
-def test_nothing_reads_a_clock_outside_the_commands_and_the_bench() -> None:
+def test_nothing_reads_a_clock_outside_the_commands_and_the_streams() -> None:
     readers = [
         str(module.relative_to(ROOT))
         for package in PACKAGES
-        for module in sorted((ROOT / package).rglob("*.py"))
+        for module in modules_of(package)
         if {name.partition(".")[0] for name in imports_of(module)} & {"time", "datetime"}
     ]
     # what comes from outside is stamped where it comes in
-    allowed = ("audioflinger_hook/cli/", "audioflinger_hook/bench/", "device/server/")
+    allowed = ("audioflinger_hook/cli/", "device/server/", "device/stream/")
     assert [reader for reader in readers if not reader.startswith(allowed)] == []
-
-
-@pytest.mark.parametrize(
-    "module",
-    [
-        path.relative_to(ROOT).as_posix()
-        for folder in (*(f"audioflinger_hook/{name}" for name in FLOW), "device")
-        for path in modules_of(folder)
-        if path.stem != "__init__"
-    ],
-)
-def test_the_page_names_every_module_that_sound_passes(module: str) -> None:
-    path = Path(module)
-    names = (f"{path.parent.name}/{path.name}", path.name)
-    assert any(re.search(rf"(?<![\w/]){re.escape(name)}(?!\w)", PAGE) for name in names)
-
-
-@pytest.mark.parametrize("name", sorted(set(re.findall(r"[\w/]+\.py\b", PAGE))))
-def test_every_module_on_the_page_exists(name: str) -> None:
-    if name == "tests/test_architecture.py":
-        return
-    found = [
-        path
-        for package in PACKAGES
-        for path in (ROOT / package).rglob("*.py")
-        if f"/{path.relative_to(ROOT).as_posix()}".endswith(f"/{name}")
-    ]
-    assert found
-
-
-@pytest.mark.parametrize("name", sorted(set(re.findall(r"\b(\w+)/(?=\s)", PAGE))))
-def test_every_folder_in_the_picture_exists(name: str) -> None:
-    assert any((ROOT / package / name).is_dir() for package in ("", *PACKAGES))

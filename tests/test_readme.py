@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import soundfile
 
-from audioflinger_hook import config
 from audioflinger_hook.cli.parser import build_parser
-from audioflinger_hook.live_settings import LiveSettings
-from audioflinger_hook.settings import Settings
+from audioflinger_hook.config import file as config
+from audioflinger_hook.config.live_settings import LiveSettings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.transform import CHOICES, LIMITS, TransformParameters
-from device.actuators.settings import DELAY_MAX_MS, GAIN_MIN_DB, KEYS
+from device.drive.settings import DELAY_MAX_MS, GAIN_MIN_DB, KEYS
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()

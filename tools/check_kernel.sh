@@ -53,8 +53,8 @@ while [ "$round" -lt "$rounds" ]; do
             UBSAN_OPTIONS=print_stacktrace=1:log_path=$scratch/report \
             "$python" -m pytest -q -p no:cacheprovider --hypothesis-seed="$round" \
             -k 'not no_more_memory and not memory_back' \
-            tests/test_kernel_parts.py tests/test_transform_kernel.py tests/test_transform_analysis.py \
-            tests/test_transform_parameters.py tests/test_blocks.py tests/test_clock_interpolator.py
+            tests/transform/test_kernel_parts.py tests/transform/test_kernel.py tests/transform/test_analysis.py \
+            tests/transform/test_parameters.py tests/device/test_blocks.py tests/device/clock/test_interpolator.py
     ) || {
         cat "$scratch"/report* >&2 || true # a process that ends in the middle of a test says why in there
         exit 1
@@ -70,8 +70,8 @@ for way in narrow wide widest; do
         cd "$scratch/$way"
         "$python" -c '
 import hashlib
-from tests.signals import made
-from tests.test_transform_kernel import SOUNDS
+from tests.support.signals import made
+from tests.transform.test_kernel import SOUNDS
 digest = hashlib.sha256()
 for samplerate in (1_000, 8_000, 44_100, 48_000, 96_000):
     for name, sound in SOUNDS.items():

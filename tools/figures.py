@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         _refuse_without_matplotlib()
         _make_folder(out)
-        from audioflinger_hook.paper.everything import write_figures
+        from tools.paper.everything import write_figures
 
         for path in write_figures(out):
             print(path, flush=True)

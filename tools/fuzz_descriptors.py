@@ -78,7 +78,7 @@ def main() -> int:
     except ImportError:
         print(MISSING, file=sys.stderr)
         return 2
-    shapes = importlib.import_module("tests.usb_shapes").SHAPES
+    shapes = importlib.import_module("tests.support.usb_shapes").SHAPES
     options = [argument for argument in sys.argv[1:] if argument.startswith("-")]
     folders = [argument for argument in sys.argv[1:] if not argument.startswith("-")]
     folder = Path(folders[0]) if folders else ROOT / "out" / "fuzz_descriptors"

@@ -19,21 +19,21 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from audioflinger_hook import config
-from audioflinger_hook.bench.lag import swelling_tone
-from audioflinger_hook.bench.live_daemon import running_daemon, status_of_daemon
-from audioflinger_hook.bench.live_latency import WINDOW_S, Place, measure
-from audioflinger_hook.bench.live_recording import playing, samplerate_of
-from audioflinger_hook.bench.live_report import (
+from audioflinger_hook.cli.terminal import progress_bar
+from audioflinger_hook.config import file as config
+from audioflinger_hook.config.settings import Settings
+from device.errors import CushionError, NotFoundError
+from tools.bench.lag import swelling_tone
+from tools.bench.live_daemon import running_daemon, status_of_daemon
+from tools.bench.live_latency import WINDOW_S, Place, measure
+from tools.bench.live_recording import playing, samplerate_of
+from tools.bench.live_report import (
     USUAL_BLOCK_FRAMES,
     LiveRecord,
     keep_records,
     to_json,
 )
-from audioflinger_hook.bench.signals import stereo
-from audioflinger_hook.cli.terminal import progress_bar
-from audioflinger_hook.settings import Settings
-from device.errors import CushionError, NotFoundError
+from tools.bench.signals import stereo
 from tools.sound_server import PROGRAMS, ServerError, SoundServer
 
 LOOP_S = 60.0

@@ -7,14 +7,14 @@ import json
 import sys
 from pathlib import Path
 
-from audioflinger_hook.bench import pictures_in, plots, run_bench
-from audioflinger_hook.bench.drawing import need_matplotlib
 from audioflinger_hook.cli.terminal import progress_bar
 from device.atomic_file import AtomicFile, write_bytes_atomically
 from device.errors import UsageError
+from tools.bench import pictures_in, plots, run_bench
+from tools.bench.drawing import need_matplotlib
 
 REPORT = Path("docs/benchmarks.md")
-HOME = Path("audioflinger_hook/bench")
+HOME = Path("tools/bench")
 """Only in the project's own folder is there a report to replace without being asked."""
 
 

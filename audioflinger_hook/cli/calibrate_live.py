@@ -36,7 +36,7 @@ from device.server import (
     quiet_libraries,
 )
 from device.server.measuring import INPUT, OUTPUT, Measuring, Way
-from device.server.targets import CardDevice, ServerDevice
+from device.stream.targets import CardDevice, ServerDevice
 
 USUAL_LEVEL, MOST_LEVEL = 0.05, 0.25
 """Of full scale, unless asked for, and unless --loud is."""

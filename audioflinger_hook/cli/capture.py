@@ -7,7 +7,7 @@ import time
 
 from audioflinger_hook.capture import CaptureWriter
 from audioflinger_hook.cli.terminal import progress_bar, warn
-from audioflinger_hook.clients import open_tap, parse_tap
+from audioflinger_hook.sources import open_tap, parse_tap
 
 LIVE_TAPS = ("default", "sink")
 """What is playing; all else is at hand."""

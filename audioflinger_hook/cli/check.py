@@ -8,7 +8,7 @@ import json
 import sys
 from pathlib import Path
 
-from audioflinger_hook import config
+from audioflinger_hook.config import file as config
 from device.errors import UsageError
 
 

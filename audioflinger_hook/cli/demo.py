@@ -14,19 +14,18 @@ from numpy.typing import NDArray
 from rich.markup import escape
 from rich.table import Table
 
-from audioflinger_hook.chain import Chain
 from audioflinger_hook.cli.meter import Meter
 from audioflinger_hook.cli.terminal import LineConsole, level_text, warn
-from audioflinger_hook.clients import SceneClient, mixdown
-from audioflinger_hook.framework import Framework
-from audioflinger_hook.inspection import inspect_tap
-from audioflinger_hook.pace import RealTimePace
-from audioflinger_hook.render import ACCELERATION_COMMENT
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.offline.inspection import inspect_tap
+from audioflinger_hook.offline.render import ACCELERATION_COMMENT
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.pace import RealTimePace
+from audioflinger_hook.pipeline.step import Chain
 from audioflinger_hook.scenes import Scene, demo_scene
-from audioflinger_hook.settings import Settings
-from audioflinger_hook.taps import FramesTap
-from device.alignment import Aligned
+from audioflinger_hook.sources import FramesTap, SceneClient, mixdown
 from device.atomic_file import write_bytes_atomically
+from device.drive.alignment import Aligned
 from device.errors import UsageError
 from device.rig import rig_by_name
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2

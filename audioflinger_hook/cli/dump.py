@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import time
 
-from audioflinger_hook import config
-from audioflinger_hook.chain import Chain
 from audioflinger_hook.cli.terminal import warn
-from audioflinger_hook.clients import open_client, parse_tap
-from audioflinger_hook.framework import Framework
-from audioflinger_hook.settings import Settings
+from audioflinger_hook.config import file as config
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.sources import open_client, parse_tap
 
 
 def run(options: argparse.Namespace) -> int:

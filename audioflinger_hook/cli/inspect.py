@@ -7,7 +7,7 @@ import dataclasses
 import json
 
 from audioflinger_hook.cli.terminal import warn
-from audioflinger_hook.inspection import Unit, inspect_file
+from audioflinger_hook.offline.inspection import Unit, inspect_file
 
 HEADER = (
     f"{'unit':>6} {'start s':>12}   {'audio Hz':>9} {'amplitude':>9} "

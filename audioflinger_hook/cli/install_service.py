@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import sys
 
-from audioflinger_hook import config
-from audioflinger_hook.clients import parse_tap
+from audioflinger_hook.config import file as config
 from audioflinger_hook.service.install import install, remove, systemd_version
 from audioflinger_hook.service.udev import udev_command, udev_rule
+from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.errors import UsageError
 

@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
-from audioflinger_hook import config
-from audioflinger_hook.batch import Rendered, render_files, targets_in
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
-from audioflinger_hook.render import RenderReport, render_file
-from audioflinger_hook.settings import Settings
-from audioflinger_hook.workers import WORKERS_MAX, usable_cores
+from audioflinger_hook.config import file as config
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.offline.batch import Rendered, render_files, targets_in
+from audioflinger_hook.offline.render import RenderReport, render_file
+from audioflinger_hook.offline.workers import WORKERS_MAX, usable_cores
 from device.errors import UsageError
 
 SEE_HELP = "see `cushion render --help`"

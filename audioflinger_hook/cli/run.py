@@ -11,11 +11,10 @@ from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 
-from audioflinger_hook import config
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.cli.telling import Teller
-from audioflinger_hook.clients import TapAddress, parse_tap
+from audioflinger_hook.config import file as config
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.garbage import spare_what_is_there
 from audioflinger_hook.daemon.order import LIVE_TAPS, PACED_TAPS, Order
@@ -23,11 +22,12 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.wake import Wake
-from audioflinger_hook.render import refuse_same_file
+from audioflinger_hook.offline.render import refuse_same_file
 from audioflinger_hook.service.folder import RuntimeFolder
 from audioflinger_hook.service.lock import DaemonLock, Holder
 from audioflinger_hook.service.socket import StatusServer
 from audioflinger_hook.service.watchdog import Watchdog, watchdog_period_s
+from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress, parse_device
 from device.errors import LostError, NotFoundError, UsageError
 from device.server import PulseConnection, quiet_libraries

@@ -13,7 +13,6 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Actuated, Fill
 from audioflinger_hook.daemon.wired import Wired
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
-from device.actuators import ChannelMap, channels_needed, wiring_of
 from device.address import DeviceAddress
 from device.alsa import (
     PROC,
@@ -27,11 +26,12 @@ from device.alsa import (
     set_card_volume,
     usb_stream,
 )
+from device.drive import ChannelMap, channels_needed, wiring_of
 from device.errors import CushionError, LostError, NotFoundError, UsageError
-from device.sample_format import SampleFormat
 from device.server import AudioPriority, Pcm, PlaybackStream, PulseConnection, ServerSnapshot
-from device.server.portaudio import BLOCK_FRAMES
-from device.server.targets import CardDevice, Target
+from device.stream.portaudio import BLOCK_FRAMES
+from device.stream.sample_format import SampleFormat
+from device.stream.targets import CardDevice, Target
 from device.units import Float32Array
 from device.usb import UsbIdentity, find_one
 from device.usb.presence import PresenceWatch

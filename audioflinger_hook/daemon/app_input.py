@@ -6,13 +6,13 @@ import threading
 from dataclasses import dataclass
 from functools import partial
 
-from audioflinger_hook.clients import VoicesClient
-from audioflinger_hook.clients.voices import Voice
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.kept import LONGEST_WAIT_S
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
+from audioflinger_hook.sources import VoicesClient
+from audioflinger_hook.sources.applications import Voice
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import (
     AppCapture,

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.chain import Chain
-from audioflinger_hook.clients import Client
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.gathering import Gathered
-from audioflinger_hook.driven import actuators_of, driving_of
-from audioflinger_hook.framework import Framework
+from audioflinger_hook.pipeline.drive_factory import actuators_of, driving_of
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import Chain
 from audioflinger_hook.service.buffer_times import BufferClock
-from audioflinger_hook.settings import Settings
+from audioflinger_hook.sources import Client
 from device.clock import DelayLine
 from device.clock.timing import STALLED_S
 from device.errors import UsageError

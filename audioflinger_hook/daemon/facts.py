@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.capture.format import Facts
-from audioflinger_hook.settings import Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.transform import TransformParameters
-from device.actuators import ActuatorSettings
+from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.rig.rig_file import SHIPPED
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from audioflinger_hook.clients import TapClient
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.taps import PushTap
+from audioflinger_hook.sources import PushTap, TapClient
 from device.units import Float32Array
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from audioflinger_hook.capture import CaptureRecorder
-from audioflinger_hook.clients import TapAddress
 from audioflinger_hook.daemon.live_input import LiveInput
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import StateKeeper
-from audioflinger_hook.taps import PushTap
+from audioflinger_hook.sources import PushTap, TapAddress
 from device.errors import LostError, NotFoundError
 from device.server import PcmConfig, PulseConnection
 from device.units import Float32Array

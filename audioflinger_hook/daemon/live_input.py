@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 
-from audioflinger_hook.clients import TapAddress
 from audioflinger_hook.daemon.feed import Taker
 from audioflinger_hook.daemon.kept import KeptStream
 from audioflinger_hook.service.state import Cause, StateKeeper
+from audioflinger_hook.sources import TapAddress
 from device.errors import LostError, NotFoundError
 from device.server import (
     AudioPriority,
@@ -23,7 +23,7 @@ from device.server import (
 )
 from device.server.forwarding import reached
 from device.server.identity import tagged
-from device.server.portaudio import BLOCK_FRAMES
+from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
 LISTENING_FRAMES = 4_096

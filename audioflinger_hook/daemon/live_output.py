@@ -11,6 +11,7 @@ from audioflinger_hook.daemon.sides import Actuated, Fill
 from audioflinger_hook.daemon.wired import Wired
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.address import DeviceAddress
+from device.drive.channel_positions import map_on
 from device.errors import NotFoundError, UsageError
 from device.server import (
     AudioPriority,
@@ -21,8 +22,7 @@ from device.server import (
     Sink,
 )
 from device.server.latency import output_latency_s
-from device.server.portaudio import BLOCK_FRAMES
-from device.server.positions import map_on
+from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
 

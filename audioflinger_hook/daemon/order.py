@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import astuple, dataclass, replace
 
-from audioflinger_hook.clients import TapAddress, parse_tap
+from audioflinger_hook.config.live_settings import LiveSettings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.live_settings import LiveSettings
-from audioflinger_hook.settings import Settings
-from device.actuators import ActuatorSettings
+from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress
+from device.drive import ActuatorSettings
 from device.errors import UsageError
 from device.server import AppRules
 

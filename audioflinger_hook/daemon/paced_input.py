@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from audioflinger_hook.clients import TapAddress, open_tap
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.feed import Feed
 from audioflinger_hook.daemon.pacing import FrameTime, Pacer
-from audioflinger_hook.taps import FileTap, Tap
+from audioflinger_hook.sources import FileTap, Tap, TapAddress, open_tap
 from device.clock import DelayState
 from device.server import PulseConnection, ServerSnapshot
 from device.units import Float32Array

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.pacing import FrameTime, Pacer
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Actuated, Fill
 from audioflinger_hook.daemon.wired import Wired
-from audioflinger_hook.driven import twin_of
-from audioflinger_hook.settings import Settings
-from device.actuators.twins import Twins
+from audioflinger_hook.pipeline.drive_factory import twin_of
 from device.address import DeviceAddress
 from device.atomic_file import AtomicFile
+from device.drive.twins import Twins
 from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name

@@ -21,7 +21,7 @@ from audioflinger_hook.service.status import (
     Status,
     Xruns,
 )
-from device.driving import Driving
+from device.drive.driving import Driving
 
 
 def status_of(supervisor: Supervisor, now_s: float) -> Status:

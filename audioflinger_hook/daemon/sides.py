@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from device.actuators import ActuatorSettings
+from device.drive import ActuatorSettings
 from device.server import PulseConnection, ServerSnapshot
 from device.units import Float32Array
 

@@ -12,8 +12,8 @@ from audioflinger_hook.daemon.rest import Rest
 from audioflinger_hook.daemon.sides import InputSide, OutputSide, Place
 from audioflinger_hook.daemon.stand_in import StandIn
 from audioflinger_hook.daemon.wake import Nudge, Wake
-from audioflinger_hook.driven import actuators_of, driving_of
-from audioflinger_hook.framework import Framework
+from audioflinger_hook.pipeline.drive_factory import actuators_of, driving_of
+from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from audioflinger_hook.daemon.sides import Actuated, Fill
-from device.actuators import ChannelMap, Spread
+from device.drive import ChannelMap, Spread
 
 
 class Wired:

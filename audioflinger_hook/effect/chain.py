@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from audioflinger_hook.buffers import MixBuffer
 from audioflinger_hook.effect.dump import asked_lines, chain_lines
 from audioflinger_hook.effect.guard import said, same_layout
 from audioflinger_hook.effect.interface import (
@@ -17,7 +16,8 @@ from audioflinger_hook.effect.interface import (
 )
 from audioflinger_hook.effect.module import EffectModule
 from audioflinger_hook.effect.registry import descriptor_problem
-from audioflinger_hook.sessions import DEVICE, OUTPUT_STAGE
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from audioflinger_hook.mixer.sessions import DEVICE, OUTPUT_STAGE
 from device.errors import UsageError
 
 BUDGET_SHARE = 0.5

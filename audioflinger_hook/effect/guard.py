@@ -12,7 +12,6 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.buffers import MixBuffer
 from audioflinger_hook.effect.interface import (
     EINVAL,
     ENODATA,
@@ -22,6 +21,7 @@ from audioflinger_hook.effect.interface import (
     EffectConfig,
     EffectEngine,
 )
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from device.blocks import peak
 
 LATE_IN_A_ROW = 3

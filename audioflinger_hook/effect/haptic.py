@@ -8,7 +8,6 @@ from uuid import UUID
 
 import numpy as np
 
-from audioflinger_hook.buffers import MixBuffer
 from audioflinger_hook.effect.commands import CommandCheck
 from audioflinger_hook.effect.haptic_parameters import (
     HAPTIC_PARAMETERS,
@@ -33,7 +32,8 @@ from audioflinger_hook.effect.interface import (
 from audioflinger_hook.effect.parameters import ParameterValues, Value, Values
 from audioflinger_hook.effect.registry import EffectLibrary
 from audioflinger_hook.effect.vibration import Vibration
-from audioflinger_hook.layouts import source_weights
+from audioflinger_hook.mixer.layouts import source_weights
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from audioflinger_hook.transform import Form, HapticTransform
 from device.errors import UsageError
 

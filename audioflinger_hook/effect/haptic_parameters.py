@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict, fields
 from typing import Any
 
+from audioflinger_hook.config.settings import CHOICES, GAIN_MAX_DB, GAIN_MIN_DB, Settings
 from audioflinger_hook.effect.parameters import Parameter, Value, Values
-from audioflinger_hook.settings import CHOICES, GAIN_MAX_DB, GAIN_MIN_DB, Settings
 from audioflinger_hook.transform import CHOICES as TRANSFORM_CHOICES
 from audioflinger_hook.transform import LIMITS, TransformParameters
-from device.actuators import SOURCES
+from device.drive import SOURCES
 from device.units import db_to_amplitude
 
 TRANSFORM_FIELDS = tuple(field.name for field in fields(TransformParameters))

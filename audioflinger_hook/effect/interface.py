@@ -13,8 +13,8 @@ from types import NoneType
 from typing import Protocol
 from uuid import UUID
 
-from audioflinger_hook.buffers import MixBuffer
 from audioflinger_hook.effect.parameters import Parameter
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
 
 OK = 0
 EINVAL = -errno.EINVAL

@@ -8,7 +8,6 @@ from enum import Enum, auto
 
 import numpy as np
 
-from audioflinger_hook.buffers import MixBuffer
 from audioflinger_hook.effect.commands import CommandCheck, is_config
 from audioflinger_hook.effect.guard import GuardedEngine, same_layout
 from audioflinger_hook.effect.interface import (
@@ -21,6 +20,7 @@ from audioflinger_hook.effect.interface import (
     EffectEngine,
 )
 from audioflinger_hook.effect.parameters import Values
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
 
 TAIL_MAX_S = 10.0
 """How long a stopped effect may go on with its tail, in seconds of sound."""

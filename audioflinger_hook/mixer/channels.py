@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.layouts import MINUS_3_DB, layout, sides
+from audioflinger_hook.mixer.layouts import MINUS_3_DB, layout, sides
 
 
 class ChannelMap:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Protocol
 
-from audioflinger_hook.buffers import MixBuffer
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
 
 
 class EffectsPort(Protocol):

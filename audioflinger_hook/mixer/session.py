@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.buffers import MixBuffer
-from audioflinger_hook.mixer.lane import Lane
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from audioflinger_hook.mixer.track_mixer import Lane
 
 TAIL_S = 1.0
 """For so long a chain gets zeros after its last track, so that its effects can ring out."""

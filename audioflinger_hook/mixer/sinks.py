@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.buffers import MixBuffer
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from audioflinger_hook.mixer.pcm import FLOAT_LIMIT, PcmFormat, encode
 from device.blocks import peak
 from device.output import VibrationOutput

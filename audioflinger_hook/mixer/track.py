@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 
-from audioflinger_hook.layouts import CHANNELS_MAX
+from audioflinger_hook.mixer.layouts import CHANNELS_MAX
 from audioflinger_hook.mixer.pcm import PcmData, PcmFormat, decode_rows, stored_frames
 from audioflinger_hook.mixer.ring import FrameRing
 from audioflinger_hook.mixer.states import PLAYING, Request, TrackState, after

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.layouts import sides
+from audioflinger_hook.mixer.layouts import sides
 
 SMALLEST_NORMAL = float(np.finfo(np.float32).tiny)
 

@@ -7,14 +7,12 @@
     mixer.py        a card's own volumes and mutes; decibels.py: what their steps mean
     volume.py       all of them, to one level
     negotiation.py  the format, rate and channels that suit best
-    conversion.py   float frames as the card's bytes
 
 PCMs and streams are those of `device.server`; nothing here plays.
 """
 
 from device.alsa.captures import Capture, captures, find_capture, usb_capture_stream
 from device.alsa.cards import PROC, Card, Playback, all_cards, find_card, find_playback, playbacks
-from device.alsa.conversion import Encoder
 from device.alsa.negotiation import Choice, Offer, choose, offers_of
 from device.alsa.usb_stream import UsbFormat, UsbStream, usb_stream
 from device.alsa.use import HwParams, Owner, hw_params, owner, refusal
@@ -25,7 +23,6 @@ __all__ = [
     "Capture",
     "Card",
     "Choice",
-    "Encoder",
     "HwParams",
     "Offer",
     "Owner",

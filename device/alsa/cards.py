@@ -12,7 +12,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from device.errors import NotFoundError, UsageError
-from device.nearest import no_such
+from device.suggest import no_such
 
 PROC = Path("/proc/asound")
 

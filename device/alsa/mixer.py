@@ -18,7 +18,7 @@ from types import TracebackType
 from device.alsa.decibels import Decibels, decibels_of
 from device.alsa.use import DEVICES
 from device.errors import NotFoundError, UsageError
-from device.loudest import LOUDEST_DB, allowed_db
+from device.volume_limit import LOUDEST_DB, allowed_db
 
 _VOLUME, _SWITCH = "Playback Volume", "Playback Switch"
 _MIXER = 2

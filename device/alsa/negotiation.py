@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from device.alsa.usb_stream import Rates, UsbStream
 from device.errors import NotFoundError
-from device.sample_format import SampleFormat
+from device.stream.sample_format import SampleFormat
 
 LEAST_HZ, MOST_HZ = 44_100, 192_000
 """Rates that are played at. Below, vibration of every kind would pass, but hardly a card is."""

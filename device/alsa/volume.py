@@ -7,7 +7,7 @@ from pathlib import Path
 from device.alsa.mixer import CardMixer
 from device.alsa.use import DEVICES
 from device.errors import NotFoundError, UsageError
-from device.loudest import LOUDEST_DB
+from device.volume_limit import LOUDEST_DB
 
 
 def set_card_volume(

@@ -34,12 +34,12 @@ from device.server.identity import (
     is_ours,
     monitor_of,
 )
-from device.server.pcms import Pcm, PcmConfig
-from device.server.priority import AudioPriority
 from device.server.pulse import PulseConnection
-from device.server.quiet import quiet_libraries
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
-from device.server.streams import CaptureStream, PlaybackStream
+from device.stream.pcms import Pcm, PcmConfig
+from device.stream.priority import AudioPriority
+from device.stream.stderr_filter import quiet_libraries
+from device.stream.streams import CaptureStream, PlaybackStream
 
 __all__ = [
     "AppCapture",

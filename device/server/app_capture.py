@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from device.server import libpulse
-from device.server.streams import OnFrames
+from device.stream.streams import OnFrames
 
 _ERROR_NAMES = 16
 

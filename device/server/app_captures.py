@@ -15,9 +15,9 @@ from typing import Any
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import libpulse
 from device.server.app_capture import AppCapture, Ended
-from device.server.pcms import APPLICATION_ID, APPLICATION_NAME, ROLE, TAG
 from device.server.pulse_thread import Playing, PulseThread
-from device.server.streams import OnFrames, check_format
+from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME, ROLE, TAG
+from device.stream.streams import OnFrames, check_format
 
 FRAGMENT_FRAMES = 256
 """What the server gathers before it delivers: 5.3 ms at 48 kHz."""

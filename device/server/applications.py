@@ -21,8 +21,8 @@ from fnmatch import fnmatchcase
 
 from device.errors import UsageError
 from device.server.identity import is_own
-from device.server.pcms import APPLICATION_ID, ROLE, TAG
 from device.server.snapshot import ServerSnapshot, Stream
+from device.stream.pcms import APPLICATION_ID, ROLE, TAG
 
 _KINDS = ("application", "binary", "role")
 _SERVER_ROLES = ("abstract", "filter")

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 from device.errors import UsageError
 from device.server.identity import identity_of, is_own
-from device.server.pcms import APPLICATION_ID, REFUGE, ROLE
 from device.server.snapshot import ServerSnapshot, Sink, Stream
+from device.stream.pcms import APPLICATION_ID, REFUGE, ROLE
 
 SINK = "cushion"
 """Name of the virtual sink."""

@@ -20,10 +20,10 @@ from enum import Enum
 from device.errors import LostError, NotFoundError
 from device.server.events import Event, Listener
 from device.server.identity import tagged
-from device.server.pcms import REFUGE, ROLE
 from device.server.pulse import PulseConnection
 from device.server.snapshot import ServerSnapshot, Sink
-from device.server.streams import CaptureStream, PlaybackStream
+from device.stream.pcms import REFUGE, ROLE
+from device.stream.streams import CaptureStream, PlaybackStream
 
 
 class Hold(Enum):

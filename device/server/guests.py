@@ -14,9 +14,9 @@ from device.errors import NotFoundError
 from device.server.default_sink import TAKES_S
 from device.server.forwarding import SINK, carries, is_application, reached
 from device.server.identity import find_sink
-from device.server.pcms import ROLE
 from device.server.pulse import PulseConnection
 from device.server.snapshot import ServerSnapshot, Stream
+from device.stream.pcms import ROLE
 
 
 def none_here(snapshot: ServerSnapshot) -> bool:

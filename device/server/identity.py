@@ -12,9 +12,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from device.errors import NotFoundError, UsageError
-from device.nearest import no_such
-from device.server.pcms import REFUGE, TAG
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
+from device.stream.pcms import REFUGE, TAG
+from device.suggest import no_such
 
 
 def find_sink(snapshot: ServerSnapshot, name: str) -> Sink:

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from device.errors import CushionError, InternalError, LostError
-from device.sample_format import SampleFormat
 from device.server.guard import Refuge, StreamGuard
-from device.server.pcms import PcmConfig
 from device.server.pulse import PulseConnection
-from device.server.streams import CaptureStream, PlaybackStream
-from device.server.targets import ServerDevice, Target
+from device.stream.pcms import PcmConfig
+from device.stream.sample_format import SampleFormat
+from device.stream.streams import CaptureStream, PlaybackStream
+from device.stream.targets import ServerDevice, Target
 from device.units import Float32Array
 
 OUTPUT, INPUT = "cushion_output", "cushion_input"

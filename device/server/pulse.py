@@ -19,10 +19,10 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from device.errors import CushionError, InternalError, LostError, NotFoundError
-from device.loudest import allowed_db
 from device.server.events import DEFAULT_SETTLES_S, Event, Listener
 from device.server.second_opinion import Defaults, SecondOpinion
 from device.server.snapshot import ServerSnapshot, keep_samplerates, take_snapshot
+from device.volume_limit import allowed_db
 
 ANSWER_LIMIT_S = 2.0
 """How long a server may take for one answer; then it counts as lost."""

@@ -15,8 +15,8 @@ from typing import Any
 
 from device.errors import CushionError, InternalError, LostError
 from device.server import libpulse
-from device.server.pcms import APPLICATION_ID, APPLICATION_NAME
 from device.server.pulse import ANSWER_LIMIT_S
+from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME
 
 _ASK_AFTER_S = 1.0
 """If streams run and nothing came for so long, the server is asked for a sign of life."""

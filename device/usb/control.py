@@ -12,7 +12,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from device.loudest import LOUDEST_DB
 from device.usb import requests
 from device.usb.descriptors import (
     FeatureControl,
@@ -25,6 +24,7 @@ from device.usb.errors import NoUsbDeviceError, UsbAccessError
 from device.usb.pyusb_access import open_device, read_descriptors
 from device.usb.requests import Request, VolumeRange
 from device.usb.sysfs import UsbAudioDevice
+from device.volume_limit import LOUDEST_DB
 
 TIMEOUT_MS = 500
 """Of one request: devices answer within some ms, or never."""

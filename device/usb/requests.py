@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from device.errors import UsageError
-from device.loudest import LOUDEST_DB, allowed_db
 from device.usb.descriptors import VOLUME_UNITS_PER_DB, FeatureControl, PlaybackFormat, RateRange
 from device.usb.errors import UsbAccessError
+from device.volume_limit import LOUDEST_DB, allowed_db
 
 What = Literal["now", "range", "lowest", "highest", "step"]
 

@@ -14,11 +14,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from audioflinger_hook.bench.pauses import Pause
 from audioflinger_hook.daemon.garbage import spare_what_is_there
 from device.server import CaptureStream, PcmConfig, PlaybackStream, quiet_libraries
 from device.units import Float32Array
 from tests.servers.listening import RATE_HZ
+from tools.bench.pauses import Pause
 
 ROOT = Path(__file__).parents[2]
 WITNESS_FRAMES = 256

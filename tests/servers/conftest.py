@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from device.server import portaudio
-from device.server.pcms import PcmConfig
 from device.server.pulse import PulseConnection
-from device.server.streams import CaptureStream, PlaybackStream
+from device.stream import portaudio
+from device.stream.pcms import PcmConfig
+from device.stream.streams import CaptureStream, PlaybackStream
 from tests.servers.listening import Notes
 from tools.sound_server import PROGRAMS, SoundServer, missing_programs
 

@@ -22,9 +22,9 @@ from device.server.app_captures import AppCaptures
 from device.server.applications import AppRules
 from device.server.guard import Refuge
 from device.server.identity import is_own, tagged
-from device.server.pcms import APPLICATION_NAME, ROLE
 from device.server.pulse import ANSWER_LIMIT_S, PulseConnection
 from device.server.snapshot import Stream
+from device.stream.pcms import APPLICATION_NAME, ROLE
 from device.units import Float32Array
 from tests.servers.listening import (
     RATE_HZ,

@@ -18,17 +18,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from audioflinger_hook.bench.lag import swelling_tone
-from audioflinger_hook.bench.live_recording import Recording
-from audioflinger_hook.bench.pauses import Pause, PauseWitness, undisturbed
+from audioflinger_hook.config.live_settings import LiveSettings
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.garbage import spare_what_is_there
 from audioflinger_hook.daemon.pulled import PulledFeed
-from audioflinger_hook.live_settings import LiveSettings
 from device.clock.status import DelayState, DelayStatus
-from device.server import CaptureStream, PcmConfig, PlaybackStream, portaudio
+from device.server import CaptureStream, PcmConfig, PlaybackStream
+from device.stream import portaudio
 from tests.servers.bare_streams import bare_streams
 from tests.servers.listening import RATE_HZ, playing, wait_for
+from tools.bench.lag import swelling_tone
+from tools.bench.live_recording import Recording
+from tools.bench.pauses import Pause, PauseWitness, undisturbed
 from tools.sound_server import SoundServer, missing_clock, missing_programs
 
 pytestmark = pytest.mark.calm

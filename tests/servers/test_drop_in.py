@@ -19,10 +19,10 @@ from device.server.drop_in import DropIn
 from device.server.forwarding import SINK
 from device.server.guard import Hold, StreamGuard
 from device.server.identity import find_sink, tagged
-from device.server.pcms import PcmConfig
 from device.server.pulse import PulseConnection
 from device.server.snapshot import Stream
-from device.server.streams import PlaybackStream
+from device.stream.pcms import PcmConfig
+from device.stream.streams import PlaybackStream
 from device.units import Float32Array
 from tests.servers.daemons import ROOT, modules_of, tone
 from tests.servers.listening import RATE_HZ, arriving, playing, recording, steady, wait_for

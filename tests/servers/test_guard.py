@@ -10,9 +10,9 @@ import pytest
 
 from device.server.guard import Hold, Refuge, StreamGuard
 from device.server.identity import monitor_of, tagged
-from device.server.pcms import REFUGE, PcmConfig
 from device.server.pulse import PulseConnection
-from device.server.streams import CaptureStream, PlaybackStream
+from device.stream.pcms import REFUGE, PcmConfig
+from device.stream.streams import CaptureStream, PlaybackStream
 from tests.servers.listening import RATE_HZ, Collector, noise, playing, recording, steady, wait_for
 from tools.sound_server import SoundServer
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.bench.live_report import (
+from tests.servers.daemons import ROOT, environment, running
+from tools.bench.live_report import (
     CPU_PERCENT,
     LAG,
     NO_GROWTH_MS,
@@ -23,7 +24,6 @@ from audioflinger_hook.bench.live_report import (
     keep_records,
     read_records,
 )
-from tests.servers.daemons import ROOT, environment, running
 from tools.latency import main
 from tools.sound_server import PROGRAMS, SoundServer, missing_programs
 

@@ -20,10 +20,10 @@ from device.server.identity import (
     monitor_of,
     tagged,
 )
-from device.server.pcms import APPLICATION_NAME, ROLE, PcmConfig
 from device.server.pulse import ANSWER_LIMIT_S, PulseConnection
 from device.server.snapshot import ServerSnapshot
-from device.server.streams import CaptureStream, PlaybackStream
+from device.stream.pcms import APPLICATION_NAME, ROLE, PcmConfig
+from device.stream.streams import CaptureStream, PlaybackStream
 from tests.servers.listening import RATE_HZ, Collector, Notes, noise, playing, steady, wait_for
 from tools.sound_server import SoundServer
 

@@ -23,9 +23,9 @@ from device.server.forwarding import (
 )
 from device.server.guard import Hold, Place
 from device.server.identity import default_monitor, find_sink, find_source, identity_of, is_own
-from device.server.pcms import REFUGE, TAG, PcmConfig
-from device.server.quiet import loud_libraries, quiet_libraries
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream, _kind
+from device.stream.pcms import REFUGE, TAG, PcmConfig
+from device.stream.stderr_filter import loud_libraries, quiet_libraries
 
 
 def sink(index: int, name: str, **properties: str) -> Sink:
@@ -177,7 +177,7 @@ def test_quietening_leaves_python_its_voice() -> None:
     loud_libraries()
     program = (
         "import ctypes, os, sys\n"
-        "from device.server.quiet import loud_libraries, quiet_libraries\n"
+        "from device.stream.stderr_filter import loud_libraries, quiet_libraries\n"
         "libc = ctypes.CDLL(None)\n"
         "quiet_libraries(); libc.perror(b'library')\n"
         "os.write(2, b'ours\\n'); print('also ours', file=sys.stderr, flush=True)\n"

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import soundfile
 
-from audioflinger_hook.clients import mixdown
-from audioflinger_hook.live_settings import LiveSettings
-from audioflinger_hook.render import render_file
+from audioflinger_hook.config.live_settings import LiveSettings
+from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.service.state import Cause, DaemonState
+from audioflinger_hook.sources import mixdown
 from device.units import Float32Array, FloatArray
 from tests.servers.bare_streams import bare_streams
 from tests.servers.daemons import (

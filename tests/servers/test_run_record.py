@@ -16,9 +16,9 @@ import pytest
 
 from audioflinger_hook.capture import Capture
 from audioflinger_hook.service.state import Cause, DaemonState
-from device.server.pcms import TAG
+from device.stream.pcms import TAG
 from device.units import Float32Array
-from tests.commands import vibration
+from tests.daemon.test_run_recording import overlap, recorded
 from tests.servers.daemons import (
     CUSHION,
     ROOT,
@@ -31,7 +31,7 @@ from tests.servers.daemons import (
     tone,
 )
 from tests.servers.listening import RATE_HZ, noise, playing, recording, sounding, wait_for
-from tests.test_run_recording import overlap, recorded
+from tests.support.commands import vibration
 from tools.sound_server import SoundServer
 
 ATTEMPTS = 3

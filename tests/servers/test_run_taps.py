@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.service.state import Cause, DaemonState
-from device.server.pcms import TAG
+from device.stream.pcms import TAG
 from tests.servers.daemons import felt_now, pitch_hz, recovered, running, tone
 from tests.servers.listening import RATE_HZ, playing, recording, wait_for
 from tools.sound_server import ServerError, SoundServer

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from device.errors import LostError, UsageError
-from device.server import portaudio
-from device.server.pcms import PcmConfig
-from device.server.streams import LOST_AFTER_S, CaptureStream, PlaybackStream
+from device.stream import portaudio
+from device.stream.pcms import PcmConfig
+from device.stream.streams import LOST_AFTER_S, CaptureStream, PlaybackStream
 from device.units import Float32Array
 from tests.servers.listening import (
     LEVEL,

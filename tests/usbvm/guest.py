@@ -26,8 +26,8 @@ from device.alsa.mixer import CardMixer
 from device.errors import CushionError
 from device.usb import UsbAudioDevice, find_devices
 from device.usb.mapping import hw_names
-from tests import usb_builder
-from tests.usbmock.software_dac import SoftwareDac
+from tests.support import usb_builder
+from tests.support.usbmock.software_dac import SoftwareDac
 from tests.usbvm.machine import order
 from tests.usbvm.shapes import dac_1, dac_2
 from tests.usbvm.vhci import VirtualDac

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tests import usb_builder
-from tests.usb_builder import (
+from tests.support import usb_builder
+from tests.support.usb_builder import (
     ADAPTIVE,
     ASYNCHRONOUS,
     FEEDBACK,

@@ -17,8 +17,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.usb_builder import split
-from tests.usbmock.software_dac import SoftwareDac
+from tests.support.usb_builder import split
+from tests.support.usbmock.software_dac import SoftwareDac
 
 CONTROLLER = Path("/sys/devices/platform/vhci_hcd.0")
 FULL_SPEED, HIGH_SPEED = 2, 3

@@ -1,0 +1,1 @@
+"""Whole files: rendering, batches of files, and principal frequencies."""

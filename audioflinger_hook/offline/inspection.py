@@ -1,0 +1,130 @@
+"""The principal frequencies of a sound, unit by unit, as the paper's equations give them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from audioflinger_hook.sources import FileTap, Tap
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.intake import mono, replace_unusable
+from audioflinger_hook.transform.parameters import TransformParameters
+from audioflinger_hook.transform.reference import ReferenceTransform
+from audioflinger_hook.transform.scaling import vibration_hz
+from device.errors import UsageError
+
+LONGEST_S = 1e9
+"""Thirty years: no sound is longer, and it can still be counted in frames."""
+
+
+PRINTED_S = 0.6e-6
+"""What a time printed with six places may be short of the one that was meant."""
+
+
+@dataclass(frozen=True)
+class PrincipalFrequency:
+    """One principal frequency: audio and vibration in Hz, amplitude in full scale, r in Hz."""
+
+    audio_hz: float
+    amplitude: float
+    bandwidth_hz: float
+    r: float
+    vibration_hz: float
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One unit sequence: its number from 0, where it starts, and what is principal in it."""
+
+    unit: int
+    start_s: float
+    principal: list[PrincipalFrequency]
+
+
+def inspect_file(
+    path: Path,
+    parameters: TransformParameters | None = None,
+    *,
+    at_s: float | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> Iterator[Unit]:
+    """Yield the units of a sound file in order, or only the one that holds the time `at_s`.
+
+    The channels are mixed first. Memory does not depend on the length. `warn` is told, at the
+    end, what a user should know of the file.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be used, or `at_s` lies outside it.
+    """
+    if at_s is not None and not 0.0 <= at_s < np.inf:
+        raise UsageError(f"time {at_s:g} s is not in the sound; allowed: 0 s up to its end")
+    tap = FileTap(path)
+    try:
+        yield from inspect_tap(tap, parameters or TransformParameters(), at_s=at_s)
+        if warn:
+            for warning in tap.warnings:
+                warn(warning)
+    finally:
+        tap.close()
+
+
+def inspect_tap(
+    tap: Tap, parameters: TransformParameters, *, at_s: float | None = None
+) -> Iterator[Unit]:
+    """Yield the units of what a tap delivers, as `inspect_file` does."""
+    transform = ReferenceTransform(parameters, tap.samplerate)
+    window = transform.latency_frames
+    exact = None if at_s is None else min(at_s, LONGEST_S) * tap.samplerate
+    # A unit's own start, printed with six places and read again, is still that unit's.
+    wanted = None if exact is None else int(exact + PRINTED_S * tap.samplerate) // window
+    frames = 0
+    done = 0
+    while True:
+        buffer = tap.read()
+        if buffer is None:
+            units = transform.cut_last()
+        else:
+            frames += len(buffer)
+            units = transform.cut(mono(replace_unusable(buffer)[0]))
+        if wanted is None:
+            yield from _units(transform, parameters, units, done, tap.samplerate)
+        elif wanted < done + len(units) and exact is not None and exact < frames:
+            one = units[wanted - done : wanted - done + 1]
+            yield from _units(transform, parameters, one, wanted, tap.samplerate)
+            return
+        done += len(units)
+        if buffer is None:
+            break
+    if wanted is not None:
+        raise UsageError(
+            f"time {at_s:g} s is after the end of the sound; "
+            f"allowed: 0 to {frames / tap.samplerate:.3f} s, the end itself excluded"
+        )
+
+
+def _units(
+    transform: ReferenceTransform,
+    parameters: TransformParameters,
+    units: FloatArray,
+    first: int,
+    samplerate: int,
+) -> Iterator[Unit]:
+    window_s = transform.latency_frames / samplerate
+    for number, frames in enumerate(units, start=first):
+        found = transform.analyse(frames[None])
+        columns = (
+            found.audio_hz,
+            found.amplitude,
+            found.bandwidth_hz,
+            found.r,
+            vibration_hz(found.audio_hz, parameters),
+        )
+        principal = [
+            PrincipalFrequency(*row) for row in zip(*(c.tolist() for c in columns), strict=True)
+        ]
+        yield Unit(number, number * window_s, principal)

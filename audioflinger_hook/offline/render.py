@@ -1,0 +1,257 @@
+"""Offline: sound in, a vibration file out, through the same chain as everything else."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.mixer import HapticSink
+from audioflinger_hook.offline.sections import Plan, plan_for, sections_of
+from audioflinger_hook.pipeline.drive_factory import actuators_of, driving_of, twin_of
+from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework
+from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.sources import Client, FileTap, TapClient
+from device.drive.alignment import Aligned
+from device.drive.driven import Driven
+from device.drive.processing import Processed
+from device.drive.twins import Twins
+from device.errors import UsageError
+from device.output import VibrationOutput
+from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.twin import Twin
+from device.wav_output import WavOutput
+
+Progress = Callable[[int, int | None], None]
+"""Told, after every buffer, the frames done and the frames in all (None where not known)."""
+
+Wait = Callable[[int], None]
+"""Told the frames done, it returns when the next are due."""
+
+ACCELERATION_COMMENT = (
+    f"predicted acceleration, full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2"
+)
+
+
+@dataclass(frozen=True)
+class RenderReport:
+    """What a rendering did. Field names carry their units; frames and samples are counts."""
+
+    frames: int
+    samplerate: int
+    channels: int
+    transform: str
+    profile: str
+    latency_s: float
+    peak: float
+    limited_samples: int
+    replaced_samples: int
+    peak_acceleration_m_s2: float | None = None
+    warnings: list[str] = field(default_factory=list)
+
+
+def render_file(
+    source: Path,
+    target: Path,
+    settings: Settings | None = None,
+    *,
+    acceleration: Path | None = None,
+    progress: Progress | None = None,
+    workers: int = 1,
+) -> RenderReport:
+    """Write the vibration of a sound file as float32 WAV of the same rate and length.
+
+    workers: processes that may share the work, where the form allows it (`sections.py`): the same
+    bytes. For the other parameters and what is raised see `render`. May take long; called from any
+    one thread, with several workers from the main one.
+    """
+    refuse_same_file(source, target, acceleration)
+    settings = settings or Settings()
+    if workers > 1 and (plan := plan_for(source, settings)):
+        return _render_sections(plan, workers, target, acceleration, progress)
+    tap = FileTap(source)
+    return render(
+        TapClient(tap),
+        target,
+        settings,
+        acceleration=acceleration,
+        progress=progress,
+        warnings=tap.warnings,
+    )
+
+
+def render(
+    client: Client,
+    target: Path,
+    settings: Settings | None = None,
+    *,
+    acceleration: Path | None = None,
+    progress: Progress | None = None,
+    wait: Wait | None = None,
+    warnings: Sequence[str] = (),
+) -> RenderReport:
+    """Write the vibration of what a client plays as float32 WAV of the mix's rate and length.
+
+    The transform's latency is taken out: the vibration stands under its sound, but for the delays
+    that actuators were given. With actuators the file has the channels of the device, up to the
+    last that one of them drives; else one, or with `channels` = "each" the mix's. `acceleration`
+    also runs the vibration through the simulated rig and writes what its accelerometer records,
+    full scale = 100 m/s^2. wait: called before every buffer, where the pace is to be kept;
+    warnings: what the source has found wrong by the end. Memory does not depend on the length.
+    Files appear whole or not at all, and the client is closed. May take long; called from any one
+    thread.
+
+    Raises
+    ------
+    UsageError
+        The source cannot be used or a target cannot be written there.
+    WriteError
+        The disk is full or failed.
+    InternalError
+        The haptic effect gave up.
+    """
+    settings = settings or Settings()
+    outputs: list[VibrationOutput] = []
+    try:
+        framework = Framework(
+            client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
+        )
+        rate = framework.samplerate
+        twin, written = _open_outputs(outputs, target, acceleration, settings, framework)
+        chain = Chain(client, framework, [taken for _, taken in written])
+        frames = 0
+        while step := chain.step():
+            framework.refuse_without_haptics()
+            frames += len(step.audio)
+            if progress:
+                progress(frames, client.frames_expected)
+            if wait:
+                wait(frames)
+        chain.close()
+    except BaseException:
+        for output in outputs:
+            output.abort()
+        raise
+    finally:
+        client.close()
+    return RenderReport(
+        frames=frames,
+        samplerate=rate,
+        channels=outputs[0].channels,
+        transform=settings.form,
+        profile=settings.profile,
+        latency_s=framework.latency_s,
+        peak=written[0][0].peak,
+        limited_samples=framework.limited_samples,
+        replaced_samples=framework.replaced_samples,
+        peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
+        warnings=[*framework.warnings, *framework.bypassed(), *warnings],
+    )
+
+
+def _render_sections(
+    plan: Plan,
+    workers: int,
+    target: Path,
+    acceleration: Path | None,
+    progress: Progress | None,
+) -> RenderReport:
+    """Do as `render`, with vibration that comes in sections."""
+    settings = plan.settings
+    outputs: list[VibrationOutput] = []
+    frames = replaced = 0
+    try:
+        framework = Framework(
+            plan.samplerate, plan.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
+        )
+        twin, written = _open_outputs(outputs, target, acceleration, settings, framework)
+        sink = HapticSink(*(taken for _, taken in written), clip=False)
+        # What is aligned for the framework's latency gets that before the first section.
+        sink.send(np.zeros((framework.latency_frames, framework.haptic_channels), np.float32))
+        with closing(sections_of(plan, workers)) as sections:
+            for section in sections:
+                for first in range(0, len(section.vibration), OFFLINE_HAL_FRAMES):
+                    part = section.vibration[first : first + OFFLINE_HAL_FRAMES]
+                    sink.send(part)
+                    frames += len(part)
+                    if progress:
+                        progress(frames, plan.sections * plan.frames)
+                replaced += section.replaced_samples
+        for output in reversed([taken for _, taken in written]):
+            output.close()
+    except BaseException:
+        for output in outputs:
+            output.abort()
+        raise
+    return RenderReport(
+        frames=frames,
+        samplerate=plan.samplerate,
+        channels=outputs[0].channels,
+        transform=settings.form,
+        profile=settings.profile,
+        latency_s=framework.latency_s,
+        peak=written[0][0].peak,
+        limited_samples=0,
+        replaced_samples=replaced,
+        peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
+        warnings=[*framework.warnings, *section.warnings],
+    )
+
+
+def _open_outputs(
+    outputs: list[VibrationOutput],
+    target: Path,
+    acceleration: Path | None,
+    settings: Settings,
+    framework: Framework,
+) -> tuple[Twin | Twins | None, list[tuple[Aligned, VibrationOutput]]]:
+    """Add what is to be written to `outputs`, and return the twin and each as `_driven` does."""
+    rate, channels = framework.samplerate, framework.haptic_channels
+    if settings.actuators:
+        channels = settings.numbered_channels.channels
+    outputs.append(WavOutput(target, rate, channels))
+    twin: Twin | Twins | None = None
+    if acceleration is not None:
+        recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
+        twin = twin_of(settings, rate, channels, recorder)
+        outputs.append(twin)
+    return twin, [_driven(output, settings, framework.latency_frames) for output in outputs]
+
+
+def _driven(
+    output: VibrationOutput, settings: Settings, latency_frames: int
+) -> tuple[Aligned, VibrationOutput]:
+    """Return what has the peak of all that is written, and what takes the vibration.
+
+    Between them and the output is what the settings want done for rigs. latency_frames: of the
+    vibration; it is taken out, and all that is done adds.
+    """
+    actuators = actuators_of(settings, output.samplerate)
+    if actuators is not None:
+        # Behind them: an actuator that is to be late begins with what comes before the sound.
+        written = Aligned(output, latency_frames + actuators.latency_frames)
+        return written, Driven(written, actuators, settings.numbered_channels)
+    driving = driving_of(settings, output.samplerate, output.channels)
+    if driving is None:
+        written = Aligned(output, latency_frames)
+        return written, written
+    written = Aligned(output, driving.latency_frames)
+    return written, Aligned(Processed(written, [driving]), latency_frames)
+
+
+def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:
+    """Raise UsageError where one of the files would overwrite another."""
+    named = {"the input": source, "the vibration": target}
+    if acceleration is not None:
+        named["the acceleration"] = acceleration
+    seen: dict[str, str] = {}
+    for role, path in named.items():
+        resolved = os.path.realpath(path)
+        if resolved in seen:
+            raise UsageError(f"{path} is named for {seen[resolved]} and for {role}; name two files")
+        seen[resolved] = role

@@ -1,0 +1,1 @@
+"""The processing chain: client, mixer, effects and outputs, one cycle a step."""

@@ -1,0 +1,233 @@
+"""The audio framework: mixer, effect chains and the haptic effect, set up as one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
+from audioflinger_hook.effect.haptic import DRAIN, HAPTIC_CUSHION
+from audioflinger_hook.effect.haptic_parameters import from_settings
+from audioflinger_hook.effect.interface import OK, Command
+from audioflinger_hook.effect.module import EffectModule
+from audioflinger_hook.effect.parameters import Values
+from audioflinger_hook.effect.registry import EffectRegistry
+from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
+from audioflinger_hook.mixer import CycleReport, Mixer, Sink, dump
+from audioflinger_hook.mixer.sessions import OUTPUT_MIX
+from audioflinger_hook.transform import HapticTransform, kernel_warning
+from device.errors import CushionError, InternalError, UsageError
+
+HAL_FRAMES = 240
+"""Frames that the output is taken to want at once; a whole cycle is 20 ms of them."""
+
+OFFLINE_HAL_FRAMES = 32_768
+"""Where nothing waits for the sound, long cycles cost least."""
+
+
+class Framework:
+    """One mix with its effects, as audio_effects.xml declares them, ours running.
+
+    samplerate: Hz; channels: of the mix. The mix has one haptic channel, or with
+    `settings.channels` = "each" as many as there are channels; with `settings.actuators` one for
+    each of `settings.sources`. clock: seconds, by which an effect
+    that takes too long is bypassed; None for sound that is not played as it is made: then time
+    changes nothing. standby_delay_s: see `Mixer`; a file keeps its silence, a device may rest.
+    `warnings`: what was left out of the effects, or is slower than it could be, a line each.
+
+    Calls come from the thread that steps the chain; `dump` and the readings from any, `change`
+    from any but that.
+
+    Raises
+    ------
+    UsageError
+        The format or the settings cannot be used together, the effects file cannot be read or
+        does not apply the haptic effect.
+    """
+
+    def __init__(
+        self,
+        samplerate: int,
+        channels: int,
+        settings: Settings | None = None,
+        *,
+        hal_frames: int = HAL_FRAMES,
+        clock: Callable[[], float] | None = None,
+        standby_delay_s: float = math.inf,
+    ) -> None:
+        self.settings = settings or Settings()
+        self.warnings: list[str] = []
+        each = self.settings.channels == "each"
+        self._chains = EffectChains(
+            clock or _no_time, budget_share=BUDGET_SHARE if clock else float("inf")
+        )
+        self.haptic = self._add_effects()
+        self._wanted = self._taken = self._parameters(self.settings)
+        uncompiled = kernel_warning()
+        if uncompiled and self.settings.form == "live":
+            self.warnings.append(uncompiled)
+        self.mixer = Mixer(
+            samplerate,
+            channels,
+            hal_frames=hal_frames,
+            haptic_channels=channels if each else max(1, len(self.settings.sources)),
+            effects=self._chains,
+            standby_delay_s=standby_delay_s,
+        )
+        if self.haptic.set_parameters(self._taken) != OK or self.haptic.bypassed:
+            self._explain()
+        # Sent now, not a cycle later: the first buffer counts.
+        self._chains.end_of_cycle(0.0)
+
+    @property
+    def samplerate(self) -> int:
+        """Rate of the mix in Hz."""
+        return self.mixer.samplerate
+
+    @property
+    def haptic_channels(self) -> int:
+        """Channels of vibration."""
+        return self.mixer.haptic_channels
+
+    @property
+    def latency_frames(self) -> int:
+        """Frames by which the vibration comes after its sound."""
+        return self._reading("latency_frames")
+
+    @property
+    def latency_s(self) -> float:
+        """The same in seconds."""
+        return self.latency_frames / self.samplerate
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples of vibration that the limiter or full scale has changed so far."""
+        return self._reading("limited_samples")
+
+    @property
+    def replaced_samples(self) -> int:
+        """Unusable samples of sound that were taken for 0 so far."""
+        return self._reading("replaced_samples")
+
+    def change(self, settings: Settings) -> None:
+        """Take other parameters and another level from the next cycle on; nothing else changes.
+
+        settings: as they are, but for `parameters` and `gain_db`. A level is reached over one
+        buffer; other parameters let the vibration fade out over one buffer and begin anew,
+        `latency_frames` later. Parameters are tried here, on the calling thread.
+
+        Raises
+        ------
+        UsageError
+            They cannot be used with this mix; nothing has changed then.
+        """
+        if settings.parameters != self.settings.parameters:
+            self._try(self.mixer.samplerate, self.mixer.channels, settings)
+        if settings == self.settings:
+            return
+        self.settings = settings
+        self._wanted = self._parameters(settings)
+        self.mixer.post(self._take_wanted)
+
+    def send_to(self, *sinks: Sink) -> None:
+        """Send what is mixed to these sinks from the next cycle on."""
+        self.mixer.sinks = sinks
+
+    def cycle(self, now_s: float = 0.0, frames: int | None = None) -> CycleReport:
+        """Do one cycle; see `Mixer.cycle`."""
+        return self.mixer.cycle(now_s, frames)
+
+    def drain(self) -> NDArray[np.float32]:
+        """Return the vibration still owed after the last sound, (frames, haptic_channels).
+
+        Raises InternalError as `refuse_without_haptics` does.
+        """
+        status, owed = self.haptic.command(DRAIN)
+        self.refuse_without_haptics()
+        if status != OK or not isinstance(owed, np.ndarray):
+            raise InternalError(f"the haptic effect gave up: status {status}")
+        return owed
+
+    def refuse_without_haptics(self) -> None:
+        """Raise InternalError where the haptic effect is bypassed, with the reason.
+
+        For files, where half of the vibration is none; a device goes on with silence.
+        """
+        if self.haptic.bypassed:
+            raise InternalError(f"the haptic effect gave up: {self.haptic.bypassed}")
+
+    def bypassed(self) -> list[str]:
+        """Return `session, effect: reason` of every effect that is passed by."""
+        return self._chains.bypassed()
+
+    def dump(self, cycle_times_s: Sequence[float] = ()) -> str:
+        """Return thread, tracks, chains and effects as `dumpsys media.audio_flinger` would.
+
+        cycle_times_s: how long the last cycles took, if somebody has measured them.
+        """
+        return dump(self.mixer, cycle_times_s)
+
+    def _add_effects(self) -> EffectModule:
+        """Add what the effects file applies to the output mix and return ours."""
+        registry = EffectRegistry.installed()
+        path = self.settings.effects_file
+        declared = read_effects(path, registry) if path else bundled_effects(registry)
+        self.warnings += registry.problems
+        self.warnings += [f"{path or 'effects'}: {problem}" for problem in declared.problems]
+        haptic = None
+        for uuid in declared.postprocess.get(OUTPUT_MIX_STREAM, ()):
+            try:
+                module = self._chains.add(registry.create(uuid), OUTPUT_MIX)
+            except CushionError as error:
+                self.warnings.append(f"effect {uuid} is left out: {error}")
+                continue
+            module.enable()
+            if uuid == HAPTIC_CUSHION.uuid:
+                haptic = module
+        if haptic is None:
+            why = f" ({'; '.join(self.warnings)})" if self.warnings else ""
+            raise UsageError(
+                f"{path} does not apply the haptic effect ({HAPTIC_CUSHION.uuid}) to the stream "
+                f"{OUTPUT_MIX_STREAM!r}{why}; without it nothing is felt"
+            )
+        return haptic
+
+    @staticmethod
+    def _parameters(settings: Settings) -> Values:
+        parameters = from_settings(settings)
+        # What a paper published is not cut to full scale; what reaches a device always is.
+        parameters["clip"] = settings.form != "reference"
+        return parameters
+
+    def _take_wanted(self) -> None:
+        """Tell the effect, on the thread that steps the mixer; of several changes the last one."""
+        wanted = self._wanted
+        if wanted is not self._taken:
+            self._taken = wanted
+            # It was tried: only an effect that is bypassed refuses it, and that is told.
+            self.haptic.set_parameters(wanted)
+
+    @staticmethod
+    def _try(samplerate: int, channels: int, settings: Settings) -> None:
+        """Raise UsageError where no transform can be made of these."""
+        try:
+            HapticTransform(samplerate, channels, settings.parameters, form=settings.form)
+        except ValueError as error:  # a band that a low samplerate cannot hold has no filter
+            raise UsageError(f"no transform can be made at {samplerate} Hz: {error}") from error
+
+    def _explain(self) -> None:
+        """Raise what is wrong with the format or the settings."""
+        self._try(self.mixer.samplerate, self.mixer.channels, self.settings)
+        raise UsageError(f"the haptic effect {self.haptic.bypassed or 'refused its parameters'}")
+
+    def _reading(self, name: str) -> int:
+        status, value = self.haptic.command(Command.GET_PARAM, name)
+        return value if status == OK and isinstance(value, int) else 0
+
+
+def _no_time() -> float:
+    return 0.0

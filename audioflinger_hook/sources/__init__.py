@@ -1,0 +1,29 @@
+"""Where sound comes from: taps deliver buffers, clients write them into the mixer's tracks."""
+
+from audioflinger_hook.sources.address import TapAddress, open_client, open_tap, parse_tap
+from audioflinger_hook.sources.applications import VoicesClient
+from audioflinger_hook.sources.capture import CaptureTap
+from audioflinger_hook.sources.client import Client
+from audioflinger_hook.sources.file import FileTap
+from audioflinger_hook.sources.frames import FramesTap
+from audioflinger_hook.sources.push import PushTap
+from audioflinger_hook.sources.scene import SceneClient, mixdown
+from audioflinger_hook.sources.tap import Tap
+from audioflinger_hook.sources.tap_client import TapClient
+
+__all__ = [
+    "CaptureTap",
+    "Client",
+    "FileTap",
+    "FramesTap",
+    "PushTap",
+    "SceneClient",
+    "Tap",
+    "TapAddress",
+    "TapClient",
+    "VoicesClient",
+    "mixdown",
+    "open_client",
+    "open_tap",
+    "parse_tap",
+]

@@ -1,0 +1,107 @@
+"""Where the sound shall come from, as a user writes it: the grammar of `--tap`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+from audioflinger_hook.scenes import Scene, demo_scene
+from audioflinger_hook.sources.capture import CaptureTap
+from audioflinger_hook.sources.client import Client
+from audioflinger_hook.sources.file import FileTap
+from audioflinger_hook.sources.frames import FramesTap
+from audioflinger_hook.sources.scene import CYCLE_FRAMES, SceneClient, mixdown
+from audioflinger_hook.sources.tap import Tap
+from audioflinger_hook.sources.tap_client import TapClient
+from device.errors import NotFoundError, UsageError
+
+Kind = Literal["default", "sink", "app", "file", "capture", "scene"]
+
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+GRAMMAR = (
+    "default, sink:NAME, app:NAME, file:PATH, capture:DIR, scene:demo, or the name of a sink alone"
+)
+
+SCENES = ("demo",)
+
+
+@dataclass(frozen=True)
+class TapAddress:
+    """One source of sound: its kind and its name, path or folder (empty for `default`)."""
+
+    kind: Kind
+    name: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.kind}:{self.name}" if self.name else self.kind
+
+
+def parse_tap(text: str) -> TapAddress:
+    """What the text stands for. A word without a colon is the name of a sink.
+
+    The name is taken as it is written: nothing is trimmed, completed or looked up.
+
+    Raises
+    ------
+    UsageError
+        The kind is none of `KINDS`, or a name is missing, or `default` has one.
+    """
+    if text == "default":
+        return TapAddress("default")
+    before, colon, name = text.partition(":")
+    if not colon:
+        kind, name = "sink", text
+    else:
+        kind = before
+    for known in KINDS:
+        if kind == known != "default" and name.strip():
+            return TapAddress(known, name)
+    if kind == "default":
+        what = "'default' takes no name"
+    elif kind in KINDS:
+        what = "the name is empty"
+    else:
+        what = f"there is no kind {kind!r} (a sink of that name is written sink:{text})"
+    raise UsageError(f"tap {text!r}: {what}; allowed: {GRAMMAR}")
+
+
+def open_client(address: TapAddress) -> Client:
+    """What plays into the mixer: a scene's sounds on a track each, everything else on one track.
+
+    Raises as `open_tap`.
+    """
+    return SceneClient(_scene(address)) if address.kind == "scene" else TapClient(open_tap(address))
+
+
+def open_tap(address: TapAddress) -> Tap:
+    """The tap, open, its format known.
+
+    Raises
+    ------
+    UsageError
+        The file or the capture cannot be used.
+    NotFoundError
+        There is no such scene; or the sound would have to come from a sound server.
+    """
+    if address.kind == "file":
+        return FileTap(Path(address.name))
+    if address.kind == "capture":
+        return CaptureTap(Path(address.name))
+    if address.kind == "scene":
+        scene = _scene(address)
+        return FramesTap(mixdown(scene), scene.samplerate, CYCLE_FRAMES)
+    raise NotFoundError(
+        f"tap {str(address)!r}: this version cannot listen to what is playing yet; "
+        "give it sound with file:PATH, capture:DIR or scene:demo"
+    )
+
+
+def _scene(address: TapAddress) -> Scene:
+    if address.name not in SCENES:
+        raise NotFoundError(
+            f"tap {str(address)!r}: there is no such scene; allowed: "
+            + ", ".join(f"scene:{name}" for name in SCENES)
+        )
+    return demo_scene()

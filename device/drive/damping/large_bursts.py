@@ -1,0 +1,110 @@
+"""What a burst leaves behind at any level: the definitions of residual.py on the non-linear rung.
+
+The level is the excursion that is intended: the largest one within the burst that the linear rig,
+as believed, would reach with the drive. The rig itself may reach another one, since it stiffens
+and its f0 may be off; both are told. Compared are ways of driving at the same intended excursion.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from device.drive.damping.damper import Damper
+from device.drive.damping.design import Damping, no_damping
+from device.drive.damping.flat_inverse import FlatInverse
+from device.drive.damping.residual import (
+    BURST_S,
+    SAMPLERATE,
+    BurstResponse,
+    decay_s,
+    measured,
+    sine_burst,
+)
+from device.errors import UsageError
+from device.rig import Rig
+from device.rig.actuator import LinearActuator
+from device.rig.ladder import Ladder
+from device.rig.perturbed_rigs import detuned
+from device.rig.rungs import Rung
+from device.units import FloatArray
+
+CURRENT_DRIVE_OHM = 1e4
+"""As in residual.py, but no higher: there L / R gets so short that the rung would have to go step
+by step, at twenty times the cost. The actuator's own 3.3 ohm count for 3e-4."""
+
+
+@dataclass(frozen=True)
+class LargeBurst:
+    """One burst on the non-linear rung: its response and the largest excursion it reached, m."""
+
+    response: BurstResponse
+    excursion_m: float
+
+
+def large_burst_response(
+    rig: Rig, damping: Damping, excursion_m: float, *, flat: bool = False, detuning: float = 0.0
+) -> LargeBurst:
+    """A burst of 50 ms at the f0 that is believed, on the non-linear rung; some 10 ms of CPU.
+
+    rig: as believed, whose amplifier is replaced by one with the damping's source impedance; its
+    band and its limits are left out. excursion_m: intended, above 0. flat: whether the drive goes
+    through `FlatInverse` of the believed rig after the damping. detuning: share of f0 by which it
+    truly is another one.
+
+    Raises
+    ------
+    UsageError
+        The excursion is not above 0, or flat is asked of a rig without [large_signal].
+    """
+    if not (math.isfinite(excursion_m) and excursion_m > 0.0):
+        raise UsageError(f"excursion_m={excursion_m!r} of a burst must be above 0; correct it")
+    believed = driven_by(rig, damping.source_impedance_ohm)
+    source = damping.source_impedance_ohm
+    true = replace(believed, actuator=detuned(rig.actuator, detuning))
+    watched_s = BURST_S + max(decay_s(true.actuator, source), BURST_S) + damping.latency_s
+    burst = sine_burst(round(watched_s * SAMPLERATE), BURST_S, rig.actuator.resonance_hz)
+    drive = intended(believed, damping, burst, excursion_m)
+    if flat:
+        drive = FlatInverse(believed, SAMPLERATE).process(drive)
+    motion = Ladder(true, SAMPLERATE, rung=Rung.NONLINEAR).move(
+        drive, ("displacement_m", "acceleration_m_s2", "current_a")
+    )
+    volts = drive - source * motion.current_a
+    return LargeBurst(
+        measured(motion.acceleration_m_s2, volts, BURST_S, damping.latency_s),
+        float(np.abs(motion.displacement_m).max()),
+    )
+
+
+def undamped_large(rig: Rig, excursion_m: float, *, detuning: float = 0.0) -> LargeBurst:
+    """The reference: current drive of the same rig at the same intended excursion."""
+    return large_burst_response(rig, no_damping(CURRENT_DRIVE_OHM), excursion_m, detuning=detuning)
+
+
+def driven_by(rig: Rig, source_impedance_ohm: float) -> Rig:
+    """The rig behind an amplifier of that source impedance."""
+    current = source_impedance_ohm > rig.actuator.resistance_ohm
+    return replace(
+        rig,
+        amplifier=replace(
+            rig.amplifier,
+            source_impedance_ohm=source_impedance_ohm,
+            drive_mode="current" if current else "voltage",
+        ),
+    )
+
+
+def intended(
+    rig: Rig,
+    damping: Damping,
+    signal: FloatArray,
+    excursion_m: float,
+    samplerate: int = SAMPLERATE,
+) -> FloatArray:
+    """The signal damped, (frames,) in V, such that the linear rig reaches the excursion with it."""
+    drive = Damper(damping, samplerate, 1).process(signal[:, None].astype(np.float64))[:, 0]
+    source = rig.amplifier.source_impedance_ohm
+    linear = LinearActuator(rig.actuator, samplerate, source).move(drive, ("displacement_m",))
+    scaled: FloatArray = drive * (excursion_m / float(np.abs(linear.displacement_m).max()))
+    return scaled

@@ -1,0 +1,126 @@
+"""What a burst leaves behind: the energy after its end, how long it lasts, and the volts it took.
+
+Definitions, for a burst of 50 ms of a sine at the f0 that the rig is believed to have:
+
+- residual: energy of the acceleration after the burst's end over that within it. Within it is
+  what was wanted, so two ways of driving are compared at the same vibration. A damping that has
+  a latency has its end later by it.
+- settling: time after the end until the acceleration stays under 10 % of the burst's peak.
+- peak volts: at the actuator's terminals, for the same r.m.s. acceleration within the burst.
+- detuning: the true f0 is off by a stiffness that is another one, mass and friction are as
+  believed. Filter and burst stay where they are.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from device.drive.damping.damper import Damper
+from device.drive.damping.design import Damping, no_damping
+from device.rig import ActuatorParameters
+from device.rig.actuator import LinearActuator
+from device.rig.perturbed_rigs import detuned
+from device.units import FloatArray, amplitude_to_db
+
+BURST_S = 0.05
+SETTLED = 0.1
+CURRENT_DRIVE_OHM = 1e5
+"""A source impedance with which the actuator's own 3.3 ohm count for nothing (3e-5)."""
+
+SAMPLERATE = 48_000
+_DECAYS = 12.0
+"""Time constants of the slowest mode that are watched: e^-24 of its energy is left then."""
+
+
+@dataclass(frozen=True)
+class BurstResponse:
+    """One burst: residual (a share), settling_s, and peak_v for 1 m/s^2 r.m.s. within the burst.
+
+    rms_m_s2: within the burst, for a drive of 1 V (or, by a current source, about 1 A).
+    """
+
+    residual: float
+    settling_s: float
+    peak_v: float
+    rms_m_s2: float
+
+    def against(self, reference: "BurstResponse") -> "Residual":
+        """The same in dB of another way of driving."""
+        return Residual(
+            residual_db=amplitude_to_db(math.sqrt(self.residual / reference.residual)),
+            settling_s=self.settling_s,
+            peak_volts_db=amplitude_to_db(self.peak_v / reference.peak_v),
+        )
+
+
+@dataclass(frozen=True)
+class Residual:
+    """A burst against a reference: residual_db of energy, settling_s, and peak_volts_db."""
+
+    residual_db: float
+    settling_s: float
+    peak_volts_db: float
+
+
+def burst_response(
+    p: ActuatorParameters,
+    damping: Damping,
+    *,
+    detuning: float = 0.0,
+    burst_s: float = BURST_S,
+    frequency_hz: float | None = None,
+) -> BurstResponse:
+    """The response of the linear rung; see the definitions above.
+
+    p: as believed; detuning: share of f0 by which it truly is another one. frequency_hz: of the
+    burst, f0 as believed by default.
+    """
+    true = detuned(p, detuning)
+    frequency_hz = frequency_hz or p.resonance_hz
+    longest_s = decay_s(true, damping.source_impedance_ohm)
+    frames = round((burst_s + max(longest_s, burst_s) + damping.latency_s) * SAMPLERATE)
+    burst = sine_burst(frames, burst_s, frequency_hz)
+    source = damping.source_impedance_ohm
+    # As a current source the amplifier gives so many amperes: the same order of volts.
+    drive = Damper(damping, SAMPLERATE, 1).process(burst[:, None])[:, 0] * (1.0 + source)
+    motion = LinearActuator(true, SAMPLERATE, source).move(
+        drive.astype(np.float64), ("acceleration_m_s2", "current_a")
+    )
+    volts = drive - source * motion.current_a
+    return measured(motion.acceleration_m_s2, volts, burst_s, damping.latency_s)
+
+
+def measured(
+    acceleration_m_s2: FloatArray, volts: FloatArray, burst_s: float, latency_s: float
+) -> BurstResponse:
+    """What acceleration and volts at the terminals, (frames,) each, say of a burst from 0 on."""
+    end = round((burst_s + latency_s) * SAMPLERATE)
+    within, after = acceleration_m_s2[:end], acceleration_m_s2[end:]
+    rms_m_s2 = math.sqrt(np.sum(within**2) / (burst_s * SAMPLERATE))
+    loud = np.flatnonzero(np.abs(after) > SETTLED * np.abs(within).max())
+    return BurstResponse(
+        residual=float(np.sum(after**2) / np.sum(within**2)),
+        settling_s=float((loud[-1] + 1) / SAMPLERATE) if loud.size else 0.0,
+        peak_v=float(np.abs(volts).max()) / rms_m_s2,
+        rms_m_s2=rms_m_s2,
+    )
+
+
+def undamped(p: ActuatorParameters, *, detuning: float = 0.0) -> BurstResponse:
+    """The reference: current drive, where nothing but the actuator's own friction damps."""
+    return burst_response(p, no_damping(CURRENT_DRIVE_OHM), detuning=detuning)
+
+
+def decay_s(p: ActuatorParameters, source_impedance_ohm: float) -> float:
+    """How long an actuator is watched after a burst: e^-24 of the energy is left then."""
+    return _DECAYS * p.q_total(source_impedance_ohm) / (math.pi * p.resonance_hz)
+
+
+def sine_burst(frames: int, burst_s: float, frequency_hz: float) -> FloatArray:
+    """(frames,): a sine from 0, then silence."""
+    burst = np.zeros(frames)
+    burst_frames = round(burst_s * SAMPLERATE)
+    phase = math.tau * frequency_hz / SAMPLERATE * np.arange(burst_frames)
+    burst[:burst_frames] = np.sin(phase)
+    return burst

@@ -1,0 +1,121 @@
+"""What accumulates over a day: r.m.s., A(8), VDV, of acceleration that is weighted already."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, lfilter, sosfilt
+
+from device.drive.exposure.weighting import HIGHEST_HZ
+from device.units import FloatArray
+
+ACTION_A8_M_S2, LIMIT_A8_M_S2 = 0.5, 1.15
+ACTION_VDV, LIMIT_VDV = 9.1, 21.0
+"""Directive 2002/44/EC, article 3: m/s^2 over eight hours, and m/s^1.75."""
+
+DAY_S = 8 * 3600.0
+RUNNING_S = 1.0
+"""Time constant of the running r.m.s. (ISO 2631-1, equation 3)."""
+
+_SILENT = 1e-60
+"""Energy that counts for none, long before numbers get as small as slow ones."""
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Readings, of weighted acceleration and the worst channel.
+
+    time_s: so far; running_m_s2: r.m.s. of about the last second; most_running_m_s2: its largest
+    (MTVV); rms_m_s2: of all the time; a8_m_s2: A(8), what is so far, spread over eight hours;
+    vdv: m/s^1.75; extrapolated: share of the weighted energy that lies above 80 Hz, where
+    ISO 2631-1 gives no weighting.
+    """
+
+    time_s: float
+    running_m_s2: float
+    most_running_m_s2: float
+    rms_m_s2: float
+    a8_m_s2: float
+    vdv: float
+    extrapolated: float
+
+    @property
+    def above_action(self) -> bool:
+        """Whether an action value of 2002/44/EC is reached: 0.5 m/s^2 A(8), or 9.1 VDV."""
+        return self.a8_m_s2 >= ACTION_A8_M_S2 or self.vdv >= ACTION_VDV
+
+    @property
+    def above_limit(self) -> bool:
+        """Whether a limit value of 2002/44/EC is reached: 1.15 m/s^2 A(8), or 21 VDV."""
+        return self.a8_m_s2 >= LIMIT_A8_M_S2 or self.vdv >= LIMIT_VDV
+
+    @property
+    def time_to_action_s(self) -> float:
+        """After how long at the running level A(8) reaches its action value; inf in silence."""
+        left = DAY_S * (ACTION_A8_M_S2**2 - self.a8_m_s2**2)
+        return max(0.0, left) / self.running_m_s2**2 if self.running_m_s2 else math.inf
+
+    def __str__(self) -> str:
+        """One line for display."""
+        return (
+            f"A(8) {self.a8_m_s2:.3g} m/s² (action {ACTION_A8_M_S2:g}, limit {LIMIT_A8_M_S2:g}), "
+            f"VDV {self.vdv:.3g} m/s^1.75 (action {ACTION_VDV:g}, limit {LIMIT_VDV:g}); "
+            f"{100.0 * self.extrapolated:.0f} % of it above {HIGHEST_HZ:g} Hz, extrapolated"
+        )
+
+
+class Dose:
+    """Accumulates weighted acceleration. One thread calls `add`; any may call `exposure`.
+
+    samplerate: Hz; channels: 1 or more, each on its own.
+    """
+
+    def __init__(self, samplerate: float, channels: int) -> None:
+        self._period_s = 1.0 / samplerate
+        self._channels = channels
+        self._above = butter(4, HIGHEST_HZ, "highpass", fs=samplerate, output="sos")
+        share = -math.expm1(-self._period_s / RUNNING_S)
+        self._running = [share], [1.0, share - 1.0]
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin a new day."""
+        channels = self._channels
+        self._frames = 0
+        self._squares, self._fourths, self._high = (np.zeros(channels) for _ in range(3))
+        self._now, self._most = np.zeros(channels), np.zeros(channels)
+        self._past = np.zeros((1, channels))
+        self._above_past = np.zeros((len(self._above), 2, channels))
+
+    def add(self, weighted_m_s2: FloatArray) -> None:
+        """Add (frames, channels), finite. The sums depend on the parts by rounding only."""
+        if not len(weighted_m_s2):
+            return
+        squares = weighted_m_s2**2
+        high, self._above_past = sosfilt(self._above, weighted_m_s2, axis=0, zi=self._above_past)
+        running, self._past = lfilter(*self._running, squares, axis=0, zi=self._past)
+        if np.abs(self._above_past).max() ** 2 < _SILENT:
+            self._above_past[:] = 0.0
+        self._past[self._past < _SILENT] = 0.0
+        self._frames += len(weighted_m_s2)
+        self._squares = self._squares + squares.sum(axis=0)
+        self._fourths = self._fourths + (squares**2).sum(axis=0)
+        self._high = self._high + (high**2).sum(axis=0)
+        self._now = running[-1]
+        self._most = np.maximum(self._most, running.max(axis=0))
+
+    def exposure(self) -> Exposure:
+        """Readings of the channel with the largest A(8)."""
+        worst = int(self._squares.argmax())
+        squares = float(self._squares[worst])
+        time_s = self._frames * self._period_s
+        energy = squares * self._period_s
+        return Exposure(
+            time_s=time_s,
+            running_m_s2=math.sqrt(max(0.0, float(self._now[worst]))),
+            most_running_m_s2=math.sqrt(float(self._most[worst])),
+            rms_m_s2=math.sqrt(energy / time_s) if time_s else 0.0,
+            a8_m_s2=math.sqrt(energy / DAY_S),
+            vdv=float(self._fourths[worst] * self._period_s) ** 0.25,
+            extrapolated=min(1.0, float(self._high[worst]) / squares) if squares else 0.0,
+        )

@@ -1,0 +1,326 @@
+"""Protection in the live path: blocks in, the same blocks two block lengths later out."""
+
+import math
+
+import numpy as np
+
+from device.drive.protection.chain import amplifier_sections
+from device.drive.protection.governor import Governor
+from device.drive.protection.limits import Limits, limits_of
+from device.drive.protection.prediction import Prediction, most_current_a
+from device.drive.protection.status import ProtectionStatus
+from device.drive.protection.thermal import CoilTemperature, gain_for_power
+from device.errors import InternalError, UsageError
+from device.rig import ActuatorParameters, Rig
+from device.rig.perturbed_rigs import detuned, stiffened
+from device.units import Block, FloatArray, check_channels, finite_or_zero
+
+BLOCK_S = 0.002
+BLOCKS_AHEAD = 2
+"""A block goes out when the one after it is known: two lengths after it began to come in."""
+
+_STACK = (0.0, -1.0, -0.5, 0.5, 1.0)
+"""Models that hold at once, in shares of the detuning. With the ends alone, a rig half-way between
+would swing 2 % further than both, at its own resonance."""
+_RESERVE = 0.015
+"""Share of the excursion that is held back for rigs between two models of the stack: 0.13 dB."""
+_ABSURD = 1e6
+_RECOVERY_S = 0.02
+"""Time in which the gain comes back from 0 to what the demand allows."""
+_HOLD_S = 0.06
+"""Time for which demand is held at least: longer than a period of 20 Hz, so that the gain of
+whatever repeats is steady."""
+_CAUTION = 1.03
+"""Demand is taken as larger by this after each block in which the bound had to step in: such a step
+makes a swing of its own, which would bring the bound in again, over and over."""
+_RELEASE_S = 0.5
+"""Time constant with which demand is forgotten after that."""
+_WANTED_RISE_S, _WANTED_FALL_S = 0.03, 2.0
+"""Time constants with which the power that is wanted is noticed, over a few periods of vibration,
+and forgotten."""
+
+
+class Protector:
+    """Keeps a rig inside its limits by gain alone, ahead of time; never clips.
+
+    rig: what is driven, one actuator a channel, all alike; samplerate: Hz, 1000 or more;
+    channels: 1 or more, each with a gain of its own. limits: those of the rig by default.
+    block_s: 0.001 to 0.005, rounded to frames.
+
+    While nothing is limited every sample leaves as it came, bit for bit, `latency_frames` later.
+    Gains go from one block's end to the next in a straight line, and come back slowly.
+
+    One thread calls `process`. Any thread may set `most` and call `status`.
+
+    most: a gain from outside, 0 to 1, that is not exceeded, such as that of an exposure cap.
+
+    Raises
+    ------
+    UsageError
+        The rate or the length of a block is out of range; the coil's temperature is limited, but
+        the rig does not describe how it warms up.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        samplerate: int,
+        channels: int,
+        *,
+        limits: Limits | None = None,
+        block_s: float = BLOCK_S,
+    ) -> None:
+        if samplerate < 1_000:
+            raise UsageError(f"samplerate={samplerate} Hz is too low; choose 1000 Hz or more")
+        if not 0.001 <= block_s <= 0.005:
+            raise UsageError(f"block_s={block_s!r} must be 0.001 to 0.005 s; choose another one")
+        if channels < 1:
+            raise InternalError(f"channels={channels} must be 1 or more")
+        self.rig = rig
+        self.limits = limits or limits_of(rig)
+        if self.limits.coil_temperature_c is not None and rig.thermal is None:
+            raise UsageError(
+                f"coil_temperature_c={self.limits.coil_temperature_c!r} cannot be kept: the rig "
+                f"{rig.name!r} describes no [thermal]; add it, or set no limit"
+            )
+        self.samplerate = samplerate
+        self.channels = channels
+        self.most = 1.0
+        self._frames = round(block_s * samplerate)
+        self._period_s = self._frames / samplerate
+        volts = rig.dac.full_scale_v * rig.amplifier.gain
+        models = _models(rig.actuator, self.limits)
+        source = rig.amplifier.source_impedance_ohm
+        sections = amplifier_sections(rig.amplifier, models, samplerate)
+        current_a = self.limits.current_a
+        if current_a is not None:
+            most_a = most_current_a(models, samplerate, source, sections)
+            most_a *= self.limits.level * volts
+            # Beyond what any drive can reach it is no limit, and costs nothing then.
+            current_a = current_a if most_a > current_a else None
+        prediction = Prediction(
+            models,
+            samplerate,
+            self._frames,
+            volts=volts,
+            source_impedance_ohm=source,
+            sections=sections,
+            excursion_m=(1.0 - _RESERVE) * self.limits.excursion_m,
+            # Warmth asks for that of the believed one alone.
+            current_models=1 if current_a is None else len(models),
+        )
+        self._governor = Governor(
+            prediction, channels, level=self.limits.level, current_a=current_a
+        )
+        self._coils = [
+            CoilTemperature(rig.thermal, rig.actuator.resistance_ohm, self._period_s)
+            for _ in range(channels)
+            if rig.thermal
+        ]
+        self._rise = self._period_s / _RECOVERY_S
+        self._hold_blocks = math.ceil(_HOLD_S / self._period_s)
+        self._release = math.exp(-self._period_s / _RELEASE_S)
+        self._notice = 1.0 - math.exp(-self._period_s / _WANTED_RISE_S)
+        self._forget = math.exp(-self._period_s / _WANTED_FALL_S)
+        self.reset()
+
+    @property
+    def latency_frames(self) -> int:
+        """By how many frames the vibration comes later: two blocks."""
+        return BLOCKS_AHEAD * self._frames
+
+    def reset(self) -> None:
+        """Come to rest and cool down; counts are 0 and what was on its way is gone."""
+        shape = (self._frames, self.channels)
+        self._coming, self._leaving = np.zeros(shape), np.zeros(shape)
+        self._filled = 0
+        self._silent = True
+        self._governor.reset()
+        for coil in self._coils:
+            coil.reset()
+        # Of the time held now, and of the one before.
+        self._demands = [np.zeros(self.channels), np.zeros(self.channels)]
+        self._demand, self._caution = np.zeros(self.channels), np.ones(self.channels)
+        self._lately_w, self._wanted_w = [0.0] * self.channels, [0.0] * self.channels
+        self._at_ease = True
+        self._blocks = self._limited_blocks = self._infeasible_blocks = 0
+        self._replaced_samples = 0
+        self._gain = self._least_gain = 1.0
+        self._limited_by = ""
+
+    def process(self, block: Block) -> Block:
+        """Put into a block of (frames, channels) what leaves now; return it.
+
+        Any number of frames; no byte depends on how the stream is cut into blocks. What leaves is
+        finite. Samples that are not count as 0, as do those beyond a million times full scale.
+        """
+        check_channels(block, self.channels)
+        start = 0
+        while start < len(block):
+            count = min(self._frames - self._filled, len(block) - start)
+            place = slice(self._filled, self._filled + count)
+            samples, replaced = finite_or_zero(
+                block[start : start + count].astype(np.float64), _ABSURD
+            )
+            self._replaced_samples += replaced
+            self._coming[place] = samples
+            block[start : start + count] = self._leaving[place]
+            self._filled += count
+            start += count
+            if self._filled == self._frames:
+                self._govern()
+        return block
+
+    def status(self) -> ProtectionStatus:
+        """Counts and readings; each is of some moment, not all of the same. Any thread."""
+        warmest = max(self._coils, key=lambda coil: coil.coil_c, default=None)
+        return ProtectionStatus(
+            blocks=self._blocks,
+            limited_blocks=self._limited_blocks,
+            infeasible_blocks=self._infeasible_blocks,
+            replaced_samples=self._replaced_samples,
+            gain=self._gain,
+            least_gain=self._least_gain,
+            limited_by=self._limited_by,
+            excursion_m=float(self._governor.swing_m.max()),
+            coil_c=warmest.coil_c if warmest else None,
+            resistance_ohm=warmest.resistance_ohm if warmest else None,
+            latency_s=self.latency_frames / self.samplerate,
+        )
+
+    def _govern(self) -> None:
+        """Decide on the block that is known, now that the one after it has come."""
+        self._blocks += 1
+        self._filled = 0
+        if self._silent and not self._coming.any() and self._governor.settle():
+            self._sleep()
+            return
+        # The governor keeps it until it has become the known one and has left.
+        ahead, self._coming = self._coming, np.empty_like(self._coming)
+        governor = self._governor
+        governor.take(ahead)
+        if self._at_ease and self.most >= 1.0:
+            passed = governor.pass_on()
+            if passed is not None:
+                self._leaving, mean_a2 = passed
+                self._silent = not ahead.any()
+                self._heat(mean_a2.tolist())
+                return
+        thermal = self._thermal_gain()
+        recovered = np.minimum(1.0, governor.gain + self._rise)
+        outside = min(max(float(self.most), 0.0), 1.0) if self.most == self.most else 0.0
+        demanded = 1.0 / np.maximum(1.0, self._caution * self._demand)
+        asked = np.minimum(np.minimum(recovered, demanded), np.minimum(outside, thermal))
+        verdict = governor.decide(asked)
+        self._remember(verdict.demand)
+        bounded = verdict.gain < asked
+        self._caution = 1.0 + self._release * (self._caution - 1.0)
+        self._caution = np.where(bounded, np.minimum(2.0, _CAUTION * self._caution), self._caution)
+        allowed = np.minimum(verdict.gain, 1.0 / np.maximum(1.0, self._demand))
+        gain, hot = self._within_heat(allowed, verdict.power_a2)
+        self._leaving = governor.advance(gain)
+        self._silent = not ahead.any()
+        self._infeasible_blocks += verdict.infeasible
+        self._note(gain, outside, thermal, hot)
+        demanding = self._caution * self._demand
+        if self._gain >= 1.0 and demanding.max() <= 1.0 and thermal.min() >= 1.0:
+            # All that is remembered is of no consequence.
+            self._at_ease, self._caution[:] = True, 1.0
+        else:
+            self._at_ease = False
+
+    def _heat(self, mean_a2: list[float]) -> None:
+        """Step the coils by a block that leaves as it is."""
+        limit_c = self.limits.coil_temperature_c
+        # Without coils nothing is known of their warmth, and nothing is limited by it.
+        for channel, (coil, square) in enumerate(zip(self._coils, mean_a2, strict=False)):
+            power_w = coil.resistance_ohm * square
+            coil.step(power_w)
+            self._want(channel, power_w)
+            if limit_c is not None and self._wanted_w[channel] > coil.power_allowed(limit_c):
+                self._at_ease = False
+
+    def _want(self, channel: int, power_w: float) -> None:
+        """Note the power that flows, or would without any gain."""
+        lately_w, wanted_w = self._lately_w[channel], self._wanted_w[channel]
+        lately_w += self._notice * (power_w - lately_w)
+        self._lately_w[channel] = lately_w
+        self._wanted_w[channel] = max(lately_w, self._forget * wanted_w)
+
+    def _sleep(self) -> None:
+        """A silent block at rest: nothing to compute but that the coils cool."""
+        self._leaving = np.zeros_like(self._leaving)
+        self._remember(np.zeros(self.channels))
+        self._caution = 1.0 + self._release * (self._caution - 1.0)
+        self._heat([0.0] * self.channels)
+        self._gain, self._limited_by = 1.0, ""
+
+    def _note(self, gain: FloatArray, outside: float, thermal: FloatArray, hot: bool) -> None:
+        """Count, and say of the channel with the smallest gain what took most of it."""
+        self._gain = float(gain.min())
+        self._least_gain = min(self._least_gain, self._gain)
+        self._limited_by = ""
+        if self._gain >= 1.0:
+            return
+        self._limited_blocks += 1
+        worst = int(gain.argmin())
+        if hot or thermal[worst] <= self._gain:
+            self._limited_by = "temperature"
+        elif outside <= self._gain:
+            self._limited_by = "outside"
+        else:
+            self._limited_by = "excursion, current or level"
+
+    def _remember(self, demand: FloatArray) -> None:
+        """Hold the largest demand for one to two times `_HOLD_S`, then forget it slowly."""
+        if self._blocks % self._hold_blocks == 0:
+            self._demands = [np.zeros(self.channels), self._demands[0]]
+        self._demands[0] = np.maximum(self._demands[0], demand)
+        held = np.maximum(self._demands[0], self._demands[1])
+        self._demand = np.maximum(self._release * self._demand, held)
+
+    def _thermal_gain(self) -> FloatArray:
+        """(channels,): the gain with which the power wanted lately becomes the allowed one."""
+        limit_c = self.limits.coil_temperature_c
+        if limit_c is None:
+            return np.ones(self.channels)
+        return np.array(
+            [
+                gain_for_power(coil.power_allowed(limit_c), wanted_w)
+                for coil, wanted_w in zip(self._coils, self._wanted_w, strict=True)
+            ]
+        )
+
+    def _within_heat(self, gain: FloatArray, power_a2: FloatArray) -> tuple[FloatArray, bool]:
+        """The gain, lowered where this one block would overheat a coil; and step the coils.
+
+        The current is that of the cold coil: warm, its resistance lets less pass, so the power is
+        taken as larger than it is.
+        """
+        limit_c, lowered = self.limits.coil_temperature_c, False
+        for channel, coil in enumerate(self._coils):
+            fixed, cross, square, alone = power_a2[:, channel].tolist()
+            g, ohm = float(gain[channel]), coil.resistance_ohm
+            mean_a2 = fixed + g * (cross + g * square)
+            if limit_c is not None and ohm * mean_a2 > coil.power_that_reaches(limit_c):
+                gain = gain.copy()
+                g = gain[channel] = g / 2.0
+                mean_a2 = fixed + g * (cross + g * square)
+                lowered = True
+            power_w = max(0.0, ohm * mean_a2)
+            coil.step(power_w)
+            self._want(channel, ohm * alone)
+        return gain, lowered
+
+
+def _models(p: ActuatorParameters, limits: Limits) -> list[ActuatorParameters]:
+    """The stack: the actuator as believed, detuned, and as it is when it swings far."""
+    shares = dict.fromkeys(share * limits.detuning for share in _STACK)
+    models = [detuned(p, share) for share in shares]
+    if limits.stiffness_rise or limits.force_factor_loss:
+        far = dict.fromkeys([0.0, limits.detuning])
+        models += [
+            stiffened(detuned(p, share), limits.stiffness_rise, limits.force_factor_loss)
+            for share in far
+        ]
+    return models

@@ -1,0 +1,1 @@
+"""Audio streams through PortAudio, on a sound server or straight on a card."""

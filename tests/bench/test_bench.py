@@ -1,0 +1,569 @@
+"""The bench: its measures find what was put in, its rows are complete, and nothing is hidden."""
+
+import json
+import math
+import os
+import re
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scipy.fft import rfft
+
+from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.principal import Principals
+from device.errors import UsageError
+from tools import bench
+from tools.bench import (
+    damping_recordings,
+    measures,
+    mixing,
+    rendering,
+    rig,
+    savings,
+    soak,
+    soak_record,
+    soak_report,
+)
+from tools.bench.cost import in_ffts, interleaved, rfft_unit_s
+from tools.bench.machine import MachineFacts
+from tools.bench.report import BenchReport, Missing, Must, Row, Section, number
+from tools.bench.signals import (
+    RECORDINGS_COMMAND,
+    RECORDINGS_VARIABLE,
+    load_recordings,
+    tone,
+)
+from tools.bench.workbench import SUBJECTS, Effort, Workbench
+
+RATE = 48_000
+
+# Every bench with as little as it can do: what it measures is not the point here.
+LEAST = Effort(
+    tones=2,
+    low_tones=2,
+    tone_s=1.0,
+    gain_tones=1,
+    bursts=3,
+    onsets_made=9,
+    onsets_a_burst=2,
+    noisy_tones=8,
+    frontier_sounds=2,
+    compared_bursts=3,
+    compared_recordings=1,
+    settled_s=1.0,
+    split_s=0.05,
+    cost_repeats=1,
+    slow_repeats=1,
+    cost_s=0.2,
+    cold_s=0.1,
+    saving_repeats=1,
+    saving_s=0.2,
+    mix_rounds=2,
+    mix_repeats=1,
+    growth_s=1.6,
+    channels_s=0.2,
+    hops_timed=200,
+    hops_timed_in_numpy=50,
+    hops_held=200,
+    render_s=(1.0,),
+    rig_s=0.5,
+    rig_timed_s=0.5,
+    rung_repeats=1,
+    integrator_repeats=1,
+    random_rigs=2,
+)
+
+
+@pytest.fixture(scope="module")
+def told():
+    """What the progress callback was told, filled by `report`."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def report(told):
+    return bench.run_bench(True, lambda label, share: told.append((label, share)), effort=LEAST)
+
+
+def a_report(*rows, missing=(), series=None):
+    machine = MachineFacts("a processor", 2, "Linux", 0.5, "3.11", "2.0", "1.13", 7.5)
+    section = Section("A section", "What it means.", rows, missing, series or {})
+    return BenchReport("2026-01-01T00:00:00Z", True, 1.0, machine, (section,))
+
+
+# ------------------------------------------------------------------------------------- measures
+
+
+def test_the_error_of_an_acceleration_is_what_no_gain_of_the_intended_one_explains():
+    wanted, other = np.sin(np.arange(0, 200, 0.1)), np.cos(np.arange(0, 200, 0.1))
+    got = 3.0 * wanted + 0.3 * other
+    assert damping_recordings.error_db(got, wanted) == pytest.approx(-20.0, abs=0.1)
+    assert damping_recordings.error_db(5.0 * wanted, wanted) < -100.0
+
+
+@pytest.mark.parametrize("frequency_hz", [21.5, 46.6, 103.737, 219.9])
+def test_a_sine_is_found_with_its_frequency_amplitude_and_residual(frequency_hz):
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(2 * RATE)
+    fit = measures.sine_fit(tone(frequency_hz, 0.3, 2.0) + noise, RATE)
+    assert fit.frequency_hz == pytest.approx(frequency_hz, abs=1e-4)
+    assert fit.amplitude == pytest.approx(0.3, rel=1e-4)
+    # noise of 1e-4 r.m.s. under a sine of 0.3 peak
+    assert fit.residual_db == pytest.approx(20 * math.log10(1e-4 * math.sqrt(2) / 0.3), abs=0.1)
+
+
+def test_distortion_counts_as_residual():
+    distorted = tone(100.0, 0.5, 2.0) + tone(200.0, 0.005, 2.0)
+    assert measures.sine_fit(distorted, RATE).residual_db == pytest.approx(-40.0, abs=0.01)
+
+
+def test_the_fit_of_silence_is_nothing():
+    assert measures.sine_fit(np.zeros(RATE), RATE).amplitude == 0.0
+
+
+def test_a_later_onset_is_measured_as_later_by_as_much():
+    lags_s = []
+    for delay_s in (0.0, 0.0371):
+        start = round((0.3 + delay_s) * RATE)
+        vibration = np.zeros(RATE)
+        vibration[start : start + RATE // 4] = tone(100.0, 0.3, 0.25)
+        lags_s.append(measures.onset_lag_s(vibration, RATE, 0.3))
+    # the envelope's own rise takes a few milliseconds either way
+    assert abs(lags_s[0]) < 0.005
+    assert lags_s[1] - lags_s[0] == pytest.approx(0.0371, abs=0.001)
+
+
+def test_the_lag_of_silence_is_not_a_number():
+    assert math.isnan(measures.onset_lag_s(np.zeros(RATE), RATE, 0.3))
+
+
+def test_energy_above_a_corner_is_a_share_of_all_energy():
+    vibration = tone(100.0, 1.0, 1.0) + tone(400.0, 0.01, 1.0)
+    assert measures.energy_above_db(vibration, RATE) == pytest.approx(-40.0, abs=0.01)
+    assert measures.energy_above_db(tone(100.0, 1.0, 1.0), RATE) < -200.0
+    assert measures.energy_above_db(np.zeros(100), RATE) == -math.inf
+
+
+def principals(*row_hz):
+    row, hz = np.array(row_hz, dtype=float).reshape(-1, 2).T
+    return Principals(row.astype(np.intp), hz, hz, hz, hz)
+
+
+def test_agreement_counts_hits_within_reach_in_the_same_unit_only():
+    found = principals((0, 100.0), (0, 500.0), (1, 300.0))
+    wanted = principals((0, 103.0), (1, 500.0), (1, 306.0), (2, 100.0))
+    agreed = measures.agreement(found, wanted, 5.0)
+    assert (agreed.found_hits, agreed.found) == (1, 3)
+    assert (agreed.wanted_hits, agreed.wanted) == (1, 4)
+    assert (agreed + agreed).precision == pytest.approx(1 / 3)
+    assert agreed.recall == pytest.approx(1 / 4)
+
+
+def test_nothing_found_gives_no_precision():
+    nothing = measures.agreement(principals(), principals((0, 100.0)), 5.0)
+    assert math.isnan(nothing.precision)
+    assert nothing.recall == 0.0
+
+
+def test_growth_is_one_for_linear_and_two_for_quadratic_cost():
+    sizes = [1.0, 2.0, 4.0, 8.0]
+    assert measures.growth_exponent(sizes, [3 * n for n in sizes]) == pytest.approx(1.0)
+    assert measures.growth_exponent(sizes, [3 * n * n for n in sizes]) == pytest.approx(2.0)
+
+
+def test_outputs_differ_by_a_single_bit_or_a_missing_frame():
+    one = np.linspace(0.0, 1.0, 10)
+    assert not measures.differing_blocks(one, one.copy())
+    assert measures.differing_blocks(one, np.nextafter(one, 2.0))
+    assert measures.differing_blocks(one, one[:-1])
+
+
+def test_the_exact_motion_is_what_a_finer_and_finer_simulation_tends_to():
+    # lsim with straight lines between samples errs by (w/fs)^2/12: 7e-5 of a 220 Hz sinusoid.
+    exact = rig.exact_motion(4_800)
+    held = rig._lsim_motion(rig.drive(0.1))
+    for quantity, motion in exact.items():
+        assert np.abs(held[quantity] - motion).max() <= 1e-4 * np.abs(motion).max()
+
+
+# ----------------------------------------------------------------------------------------- cost
+
+
+def test_work_is_repeated_in_turns_and_one_round_is_not_counted():
+    order: list[str] = []
+    timings = interleaved([lambda: order.append("a"), lambda: order.append("b")], 3)
+    assert order == ["a", "b"] * 4
+    assert [len(timing.seconds) for timing in timings] == [3, 3]
+
+
+def test_a_work_of_fewer_repeats_sits_out_rounds_evenly():
+    order: list[str] = []
+    works = [lambda name=name: order.append(name) for name in "abc"]
+    timings = interleaved(works, [4, 2, 1])
+    assert "".join(order) == "abc" + "a" + "ab" + "a" + "abc"
+    assert [len(timing.seconds) for timing in timings] == [4, 2, 1]
+
+
+def test_a_limit_of_time_is_so_many_ffts_of_the_machine_that_it_was_set_on():
+    assert in_ffts(1.5e-3) == 195.0  # of 7.7 us
+    assert in_ffts(125e-6) == 16.2
+
+
+TIMES = {"ms", "µs", "x real time"}
+
+
+def test_every_limit_of_cpu_time_is_asked_in_ffts_too(report):
+    asked = [
+        (section.title, row)
+        for section in report.sections
+        for row in section.rows
+        if row.must and (row.unit in TIMES - {"ms"} or "x real time" in row.column)
+    ]
+    costs = ("Cost of a second of sound", "Cost after pauses")
+    asked += [(t, row) for t in costs for row in report.section(t).rows if row.must]
+    in_time = [(title, row) for title, row in asked if row.unit not in {"FFTs", "times"}]
+    # blocks of 256 and 32768 of some scenes, two with pauses, and so on
+    assert len(in_time) >= 12
+    for title, row in in_time:
+        beside = [
+            other
+            for other in report.section(title).rows
+            if other.name == row.name and other.unit == "FFTs" and other.must
+        ]
+        assert len(beside) == 1, (title, row.name)
+        assert beside[0].must.relation == "<="
+
+
+def test_the_ffts_beside_a_cost_are_the_same_cost(report):
+    section = report.section("Cost of a second of sound")
+    by_place = {(row.name, row.column): row for row in section.rows}
+    scenes = [row for row in section.rows if row.column == "live" and row.unit == "ms"]
+    assert scenes
+    for row in scenes:
+        ffts = by_place[row.name, "live, FFTs"]
+        unit_us = 1e3 * row.value / max(ffts.value, 1.0)
+        # one repeat here, so the ratio is that of one pair; the machine may be busy
+        assert report.machine.rfft_us / 4 < unit_us < report.machine.rfft_us * 6
+        assert ffts.must == Must("<=", in_ffts(1e-3 * row.must.bound))
+
+
+def test_what_has_to_be_done_before_a_work_is_done_before_each_run_of_it_and_not_timed():
+    order: list[str] = []
+
+    def slow() -> None:
+        order.append("fill")
+        rfft(np.zeros(1 << 18))
+
+    (timing,) = interleaved([lambda: order.append("run")], 2, before=[slow])
+    assert order == ["fill", "run"] * 3
+    assert max(timing.seconds) < 1e-3
+
+
+def test_costs_are_given_in_units_of_the_fft_timed_with_them():
+    frames = np.zeros(2048, np.float32)
+    (timing,) = interleaved([lambda: [rfft(frames) for _ in range(1_000)]], 5)
+    # a thousand of them, a little more for the loop; the machine may be busy
+    assert 400 < timing.median_units < 2_500
+    assert rfft_unit_s() > 0.0
+
+
+# --------------------------------------------------------------------------------------- report
+
+
+def test_met_is_computed_and_not_a_number_is_never_met():
+    assert Row("a", 1.0, must=Must("<=", 1.0)).met is True
+    assert Row("a", 1.1, must=Must("<=", 1.0)).met is False
+    assert Row("a", 1.1, must=Must(">=", 1.0)).met is True
+    assert Row("a", math.nan, must=Must("<=", 1.0)).met is False
+    assert Row("a", 1.0).met is None
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (12.0, "12"),
+        (1_000_208.0, "1 000 208"),
+        (0.000937, "0.000937"),
+        (2.5e-13, "2.5e-13"),
+        (-56.086, "-56.1"),
+        (9.996, "10.0"),
+        (1234.6, "1 235"),
+        (-math.inf, "-∞"),
+    ],
+)
+def test_numbers_have_three_digits_that_mean_something(value, text):
+    assert number(value) == text
+
+
+def test_the_page_puts_columns_side_by_side_with_limit_and_verdict():
+    page = a_report(
+        Row("lag", 40.0, "ms", "live", Must("<=", 45.0), note="the worst"),
+        Row("lag", 56.0, "ms", "reference"),
+        Row("cost", 16.0, "ms", "live", Must("<=", 15.0), low=15.5, high=17.0),
+    ).to_markdown()
+    assert "| lag | 40 ms | 56 ms | ≤ 45 ms | met | the worst |" in page
+    assert "| cost | 16 ms (15.5 to 17) |  | ≤ 15 ms | **not met** |  |" in page
+    assert "1 of 2 limits met" in page
+    assert "not met: A section: cost (live), 16 ms (15.5 to 17), must ≤ 15 ms" in page
+
+
+def test_limits_of_time_that_are_met_in_ffts_stand_apart_from_faults():
+    report = a_report(
+        Row("slow", 16.0, "ms", "live", Must("<=", 15.0), ffts_column="live, FFTs"),
+        Row("slow", 90.0, "FFTs", "live, FFTs", Must("<=", 100.0)),
+        Row("dear", 17.0, "ms", "live", Must("<=", 15.0), ffts_column="live, FFTs"),
+        Row("dear", 110.0, "FFTs", "live, FFTs", Must("<=", 100.0)),
+        Row("wrong", 2.0, "dB", "live", Must("<=", 1.0)),
+    )
+    assert report.met_in_ffts == {"A section: slow (live)"}
+    page = report.to_markdown()
+    assert "1 of 5 limits met; of the 4 not met 1 is met in FFTs." in page
+    faults, slow = page.split("in this machine's time only; met in FFTs", 1)
+    assert faults.count("not met: A section: ") == 3
+    assert "    - A section: slow (live), 16 ms, must ≤ 15 ms" in slow
+    must = report.to_json()["must"]
+    assert must["met"] == 1
+    assert len(must["not_met"]) == 4
+    assert must["met_in_ffts"] == ["A section: slow (live)"]
+
+
+def test_the_page_names_what_is_missing_with_reason_and_command():
+    gone = Missing("precision", "there are no recordings", "fetch them")
+    report = a_report(missing=(gone,))
+    assert report.missing == (gone,)
+    assert "Not measured: precision: there are no recordings" in report.to_markdown()
+    assert "fetch them" in report.to_markdown()
+
+
+def test_the_json_document_has_exactly_the_fields_of_the_dataclasses():
+    gone = Missing("a", "b", "c")
+    row = Row("leak", -math.inf, "dB", must=Must("<=", -50.0))
+    document = a_report(row, missing=(gone,), series={"live": (1.0, math.nan)}).to_json()
+    text = json.dumps(document, allow_nan=False)
+    assert json.loads(text) == document
+    head = {"schema", "date", "quick", "duration_s", "machine", "must", "sections"}
+    assert set(document) == head
+    assert set(document["machine"]) == {field.name for field in fields(MachineFacts)}
+    (section,) = document["sections"]
+    assert set(section) == {field.name for field in fields(Section)}
+    (written,) = section["rows"]
+    assert set(written) == {field.name for field in fields(Row)} | {"met"}
+    assert written["value"] is None
+    assert written["met"] is True
+    assert written["must"] == {"relation": "<=", "bound": -50.0}
+    assert section["missing"] == [{"name": "a", "reason": "b", "command": "c"}]
+    assert section["series"] == {"live": [1.0, None]}
+
+
+# ------------------------------------------------------------------------------------- the run
+
+
+def test_a_row_that_names_a_twin_in_ffts_has_one_on_its_line(report):
+    named = 0
+    for section in report.sections:
+        for row in (row for row in section.rows if row.ffts_column):
+            twins = [r for r in section.rows if (r.name, r.column) == (row.name, row.ffts_column)]
+            assert [twin.unit for twin in twins] == ["FFTs"], (section.title, row)
+            assert (row.must is None) == (twins[0].must is None), (section.title, row)
+            named += 1
+    assert named > 10
+
+
+def test_every_bench_gives_rows_and_says_what_they_mean(report):
+    assert len(report.sections) == len(bench.BENCHES)
+    for section in report.sections:
+        assert section.rows or section.missing, section.title
+        assert section.explanation.endswith(".")
+
+
+def test_progress_rises_from_nothing_to_everything(report, told):
+    shares = [share for _, share in told]
+    assert shares[0] == 0.0
+    assert shares == sorted(shares)
+    assert told[-1] == ("done", 1.0)
+
+
+def test_every_row_stands_on_the_page_once(report):
+    page = report.to_markdown()
+    for section in report.sections:
+        assert page.count(f"## {section.title}\n") == 1
+        for name in {row.name for row in section.rows}:
+            assert page.count(f"\n| {name} |") >= 1, name
+    assert "nothing is typed by hand" in page
+    json.dumps(report.to_json(), allow_nan=False)
+
+
+def test_every_line_of_a_table_has_as_many_cells_as_its_heading(report):
+    widths = [
+        {line.count("|") for line in table.splitlines()}
+        for table in re.findall(r"(?:^\|.*\n)+", report.to_markdown(), re.MULTILINE)
+    ]
+    assert widths
+    assert all(len(width) == 1 for width in widths)
+
+
+def test_savings_that_state_no_change_change_nothing(report):
+    # The transform may be at fault, never the bench: it must say so.
+    section = report.section("What each saving saves")
+    changes = {row.name: row for row in section.rows if row.column == savings.CHANGE}
+    assert set(changes) == {saving.name for saving in savings.SAVINGS}
+    for saving in savings.SAVINGS:
+        if saving.bound == 0.0:
+            assert changes[saving.name].value == 0.0, saving.name
+
+
+@pytest.mark.parametrize("saving", savings.SAVINGS, ids=lambda saving: saving.name)
+def test_a_saving_is_switched_off_by_what_the_transform_really_has(saving):
+    plain, switched = (LiveTransform(TransformParameters(), RATE) for _ in range(2))
+    saving.switch_off(switched)
+    assert switches(switched).keys() == switches(plain).keys()
+    assert any(switches(switched)[name] != switches(plain)[name] for name in switches(plain))
+
+
+def switches(transform):
+    """Every plain number and every part's class of a transform, two levels deep, by name."""
+    found = {}
+    for name, part in vars(transform).items():
+        found[name] = part if isinstance(part, (int, float)) else type(part).__name__
+        for inner, entry in getattr(part, "__dict__", {}).items():
+            if isinstance(entry, (int, float)):
+                found[f"{name}.{inner}"] = entry
+    return found
+
+
+@pytest.mark.parametrize(("tracks", "samplerate"), [(1, RATE), (8, RATE), (3, 44_100)])
+def test_every_timed_cycle_mixes_every_track(tracks, samplerate):
+    bank = mixing.TrackBank(tracks, samplerate)
+    assert bank.frames == 960
+    for _ in range(4):
+        bank.fill()
+        assert bank.run() == tracks * mixing.CYCLES_AT_ONCE
+
+
+def test_the_mixer_s_rows_agree_with_one_another(report):
+    section = report.section("The mixer")
+    by_name = {(row.name, row.column): row.value for row in section.rows}
+    us = [by_name[f"{tracks} of 48 kHz", mixing.TIME] for tracks in ("1 track", "8 tracks")]
+    us.append(by_name["32 tracks of 48 kHz", mixing.TIME])
+    assert us == sorted(us)
+    # 20 000 us of sound a cycle
+    assert by_name["8 tracks of 48 kHz", mixing.SHARE] == pytest.approx(us[1] / 200.0)
+    (growth,) = (row for row in section.rows if row.must)
+    assert growth.value == pytest.approx((us[2] - us[1]) / 24 / ((us[1] - us[0]) / 7))
+    line = [by_name[f"straight line: {part}", mixing.TIME] for part in ("each track", "fixed part")]
+    assert line[0] * 32 + line[1] == pytest.approx(us[2], rel=0.2)
+    alone = by_name["demo scene, transform alone", mixing.SHARE]
+    mixed = by_name["demo scene, five tracks mixed", mixing.SHARE]
+    # one repeat here: the difference of medians is the median of differences
+    assert by_name["added by it: five tracks mixed", mixing.SHARE] == pytest.approx(mixed - alone)
+
+
+# ------------------------------------------------------------------------- what cannot be measured
+
+
+def test_without_recordings_their_rows_are_named_with_the_command_that_fetches_them(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setenv(RECORDINGS_VARIABLE, str(tmp_path))
+    assert load_recordings() == ()
+    empty = Workbench(LEAST, SUBJECTS, ())
+    missing = [
+        gone
+        for measure in (
+            bench.fidelity.energy_above,
+            bench.fidelity.principal_frequencies,
+            bench.speed.cost_of_a_second,
+            bench.savings.savings,
+        )
+        for gone in measure(empty).missing
+    ]
+    assert len(missing) == 4
+    assert {gone.command for gone in missing} == {RECORDINGS_COMMAND}
+    assert "cost of a second, speech recordings" in {gone.name for gone in missing}
+
+
+def test_without_a_command_line_rendering_is_missing(monkeypatch):
+    monkeypatch.setattr(rendering, "PACKAGE", "tools.bench")
+    section = rendering.render_speed(Workbench(LEAST, SUBJECTS, ()))
+    assert section.rows == ()
+    assert [gone.name for gone in section.missing] == ["rendering"]
+
+
+def test_a_rendering_that_fails_is_missing_with_what_it_said(monkeypatch):
+    def fails(*_):
+        raise RuntimeError("`render` ended with exit code 5:\nthe disk is full")
+
+    monkeypatch.setattr(rendering, "_render", fails)
+    section = rendering.render_speed(Workbench(LEAST, SUBJECTS, ()))
+    assert {gone.reason for gone in section.missing} == {
+        "`render` ended with exit code 5: the disk is full"
+    }
+    assert [gone.name.split("min")[1] for gone in section.missing] == ["", ", several files"]
+
+
+# ----------------------------------------------------------------------------------------- soak
+
+
+@pytest.fixture
+def record():
+    return soak.soak_tone(hops=900)
+
+
+def test_a_tone_is_the_same_at_the_end_of_a_short_soak(record):
+    assert record.passed
+    assert record.hops >= 900
+    assert record.thdn_end_db <= -60.0
+
+
+def test_a_short_soak_of_the_scene_counts_hops_and_memory():
+    record = soak.soak_scene(hops=500)
+    assert record.hops is not None
+    assert record.hops >= 500
+    assert record.memory_growth_kb is not None
+
+
+def test_the_record_keeps_the_latest_of_each_run(record, tmp_path):
+    path = tmp_path / "docs" / "soak.json"
+    assert soak_record.read_records(path) == ()
+    other = soak_record.SoakRecord("another", "2026-01-01", "cpu", 1.0, 1.0, False, hops=1)
+    for kept in (other, record, record):
+        soak_record.keep_record(kept, path)
+    assert set(soak_record.read_records(path)) == {other, record}
+    assert [entry.name for entry in path.parent.iterdir()] == ["soak.json"]
+
+
+def test_a_broken_record_is_an_error_to_read_and_replaced_when_written(record, tmp_path):
+    path = tmp_path / "soak.json"
+    path.write_text("{")
+    with pytest.raises(UsageError, match="no soak record"):
+        soak_record.read_records(path)
+    soak_record.keep_record(record, path)
+    assert soak_record.read_records(path) == (record,)
+
+
+def test_a_soak_that_never_ran_says_so(monkeypatch, tmp_path):
+    monkeypatch.setattr(soak_report, "record_path", lambda: tmp_path / "none.json")
+    section = soak_report.soak_result(Workbench(LEAST, SUBJECTS, ()))
+    assert section.rows == ()
+    (gone,) = section.missing
+    assert gone.name == "Soak"
+    assert "never run" in gone.reason
+    assert gone.command == "make soak"
+
+
+# ---------------------------------------------------------------------------------------- plots
+
+
+def test_the_plots_are_pictures(report, tmp_path):
+    if os.environ.get("CI") != "true":
+        pytest.importorskip("matplotlib")
+    paths = bench.plots(report, tmp_path)
+    first, last = ["cost", "lag", "frequency", "frontier"], ["speech", "rungs", "damping"]
+    names = [*first, "comparators", "levels", *last]
+    assert [path.name for path in paths] == [f"{name}.png" for name in names]
+    for path in paths:
+        content = path.read_bytes()
+        assert content.startswith(b"\x89PNG")
+        assert len(content) < 100_000  # they are kept with the documentation

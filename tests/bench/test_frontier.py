@@ -1,0 +1,122 @@
+"""The frontier: settings really change the live form, leave nothing changed, and are judged so."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.transform import grid, smoothing
+from audioflinger_hook.transform.grid import LiveGrid
+from tools.bench import frontier
+from tools.bench.frontier import COST, LAG, LEAK, PURITY, UNLIKE
+from tools.bench.frontier_settings import (
+    DEFAULT,
+    SETTINGS,
+    Setup,
+    constants_changed,
+    hop,
+)
+from tools.bench.signals import SAMPLERATE, tone
+from tools.bench.workbench import LIVE, SUBJECTS
+
+CONSTANTS = [
+    (module, name)
+    for module, name in (
+        (grid, "HOPS_A_WINDOW"),
+        (grid, "LOW_RATE_HZ"),
+        (smoothing, "ORDER"),
+        (smoothing, "RIPPLE_DB"),
+        (smoothing, "STOP_DB"),
+    )
+]
+
+
+def numbers():
+    return [getattr(module, name) for module, name in CONSTANTS]
+
+
+def test_the_default_is_the_live_form_to_the_byte():
+    sound = tone(440.0, 0.3, 0.3)
+    (live,) = (subject for subject in SUBJECTS if subject.name == LIVE)
+    ours = Setup(SETTINGS[0]).vibration(sound)
+    assert SETTINGS[0].name == DEFAULT
+    assert ours.tobytes() == live.vibration(sound, SAMPLERATE).tobytes()
+
+
+@pytest.mark.parametrize("setting", SETTINGS[1:], ids=lambda setting: setting.name)
+def test_every_setting_changes_the_form_and_leaves_the_transform_as_it_was(setting):
+    before = numbers()
+    form, plain = Setup(setting).made, Setup(SETTINGS[0]).made
+    assert numbers() == before
+    assert (form._grid, form._spectrum.fft_length, form._parameters.partials_max, form._onsets) != (
+        plain._grid, plain._spectrum.fft_length, plain._parameters.partials_max, plain._onsets
+    ) or form._smoother._b.tobytes() != plain._smoother._b.tobytes()  # fmt: skip
+
+
+def test_constants_come_back_when_a_transform_cannot_be_made():
+    before = numbers()
+    with pytest.raises(ZeroDivisionError), constants_changed({"HOPS_A_WINDOW": 1.0, "ORDER": 3}):
+        _ = 1 / 0
+    assert numbers() == before
+
+
+def test_with_a_shorter_hop_a_chirp_is_followed_nearer_and_without_onsets_less_lag():
+    slow, fast = (Setup(hop(hops)) for hops in (1.0, 8.0))
+    grids = [setup.made._grid for setup in (slow, fast)]
+    assert isinstance(grids[0], LiveGrid)
+    assert grids[0].hop_frames > 7 * grids[1].hop_frames
+    without = [Setup(replace(hop(hops), name="without", onsets=False)) for hops in (1.0, 8.0)]
+    assert frontier._lag_p95_ms(without[1], 2) < frontier._lag_p95_ms(without[0], 2) - 10.0
+    # Onsets wait for no hop.
+    assert frontier._lag_p95_ms(slow, 2) < frontier._lag_p95_ms(without[1], 2) - 10.0
+    assert frontier._chirp_error_hz(fast) < 0.5 * frontier._chirp_error_hz(slow)
+
+
+def test_partials_that_there_is_no_room_for_are_missed_and_none_is_spurious():
+    (few,) = (setting for setting in SETTINGS if setting.name == "4 partials")
+    missed, spurious = frontier._notes(Setup(few))
+    assert missed == pytest.approx(100.0 * (1.0 - 4 / frontier.HARMONICS))
+    assert spurious == 0.0
+    assert frontier._notes(Setup(SETTINGS[0])) == (0.0, 0.0)
+
+
+def a_measured(**changed):
+    return dict.fromkeys(frontier.UNITS, 1.0) | changed
+
+
+def test_a_setting_dominates_only_if_it_is_better_in_something_and_worse_in_nothing():
+    default = a_measured()
+    cheaper = a_measured() | {COST: 0.5}
+    traded = cheaper | {LAG: 3.0}
+    blurred = cheaper | {COST: 0.95, LEAK: 1.2}
+    incomparable = traded | {UNLIKE: None}
+    others = {"traded": traded, "blurred": blurred, "incomparable": incomparable}
+    verdict = frontier._verdict({DEFAULT: default} | others)
+    assert "lie on the frontier: no other setting" in verdict
+    assert "- traded: better in cost 0.500 ms; worse in lag, p95 3 ms" in verdict
+    assert "- blurred: better in nothing; worse in nothing" in verdict
+    verdict = frontier._verdict({DEFAULT: default, "cheaper": cheaper} | others)
+    assert "do not lie on the frontier: cheaper is better in something" in verdict
+
+
+def test_a_setting_that_is_better_only_beyond_what_is_aimed_at_is_said_to_be_so():
+    good, bad = a_measured(**{PURITY: -71.0}), a_measured(**{PURITY: -50.0})
+    purer = {"purer": a_measured(**{PURITY: -95.0, COST: 1.05})}
+    verdict = frontier._verdict({DEFAULT: good} | purer)
+    assert ") lie on the frontier where there is more to be felt" in verdict
+    assert "good enough already: purer (THD+N -95 dB; cost +5 %)" in verdict
+    assert "THD+N ≤ -70 dB" in verdict
+    verdict = frontier._verdict({DEFAULT: bad} | purer)
+    assert "do not lie on the frontier: purer is better in something" in verdict
+    cheaper = {"cheaper": a_measured(**{PURITY: -71.0, COST: 0.5})}
+    verdict = frontier._verdict({DEFAULT: good} | purer | cheaper)
+    assert "do not lie on the frontier: cheaper is better" in verdict
+    assert "good enough already: purer (THD" in verdict
+
+
+def test_the_error_of_a_tone_is_that_of_its_vibration():
+    error_hz, error_db, purity_db = frontier._tone_errors(Setup(SETTINGS[0]), 2)
+    assert 0.0 < error_hz < 0.05
+    assert 0.0 < error_db < 0.2
+    assert purity_db < -60.0
+    assert np.isfinite(purity_db)

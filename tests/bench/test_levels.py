@@ -1,0 +1,57 @@
+"""The bench on levels: its measures on sounds whose level is known, and the settled sound."""
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.config.profiles import PROFILES, parameters_of
+from audioflinger_hook.transform import TransformParameters
+from tests.support.signals import joined, tone
+from tools.bench.levels import (
+    Way,
+    k_weighted,
+    loudest_db,
+    momentary_db,
+    units_db,
+    ways,
+)
+from tools.bench.profile_measures import _smallest_step_percent
+from tools.bench.signals import SAMPLERATE
+
+
+def test_a_full_scale_tone_has_every_level_at_0_db():
+    sound = tone(1_000, 1.0, SAMPLERATE)
+    assert units_db(sound) == pytest.approx(np.zeros(21), abs=0.05)
+    assert loudest_db(sound) == pytest.approx(0.0, abs=0.05)
+    assert momentary_db(sound) == pytest.approx(np.zeros(6), abs=0.05)
+
+
+def test_the_loudest_tenth_is_that_of_a_short_loud_part():
+    sound = joined(tone(300, 9.0, SAMPLERATE, 0.01), tone(300, 1.0, SAMPLERATE, 0.5))
+    assert loudest_db(sound) == pytest.approx(-6.0, abs=0.2)
+
+
+def test_k_weighting_makes_0_dbfs_at_997_hz_what_the_recommendation_says():
+    # BS.1770-4: -3.01 LKFS in one channel, of which the formula's offset is -0.691 dB.
+    heard = momentary_db(k_weighted(tone(997, 1.0, SAMPLERATE)))[-1] - 3.01 - 0.691
+    assert heard == pytest.approx(-3.01, abs=0.01)
+
+
+def test_every_profile_and_the_law_alone_are_measured():
+    assert [way.name for way in ways()] == ["paper", "law by energy", *list(PROFILES)[1:]]
+
+
+def test_a_settled_sound_has_its_own_length_and_knows_what_was_played_before():
+    sound = tone(440, 0.7, SAMPLERATE, 0.05)
+    cinema = Way("cinema", parameters_of("cinema"))
+    fresh, settled = cinema.settled(sound, 0.0), cinema.settled(sound, 8.0)
+    assert fresh.size == settled.size == sound.size
+    assert loudest_db(settled) > loudest_db(fresh) + 1.0
+    paper = Way("paper", TransformParameters())
+    assert paper.settled(sound, 8.0).tobytes() == paper.felt(sound)[: sound.size].tobytes()
+
+
+def test_the_smallest_step_of_an_octave_is_the_top_one_of_equation_4_and_any_with_equal_jnds():
+    assert _smallest_step_percent(TransformParameters()) == pytest.approx(12.9, abs=0.1)
+    assert _smallest_step_percent(TransformParameters(mapping="jnd")) == pytest.approx(
+        34.2, abs=0.1
+    )

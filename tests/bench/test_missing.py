@@ -1,0 +1,347 @@
+"""The bench where something is not there: what, in every section, and an exit code that tells."""
+
+import json
+
+import fastjsonschema
+import pytest
+
+from audioflinger_hook.transform import kernel
+from tests.bench.test_bench import LEAST
+from tests.support.commands import call, noise, refused, sound
+from tests.support.recordings import require_recordings
+from tools import bench
+from tools.bench import (
+    BenchReport,
+    comparators,
+    comparison,
+    live_report,
+    recordings,
+    soak_report,
+    speed,
+    workbench,
+)
+from tools.bench.comparators.band_pass import Way
+from tools.bench.machine import machine_facts
+from tools.bench.report import Row, Section
+from tools.bench.signals import (
+    COST_SCENES,
+    KNOWN,
+    PROJECT_ROOT,
+    RECORDINGS_VARIABLE,
+    examine_recordings,
+)
+from tools.bench.workbench import LIVE, QUICK, SUBJECTS, TWIN, Workbench
+
+SCHEMA = json.loads((PROJECT_ROOT / "tools/bench/report.schema.json").read_text())
+
+
+@pytest.fixture
+def without_kernel(monkeypatch):
+    monkeypatch.setattr(kernel, "_kernel", None)
+    monkeypatch.setattr(kernel, "_why_missing", "it was never built", raising=False)
+
+
+def a_bench(found=(), absent=None):
+    return Workbench(LEAST, SUBJECTS, found, absent or {})
+
+
+def a_report(*sections):
+    return BenchReport("2026-01-01T00:00:00Z", True, 1.0, machine_facts(), sections)
+
+
+@pytest.fixture
+def short_scenes(monkeypatch):
+    """Only scenes of the length that is asked for: the demo scene is always whole."""
+    scenes = tuple(each for each in COST_SCENES if each.name != "demo scene")
+    monkeypatch.setattr(speed, "COST_SCENES", scenes)
+
+
+def ran(monkeypatch, tmp_path, *benches, options=()):
+    """Run the command with these benches, as a user without a report to replace does."""
+    monkeypatch.setattr(bench, "BENCHES", tuple((name, each, 1.0) for name, each in benches))
+    return call("bench", "--quick", "--out", tmp_path / "report.md", *options)
+
+
+def fine(_):
+    return Section("Fine", "It works.", (Row("one", 1.0),))
+
+
+def broken(_):
+    raise ValueError("the ground\nis gone")
+
+
+# ------------------------------------------------------------------------------------- the schema
+
+
+def test_a_real_report_is_what_the_schema_says(short_scenes):
+    measures = [each for name, each, _ in bench.BENCHES if name in TAKEN]
+    found, absent = examine_recordings()
+    sections = tuple(each(Workbench(LEAST, SUBJECTS, found, absent)) for each in measures)
+    assert len(sections) == len(TAKEN)
+    document = json.loads(json.dumps(a_report(*sections).to_json()))
+    fastjsonschema.validate(SCHEMA, document)
+    assert SCHEMA["properties"]["schema"]["const"] == document["schema"]
+
+
+TAKEN = (
+    "recordings",
+    "onset lag",
+    "gain",
+    "cost of a second",
+    "worst hop",
+    "comparators",
+    "ladder of the rig",
+    "damping on recordings",
+    "live record",
+    "soak record",
+    "soak of the rig",
+    "soak of the identification",
+)
+"""Sections with every kind of row: limits, spreads, notes, series, footnotes, absent values."""
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda document: document.pop("machine"),
+        lambda document: document.update(schema=2),
+        lambda document: document.update(duration_s="long"),
+        lambda document: document["sections"][0].pop("missing"),
+        lambda document: document["sections"][0]["rows"][0].update(value="much"),
+        lambda document: document["sections"][0]["rows"][0].update(must={"relation": "<"}),
+        lambda document: document["sections"][0]["missing"].append({"name": "x"}),
+        lambda document: document["sections"].clear(),
+    ],
+)
+def test_the_schema_refuses_what_is_no_report(spoil):
+    document = json.loads(json.dumps(a_report(fine(None)).to_json()))
+    fastjsonschema.validate(SCHEMA, document)
+    spoil(document)
+    with pytest.raises(fastjsonschema.JsonSchemaException):
+        fastjsonschema.validate(SCHEMA, document)
+
+
+# ------------------------------------------------------------------------------- a missing anything
+
+
+def test_a_bench_that_fails_is_named_and_the_others_are_printed(monkeypatch, tmp_path):
+    done = ran(monkeypatch, tmp_path, ("what fails", broken), ("what works", fine))
+    assert done.code == 2
+    (error,) = done.stderr.splitlines()
+    assert "every row of what fails" in error
+    assert "ValueError: the ground is gone" in error
+    assert "| one | 1 |" in done.stdout
+    assert not (tmp_path / "report.md").exists()
+
+
+def test_json_with_something_missing_is_still_one_document_by_the_schema(monkeypatch, tmp_path):
+    benches = [("what fails", broken), ("what works", fine)]
+    done = ran(monkeypatch, tmp_path, *benches, options=["--json"])
+    assert done.code == 2
+    document = json.loads(done.stdout)
+    fastjsonschema.validate(SCHEMA, document)
+    assert [len(section["missing"]) for section in document["sections"]] == [1, 0]
+
+
+def test_what_is_missing_is_a_line_of_its_table(monkeypatch, tmp_path):
+    def partly(_):
+        gone = bench.Missing("two", "it is gone", "fetch it")
+        row = Row("one", 1.0, must=bench.Must("<=", 2.0))
+        return Section("Partly", "Some of it.", (row,), (gone,))
+
+    done = ran(monkeypatch, tmp_path, ("part", partly))
+    assert done.code == 2
+    assert "| one | 1 | ≤ 2 | met |\n| two | **missing** |  |  |\n" in done.stdout
+
+
+# ------------------------------------------------------------------------------------- recordings
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    """A folder that holds every recording, as short ones of ours."""
+    for name in KNOWN:
+        path = tmp_path / "recordings" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix == ".wav":
+            sound(path, noise(20_000))
+        else:
+            sound(path, noise(20_000), format="OGG", subtype="VORBIS")
+    monkeypatch.setenv(RECORDINGS_VARIABLE, str(tmp_path / "recordings"))
+    return tmp_path / "recordings"
+
+
+def test_with_every_recording_nothing_is_missing(folder):
+    found, absent = examine_recordings()
+    assert (len(found), absent) == (len(KNOWN), {})
+    section = recordings.recordings(a_bench(found, absent))
+    assert section.missing == ()
+    assert section.rows[0].value == len(KNOWN)
+
+
+def test_the_list_of_recordings_is_what_is_fetched():
+    folder = require_recordings()[0].parents[1]
+    there = {f"{path.parent.name}/{path.name}" for path in folder.glob("*/*")}
+    assert there == set(KNOWN)
+
+
+def test_a_recording_that_is_gone_or_no_sound_is_named(folder):
+    (folder / KNOWN[0]).unlink()
+    (folder / KNOWN[-1]).write_text("no sound")
+    found, absent = examine_recordings()
+    assert len(found) == len(KNOWN) - 2
+    assert set(absent) == {KNOWN[0], KNOWN[-1]}
+    section = recordings.recordings(a_bench(found, absent))
+    by_name = {gone.name: gone for gone in section.missing}
+    assert "it is not in" in by_name[f"recording {KNOWN[0]}"].reason
+    assert "it cannot be read" in by_name[f"recording {KNOWN[-1]}"].reason
+    assert all("fetch_recordings.sh" in gone.command for gone in section.missing)
+
+
+def test_the_command_tells_of_a_recording_that_is_gone(folder, monkeypatch, tmp_path):
+    (folder / KNOWN[3]).unlink()
+    done = ran(monkeypatch, tmp_path, ("recordings", recordings.recordings))
+    assert done.code == 2
+    assert f"recording {KNOWN[3]}: it is not in" in done.stderr
+    assert f"| recording {KNOWN[3]} | **missing** |" in done.stdout
+
+
+def test_without_a_folder_every_section_on_recordings_says_so(monkeypatch, tmp_path):
+    monkeypatch.setenv(RECORDINGS_VARIABLE, str(tmp_path / "none"))
+    found, absent = examine_recordings()
+    assert (found, absent) == ((), {})
+    for each in (
+        recordings.recordings,
+        bench.fidelity.energy_above,
+        bench.fidelity.principal_frequencies,
+        bench.rungs_by_second.rungs_by_second,
+        bench.damping_recordings.damping_on_recordings,
+        comparison.comparison,
+    ):
+        missing = each(a_bench()).missing
+        assert missing, each
+        assert all("fetch_recordings.sh" in gone.command for gone in missing)
+
+
+# ------------------------------------------------------------------------------------ comparators
+
+
+@pytest.mark.parametrize("when", ["begins", "plays"])
+def test_a_comparator_that_fails_is_named_and_the_others_keep_every_row(monkeypatch, when):
+    before = comparison.comparison(a_bench())
+
+    class Fails(Way):
+        def __init__(self, *format_):
+            super().__init__(*format_)
+            if when == "begins":
+                raise OSError("no ground")
+
+        def process(self, frames):
+            raise ZeroDivisionError("no\nground")
+
+    monkeypatch.setattr(comparators.band_pass, "Way", Fails)
+    after = comparison.comparison(a_bench())
+    named = [gone for gone in after.missing if gone not in before.missing]
+    assert [gone.name for gone in named] == ["every row of the comparator band-pass"]
+    assert "no ground" in named[0].reason
+    rows = {(row.name, row.column) for row in after.rows}
+    expected = {(row.name, row.column) for row in before.rows if row.column != "band-pass"}
+    assert rows == expected
+
+
+# --------------------------------------------------------------------------------------- records
+
+
+@pytest.mark.parametrize(
+    ("module", "result", "kept"),
+    [
+        (live_report, live_report.live_result, "docs/live.json"),
+        (soak_report, soak_report.soak_result, "docs/soak.json"),
+        (soak_report, soak_report.rig_soak_result, "docs/soak.json"),
+        (soak_report, soak_report.identified_result, "docs/soak.json"),
+    ],
+)
+def test_a_record_that_is_gone_empty_or_spoiled_is_named(
+    monkeypatch, tmp_path, module, result, kept
+):
+    path = tmp_path / "record.json"
+    monkeypatch.setattr(module, "record_path", lambda: path)
+    document = json.loads((PROJECT_ROOT / kept).read_text())
+    whole = json.dumps(document)
+    spoiled = [
+        whole[: len(whole) // 2],
+        "[]",
+        "{}",
+        '{"records": [1]}',
+        '{"records": [{}]}',
+        '{"records": []}',
+        json.dumps({"records": [{**record, "cpu": 3} for record in document["records"]]}),
+        json.dumps({"records": [{**record, "more": 3} for record in document["records"]]}),
+        "",
+        "\x00\xff",
+    ]
+    for field in ("hops", "samples", "rigs", "lag_median_ms", "lags_ms"):
+        if any(field in record for record in document["records"]):
+            records = [{**record, field: "many"} for record in document["records"]]
+            spoiled.append(json.dumps({"records": records}))
+    assert not result(a_bench()).rows
+    for text in [None, *spoiled]:
+        if text is not None:
+            path.write_text(text)
+        section = result(a_bench())
+        assert section.rows == ()
+        assert len(section.missing) == 1, text
+        assert section.missing[0].reason
+    path.write_text(whole)
+    section = result(a_bench())
+    assert section.missing == ()
+    assert section.rows
+
+
+# ---------------------------------------------------------------------------------------- kernel
+
+
+def test_without_the_kernel_its_rows_are_missing_and_those_in_numpy_are_not_called_it(
+    without_kernel, short_scenes
+):
+    assert [subject.name for subject in workbench.speed_subjects()] == [TWIN, "reference"]
+    for each in (speed.cost_of_a_second, speed.cost_after_pauses, speed.worst_hop):
+        section = each(a_bench())
+        assert LIVE not in {row.column for row in section.rows}
+        assert TWIN in {row.column for row in section.rows}
+        (gone,) = [gone for gone in section.missing if "compiled" in gone.name]
+        assert "it was never built" in gone.reason
+        assert gone.command == "rm -rf .venv && make run"
+
+
+def test_with_the_kernel_none_of_its_rows_is_missing():
+    if kernel.kernel_warning():
+        pytest.skip(str(kernel.kernel_warning()))
+    assert workbench.not_compiled("anything") == ()
+    assert LIVE in {row.column for row in speed.cost_after_pauses(a_bench()).rows}
+
+
+# ------------------------------------------------------------------------------------- quick, full
+
+
+def test_denormal_numbers_of_both_widths_are_held_against_normal_ones_as_weak(short_scenes):
+    rows = speed.cost_of_a_second(a_bench()).rows
+    ratios = [row for row in rows if "over weak" in row.name and row.column == LIVE]
+    assert len(ratios) == 4
+    assert all(row.must and row.unit == "times" for row in ratios)
+
+
+def test_a_quick_run_measures_no_row_less_than_a_full_one_but_for_the_long_rendering():
+    assert QUICK.render_s == workbench.FULL.render_s[:1]
+    for name in vars(QUICK):
+        assert getattr(QUICK, name) <= getattr(workbench.FULL, name), name
+    assert QUICK.hops_timed_in_numpy >= 1_000  # else no 99.9th percentile
+
+
+def test_a_report_that_cannot_be_written_is_refused_before_anything_is_measured(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr(bench, "BENCHES", (("broken", broken, 1.0),))
+    error = refused(call("bench", "--out", tmp_path))
+    assert "it is a folder" in error
+    assert list(tmp_path.iterdir()) == []

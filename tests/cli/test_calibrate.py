@@ -1,0 +1,173 @@
+"""`cushion calibrate`: what it prints and writes, and what stops it before it becomes loud."""
+
+import argparse
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.cli.calibrate_live import levelled
+from device.errors import UsageError
+from device.identification import IdentificationError
+from device.identification.bench import Bench
+from device.identification.calibration import STEPS, calibrate
+from device.identification.sweep import Sweep
+from device.rig import PAPER, read_rig
+from tests.support.commands import call, noise, sound
+
+HEARD = ("--input", "source:none")
+ALONE = ("--channels", "acceleration")
+SHORT = Sweep(low_hz=15.0, high_hz=400.0, duration_s=2.0)
+
+
+class Tampered:
+    """A bench whose recordings of one response are changed; it counts the sweeps."""
+
+    def __init__(self, name, change):
+        self.bench, self.name, self.change, self.levels = Bench(PAPER), name, change, []
+
+    def measure(self, sweep, pairs):
+        self.levels.append(sweep.level)
+        return [
+            replace(recording, response=self.change(recording.response, sweep.level))
+            if recording.names[1] == self.name
+            else recording
+            for recording in self.bench.measure(sweep, pairs)
+        ]
+
+
+def refused(laboratory):
+    with pytest.raises(IdentificationError) as caught:
+        calibrate(laboratory, PAPER, Bench(PAPER).level(SHORT))
+    return str(caught.value)
+
+
+def test_the_twin_is_calibrated_and_its_file_holds_what_was_identified(tmp_path):
+    path = tmp_path / "mine.toml"
+    done = call("calibrate", "--device", "twin", "--json", "--out", path)
+    assert done.code == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["level_of_x_max"] == pytest.approx(0.05, rel=0.05)
+    rig = read_rig(path)
+    for parameter, estimate in found["values"].items():
+        stage, name = parameter.split(".")
+        value, true = getattr(getattr(rig, stage), name), getattr(getattr(PAPER, stage), name)
+        assert value == estimate["value"]
+        assert value == pytest.approx(true, rel=0.02)
+        source = next(source for source in rig.sources if source.parameter == parameter)
+        assert source.kind == "identified"
+        assert list(source.interval or ()) == estimate["interval"]
+    assert len(found["values"]) == 6
+    recordings = found["recordings"]
+    assert [one["response"] for one in recordings] == ["acceleration", "current", "acceleration"]
+    assert all(one["coherence"] > 0.9 for one in recordings)
+    assert [one["order"] for one in recordings[0]["distortion"]] == [2, 3, 4, 5]
+    sound(tmp_path / "in.wav", noise(4_800))
+    used = call("render", tmp_path / "in.wav", tmp_path / "out.wav", "--rig", path)
+    assert used.code == 0, used.stderr
+    assert "0.05" in next(s.words for s in rig.sources if s.kind == "identified")
+
+
+def test_on_a_seat_neither_force_factor_nor_mass_is_given():
+    done = call("calibrate", "--device", "twin", "--seat")
+    assert done.code == 0, done.stderr
+    assert "actuator.resonance_hz" in done.stdout
+    assert "force_factor" not in done.stdout
+    assert "not identified on a seat" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--device", "sink:none"], 2, "no microphone is ever chosen by itself"),
+        (["--device", "wav:a.wav"], 3, "nothing moves there"),
+        (["--device", "sink:none", "--input", "mic", *ALONE], 2, "allowed: source:NAME or hw:"),
+        (["--device", "sink:none", "--input", "source:", *ALONE], 2, "input 'source:' is none"),
+        (["--device", "sink:none", *HEARD, *ALONE, "--level", "0.5"], 2, "only with --loud"),
+        (["--device", "sink:none", *HEARD, *ALONE, "--share", "0.1"], 2, "are the twin's"),
+        (["--device", "sink:none", *HEARD, "--channels", "sound"], 2, "'sound' is unknown"),
+        (
+            ["--device", "sink:none", *HEARD, "--channels", "voltage"],
+            2,
+            "nothing can be identified",
+        ),
+        (
+            ["--device", "sink:none", *HEARD, *ALONE, "--moving-mass-kg", "-1"],
+            2,
+            "weigh what moves",
+        ),
+        (["--device", "hw:none", "--input", "hw:none", *ALONE], 3, "no sound card"),
+        (["--device", "twin", "--share", "0.5"], 2, "share=0.5 of Xmax must be"),
+        (["--device", "twin", "--rig", "consumer"], 2, "describes no [accelerometer]"),
+        (["--device", "twin", "--low-hz", "150", "--high-hz", "500"], 2, "cushion: error: "),
+    ],
+)
+def test_what_cannot_be_calibrated_is_one_line_and_no_file(tmp_path, arguments, code, words):
+    path = tmp_path / "mine.toml"
+    done = call("calibrate", *arguments, "--out", path)
+    assert done.code == code
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not path.exists()
+
+
+def test_a_file_that_could_not_be_used_or_written_is_refused_before_anything_is_played(tmp_path):
+    for path, words in (
+        (tmp_path / "mine.txt", "ends in .toml"),
+        (tmp_path / "no" / "a.toml", "no"),
+    ):
+        done = call("calibrate", "--device", "twin", "--out", path)
+        assert done.code == 2
+        assert words in done.stderr
+        assert "sweep" not in done.stdout
+
+
+def test_distortion_and_coherence_are_told():
+    done = call("calibrate", "--device", "twin", "--seconds", "2")
+    assert "acceleration for voltage: coherence 1.0000" in done.stdout
+    assert "distortion by order 2: " in done.stdout
+
+
+def test_a_known_rig_is_never_asked_to_move_more_than_its_sweep_may(capsys):
+    options = argparse.Namespace(level=0.25, loud=False)
+    known = replace(PAPER, sources=())
+    assert levelled(PAPER, SHORT, options).level == 0.25  # what is assumed limits nothing
+    loud = levelled(replace(known, amplifier=replace(known.amplifier, gain=20.0)), SHORT, options)
+    assert 0.0 < loud.level < 0.25
+    assert "0.15 Xmax" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("level", "loud"), [(0.0, False), (0.26, False), (1.1, True), (-1, True)])
+def test_a_level_is_a_share_of_full_scale_and_a_low_one_unless_asked(level, loud):
+    with pytest.raises(UsageError, match="must be above 0, up to"):
+        levelled(PAPER, SHORT, argparse.Namespace(level=level, loud=loud))
+
+
+def test_clipping_at_the_lowest_level_is_the_last_that_is_played():
+    laboratory = Tampered("acceleration", lambda a, _: np.clip(a, -0.5 * a.max(), 0.5 * a.max()))
+    assert "acceleration: " in refused(laboratory)
+    assert len(laboratory.levels) == 1
+
+
+def test_a_response_that_does_not_grow_with_the_level_ends_it():
+    lowest = STEPS[0] * Bench(PAPER).level(SHORT).level
+    laboratory = Tampered("acceleration", lambda a, level: a * lowest / level)
+    message = refused(laboratory)
+    assert "acceleration grew by 1 where the level grew by 2" in message
+    assert len(laboratory.levels) == 2
+
+
+def test_levels_rise_to_the_wanted_one():
+    laboratory = Tampered("nothing", lambda a, _: a)
+    sweep = Bench(PAPER).level(SHORT)
+    found = calibrate(laboratory, PAPER, sweep)
+    assert laboratory.levels == [step * sweep.level for step in STEPS]
+    assert laboratory.levels == sorted(laboratory.levels)
+    assert laboratory.levels[-1] == found.sweep.level
+
+
+def test_a_rig_that_moves_further_than_it_says_is_refused():
+    small = replace(PAPER, actuator=replace(PAPER.actuator, x_max_m=2e-4))
+    with pytest.raises(IdentificationError, match="moves more than it says"):
+        calibrate(Bench(PAPER), small, Bench(PAPER).level(SHORT, 0.05))

@@ -1,0 +1,120 @@
+"""What live sound is told: by options, and where they say nothing by the config."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from audioflinger_hook.config.live_settings import LiveSettings, from_document, problems
+from device.errors import UsageError
+from tests.support.commands import call, refused
+
+
+def test_every_mistake_is_named_at_once() -> None:
+    with pytest.raises(UsageError) as error:
+        LiveSettings(tap=("default", "sink:a"), device="usb:x", offset_ms=2e3, block_frames=3)
+    for part in (
+        "tap=default,sink:a are several",
+        "device=usb:x is none",
+        "offset_ms=2000.0 is out of range; allowed: -1000 to 1000 ms",
+        "block_frames=3 is no length",
+    ):
+        assert part in str(error.value)
+
+
+def test_a_negative_offset_takes_drop_in() -> None:
+    assert LiveSettings(offset_ms=-5.0, drop_in=True).offset_s == -0.005
+    with pytest.raises(UsageError, match="below 0 without drop_in"):
+        LiveSettings(offset_ms=-5.0)
+
+
+@pytest.mark.parametrize("volume_db", [0.5, -97.0, float("nan"), float("inf"), True, "loud"])
+def test_the_device_is_never_set_above_0_db(volume_db: object) -> None:
+    with pytest.raises(UsageError, match=r"device_volume_db=.* allowed: -96 to 0 dB"):
+        LiveSettings(device_volume_db=volume_db)  # type: ignore[arg-type]
+    assert problems({"device_volume_db": volume_db}).keys() == {"device_volume_db"}
+
+
+def test_a_document_of_no_mistakes_becomes_settings() -> None:
+    document = {
+        "tap": "app:a",
+        "device_volume_db": -6,
+        "offset_ms": 5,
+        "include": ["a"],
+        "device": "b",
+    }
+    assert problems(document) == {}
+    assert from_document(document) == LiveSettings(
+        tap=("app:a",), device_volume_db=-6.0, offset_ms=5.0, include=("a",), device="b"
+    )
+    assert from_document({}) == LiveSettings()
+
+
+@pytest.fixture
+def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The user's own config, which is not there yet."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    (tmp_path / "cushion").mkdir()
+    return tmp_path / "cushion" / "config.toml"
+
+
+def test_without_a_device_the_error_says_three_ways_to_choose_one(config: Path) -> None:
+    for text in (None, "gain_db = -3\n"):
+        if text:
+            config.write_text(text)
+        error = refused(call("run"))
+        for part in ("cushion devices", "--device", f"key device in {config}"):
+            assert part in error
+
+
+def test_options_are_checked_as_the_config_is(config: Path) -> None:
+    config.write_text('device = "haptic"\n')
+    assert "offset_ms=2000.0 is out of range" in refused(call("run", "--offset-ms", "2000"))
+    louder = refused(call("run", "--device-volume-db", "6"))
+    assert "device_volume_db=6.0 is out of range; allowed: -96 to 0 dB" in louder
+    assert "below 0 without drop_in" in refused(call("run", "--offset-ms", "-5"))
+    assert "tap=app:a,default are several" in refused(
+        call("run", "--tap", "app:a", "--tap", "default")
+    )
+    assert "device 'card:x': there is no kind" in refused(call("run", "--device", "card:x"))
+
+
+def test_options_win_over_the_config(
+    config: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "run").mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
+    config.write_text('device = "hw:a"\n')
+    assert "no sound card 'a'" in refused(call("run"), 3)
+    assert "no sound card 'b'" in refused(call("run", "--device", "hw:b"), 3)
+    config.write_text('device = "hw:a"\ntap = "sink:a"\ndrop_in = true\n')
+    assert "tap 'sink:a'" in refused(call("run", "--device", "haptic"))
+    assert "tap 'scene:demo'" in refused(call("run", "--device", "b", "--tap", "scene:demo"))
+
+
+def test_a_config_with_mistakes_starts_no_daemon(config: Path) -> None:
+    config.write_text('device = "haptic"\nblock_frames = 3\nrealtime = 1\n')
+    error = refused(call("run"))
+    assert f"{config}: line 2: block_frames = 3" in error
+    assert "and 1 more; see `cushion check`" in error
+
+
+def test_the_service_takes_the_device_of_the_config(
+    config: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    assert f"key device in {config}" in refused(call("install-service"))
+    config.write_text('device = "haptic"\nloud = 1\n')
+    assert "unknown key" in refused(call("install-service"))
+    config.write_text('device = "haptic"\n')
+    unit = tmp_path / "systemd" / "user" / "cushion.service"
+    for arguments, started in (
+        ((), '"run" "--wait"'),
+        (("--device", "seat"), '"run" "--wait" "--device" "sink:seat"'),
+        (("--tap", "sink:a b"), '"run" "--wait" "--tap" "sink:a b"'),
+    ):
+        assert call("install-service", *arguments).code == 0
+        (line,) = [one for one in unit.read_text().splitlines() if one.startswith("ExecStart=")]
+        assert line.endswith(f" {started}")

@@ -1,0 +1,239 @@
+"""Profiles: what each is, what goes over it, and that each keeps what every stream keeps."""
+
+import json
+
+import numpy as np
+import pytest
+import soundfile
+
+from audioflinger_hook.config import file as config
+from audioflinger_hook.config.profiles import PROFILES, parameters_of, values_of
+from audioflinger_hook.config.settings import CHOICES, Settings
+from audioflinger_hook.daemon.facts import facts_of, settings_from
+from audioflinger_hook.offline.render import render_file
+from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform.scaling import vibration_hz
+from device.errors import UsageError
+from tests.support.commands import call, noise, refused, sound
+from tests.support.signals import (
+    SAMPLERATES,
+    best_sinusoid,
+    identical,
+    in_blocks,
+    joined,
+    one_sample,
+    played,
+    silence,
+    square,
+    thinned,
+    tone,
+    white_noise,
+)
+from tests.transform.test_kernel import SOUNDS, assert_twins, needs_kernel
+
+OTHERS = [name for name in PROFILES if name != "paper"]
+LIVE = ("live", "live in NumPy")
+
+
+# --- what they are
+
+
+def test_the_default_is_the_paper_s_and_changes_nothing():
+    assert next(iter(PROFILES)) == Settings().profile == "paper"
+    assert values_of("paper") == {}
+    assert parameters_of("paper") == TransformParameters() == Settings().parameters
+    assert CHOICES["profile"] == ("paper", "cinema", "game", "music")
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_profile_says_something_else_than_the_paper_and_why(name):
+    for parameter, choice in PROFILES[name].items():
+        assert choice.value != getattr(TransformParameters(), parameter), parameter
+        assert len(choice.reason) > 20
+    assert Settings(profile=name).parameters == parameters_of(name)
+
+
+def test_no_two_profiles_are_the_same():
+    assert len({parameters_of(name) for name in PROFILES}) == len(PROFILES)
+
+
+# --- what goes over them
+
+
+def loaded(tmp_path, text):
+    path = tmp_path / "config.toml"
+    path.write_text(text)
+    return config.load(path).settings
+
+
+def test_what_a_config_says_goes_over_the_profile_and_the_rest_is_the_profile_s(tmp_path):
+    settings = loaded(tmp_path, 'profile = "game"\n[transform]\npartials_max = 3\n')
+    assert settings.parameters == parameters_of("game", {"partials_max": 3})
+    assert settings.parameters.window_s == 0.03
+
+
+def test_even_the_paper_s_own_value_goes_over_the_profile_where_a_config_says_it(tmp_path):
+    said = "\n".join(
+        f"{name} = {json.dumps(getattr(TransformParameters(), name))}" for name in values_of("game")
+    )
+    settings = loaded(tmp_path, f'profile = "game"\n[transform]\n{said}\n')
+    assert settings.profile == "game"
+    assert settings.parameters == TransformParameters()
+
+
+def test_another_profile_leaves_what_was_said_and_nothing_else(tmp_path):
+    settings = loaded(tmp_path, 'profile = "game"\n[transform]\npartials_max = 8\n')
+    assert settings.choosing(profile="music").parameters == parameters_of(
+        "music", {"partials_max": 8}
+    )
+    assert Settings(profile="game").choosing(profile="paper") == Settings()
+    assert settings.choosing(gain_db=-3.0).parameters == settings.parameters
+
+
+def test_a_profile_and_a_number_that_cannot_go_together_are_a_mistake(tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text('profile = "game"\n[transform]\nvibration_top_hz = 62\n')
+    error = refused(call("check", "--config", path))
+    assert "transform.vibration_top_hz = 62 leaves no room above 1/window_s=33.3 Hz" in error
+    path.write_text('profile = "music"\n[transform]\nvibration_top_hz = 62\n')
+    assert call("check", "--config", path).code == 0
+
+
+def test_a_profile_that_does_not_exist_is_refused_with_those_that_do():
+    for wrong in ("Cinema", "", "loud"):
+        with pytest.raises(UsageError, match=r"profile .*allowed: paper, cinema, game, music"):
+            Settings(profile=wrong)
+        with pytest.raises(UsageError, match=r"profile .*allowed: paper, cinema, game, music"):
+            Settings().choosing(profile=wrong)
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_a_recording_s_facts_bring_the_profile_and_what_was_said_back(name):
+    said = {"partials_max": 5, "mapping": "jnd"}
+    settings = Settings(profile=name, parameters=parameters_of(name, said), said=tuple(said))
+    again = settings_from(facts_of(settings))
+    assert again == settings
+    assert again.choosing(profile="paper").parameters == parameters_of("paper", said)
+
+
+# --- what the commands do with them
+
+
+@pytest.mark.parametrize("name", PROFILES)
+def test_render_plays_a_profile_and_tells_its_name(tmp_path, name):
+    source = sound(tmp_path / "in.wav", noise(20_000, 1))
+    done = call("render", source, tmp_path / "out.wav", "--profile", name, "--json")
+    assert json.loads(done.stdout)["profile"] == name
+    vibration, _ = soundfile.read(tmp_path / "out.wav")
+    report = render_file(source, tmp_path / "again.wav", Settings(profile=name))
+    assert report.profile == name
+    assert identical(soundfile.read(tmp_path / "again.wav")[0], vibration)
+    played_s = report.latency_s
+    assert played_s == HapticTransform(48_000, 1, parameters_of(name)).latency_s
+
+
+def test_the_profile_of_the_command_line_goes_over_that_of_the_config(tmp_path):
+    source = sound(tmp_path / "in.wav", noise(20_000, 1))
+    path = tmp_path / "config.toml"
+    path.write_text('profile = "game"\n')
+    for more, name in ((), "game"), (("--profile", "paper"), "paper"):
+        done = call("render", source, tmp_path / "out.wav", "--config", path, *more, "--json")
+        assert json.loads(done.stdout)["profile"] == name
+        render_file(source, tmp_path / "again.wav", Settings(profile=name))
+        played, again = (soundfile.read(tmp_path / file)[0] for file in ("out.wav", "again.wav"))
+        assert identical(played, again)
+
+
+def test_the_demo_names_the_profiles_that_there_are(tmp_path):
+    error = refused(call("demo", "--fast", "--out", tmp_path / "out", "--profile", "loud"))
+    assert "profile 'loud' is not known; allowed: paper, cinema, game, music" in error
+    assert not (tmp_path / "out").exists()
+
+
+# --- what every stream keeps
+
+
+@needs_kernel
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("samplerate", [8_000, 48_000])
+def test_twins_agree_with_every_profile(name, samplerate):
+    for kind in ("noise", "sweep", "gaps", "bursts", "clicks", "swelling", "a tone 60 dB over"):
+        assert_twins(SOUNDS[kind](samplerate), samplerate, parameters=parameters_of(name))
+
+
+def scene(samplerate):
+    """Return what loud, quiet and silent there is, (frames,)."""
+    return joined(
+        white_noise(0.15, samplerate, 0.8),
+        silence(0.55, samplerate),
+        tone(310, 0.2, samplerate, 0.05),
+        one_sample(0.1, samplerate, 0.03),
+        tone(900, 0.15, samplerate, 0.7),
+    )
+
+
+@pytest.mark.parametrize("form", LIVE)
+@pytest.mark.parametrize("name", OTHERS)
+def test_any_split_gives_the_same_bytes_with_every_profile(form, name):
+    samplerate, parameters = 16_000, parameters_of(name)
+    mix = scene(samplerate)
+    whole = played(mix, samplerate, form=form, parameters=parameters)
+    splits = [[frames] * (mix.size // frames) for frames in (7, 240, 256, 960, 4_096)]
+    splits.append(list(np.random.default_rng(5).integers(0, 900, 60)))
+    for blocks in splits:
+        cut = in_blocks(mix, blocks, samplerate, form=form, parameters=parameters)
+        assert identical(cut, whole)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_block_of_one_frame_gives_the_same_bytes_with_every_profile(name):
+    samplerate, parameters = 8_000, parameters_of(name)
+    mix = scene(samplerate)
+    cut = in_blocks(mix, [1] * mix.size, samplerate, parameters=parameters)
+    assert identical(cut, played(mix, samplerate, parameters=parameters))
+
+
+@pytest.mark.parametrize("samplerate", SAMPLERATES)
+@pytest.mark.parametrize("name", OTHERS)
+def test_hard_sounds_stay_finite_and_under_full_scale_at_every_samplerate(name, samplerate):
+    parameters = parameters_of(name)
+    assert not played(silence(0.2, samplerate), samplerate, parameters=parameters).any()
+    damaged = white_noise(0.2, samplerate, 1.0)
+    damaged[::5] = np.nan
+    for mix in (
+        white_noise(0.3, samplerate),
+        square(83, 0.3, samplerate),
+        np.full(samplerate // 4, 1.0),
+        one_sample(0.2, samplerate, 0.1),
+        damaged,
+        np.full(samplerate // 4, 1e-310),
+        joined(tone(60, 0.2, samplerate), tone(samplerate / 3, 0.2, samplerate, 900.0)),
+    ):
+        vibration = played(mix, samplerate, parameters=parameters)
+        assert np.isfinite(vibration).all()
+        assert np.abs(vibration).max() < 1.0
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_a_profile_plays_is_not_heard(name):
+    samplerate = 48_000
+    mix = joined(scene(samplerate), silence(1.0, samplerate))
+    vibration = played(mix, samplerate, parameters=parameters_of(name))[:, 0]
+    power = np.abs(np.fft.rfft(vibration)) ** 2
+    above = np.fft.rfftfreq(vibration.size, 1 / samplerate) > 250
+    # As the paper's profile: what begins and ends at once leaves a little.
+    assert 10 * np.log10(power[above].sum() / power.sum()) < -50
+
+
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("hz", [55.0, 80.0, 150.0, 440.0])
+def test_a_tone_is_pure_with_every_profile(name, hz):
+    # A lower C_th lets side lobes of a loud low tone through; without care they are 40 dB down.
+    parameters = parameters_of(name)
+    # Eight seconds, until the programme's level stands.
+    vibration = played(tone(hz, 8.0, 48_000, 0.5), 48_000, parameters=parameters)[:, 0]
+    steady, rate = thinned(vibration[7 * 48_000 : 8 * 48_000], 48_000)
+    wanted_hz = float(vibration_hz(np.array(hz), parameters))
+    found_hz, _, residual_db = best_sinusoid(steady, rate, wanted_hz)
+    assert found_hz == pytest.approx(wanted_hz, abs=0.01)
+    assert residual_db < -70

@@ -1,0 +1,290 @@
+"""`cushion run` without a sound server: files, captures and the scene into a file or the twin."""
+
+from __future__ import annotations
+
+import json
+import math
+import resource
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from audioflinger_hook.capture import Capture, CaptureWriter
+from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.sources import mixdown
+from device.units import Float32Array
+from tests.daemon.test_run_recording import overlap, recorded, same_again
+from tests.support.commands import (
+    RATE,
+    Done,
+    call,
+    cushion,
+    listing,
+    noise,
+    refused,
+    sound,
+    start,
+    until,
+    vibration,
+)
+
+NO_SERVER = """
+import sys
+sys.modules["pulsectl"] = sys.modules["pyaudio"] = None
+"""
+"""Neither library can be loaded: nothing can ask a sound server for anything."""
+
+BEFORE_S = 3.0
+"""More than the silence before and behind the vibration in a file."""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> dict[str, str]:
+    """The environment of a daemon that is alone."""
+    (tmp_path / "run").mkdir(mode=0o700)
+    return {"XDG_RUNTIME_DIR": str(tmp_path / "run"), "XDG_CONFIG_HOME": str(tmp_path / "config")}
+
+
+def run(env: dict[str, str], *arguments: object, **options: object) -> Done:
+    return cushion("run", *arguments, prelude=NO_SERVER, env=env, **options)
+
+
+def aligned(whole: Float32Array, wanted: Float32Array) -> Float32Array:
+    """The part of a recording that is most like `wanted`, of its length or up to the end."""
+    size = len(whole) + len(wanted)
+    spectrum = np.fft.rfft(whole[:, 0], size) * np.fft.rfft(wanted[:, 0], size).conj()
+    return whole[int(np.argmax(np.fft.irfft(spectrum, size)[: len(whole)])) :][: len(wanted)]
+
+
+def error_db(got: Float32Array, wanted: Float32Array) -> float:
+    """The difference in dB of what was wanted."""
+    ratio = float(np.sum(np.square(got - wanted)) / np.sum(np.square(wanted)))
+    return 10.0 * math.log10(ratio) if ratio else -math.inf  # nothing differs
+
+
+def told(stderr: str) -> list[str]:
+    """What it says of itself, but for the first line and what a busy machine makes of the delay."""
+    lines = [line.removeprefix("cushion: ") for line in stderr.splitlines()]
+    assert lines[0].startswith("what plays at ")
+    return [line for line in lines[1:] if not line.startswith("resync: ")]
+
+
+def test_the_scene_into_a_file_is_the_vibration_that_a_file_of_it_gives(tmp_path, folder):
+    out, seconds = tmp_path / "out.wav", 4.0
+    scene = mixdown(demo_scene())[: int((seconds + 0.2) * RATE)]
+    assert call("render", sound(tmp_path / "in.wav", scene), tmp_path / "wanted.wav").code == 0
+    done = run(folder, "--tap", "scene:demo", "--device", f"wav:{out}", "--seconds", seconds)
+    assert (done.code, done.stdout, told(done.stderr)) == (0, "", ["running"])
+    felt, wanted = vibration(out), vibration(tmp_path / "wanted.wav")
+    # the end lies in the transform and the delay line yet
+    wanted = wanted[: int((seconds - 0.2) * RATE)]
+    assert error_db(aligned(felt, wanted), wanted) < -40.0
+    assert np.abs(wanted).max() > 0.05
+    assert seconds < len(felt) / RATE < seconds + BEFORE_S
+    assert soundfile.info(out).samplerate == RATE
+
+
+def test_a_file_ends_by_itself_when_its_vibration_has_run_out(tmp_path, folder):
+    source = sound(tmp_path / "in.wav", noise(44_100, 2), 44_100)
+    assert call("render", source, tmp_path / "wanted.wav").code == 0
+    done = run(folder, "--tap", f"file:{source}", "--device", f"wav:{tmp_path / 'out.wav'}")
+    assert (done.code, told(done.stderr)) == (0, ["running"])
+    felt, wanted = vibration(tmp_path / "out.wav"), vibration(tmp_path / "wanted.wav")
+    assert len(aligned(felt, wanted)) == len(wanted)
+    # the delay line may stand between two frames: half of one is 0.8 degrees of 200 Hz
+    assert error_db(aligned(felt, wanted), wanted) < -30.0
+    assert np.abs(wanted[-1_000:]).max() > 0.0
+    assert not felt[-1_000:].any()
+    assert soundfile.info(tmp_path / "out.wav").samplerate == 44_100
+
+
+@pytest.mark.parametrize("transform", ["live", "reference"])
+def test_what_was_recorded_of_a_capture_with_many_formats_is_the_same_again(
+    tmp_path, folder, transform
+):
+    (tmp_path / "c.toml").write_text(
+        f'[transform]\nform = "{transform}"\nchannels = "each"\nwindow_s = 0.06\n'
+    )
+    buffers = [(480, 2, 48_000), (256, 1, 44_100), (1, 2, 96_000), (3_000, 2, 48_000)]
+    with CaptureWriter(tmp_path / "in") as writer:
+        for number in range(120):
+            frames, channels, samplerate = buffers[number // 10 % 4]
+            content = noise(frames, channels, number).astype(np.float32)
+            gap = number % 50 == 49
+            writer.write_buffer("tap", content, samplerate, number * 1.0, discontinuity=gap)
+    record, config = ["--record", tmp_path / "rec"], ["--config", tmp_path / "c.toml"]
+    done = run(folder, "--tap", f"capture:{tmp_path / 'in'}", "--device", "twin", *record, *config)
+    assert (done.code, told(done.stderr)) == (0, ["running"])
+    assert done.stdout.startswith("twin (predicted): peak acceleration ")
+    one, two = (list(Capture(tmp_path / name).buffers("tap")) for name in ("in", "rec"))
+    assert [(b.frames.tobytes(), b.format, b.discontinuity) for b in one] == [
+        (b.frames.tobytes(), b.format, b.discontinuity) for b in two
+    ]
+    common = same_again(tmp_path / "rec", tmp_path / "out.wav")
+    assert vibration(tmp_path / "out.wav").shape == (common, 2)
+
+
+def test_the_device_stream_is_what_went_into_the_file(tmp_path, folder):
+    source = sound(tmp_path / "in.wav", noise(RATE, 2))
+    out, record = tmp_path / "out.wav", tmp_path / "rec"
+    done = run(folder, "--tap", f"file:{source}", "--device", f"wav:{out}", "--record", record)
+    assert (done.code, told(done.stderr)) == (0, ["running"])
+    assert np.array_equal(recorded(record, "device"), vibration(out))
+    facts = Capture(record).facts
+    assert (facts["tap"], facts["device"]) == (f"file:{source}", f"wav:{out}")
+    assert Capture(record).warnings == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_leaves_whole_files(tmp_path, folder, number):
+    out, record = tmp_path / "out.wav", tmp_path / "rec"
+    out.write_bytes(b"old")
+    options = ["--tap", "scene:demo", "--device", f"wav:{out}", "--record", record]
+    with start("run", *options, prelude=NO_SERVER, env=folder) as process:
+        effect = record / "effect-0001.wav"
+        until(lambda: effect.exists() and effect.stat().st_size > 6 * RATE, process)
+        assert out.read_bytes() == b"old"
+        process.send_signal(number)
+        stdout, stderr = process.communicate(timeout=20)
+    assert (process.returncode, stdout) == (130, "")
+    assert told(stderr) == ["running", "interrupted"]
+    assert np.array_equal(recorded(record, "device"), vibration(out))
+    assert same_again(record, tmp_path / "again.wav") > RATE
+
+
+def test_a_killed_run_leaves_no_file_and_a_recording_up_to_there(tmp_path, folder):
+    out, record = tmp_path / "out.wav", tmp_path / "rec"
+    options = ["--tap", "scene:demo", "--device", f"wav:{out}", "--record", record]
+    with start("run", *options, prelude=NO_SERVER, env=folder) as process:
+        effect = record / "effect-0001.wav"
+        until(lambda: effect.exists() and effect.stat().st_size > 8 * RATE, process)
+        process.kill()
+    assert not out.exists()
+    done = call("replay", record, tmp_path / "again.wav", "--json")
+    assert done.code == 0
+    assert "it was cut off" in done.stderr
+    assert overlap(record, tmp_path / "again.wav", done.stdout) > RATE
+
+
+def limited() -> None:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+
+
+def test_a_full_disk_ends_the_recording_with_one_warning_and_the_run_goes_on(tmp_path, folder):
+    source, record = sound(tmp_path / "in.wav", noise(2 * RATE, 2)), tmp_path / "rec"
+    options = ["--tap", f"file:{source}", "--device", "twin", "--record", record]
+    done = run(folder, *options, preexec_fn=limited)
+    assert done.code == 5
+    assert done.stdout.startswith("twin (predicted)")  # it came to its end
+    said = told(done.stderr)
+    assert len(said) == 3
+    assert said[0] == "running"
+    assert said[1].startswith("warning: the recording has ended: cannot write to")
+    assert said[2].startswith("error: cannot write to the capture")
+    again = call("replay", record, tmp_path / "again.wav", "--json")
+    assert again.code == 0
+    assert overlap(record, tmp_path / "again.wav", again.stdout) > 10_000
+
+
+def test_a_full_disk_is_the_end_of_a_file_and_of_the_run(tmp_path, folder):
+    out = tmp_path / "out.wav"
+    out.write_bytes(b"old")
+    done = run(folder, "--tap", "scene:demo", "--device", f"wav:{out}", preexec_fn=limited)
+    assert done.code == 5
+    assert "the file would be larger than allowed" in done.stderr.splitlines()[-1]
+    assert out.read_bytes() == b"old"
+
+
+def test_a_running_one_tells_what_it_does(tmp_path, folder):
+    options = ["--tap", "scene:demo", "--device", f"wav:{tmp_path / 'out.wav'}"]
+    options += ["--rig", "consumer", "--protection", "on"]
+    with start("run", *options, prelude=NO_SERVER, env=folder) as process:
+        said: list[Done] = []
+
+        def heard() -> bool:
+            said[:] = [cushion("status", "--json", env=folder)]
+            return said[0].code == 0 and json.loads(said[0].stdout)["state"] == "running"
+
+        until(heard, process)
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=20)
+    status = json.loads(said[0].stdout)
+    assert status["tap"] == {"address": "scene:demo", "name": "scene:demo"}
+    assert status["device"]["address"] == f"wav:{tmp_path / 'out.wav'}"
+    assert status["latency"]["driving_ms"] == 4.0
+    assert status["protection"]["coil_c"] >= 25.0  # the consumer's living room
+    assert not status["exposure"]["above_action"]
+
+
+@pytest.mark.parametrize(
+    ("tap", "device", "options", "code", "words"),
+    [
+        ("file:{}/none.wav", "twin", [], 2, "does not exist"),
+        ("file:{}/in.wav", "wav:{}/in.wav", [], 2, "name two files"),
+        ("file:{}/in.wav", "wav:{}/none/out.wav", [], 2, "does not exist"),
+        ("file:{}/in.wav", "wav:{}", [], 2, "it is a folder"),
+        ("capture:{}", "twin", [], 2, "is not a capture"),
+        ("capture:{}/cap", "wav:{}/cap/tap-0001.wav", [], 2, "name two files"),
+        ("scene:other", "twin", [], 3, "there is no such scene"),
+        ("scene:demo", "twin", ["--rig", "{}/none.toml"], 2, "cannot read the rig file"),
+        ("scene:demo", "twin", ["--protection", "some"], 2, "allowed: off, on"),
+        ("scene:demo", "hw:none", [], 3, "there is no sound card 'none'"),
+        ("scene:demo", "twin:x", [], 2, "takes no name"),
+        ("scene:demo", "twin", ["--record", "{}/cap"], 2, "not empty"),
+        ("scene:demo", "twin", ["--record", "{}/in.wav"], 2, "not a folder"),
+        ("scene:demo", "twin", ["--record", "{}/none/rec"], 2, "does not exist"),
+        ("scene:demo", "twin", ["--record", "/proc/rec"], 2, "cannot capture to /proc/rec"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_nothing_is_touched(
+    tmp_path, folder, monkeypatch, tap, device, options, code, words
+):
+    sound(tmp_path / "in.wav", noise(480))
+    with CaptureWriter(tmp_path / "cap") as writer:
+        writer.write_buffer("tap", noise(480).astype(np.float32), RATE, 0.0)
+    before = listing(tmp_path), listing(tmp_path / "cap")
+    for name, value in folder.items():
+        monkeypatch.setenv(name, value)
+    texts = [text.format(tmp_path) for text in (tap, device, *options)]
+    done = call("run", "--tap", texts[0], "--device", texts[1], *texts[2:])
+    assert words in refused(done, code)
+    assert (listing(tmp_path), listing(tmp_path / "cap")) == before
+
+
+def test_while_a_file_plays_its_level_may_change_and_what_begins_anew_may_not(tmp_path, folder):
+    config, new = tmp_path / "c.toml", tmp_path / "new.toml"
+    source, out = sound(tmp_path / "in.wav", noise(20 * RATE, 2)), tmp_path / "out.wav"
+    config.write_text(f'tap = "file:{source}"\ndevice = "wav:{out}"\n')
+
+    def reload(process, text, answer):
+        new.write_text(config.read_text() + text)
+        new.replace(config)
+        process.send_signal(signal.SIGHUP)
+        for line in process.stderr:
+            if line.startswith("cushion: resync"):
+                continue
+            assert answer in line
+            return
+
+    with start("run", "--config", config, prelude=NO_SERVER, env=folder) as process:
+        try:
+            assert process.stderr is not None
+            for line in process.stderr:
+                if line == "cushion: running\n":
+                    break
+            reload(process, "gain_db = -6\n", "config read again; changed: the level")
+            reload(process, 'tap = "default"\n', "is not TOML")  # twice in one file
+            config.write_text(f'tap = "default"\ndevice = "wav:{out}"\n')
+            reload(process, "", f"the tap 'file:{source}' cannot become 'default'")
+            config.write_text(f'tap = "file:{source}"\ndevice = "wav:{out}"\ngain_db = -6\n')
+            reload(process, "", "changed: nothing")
+            reload(process, '[transform]\nchannels = "each"\n', "stay as they are while 'file:")
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=20)
+        finally:
+            process.kill()
+    assert process.returncode == 130
+    assert len(vibration(out)) > 0

@@ -1,0 +1,186 @@
+"""Which sound cards there are, what they offer, and who plays there."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from device.alsa.cards import all_cards, find_card, find_playback, playbacks
+from device.alsa.usb_stream import Rates, UsbFormat, parse_usb_stream, usb_stream
+from device.alsa.use import HwParams, Owner, hw_params, owner, refusal
+from device.errors import NotFoundError, UsageError
+from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, RUNNING, Cards
+
+
+@pytest.fixture
+def cards(tmp_path: Path) -> Cards:
+    cards = Cards(tmp_path / "asound")
+    cards.plug(0, "PCH", devices=(0, 3))
+    cards.plug(31, "DAC", stream=ASYNC, usb_id="1234:00aB")
+    return cards
+
+
+def test_every_card_is_listed_with_what_it_is(cards: Cards) -> None:
+    first, second = all_cards(cards.root)
+    assert (first.number, first.id, first.driver, first.usb_id) == (0, "PCH", "HDA-Intel", None)
+    assert (second.number, second.id, second.usb_id) == (31, "DAC", "1234:00ab")
+    assert (second.name, second.long_name) == ("DAC card", "Maker DAC at somewhere")
+    assert [str(one) for one in playbacks(first)] == ["hw:PCH,0", "hw:PCH,3"]
+    assert playbacks(first)[1].name == "output 3"
+
+
+def test_a_machine_without_cards_has_none(tmp_path: Path) -> None:
+    assert all_cards(tmp_path / "none") == all_cards(Cards(tmp_path / "empty").root) == ()
+    with pytest.raises(NotFoundError, match="there is none at all: connect one"):
+        find_card("0", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("0", "hw:PCH,0"),
+        ("PCH", "hw:PCH,0"),
+        ("PCH,3", "hw:PCH,3"),
+        ("31,0", "hw:DAC,0"),
+        ("CARD=DAC", "hw:DAC,0"),
+        ("CARD=PCH,DEV=3", "hw:PCH,3"),
+    ],
+)
+def test_a_card_is_found_by_its_number_or_id(cards: Cards, name: str, found: str) -> None:
+    assert str(find_playback(name, cards.root)) == found
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("DAK", "there is no sound card 'DAK'; did you mean 'DAC'"),
+        ("pch", "there is no sound card 'pch'; there are 'DAC', 'PCH'"),
+        ("7", r"there is no sound card '7'; there are '0 \(PCH\)', '31 \(DAC\)'"),
+        ("PCH,1", r"hw:PCH has no device 1 that plays; there is hw:PCH,0 \(output 0\), hw:PCH,3"),
+    ],
+)
+def test_what_is_not_there_is_an_error_that_offers_what_is(
+    cards: Cards, name: str, words: str
+) -> None:
+    with pytest.raises(NotFoundError, match=words):
+        find_playback(name, cards.root)
+
+
+def test_a_card_that_only_records_and_a_name_that_is_none_are_refused(cards: Cards) -> None:
+    cards.plug(2, "Mic", devices=())
+    with pytest.raises(NotFoundError, match="hw:Mic has nothing that plays"):
+        find_playback("Mic", cards.root)
+    for name in ("", "a,b", "0,1,2", "DEV=3"):
+        with pytest.raises(UsageError, match="a card is written hw:CARD or hw:CARD,DEVICE"):
+            find_playback(name, cards.root)
+
+
+def test_a_usb_card_tells_its_formats_and_only_those_of_playback() -> None:
+    stream = parse_usb_stream(ASYNC)
+    rates = Rates((44_100, 48_000, 88_200, 96_000, 176_400, 192_000))
+    assert stream.formats[:2] == (
+        UsbFormat(1, 1, ("S16_LE",), 2, rates, 16, "ASYNC"),
+        UsbFormat(1, 2, ("S32_LE",), 2, rates, 24, "ASYNC"),
+    )
+    assert stream.formats[2].formats == ("SPECIAL", "DSD_U32_BE")
+    assert len(stream.formats) == 3
+    assert (stream.running, stream.altsetting, stream.momentary_hz) == (False, None, 0.0)
+
+
+def test_a_range_of_rates_is_one() -> None:
+    (found,) = parse_usb_stream(ADAPTIVE).formats
+    assert found == UsbFormat(
+        1, 1, ("S24_3LE", "S16_LE"), 8, Rates(least=8000, most=96_000), 0, "ADAPTIVE"
+    )
+    assert 44_100 in found.rates
+    assert 96_001 not in found.rates
+
+
+def test_a_card_that_plays_tells_its_own_clock() -> None:
+    stream = parse_usb_stream(RUNNING)
+    assert stream.running
+    assert stream.altsetting == 2
+    assert stream.momentary_hz == (6 + 16 / 65_536) * 8000
+    assert stream.feedback_format == "16.16"
+    assert stream.formats == parse_usb_stream(ASYNC).formats
+    slow = RUNNING.replace("48000 Hz (0x6.0010)", "48000 Hz (0x30.0010)")
+    assert parse_usb_stream(slow).momentary_hz == (48 + 16 / 65_536) * 1000
+
+
+def test_only_usb_cards_have_such_a_stream(cards: Cards) -> None:
+    assert usb_stream(find_playback("PCH", cards.root)) is None
+    found = usb_stream(find_playback("DAC", cards.root))
+    assert found is not None
+    assert len(found.formats) == 3
+
+
+@given(
+    st.lists(
+        st.sampled_from(RUNNING.splitlines() + ADAPTIVE.splitlines())
+        | st.text("AIC:=(),- 0x19\u00b2", max_size=12)
+    )
+)
+def test_no_text_is_too_strange_to_be_read(lines: list[str]) -> None:
+    for found in parse_usb_stream("\n".join(lines)).formats:
+        assert found.channels > 0
+        assert found.rates.single or 0 < found.rates.least <= found.rates.most
+
+
+def test_a_free_card_has_no_owner_and_a_taken_one_is_refused(cards: Cards, tmp_path: Path) -> None:
+    playback = find_playback("DAC", cards.root)
+    assert owner(playback) is None
+    assert refusal(playback, tmp_path) is None
+    cards.use(31, os.getpid())
+    found = owner(playback)
+    assert found is not None
+    assert found.process == os.getpid()
+    assert found.name
+    assert f"hw:DAC,0 is in use by {found}" in (refusal(playback, tmp_path) or "")
+
+
+def test_the_owner_of_a_card_is_the_process_of_the_thread_that_opened_it(
+    cards: Cards, tmp_path: Path
+) -> None:
+    for number in ("41", "40"):
+        (tmp_path / number).mkdir()
+        (tmp_path / number / "status").write_text("Name:\tloop\nTgid:\t40\n")
+    (tmp_path / "40" / "comm").write_text("player\n")
+    cards.use(31, 41)
+    playback = find_playback("DAC", cards.root)
+    assert owner(playback, tmp_path) == Owner(40, "player")
+    cards.use(31, 42)  # a thread that has ended since
+    assert str(owner(playback, tmp_path)) == "another program (process 42)"
+
+
+def test_a_card_with_a_free_substream_is_free(cards: Cards) -> None:
+    other = cards.root / "card31/pcm0p/sub1"
+    other.mkdir()
+    (other / "status").write_text("closed\n")
+    cards.use(31, 1)
+    assert owner(find_playback("DAC", cards.root)) is None
+
+
+def test_a_device_file_that_may_not_be_opened_is_told(
+    cards: Cards, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pcmC31D0p").touch()
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    refused = refusal(find_playback("DAC", cards.root), tmp_path) or ""
+    assert "this user may not open hw:DAC,0" in refused
+    assert "join the group audio" in refused
+
+
+def test_an_open_card_tells_how_it_was_opened(cards: Cards) -> None:
+    playback = find_playback("DAC", cards.root)
+    assert hw_params(playback) == ()
+    path = cards.root / "card31/pcm0p/sub0/hw_params"
+    path.write_text(HW_PARAMS.format("S32_LE", 2, 48_000))
+    (found,) = hw_params(playback)
+    assert found == HwParams("S32_LE", 48_000, 2, 256, 1024)
+    assert found.delay_s == pytest.approx(0.016)
+    path.write_text("format: S32_LE\nrate:\n")
+    assert hw_params(playback) == ()

@@ -1,0 +1,143 @@
+"""How a card is opened: by rate, then channels, then resolution, and never by what it has not."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from device.alsa.negotiation import LEAST_HZ, MOST_HZ, PREFERRED, Choice, Offer, choose, offers_of
+from device.alsa.usb_stream import Rates, parse_usb_stream
+from device.errors import NotFoundError
+from device.stream.sample_format import SampleFormat
+from tests.support.sound_cards import ADAPTIVE, ASYNC
+
+S16, S24, S32 = SampleFormat.S16, SampleFormat.S24_3, SampleFormat.S32
+USUAL = Rates((44_100, 48_000, 96_000))
+
+rates = st.one_of(
+    st.lists(st.sampled_from([8_000, 44_100, 48_000, 88_200, 96_000, 192_000, 384_000])).map(
+        lambda some: Rates(tuple(sorted(set(some))))
+    ),
+    st.tuples(st.integers(4_000, 50_000), st.integers(50_000, 400_000)).map(
+        lambda ends: Rates(least=ends[0], most=ends[1])
+    ),
+)
+offers = st.builds(
+    Offer,
+    st.lists(st.sampled_from(PREFERRED), unique=True).map(tuple),
+    st.integers(1, 8),
+    rates,
+    st.sampled_from([0, 16, 24, 32]),
+)
+
+
+@pytest.mark.parametrize(
+    ("there", "mix", "chosen"),
+    [
+        (USUAL, 48_000, 48_000),
+        (Rates((44_100, 96_000)), 48_000, 96_000),  # a multiple, though 44100 is nearer
+        (Rates((44_100, 88_200)), 48_000, 88_200),  # the next one above
+        (Rates((44_100,)), 48_000, 44_100),
+        (Rates((44_100, 48_000)), 96_000, 48_000),  # the highest below
+        (Rates((8_000, 44_100)), 8_000, 44_100),
+        (Rates(least=8_000, most=96_000), 22_050, 44_100),
+        (Rates(least=8_000, most=96_000), 47_952, 47_952),
+        (Rates(least=50_000, most=90_000), 48_000, 50_000),
+        (Rates(least=8_000, most=384_000), 384_000, 192_000),
+    ],
+)
+def test_the_rate_is_that_of_the_mix_or_the_next_best(there: Rates, mix: int, chosen: int) -> None:
+    assert choose([Offer((S32,), 2, there)], mix, 1) == Choice(S32, chosen, 2)
+
+
+@pytest.mark.parametrize(
+    ("there", "chosen"),
+    [
+        ([Offer((S16,), 2, USUAL, 16), Offer((S32,), 2, USUAL, 24)], S32),
+        ([Offer((S32,), 2, USUAL, 16), Offer((S24,), 2, USUAL, 24)], S24),
+        ([Offer((S24,), 2, USUAL, 24), Offer((S32,), 2, USUAL, 24)], S32),
+        ([Offer((S32, S24, S16), 2, USUAL)], S32),
+        ([Offer((S32, S16), 2, USUAL, 16)], S32),
+        ([Offer((S16,), 2, USUAL), Offer((), 2, USUAL, 32)], S16),
+    ],
+)
+def test_the_format_is_the_one_of_the_highest_real_resolution(there, chosen) -> None:
+    assert choose(there, 48_000, 1).sample_format is chosen
+
+
+@pytest.mark.parametrize(
+    ("there", "actuators", "least", "chosen"),
+    [
+        ((1, 2, 8), 1, None, 2),
+        ((1, 2, 8), 1, 1, 1),
+        ((1, 2, 8), 3, None, 8),
+        ((1,), 1, None, 1),
+        ((2, 4), 2, 6, 4),
+    ],
+)
+def test_there_are_as_many_channels_as_actuators_and_few_more(
+    there, actuators, least, chosen
+) -> None:
+    some = [Offer((S32,), channels, USUAL) for channels in there]
+    assert choose(some, 48_000, actuators, least).channels == chosen
+
+
+def test_the_rate_comes_before_the_resolution() -> None:
+    some = [Offer((S16,), 2, Rates((48_000,)), 16), Offer((S32,), 2, Rates((96_000,)), 32)]
+    assert choose(some, 48_000, 1) == Choice(S16, 48_000, 2)
+
+
+def test_a_format_that_turned_out_not_to_be_there_is_not_taken_again() -> None:
+    some = offers_of(None)
+    assert choose(some, 48_000, 1) == Choice(S32, 48_000, 2)
+    assert choose(some, 48_000, 1, without={S32}) == Choice(S16, 48_000, 2)
+
+
+def test_what_usb_cards_tell_is_what_they_offer() -> None:
+    assert choose(offers_of(parse_usb_stream(ASYNC)), 48_000, 2) == Choice(S32, 48_000, 2)
+    assert choose(offers_of(parse_usb_stream(ADAPTIVE)), 48_000, 2) == Choice(S24, 48_000, 8)
+
+
+@pytest.mark.parametrize(
+    ("some", "words"),
+    [
+        (offers_of(parse_usb_stream(ADAPTIVE)), "S24_3LE/S16_LE with 8 channels at 8000 to 96000"),
+        ([Offer((), 9, USUAL)], "no format that is played with 9 channels at 44100, 48000, 96000"),
+        ([Offer((S16,), 9, Rates((8_000,)))], "S16_LE with 9 channels at 8000 Hz"),
+        ([], "it offers nothing"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_what_there_is(some, words) -> None:
+    with pytest.raises(
+        NotFoundError, match="cannot be opened with 9 to 32 channels at 44100 to"
+    ) as error:
+        choose(some, 48_000, 9)
+    assert words in str(error.value)
+
+
+@given(st.lists(offers, max_size=4), st.integers(4_000, 200_000), st.integers(1, 4))
+def test_a_choice_is_always_something_that_the_card_has(some, mix, actuators) -> None:
+    try:
+        chosen = choose(some, mix, actuators)
+    except NotFoundError:
+        assert not any(
+            offer.formats
+            and offer.channels >= actuators
+            and offer.rates.single
+            and any(LEAST_HZ <= rate <= MOST_HZ for rate in offer.rates.single)
+            for offer in some
+        )
+        return
+    assert LEAST_HZ <= chosen.samplerate <= MOST_HZ
+    assert chosen.channels >= actuators
+    assert any(
+        chosen.sample_format in offer.formats
+        and chosen.channels == offer.channels
+        and chosen.samplerate in offer.rates
+        for offer in some
+    )
+    has_the_mix = any(
+        mix in offer.rates and offer.formats and offer.channels >= actuators for offer in some
+    )
+    assert not has_the_mix or not LEAST_HZ <= mix <= MOST_HZ or chosen.samplerate == mix

@@ -1,0 +1,234 @@
+"""The delay stays on its target for days: simulated clocks, real delay line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from device.clock import DelayLine, DelayState
+from device.errors import InternalError, UsageError
+from device.units import Float32Array, FloatArray
+from tests.support.clocks import Course, Side, run
+from tests.support.signals import best_sinusoid
+
+MS = 0.001
+
+
+def two_clocks(
+    ppm: float,
+    jitter_s: float,
+    seconds: float,
+    samplerate_in: int = 48_000,
+    samplerate_out: int = 48_000,
+    seed: int = 0,
+) -> Course:
+    line = DelayLine(1, samplerate_in, samplerate_out)
+    writer = Side(samplerate=samplerate_in, jitter_s=jitter_s, seed=2 * seed + 1)
+    reader = Side(
+        samplerate=samplerate_out, ppm=ppm, jitter_s=jitter_s, start_s=0.003, seed=2 * seed + 2
+    )
+    return run(line, writer, reader, seconds)
+
+
+@pytest.mark.parametrize(
+    ("jitter_s", "excursion_s", "range_s"),
+    [
+        (0.0, 0.01 * MS, 0.002 * MS),
+        (0.2 * MS, 0.05 * MS, 0.013 * MS),
+        (2 * MS, 0.2 * MS, 0.13 * MS),
+    ],
+)
+@pytest.mark.parametrize("ppm", [-300, 300])
+def test_the_delay_stays_on_target_between_any_two_clocks(
+    ppm: int, jitter_s: float, excursion_s: float, range_s: float
+) -> None:
+    course = two_clocks(ppm, jitter_s, 45.0, seed=abs(ppm))
+    assert course.last.state is DelayState.LOCKED
+    assert (course.last.resyncs, course.last.underflows, course.last.overflows) == (0, 0, 0)
+    assert np.abs(course.after(0.0)).max() < 0.6 * MS
+    assert np.abs(course.after(15.0)).max() < excursion_s
+    assert np.ptp(course.after(30.0)) < range_s
+    assert course.ppm[course.time_s > 30].mean() == pytest.approx(-ppm, abs=0.2 + jitter_s * 5e3)
+
+
+def test_it_plays_once_it_knows_both_sides_and_is_on_target_a_second_later() -> None:
+    for seed in range(4):
+        course = two_clocks(-300, 2 * MS, 8.0, seed=seed)
+        assert np.abs(course.after(1.7)).max() < 0.44 * MS
+        locked = course.states.index(DelayState.LOCKED)
+        assert course.time_s[locked] < 4.5
+        settling = course.states.index(DelayState.SETTLING)
+        assert course.time_s[settling] < 0.75
+
+
+def test_five_milliseconds_of_jitter_are_no_reason_to_leave_the_target() -> None:
+    course = two_clocks(300, 5 * MS, 45.0)
+    assert course.last.resyncs == 0
+    assert course.last.underflows <= 1  # while the lateness is not yet known
+    assert np.abs(course.after(15.0)).max() < 0.44 * MS
+
+
+@pytest.mark.parametrize("rates", [(44_100, 48_000), (48_000, 44_100), (48_000, 8_000)])
+def test_nominal_rates_may_differ(rates: tuple[int, int]) -> None:
+    course = two_clocks(150, 0.2 * MS, 30.0, *rates)
+    assert course.last.state is DelayState.LOCKED
+    assert np.abs(course.after(12.0)).max() < 0.05 * MS
+    assert course.last.underflows + course.last.resyncs == 0
+
+
+@pytest.mark.parametrize("ppm", [-300, 300])
+def test_bursts_of_four_blocks_are_provided_for(ppm: int) -> None:
+    line = DelayLine(1, 48_000, 48_000)
+    course = run(line, Side(burst=4), Side(burst=4, ppm=ppm, start_s=0.003), 40.0)
+    # 1.5 + 1 blocks, and the three blocks that the first of a burst waits for the last
+    assert course.last.target_s == pytest.approx((2.5 + 3.0) * 256 / 48_000, abs=0.8 * MS)
+    assert np.abs(course.after(15.0)).max() < 0.44 * MS
+    assert course.last.underflows <= 1
+
+
+def test_blocks_larger_than_said_are_provided_for() -> None:
+    line = DelayLine(1, 48_000, 48_000, capture_block=256, output_block=256)
+    course = run(line, Side(block=512), Side(block=512, start_s=0.003), 30.0)
+    assert course.last.target_s >= 1_024 / 48_000
+    assert np.abs(course.after(15.0)).max() < 0.05 * MS
+    assert course.last.underflows <= 2
+
+
+def test_the_target_is_what_blocks_lateness_and_offset_add_up_to() -> None:
+    line = DelayLine(1, 48_000, 48_000, capture_block=512, output_block=128, offset_s=0.02)
+    writer = Side(block=512, jitter_s=4 * MS)
+    course = run(line, writer, Side(block=128, jitter_s=4 * MS, start_s=0.003), 30.0)
+    # reads are never early: only what is written late has to be provided for
+    assert course.last.target_s == pytest.approx(0.02 + 896 / 48_000 + 4 * MS, abs=0.7 * MS)
+    assert course.last.delay_s == pytest.approx(course.last.target_s, abs=0.1 * MS)
+
+
+@pytest.mark.parametrize("server_block", [470, 511, 1_000])
+def test_blocks_of_a_server_that_beat_with_ours_do_not_move_the_delay(server_block: int) -> None:
+    line = DelayLine(1, 48_000, 48_000)
+    writer = Side(server_block=server_block, ppm=-100, jitter_s=0.2 * MS)
+    course = run(line, writer, Side(ppm=-250, jitter_s=0.2 * MS, start_s=0.003), 120.0)
+    assert course.last.resyncs == 0
+    assert course.last.underflows <= 1  # while the lateness is not yet known
+    assert np.ptp(course.after(60.0)) < 0.3 * MS
+
+
+@pytest.mark.parametrize(
+    ("written_in", "read_in", "from_s", "limit_ms"),
+    [(1_023, 0, 10.0, 0.5), (1_025, 0, 10.0, 0.3), (0, 1_025, 3.0, 1.5), (0, 1_023, 3.0, 1.5)],
+)
+def test_a_beat_that_is_learned_in_time_is_no_error(
+    written_in: int, read_in: int, from_s: float, limit_ms: float
+) -> None:
+    line = DelayLine(1, 48_000, 48_000, lateness_least_s=0.005)
+    # Callbacks come a little earlier, or later, each time: it takes 22 s to have seen them all.
+    writer = Side(server_block=written_in, jitter_s=0.2 * MS)
+    reader = Side(server_block=read_in, ppm=-200, jitter_s=0.2 * MS, start_s=0.003)
+    errors_ms: list[float] = []
+
+    def note(now_s: float, line: DelayLine, out: Float32Array) -> None:
+        status = line.status
+        if now_s > from_s:
+            errors_ms.append(1e3 * (status.delay_s - status.target_s))
+
+    course = run(line, writer, reader, 120.0, note)
+    assert course.last.resyncs == 0
+    assert np.abs(errors_ms).max() < limit_ms
+    assert course.last.state is DelayState.LOCKED
+
+
+def test_an_hour_at_300_ppm_gains_and_loses_nothing() -> None:
+    long(1.0, 300)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("ppm", [-300, 300])
+def test_a_day_at_300_ppm_gains_and_loses_nothing(ppm: int) -> None:
+    long(24.0, ppm)
+
+
+def long(hours: float, ppm: float) -> None:
+    """Hours of coarse blocks, 1024 frames at 8 kHz.
+
+    24 times fewer callbacks a second average jitter sqrt(24) times worse: 0.4 ms is like 2 ms.
+    """
+    line = DelayLine(1, 8_000, 8_000, capture_block=1_024, output_block=1_024)
+    writer = Side(samplerate=8_000, block=1_024, jitter_s=0.4 * MS, seed=1)
+    reader = Side(samplerate=8_000, block=1_024, jitter_s=0.4 * MS, seed=2, ppm=ppm, start_s=0.05)
+    course = run(line, writer, reader, hours * 3_600)
+    assert course.last.state is DelayState.LOCKED
+    assert course.last.resyncs + course.last.underflows + course.last.overflows == 0
+    assert np.abs(course.after(60.0)).max() < 0.2 * MS
+
+
+def heard(hz: float, ppm: float, jitter_s: float, samplerate_out: int, keep_s: float) -> FloatArray:
+    """The last seconds of 25 that a sine comes out of a delay line."""
+    line = DelayLine(1, 48_000, samplerate_out)
+    writer = Side(jitter_s=jitter_s, seed=1).callbacks()
+    reader = Side(
+        samplerate=samplerate_out, ppm=ppm, jitter_s=jitter_s, start_s=0.003, seed=2
+    ).callbacks()
+    out = np.empty((256, 1), np.float32)
+    parts = []
+    write_s, read_s, written = next(writer)[0], next(reader)[0], 0
+    while read_s < 25.0:
+        if write_s <= read_s:
+            turns = hz * (written + np.arange(256)) / 48_000 % 1.0
+            line.write(0.9 * np.sin(2 * np.pi * turns)[:, np.newaxis], write_s)
+            written += 256
+            write_s = next(writer)[0]
+        else:
+            line.read(out, read_s)
+            if read_s > 25.0 - keep_s:
+                parts.append(out[:, 0].astype(np.float64))
+            read_s = next(reader)[0]
+    assert line.status.state is DelayState.LOCKED
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize("samplerate_out", [48_000, 44_100])
+@pytest.mark.parametrize("hz", [20, 90, 250])
+def test_a_sine_of_the_vibration_band_stays_a_sine(hz: float, samplerate_out: int) -> None:
+    vibration = heard(hz, 150, 0.0, samplerate_out, 2.0)
+    _, amplitude, rest_db = best_sinusoid(vibration, samplerate_out, hz)
+    assert rest_db < -100
+    assert amplitude == pytest.approx(0.9, rel=1e-5)
+
+
+@pytest.mark.parametrize("hz", [20, 250])
+def test_steering_under_jitter_adds_nothing_away_from_the_sine(hz: float) -> None:
+    vibration = heard(hz, -300, 2 * MS, 48_000, 5.0)
+    spectrum = np.abs(np.fft.rfft(vibration * np.kaiser(len(vibration), 20.0))) ** 2
+    near = np.abs(np.fft.rfftfreq(len(vibration), 1 / 48_000) - hz) < 5
+    assert 10 * np.log10(spectrum[~near].sum() / spectrum[near].sum()) < -110
+
+
+def test_channels_stay_apart() -> None:
+    line = DelayLine(3, 48_000, 48_000)
+    out = np.empty((256, 3), np.float32)
+    for number in range(200):
+        line.write(np.full((256, 3), (0.1, -0.2, 0.3), np.float32), number * 256 / 48_000)
+        line.read(out, number * 256 / 48_000 + 0.001)
+    np.testing.assert_allclose(out, np.full((256, 3), (0.1, -0.2, 0.3)), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "error"),
+    [
+        ({"samplerate_in": 0.0}, UsageError),
+        ({"samplerate_out": float("nan")}, UsageError),
+        ({"capacity_s": 0.05}, UsageError),
+        ({"capacity_s": float("inf")}, UsageError),
+        ({"offset_s": -0.001}, UsageError),
+        ({"offset_s": 5.0}, UsageError),
+        ({"offset_s": float("nan")}, UsageError),
+        ({"channels": 0}, InternalError),
+        ({"capture_block": 0}, InternalError),
+    ],
+)
+def test_what_cannot_be_is_refused_when_it_is_made(
+    wrong: dict[str, float], error: type[Exception]
+) -> None:
+    usual = {"channels": 1, "samplerate_in": 48_000, "samplerate_out": 48_000}
+    with pytest.raises(error, match=next(iter(wrong))):
+        DelayLine(**(usual | wrong))  # type: ignore[arg-type]

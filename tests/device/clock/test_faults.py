@@ -1,0 +1,347 @@
+"""Stalls, starvation, silence, hostile calls: the delay line comes back to its target."""
+
+from __future__ import annotations
+
+import threading
+import tracemalloc
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from device.clock import DelayLine, DelayState
+from device.errors import InternalError, UsageError
+from device.units import Float32Array, FloatArray
+from tests.support.clocks import Side, run
+
+MS = 0.001
+BLOCK_S = 256 / 48_000
+
+
+def tone_line(
+    seconds: float,
+    act: dict[int, object] | None = None,
+    missing: range = range(0),
+    hz: float = 60.0,
+) -> tuple[FloatArray, DelayLine, list[DelayState]]:
+    """All that is heard of a sine of 0.8; `act` calls, before the n-th read, with the line."""
+    line = DelayLine(1, 48_000, 48_000)
+    out = np.empty((256, 1), np.float32)
+    heard, states = [], []
+    at = np.arange(256)
+    for number in range(round(seconds / BLOCK_S)):
+        if number not in missing:  # what comes after a gap is the sine, continued
+            line.write(0.8 * np.sin(2 * np.pi * hz * at / 48_000)[:, np.newaxis], number * BLOCK_S)
+            at += 256
+        doing = (act or {}).get(number)
+        if callable(doing):
+            doing(line)
+        line.read(out, number * BLOCK_S + 0.001)
+        heard.append(out[:, 0].astype(np.float64))
+        states.append(line.status.state)
+    return np.concatenate(heard), line, states
+
+
+def bend(vibration: FloatArray) -> float:
+    """Largest change of slope from frame to frame; a hard step of 0.8 has 0.8."""
+    return float(np.abs(np.diff(vibration, 2)).max())
+
+
+TAP, OUTPUT = Side(jitter_s=MS, seed=1), Side(ppm=150, jitter_s=MS, seed=2, start_s=0.003)
+STOP = ((10.0, 12.0),)
+
+FAULTS = {
+    "the tap stops for two seconds": (replace(TAP, gaps=STOP), OUTPUT),
+    "the tap hangs and delivers two seconds at once": (replace(TAP, pauses=STOP), OUTPUT),
+    "the output stops for two seconds": (TAP, replace(OUTPUT, gaps=STOP)),
+    "the output hangs and asks for two seconds at once": (TAP, replace(OUTPUT, pauses=STOP)),
+    "both hang": (replace(TAP, pauses=((10.0, 10.5),)), replace(OUTPUT, pauses=((10.0, 10.5),))),
+    "the tap loses 30 ms": (replace(TAP, gaps=((10.0, 10.03),)), OUTPUT),
+    "the output loses 30 ms": (TAP, replace(OUTPUT, gaps=((10.0, 10.03),))),
+    "the tap is late by 80 ms": (replace(TAP, pauses=((10.0, 10.08),)), OUTPUT),
+    "the tap begins five seconds later": (replace(TAP, start_s=5.0), OUTPUT),
+    "the output begins five seconds later": (TAP, replace(OUTPUT, start_s=5.0)),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_after_a_fault_it_is_back_on_target_and_no_delay_stays(name: str) -> None:
+    course = run(DelayLine(1, 48_000, 48_000), *FAULTS[name], seconds=25.0)
+    assert course.last.state is DelayState.LOCKED
+    assert np.abs(course.after(22.0)).max() < 0.25 * MS
+    # Blocks, and at most the lateness of some callbacks after the fault.
+    assert 2.5 * BLOCK_S < course.last.target_s < 2.5 * BLOCK_S + 4 * MS
+    assert course.last.underflows + course.last.resyncs + course.last.overflows <= 3
+    playing = [state in (DelayState.SETTLING, DelayState.LOCKED) for state in course.states]
+    since = course.time_s > 12.8
+    assert np.array(playing)[since].all()
+
+
+class AsksEarly(Side):
+    """Five callbacks come with the first of them, once: a server fills its buffers."""
+
+    at_s = 0.3
+
+    def callbacks(self) -> Iterator[tuple[float, float]]:
+        """See `Side`."""
+        first = round(self.at_s / BLOCK_S)
+        early_s = 0.0
+        for number, (now_s, true_s) in enumerate(super().callbacks()):
+            if number == first:
+                early_s = now_s
+            yield (early_s if first <= number < first + 5 else now_s), true_s
+
+
+def test_a_server_that_fills_its_buffers_late_does_not_leave_a_delay_that_nobody_sees() -> None:
+    line = DelayLine(1, 48_000, 48_000)
+    course = run(line, TAP, AsksEarly(jitter_s=MS, seed=2, start_s=0.003), 20.0)
+    assert np.abs(course.after(8.0)).max() < 0.0005
+    usual = run(DelayLine(1, 48_000, 48_000), TAP, replace(OUTPUT, ppm=0.0), 20.0)
+    assert course.last.target_s == pytest.approx(usual.last.target_s, abs=0.0015)
+
+
+@pytest.mark.parametrize("lost_s", [0.01, 0.03])
+def test_a_jump_of_the_counter_is_not_taken_for_lateness(lost_s: float) -> None:
+    line = DelayLine(1, 48_000, 48_000)
+    course = run(line, replace(TAP, gaps=((3.0, 3.0 + lost_s),)), OUTPUT, 10.0)
+    assert course.last.target_s < 2.5 * BLOCK_S + 2 * MS
+    assert np.abs(course.after(5.0)).max() < 0.25 * MS
+
+
+def test_frames_that_the_output_slept_through_are_counted_as_an_overflow() -> None:
+    line = DelayLine(1, 48_000, 48_000, capacity_s=0.5)
+    course = run(line, TAP, replace(OUTPUT, gaps=((10.0, 11.0),)), 12.0)
+    assert (course.last.overflows, course.last.resyncs, course.last.underflows) == (1, 0, 0)
+
+
+def test_what_was_left_before_a_stall_is_not_played_after_it() -> None:
+    line = DelayLine(1, 48_000, 48_000, offset_s=0.3)
+    course = run(line, replace(TAP, gaps=((10.0, 11.0),)), OUTPUT, 13.0)
+    silent = np.array([state is DelayState.STARVED for state in course.states])
+    # From 0.3 s after the last frame until 0.3 s after the first new one.
+    assert silent.sum() * BLOCK_S == pytest.approx(1.0, abs=0.02)
+    assert course.time_s[silent][-1] == pytest.approx(11.31, abs=0.01)
+
+
+def test_ten_stalls_leave_the_delay_that_the_first_one_left() -> None:
+    gaps = tuple((10.0 + 4 * number, 10.5 + 4 * number) for number in range(10))
+    line = DelayLine(1, 48_000, 48_000)
+    course = run(
+        line,
+        Side(jitter_s=MS, seed=1, gaps=gaps),
+        Side(jitter_s=MS, seed=2, ppm=-200, start_s=0.003),
+        60.0,
+    )
+    assert course.last.underflows == 10
+    assert course.last.target_s < 2.5 * BLOCK_S + 2 * MS
+    assert np.abs(course.after(55.0)).max() < 0.25 * MS
+
+
+@pytest.mark.parametrize(
+    ("act", "missing"),
+    [
+        ({}, range(200, 240)),
+        ({}, range(200, 201)),
+        ({200: DelayLine.flush}, range(0)),
+        ({200: lambda line: setattr(line, "offset_s", 0.05)}, range(0)),
+        ({200: DelayLine.silence, 230: DelayLine.resume}, range(0)),
+    ],
+    ids=["starved", "one block missing", "flush", "jump", "resume"],
+)
+def test_nothing_clicks(act: dict[int, object], missing: range) -> None:
+    heard, _, _ = tone_line(2.5, act, missing)
+    if DelayLine.silence in act.values():  # meant to be at once; what follows is not
+        heard = heard[200 * 256 :]
+    assert np.abs(heard).max() <= 1.0
+    assert bend(heard) < 0.006
+
+
+def test_silence_acts_in_the_very_next_read_and_resume_finds_the_same_delay() -> None:
+    heard, line, states = tone_line(3.0, {200: DelayLine.silence, 300: DelayLine.resume})
+    assert np.abs(heard[199 * 256 : 200 * 256]).max() > 0.1
+    assert not heard[200 * 256 : 300 * 256].any()
+    plain, _, _ = tone_line(3.0)
+    resumed = 302 * 256
+    np.testing.assert_array_equal(heard[resumed:], plain[resumed:])
+    assert DelayState.FILLING not in states[200:]
+    assert not line.status.silenced
+
+
+def test_silence_before_anything_and_between_two_blocks_of_any_size_is_zeros() -> None:
+    line = DelayLine(2, 48_000, 48_000)
+    line.silence()
+    assert not line.status.silenced  # as of the last read
+    out = np.ones((77, 2), np.float32)
+    line.read(out, 0.0)
+    assert not out.any()
+    assert line.status.silenced
+
+
+def test_flush_fades_at_once_and_plays_nothing_that_was_written_before_it() -> None:
+    heard, _, states = tone_line(2.0, {200: DelayLine.flush})
+    fade = 240
+    at = 200 * 256
+    target = 2.5 * 256
+    silent = heard[at + fade : at + round(target) - 256]
+    assert len(silent) > 100
+    assert not silent.any()
+    assert states[200] is DelayState.EMPTY
+    assert states[-1] in (DelayState.SETTLING, DelayState.LOCKED)
+
+
+def test_states_tell_the_story() -> None:
+    line = DelayLine(1, 48_000, 48_000)
+    out = np.empty((256, 1), np.float32)
+    line.read(out, 0.0)
+    before_anything = line.status.state
+    line.write(np.zeros((256, 1)), 0.001)
+    line.read(out, BLOCK_S)
+    assert (before_anything, line.status.state) == (DelayState.EMPTY, DelayState.FILLING)
+    _, _, states = tone_line(6.0, missing=range(500, 600))
+    story = [state for last, state in zip([None, *states], states, strict=False) if state != last]
+    playing = [DelayState.SETTLING, DelayState.LOCKED]
+    assert story == [DelayState.FILLING, *playing, DelayState.STARVED, *playing]
+
+
+def test_a_tap_that_delivers_half_of_what_it_should_is_mostly_silent_and_never_buzzes() -> None:
+    line = DelayLine(1, 48_000, 48_000)
+    out = np.empty((256, 1), np.float32)
+    starts, before, rng = 0, False, np.random.default_rng(0)
+    for number in range(4_000):
+        if number % 2:
+            line.write(rng.uniform(-1, 1, (256, 1)), number * BLOCK_S)
+        line.read(out, number * BLOCK_S)
+        now = bool(out.any())
+        starts += now and not before
+        before = now
+    assert starts < 1.5 * 4_000 * BLOCK_S
+    assert line.status.underflows < 1.5 * 4_000 * BLOCK_S
+
+
+def test_a_user_offset_is_reached_at_once_and_kept() -> None:
+    line = DelayLine(1, 48_000, 48_000)
+
+    def later(time_s: float, line: DelayLine, out: Float32Array) -> None:
+        line.offset_s = 0.1 if time_s > 10 else 0.0
+
+    course = run(line, Side(), Side(start_s=0.003, ppm=100), 20.0, later)
+    assert line.offset_s == 0.1
+    assert course.last.resyncs == 0  # the user wished it
+    assert course.last.delay_s == pytest.approx(0.1 + 2.5 * BLOCK_S + MS, abs=0.1 * MS)
+    assert np.abs(course.after(10.1)).max() < 0.25 * MS
+    with pytest.raises(UsageError, match="offset_s=-1"):
+        line.offset_s = -1.0
+
+
+numbers = st.floats(allow_nan=True, allow_infinity=True) | st.floats(0, 3)
+calls = st.lists(
+    st.one_of(
+        st.tuples(st.just("write"), st.integers(0, 9_000), numbers),
+        st.tuples(st.just("read"), st.integers(0, 9_000), numbers),
+        st.tuples(st.just("on"), st.integers(1, 60), st.floats(0.0, 0.02)),
+        st.tuples(st.sampled_from(("flush", "silence", "resume")), st.just(0), st.just(0.0)),
+        st.tuples(st.just("offset"), st.just(0), st.floats(0.0, 0.2)),
+        st.tuples(st.just("spoilt"), st.integers(0, 600), numbers),
+    ),
+    max_size=30,
+)
+
+
+@settings(max_examples=150)
+@given(
+    calls, st.sampled_from([(48_000, 48_000), (44_100, 48_000), (8_000, 192_000), (96_000, 8_000)])
+)
+def test_no_order_of_calls_sizes_and_times_raises_or_gives_what_is_not_finite(
+    calls: list[tuple[str, int, float]], rates: tuple[int, int]
+) -> None:
+    line = DelayLine(2, *rates, capacity_s=0.6)
+    draw = np.random.default_rng(0)
+    now_s = 0.0
+    for kind, count, number in calls:
+        if kind == "write":
+            line.write(draw.uniform(-1, 1, (count, 2)), number)
+        elif kind == "spoilt":
+            line.write(np.full((count, 2), number), now_s)
+        elif kind == "read":
+            check(line, count, number)
+        elif kind == "on":  # a while of ordinary life
+            for _ in range(count):
+                now_s += 256 / 48_000
+                line.write(draw.uniform(-1, 1, (rates[0] * 256 // 48_000, 2)), now_s + number)
+                check(line, rates[1] * 256 // 48_000, now_s)
+        elif kind == "offset":
+            line.offset_s = number
+        else:
+            getattr(line, kind)()
+
+
+def check(line: DelayLine, frames: int, now_s: float) -> None:
+    out = np.full((frames, 2), np.nan, np.float32)
+    line.read(out, now_s)
+    assert np.isfinite(out).all()
+    status = line.status
+    assert np.isfinite([status.target_s, status.delay_s, status.ratio_ppm]).all()
+    assert 0.0 < status.target_s <= 0.6
+    assert abs(status.ratio_ppm) <= 3_001  # the loop's limit and the target's own pace
+
+
+@pytest.mark.parametrize("shape", [(256,), (256, 1), (256, 3), (2, 256)])
+def test_blocks_of_another_shape_are_a_mistake_of_the_program(shape: tuple[int, ...]) -> None:
+    line = DelayLine(2, 48_000, 48_000)
+    with pytest.raises(InternalError, match="was expected"):
+        line.write(np.zeros(shape), 0.0)
+    with pytest.raises(InternalError, match="was expected"):
+        line.read(np.zeros(shape, np.float32), 0.0)
+
+
+def test_memory_does_not_grow() -> None:
+    line = DelayLine(2, 48_000, 48_000)
+    block = np.zeros((256, 2), np.float32)
+
+    def live(first: int, blocks: int) -> None:
+        for number in range(first, first + blocks):
+            line.write(block, number * BLOCK_S)
+            line.read(block, number * BLOCK_S + 0.001)
+
+    live(0, 12_000)  # a minute of callbacks is kept
+    tracemalloc.start()
+    try:
+        live(12_000, 500)
+        before, _ = tracemalloc.get_traced_memory()
+        live(12_500, 1_500)
+        after, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 4_096
+    assert peak - before < 65_536
+
+
+def test_two_threads_without_a_lock_hear_whole_frames_only() -> None:
+    line = DelayLine(2, 48_000, 48_000)
+    written = np.empty((64, 2), np.float32)
+    written[:, 0] = np.linspace(-0.5, 0.5, 64)
+    written[:, 1] = -written[:, 0]
+    errors: list[BaseException] = []
+    running = threading.Event()
+
+    def write() -> None:
+        running.wait()
+        try:
+            for number in range(6_000):
+                line.write(written, number * 64 / 48_000)
+        except BaseException as error:
+            errors.append(error)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    running.set()
+    out = np.empty((64, 2), np.float32)
+    for number in range(6_000):
+        line.read(out, number * 64 / 48_000)
+        np.testing.assert_allclose(out[:, 0], -out[:, 1], atol=1e-6)
+        line.status  # noqa: B018
+    writer.join()
+    assert not errors

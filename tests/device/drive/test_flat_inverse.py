@@ -1,0 +1,153 @@
+"""The flat inverse: a rig that stiffens moves as a linear one, and damping holds up to Xmax."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from device.drive.damping import (
+    FlatInverse,
+    choose_damping,
+    large_burst_response,
+    undamped,
+    undamped_large,
+)
+from device.errors import UsageError
+from device.rig import CONSUMER, PAPER, Rig
+from device.rig.actuator import LinearActuator
+from device.rig.ladder import Ladder
+from device.rig.rungs import Rung
+
+RATE = 48_000
+X_MAX = PAPER.actuator.x_max_m
+CHOSEN = choose_damping(PAPER.actuator).damping
+
+
+def scaled(rig, signal, level):
+    """The signal in V with which the linear rig swings to a share of Xmax, and that motion."""
+    source = rig.amplifier.source_impedance_ohm
+    largest = np.abs(LinearActuator(rig.actuator, RATE, source).move(signal).displacement_m).max()
+    volts = signal * (level * rig.actuator.x_max_m / largest)
+    return volts, LinearActuator(rig.actuator, RATE, source).move(volts)
+
+
+def bumps(frequencies_hz, seconds=0.2):
+    """Tones that come and go together, (frames,)."""
+    time_s = np.arange(round(seconds * RATE)) / RATE
+    envelope = np.sin(np.pi * time_s / seconds) ** 2
+    return envelope * sum(np.sin(math.tau * f * time_s) for f in frequencies_hz)
+
+
+def error(got, wanted):
+    return np.sqrt(np.mean((got - wanted) ** 2) / np.mean(wanted**2))
+
+
+@settings(max_examples=25)
+@given(
+    st.lists(st.floats(0.2, 1.4), min_size=1, max_size=4),
+    st.floats(0.01, 1.1),
+    st.sampled_from([PAPER, CONSUMER]),
+)
+def test_the_rig_moves_as_the_linear_one_with_any_tones_to_beyond_xmax(ratios, level, rig):
+    # Far above its resonance it would take hundreds of volts, and the motion would not be stable.
+    volts, wanted = scaled(rig, bumps([r * rig.actuator.resonance_hz for r in ratios]), level)
+    got = Ladder(rig, RATE, rung=Rung.NONLINEAR).move(FlatInverse(rig, RATE).process(volts))
+    # Between samples the voltage is a straight line, and the rung's nodes are at 6 kHz: 1e-4.
+    assert error(got.acceleration_m_s2, wanted.acceleration_m_s2) < 1e-3
+    assert error(got.displacement_m, wanted.displacement_m) < 1e-3
+
+
+def test_without_it_the_same_rig_is_far_from_that_motion():
+    volts, wanted = scaled(PAPER, bumps([90.0]), 1.0)
+    got = Ladder(PAPER, RATE, rung=Rung.NONLINEAR).move(volts)
+    assert error(got.acceleration_m_s2, wanted.acceleration_m_s2) > 0.3
+
+
+def test_the_third_harmonic_of_a_low_tone_is_gone():
+    volts, _ = scaled(PAPER, bumps([30.0], 0.5), 0.9)
+    shown = []
+    for drive in (volts, FlatInverse(PAPER, RATE).process(volts)):
+        a = Ladder(PAPER, RATE, rung=Rung.NONLINEAR).move(drive).acceleration_m_s2
+        spectrum = np.abs(np.fft.rfft(a * np.hanning(len(a))))
+        shown.append(spectrum[45] / spectrum[15])  # bins of 2 Hz: 90 and 30 Hz
+    assert shown[0] > 0.05
+    assert shown[1] < 1e-3
+
+
+def test_damping_holds_at_xmax_where_the_inverse_alone_does_not():
+    low = undamped(PAPER.actuator)
+    alone, flat = (
+        large_burst_response(PAPER, CHOSEN, X_MAX, flat=flat).response.against(low)
+        for flat in (False, True)
+    )
+    assert flat.residual_db <= -11.0
+    assert alone.residual_db > -10.5
+    same_level = undamped_large(PAPER, X_MAX).response
+    for detuning in (-0.1, 0.1):
+        burst = large_burst_response(PAPER, CHOSEN, X_MAX, flat=True, detuning=detuning)
+        reference = undamped_large(PAPER, X_MAX, detuning=detuning).response
+        assert burst.response.against(reference).residual_db <= -7.0
+    assert (
+        5.0
+        < large_burst_response(PAPER, CHOSEN, X_MAX, flat=True)
+        .response.against(same_level)
+        .peak_volts_db
+        < 11.0
+    )
+
+
+@pytest.mark.parametrize("level", [0.05, 0.1])
+def test_at_a_low_level_the_limits_hold_on_the_non_linear_rung_with_and_without_it(level):
+    for flat in (False, True):
+        for detuning, must_db in ((0.0, -11.0), (-0.1, -7.0), (0.1, -7.0)):
+            burst = large_burst_response(PAPER, CHOSEN, level * X_MAX, flat=flat, detuning=detuning)
+            reference = undamped_large(PAPER, level * X_MAX, detuning=detuning)
+            shown = burst.response.against(reference.response)
+            assert shown.residual_db <= must_db
+            assert detuning or shown.peak_volts_db <= 5.0
+
+
+def test_at_rest_and_for_small_signals_it_changes_nothing():
+    volts = 1e-6 * bumps([50.0, 120.0])
+    inverse = FlatInverse(PAPER, RATE)
+    np.testing.assert_allclose(inverse.process(volts), volts, atol=1e-6 * np.abs(volts).max())
+    assert not FlatInverse(PAPER, RATE).process(np.zeros(100)).any()
+
+
+@settings(max_examples=20)
+@given(st.lists(st.integers(0, 4_000), max_size=8))
+def test_any_split_gives_the_same_bytes_and_reset_begins_anew(cuts):
+    volts, _ = scaled(PAPER, bumps([90.0], 0.1), 1.0)
+    inverse = FlatInverse(PAPER, RATE)
+    whole = inverse.process(volts)
+    inverse.reset()
+    parts = [inverse.process(part) for part in np.split(volts, sorted(cuts))]
+    assert np.concatenate(parts).tobytes() == whole.tobytes()
+
+
+@settings(max_examples=40)
+@given(st.lists(st.floats() | st.sampled_from([1e4, -1e6, math.nan]), max_size=300))
+def test_what_comes_out_is_finite_whatever_goes_in(volts):
+    for rig in (PAPER, CONSUMER):
+        assert np.isfinite(FlatInverse(rig, RATE).process(np.array(volts))).all()
+
+
+def test_what_lies_beyond_the_stops_is_counted():
+    inverse = FlatInverse(PAPER, RATE)
+    inverse.process(scaled(PAPER, bumps([90.0]), 1.0)[0])
+    assert inverse.beyond_samples == 0
+    inverse.process(scaled(PAPER, bumps([90.0]), 2.0)[0])
+    assert inverse.beyond_samples > 0
+    inverse.reset()
+    assert inverse.beyond_samples == 0
+
+
+def test_a_rig_that_does_not_say_how_it_stiffens_and_a_burst_of_no_size_are_refused():
+    nothing: Rig = replace(PAPER, large_signal=None)
+    with pytest.raises(UsageError, match="large_signal"):
+        FlatInverse(nothing, RATE)
+    with pytest.raises(UsageError, match="excursion_m=0"):
+        large_burst_response(PAPER, CHOSEN, 0.0)

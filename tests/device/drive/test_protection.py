@@ -1,0 +1,665 @@
+"""Protection: no drive makes a rig exceed its limits, and none is touched without need."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import differential_evolution
+
+from device.drive.protection import (
+    CoilTemperature,
+    Limits,
+    Protector,
+    limits_of,
+)
+from device.errors import InternalError, UsageError
+from device.rig import CONSUMER, PAPER, Rig, ThermalParameters
+from device.rig.actuator import LinearActuator
+from device.rig.amplifier import Amplifier
+from device.rig.ladder import Ladder
+from device.rig.perturbed_rigs import detuned, stiffened
+from device.rig.rungs import Rung
+from device.rig.thermal import COPPER_PER_K
+from device.rig.twin import Twin
+
+ACTUATOR = PAPER.actuator
+assert PAPER.thermal
+assert PAPER.large_signal
+THERMAL, LARGE = PAPER.thermal, PAPER.large_signal
+RATE = 8_000
+# An amplifier that can drive the coil through its limits: 20 V where 13 V reach Xmax. Its current
+# is no limit here: that has tests of its own.
+STRONG = replace(PAPER.amplifier, current_limit_a=math.inf)
+LOUD = replace(PAPER, amplifier=replace(STRONG, gain=20.0))
+# And one that cannot stop at ±1.5 Xmax, with a tighter limit of the level.
+LOUDER = replace(PAPER, amplifier=replace(STRONG, gain=40.0, output_limit_v=30.0))
+DETUNINGS = (-0.1, -0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075, 0.1)
+
+
+def protect(rig, drive, samplerate=RATE, splits=(), **options):
+    """The protector after a drive of (frames,) and enough silence, and what left it, (frames,)."""
+    protector = Protector(rig, samplerate, 1, **options)
+    silence = np.zeros(protector.latency_frames + samplerate // 10)
+    stream = np.concatenate([drive, silence])[:, None]
+    parts = np.split(stream, sorted(splits)) if len(splits) else [stream]
+    return protector, np.concatenate([protector.process(part)[:, 0] for part in parts])
+
+
+def volts_of(rig, drive, samplerate=RATE):
+    """What the amplifier with its band, but without clipping, makes of a drive, in V."""
+    unlimited = replace(rig.amplifier, output_limit_v=1e9)
+    return Amplifier(unlimited, samplerate).drive(rig.dac.full_scale_v * drive)
+
+
+def excursions(rig, drive, samplerate=RATE, detunings=DETUNINGS):
+    """The largest |x| of each detuned rig behind the amplifier, as a share of Xmax."""
+    volts = volts_of(rig, drive, samplerate)
+    source = rig.amplifier.source_impedance_ohm
+    return [
+        np.abs(
+            LinearActuator(detuned(rig.actuator, share), samplerate, source)
+            .move(volts, ("displacement_m",))
+            .displacement_m
+        ).max()
+        / rig.actuator.x_max_m
+        for share in detunings
+    ]
+
+
+def tone(frequency_hz, seconds, samplerate=RATE, shape=np.sin):
+    return shape(math.tau * frequency_hz * np.arange(round(seconds * samplerate)) / samplerate)
+
+
+def square(phase):
+    return np.sign(np.sin(phase))
+
+
+# -------------------------------------------------------------------------------- excursion
+
+
+@pytest.mark.parametrize("samplerate", [1_000, 8_000, 44_100, 48_000, 192_000])
+def test_a_tone_at_resonance_that_would_exceed_the_excursion_comes_up_to_it_and_no_further(
+    samplerate,
+):
+    drive = tone(90.0, 0.3, samplerate)
+    assert max(excursions(LOUD, drive, samplerate)) > 1.4
+    protector, out = protect(LOUD, drive, samplerate)
+    largest = max(excursions(LOUD, out, samplerate))
+    # At 1 kHz frames of the stiffest model lie 47 degrees apart: more is held back for what is
+    # between them.
+    assert (0.97 if samplerate > 1_000 else 0.8) < largest <= 1.0
+    assert protector.status().infeasible_blocks == 0
+    assert np.abs(out).max() <= 1.0
+
+
+genes = st.tuples(
+    st.floats(60.0, 110.0), st.floats(0.0, 1.0), st.floats(0.02, 0.2), st.floats(10.0, 300.0),
+    st.floats(-1.0, 1.0), st.floats(-1.5, 1.5), st.booleans(),
+)  # fmt: skip
+
+
+def drive_of(frequency_hz, phase, until_s, other_hz, other, level, squared, seconds=0.25):
+    """A gated tone or square wave near the resonance and another tone, (frames,)."""
+    time_s = np.arange(round(seconds * RATE)) / RATE
+    wave = np.sin(math.tau * (frequency_hz * time_s + phase))
+    wave = np.where(time_s < until_s, np.sign(wave) if squared else wave, 0.0)
+    return level * (wave + other * np.sin(math.tau * other_hz * time_s))
+
+
+@settings(max_examples=60)
+@given(genes, st.sampled_from([LOUD, LOUDER]))
+def test_no_tones_and_bursts_exceed_the_excursion_at_any_f0_within_ten_percent(found, rig):
+    protector, out = protect(rig, drive_of(*found))
+    assert max(excursions(rig, out)) <= 1.0
+    assert np.abs(out).max() <= protector.limits.level * (1 + 1e-6)
+    assert protector.status().infeasible_blocks == 0
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(st.tuples(st.integers(1, 60), st.floats(-3.0, 3.0)), min_size=1, max_size=40),
+    st.sampled_from([LOUD, LOUDER]),
+)
+def test_no_steps_exceed_the_excursion_at_any_f0_within_ten_percent(steps, rig):
+    drive = np.concatenate([np.full(frames, level) for frames, level in steps])
+    protector, out = protect(rig, drive)
+    assert max(excursions(rig, out)) <= 1.0
+    assert np.abs(out).max() <= protector.limits.level * (1 + 1e-6)
+    assert protector.status().infeasible_blocks == 0
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("rig", [LOUD, LOUDER], ids=["20 V", "30 V"])
+def test_no_drive_of_ten_thousand_that_an_optimiser_tries_exceeds_the_excursion(rig):
+    worst = 0.0
+    tries = 0
+
+    def reached(x):
+        nonlocal worst, tries
+        frequency_hz, phase, until_s, other_hz, other, level, squared = x.tolist()
+        drive = drive_of(frequency_hz, phase, until_s, other_hz, other, level, squared > 0.5)
+        _, out = protect(rig, drive)
+        tries += 1
+        largest = max(excursions(rig, out))
+        worst = max(worst, largest)
+        return -largest
+
+    bounds = [(60, 110), (0, 1), (0.02, 0.2), (10, 300), (-1, 1), (0.2, 1.5), (0, 1)]
+    differential_evolution(reached, bounds, popsize=14, maxiter=53, tol=0.0, polish=False, rng=1)
+    print(f"{rig.amplifier.gain:g} V: {tries} drives, at most {worst:.4f} Xmax")
+    assert tries >= 5_000
+    assert worst <= 1.0
+
+
+# ------------------------------------------------------------------------- behind the amplifier
+
+
+def tight(rig, share):
+    """The rig with less room to move: what its amplifier can drive it beyond."""
+    return replace(rig, actuator=replace(rig.actuator, x_max_m=share * rig.actuator.x_max_m))
+
+
+TIGHT = [tight(CONSUMER, 0.5), tight(CONSUMER, 0.3), tight(PAPER, 0.12)]
+TIGHT_IDS = ["consumer, half of Xmax", "consumer, 0.3 Xmax", "paper, 0.12 Xmax"]
+
+
+def reached_on_the_twin(rig, out, detunings=DETUNINGS):
+    """The largest |x| over Xmax of the whole twin, from the DAC on, for each detuned actuator."""
+    shares = []
+    for share in detunings:
+        twin = Twin(replace(rig, actuator=detuned(rig.actuator, share)), RATE, 1)
+        twin.write(out[:, None])
+        assert twin.clipped_samples == 0
+        shares.append(twin.peak_displacement_m / rig.actuator.x_max_m)
+    return shares
+
+
+@pytest.mark.parametrize("rig", TIGHT, ids=TIGHT_IDS)
+@pytest.mark.parametrize("frequency_hz", [15.0, 30.0, 42.0, 45.0, 90.0])
+def test_the_whole_twin_stays_within_xmax_whatever_its_amplifier_adds(rig, frequency_hz):
+    for shape in (np.sin, square):
+        for end in (None, RATE // 8):
+            drive = tone(frequency_hz, 0.3, shape=shape)
+            drive[end:] = 0.0 if end else drive[end:]
+            protector, out = protect(rig, drive)
+            assert max(reached_on_the_twin(rig, out)) <= 1.0
+            assert protector.status().infeasible_blocks == 0
+
+
+@settings(max_examples=30)
+@given(genes, st.sampled_from(TIGHT))
+def test_no_tones_and_bursts_take_the_whole_twin_beyond_xmax(found, rig):
+    protector, out = protect(rig, np.clip(drive_of(*found), -1.0, 1.0))
+    assert max(reached_on_the_twin(rig, out, (-0.1, 0.0, 0.1))) <= 1.0
+    assert protector.status().infeasible_blocks == 0
+
+
+@pytest.mark.parametrize(("rig", "frequency_hz"), [(TIGHT[0], 45.0), (TIGHT[2], 15.0)])
+def test_a_protection_that_did_not_know_the_amplifiers_band_would_let_it_through(rig, frequency_hz):
+    unaware = replace(rig, amplifier=replace(rig.amplifier, low_cut_hz=0.0))
+    _, out = protect(unaware, tone(frequency_hz, 0.3, shape=square))
+    assert max(reached_on_the_twin(rig, out)) > 1.05
+
+
+@pytest.mark.parametrize("frequency_hz", [2.0, 4.0, 8.0])
+def test_what_an_amplifier_swings_back_long_after_a_stop_stays_within_xmax(frequency_hz):
+    # So strong that what the high-pass gives back by itself would reach Xmax.
+    rig = replace(PAPER, amplifier=replace(STRONG, gain=80.0, output_limit_v=1e3))
+    reached = []
+    for shape in (np.sin, square):
+        for until_s in (0.06, 0.1, 0.15, 0.2):
+            drive = tone(frequency_hz, 0.4, shape=shape)
+            drive[round(until_s * RATE) :] = 0.0
+            protector, out = protect(rig, drive)
+            reached.append(max(excursions(rig, out)))
+            assert protector.status().infeasible_blocks == 0
+    assert 0.95 < max(reached) <= 1.0
+
+
+@pytest.mark.parametrize("samplerate", [8_000, 44_100, 48_000])
+def test_what_once_had_an_answer_has_one_a_block_later(samplerate):
+    # Each edge swings the amplifier on, and peaks lie between the places that were looked at.
+    drive = tone(30.0, 0.2, samplerate, shape=square)
+    protector, _ = protect(LOUD, drive, samplerate)
+    assert protector.status().limited_blocks > 50
+    assert protector.status().infeasible_blocks == 0
+
+
+# ------------------------------------------------------------------------- the non-linear rung
+
+
+STRONGER = [1.0, 1.5, 2.5, 4.0]
+"""Amplifiers, by how far full scale at the resonance would swing, in Xmax."""
+protectors: dict[tuple[str, float], tuple[Rig, Protector]] = {}
+
+
+def strong_amplifier(rig, stronger):
+    """The rig behind an amplifier that could drive it so many times as far as Xmax, and no limit
+    of its current; and its protector, at rest."""
+    if (rig.name, stronger) not in protectors:
+        f0 = rig.actuator.resonance_hz
+        steady = max(excursions(rig, tone(f0, 0.5), detunings=(0.0,)))
+        gain = rig.amplifier.gain * stronger / steady
+        amplifier = replace(
+            rig.amplifier, gain=gain, output_limit_v=2.0 * gain, current_limit_a=math.inf
+        )
+        strong = replace(rig, amplifier=amplifier)
+        protectors[rig.name, stronger] = strong, Protector(strong, RATE, 1)
+    strong, protector = protectors[rig.name, stronger]
+    protector.reset()
+    return strong, protector
+
+
+def searched_drive(f0, kind, ratio, other_ratio, other, phase, until, level, seconds=0.25):
+    """A burst, square burst, sweep, staircase or pair of tones, (frames,), by numbers alone."""
+    frames = round(seconds * RATE)
+    time_s = np.arange(frames) / RATE
+    sine = np.sin(math.tau * (ratio * f0 * time_s + phase))
+    second = np.sin(math.tau * (other_ratio * f0 * time_s + 2.0 * phase))
+    if kind < 1:
+        wave = sine
+    elif kind < 2:
+        wave = np.sign(sine)
+    elif kind < 3:
+        along = time_s / seconds
+        rate = f0 * (ratio + (other_ratio - ratio) * along / 2.0)
+        wave = np.sin(math.tau * (rate * time_s + phase))
+    elif kind < 4:
+        wave = np.sign(sine) * (1.0 - other) + other * np.sign(second)
+    else:
+        wave = sine * (1.0 + other * np.sin(math.tau * other_ratio * f0 / 8.0 * time_s))
+    wave = wave + (other * second if kind < 2 else 0.0)
+    return level * np.where(time_s < until * seconds, wave, 0.0)
+
+
+SEARCHED = [
+    (0.0, 5.0), (0.3, 1.6), (0.1, 3.0), (0.0, 1.0), (0.0, 1.0), (0.1, 1.0), (0.3, 1.5),
+    (0.0, len(STRONGER) - 1e-6), (-0.1, 0.1),
+]  # fmt: skip
+
+
+def largest_on_the_non_linear_rung(rig, numbers):
+    """|x| over Xmax of the non-linear rung, protected, for a drive and a rig by numbers."""
+    *drive, stronger, detuning = numbers
+    strong, protector = strong_amplifier(rig, STRONGER[int(stronger)])
+    silence = np.zeros(protector.latency_frames + RATE // 20)
+    wave = searched_drive(rig.actuator.resonance_hz, *drive)
+    out = protector.process(np.concatenate([wave, silence])[:, None])[:, 0]
+    true = replace(strong, actuator=detuned(rig.actuator, detuning))
+    ladder = Ladder(true, RATE, rung=Rung.NONLINEAR)
+    x = ladder.move(volts_of(strong, out), ("displacement_m",)).displacement_m
+    return float(np.abs(x).max()) / rig.actuator.x_max_m
+
+
+@settings(max_examples=25)
+@given(st.tuples(*(st.floats(low, high) for low, high in SEARCHED)))
+def test_few_drives_on_the_non_linear_rung_stay_under_a_tenth_more_than_xmax(numbers):
+    for rig in (PAPER, CONSUMER):
+        assert largest_on_the_non_linear_rung(rig, numbers) <= 1.10
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
+def test_no_drive_that_an_optimiser_finds_takes_the_non_linear_rung_a_tenth_beyond_xmax(rig):
+    tries, worst, found = 0, 0.0, []
+
+    def reached(numbers):
+        nonlocal tries, worst, found
+        largest = largest_on_the_non_linear_rung(rig, numbers.tolist())
+        tries += 1
+        if largest > worst:
+            worst, found = largest, numbers.tolist()
+        return -largest
+
+    differential_evolution(reached, SEARCHED, popsize=14, maxiter=20, tol=0.0, polish=False, rng=2)
+    print(f"{rig.name}: {tries} drives, at most {worst:.4f} Xmax, by {found}")
+    assert tries >= 2_500
+    assert worst <= 1.10
+
+
+@pytest.mark.parametrize("frequency_hz", [30.0, 86.0, 90.0, 140.0])
+def test_a_steady_drive_keeps_as_much_as_the_fixed_gain_that_would_do(frequency_hz):
+    drive = 3.0 * tone(frequency_hz, 1.0, shape=square)
+    _, out = protect(LOUD, drive)
+    late = slice(RATE // 2, RATE)
+    fixed = min(1.0 / max(excursions(LOUD, drive)), 1.0 / 3.0)
+    kept = np.sqrt(np.mean(out[late] ** 2)) / np.sqrt(np.mean((fixed * drive[late]) ** 2))
+    # 0.13 dB are held back for rigs between the models, 1 dB for the stop that may come next.
+    assert 20 * math.log10(kept) > -1.2
+
+
+def test_what_follows_a_loud_part_is_not_turned_down_for_long():
+    quiet = 0.2 * tone(60.0, 4.0)
+    drive = np.concatenate([tone(85.0, 0.3), quiet])
+    protector, out = protect(LOUD, drive)
+    latency = protector.latency_frames
+    end = len(drive) + latency
+    assert np.array_equal(out[end - RATE : end], drive[-RATE:])
+    assert protector.status().least_gain < 0.7
+
+
+def largest_non_linear(rig, drives, *, steps=6):
+    """The largest |x| over Xmax of each drive, (frames, drives), by Runge-Kutta of fourth order.
+
+    Stiffness +50 %, Bl -25 % and inductance -+23 % at Xmax, the force from the inductance too:
+    written from the equations, apart from the models under test.
+    """
+    p, x_max = rig.actuator, rig.actuator.x_max_m
+    volts = volts_of(rig, drives)
+
+    def slopes(state, e):
+        x, v, i = state
+        share = x / x_max
+        bl = p.force_factor_n_per_a / (1 + share**2 / 3)
+        bend = np.tanh(share)
+        inductance = p.inductance_h * (1 - 0.3 * bend)
+        gradient = -0.3 * p.inductance_h / x_max * (1 - bend**2)
+        force = bl * i + i * i * gradient / 2 - p.damping_n_s_per_m * v
+        force -= p.stiffness_n_per_m * (1 + share**2 / 2) * x
+        rest = e - p.resistance_ohm * i - (bl + i * gradient) * v
+        return np.array([v, force / p.moving_mass_kg, rest / inductance])
+
+    step = 1.0 / RATE / steps
+    state, largest = np.zeros((3, drives.shape[1])), np.zeros(drives.shape[1])
+    for start, end in pairwise(volts):
+        for part in range(steps):
+            e0, e1, e2 = (start + (end - start) * (part + at) / steps for at in (0, 0.5, 1))
+            k1 = slopes(state, e0)
+            k2 = slopes(state + step / 2 * k1, e1)
+            k3 = slopes(state + step / 2 * k2, e1)
+            k4 = slopes(state + step * k3, e2)
+            state = state + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            largest = np.maximum(largest, np.abs(state[0]))
+    return largest / x_max
+
+
+def test_a_rig_that_stiffens_stays_under_a_tenth_more_than_its_limit():
+    rng = np.random.default_rng(11)
+    frames = RATE // 4
+    tones = [tone(f, 0.25, shape=s) for f in range(70, 131, 6) for s in (np.sin, square)]
+    sweeps = [
+        np.sin(np.cumsum(np.linspace(start, 200 - start, frames)) * math.tau / RATE)
+        for start in (60, 75, 125, 140)
+    ]
+    steps = [np.repeat(rng.uniform(-2, 2, frames // 20), 20) for _ in range(6)]
+    outs = np.column_stack([protect(LOUD, drive)[1] for drive in tones + sweeps + steps])
+    assert largest_non_linear(LOUD, outs).max() <= 1.10
+
+
+def test_far_from_rest_a_stiffening_actuator_is_a_stiffer_one_with_less_force():
+    far = stiffened(ACTUATOR, 0.5, 0.25)
+    assert far.stiffness_n_per_m == pytest.approx(1.375 * ACTUATOR.stiffness_n_per_m)
+    assert far.damping_n_s_per_m == pytest.approx(ACTUATOR.damping_n_s_per_m)
+    assert far.force_factor_n_per_a == pytest.approx(0.9375 * ACTUATOR.force_factor_n_per_a)
+
+
+# -------------------------------------------------------------------------------- untouched
+
+
+@settings(max_examples=25)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([np.float32, np.float64]),
+    st.sampled_from([PAPER, CONSUMER]),
+)
+def test_music_at_normal_level_leaves_bit_for_bit(seed, dtype, rig):
+    rng = np.random.default_rng(seed)
+    music = sum(
+        rng.uniform(0, 0.2) * tone(rng.uniform(20, 220), 0.3) * (tone(rng.uniform(1, 8), 0.3) > 0)
+        for _ in range(5)
+    )
+    music = np.asarray(music, dtype)[:, None]
+    protector = Protector(rig, RATE, 1)
+    latency = protector.latency_frames
+    stream = np.concatenate([music, np.zeros((latency, 1), dtype)])
+    out = protector.process(stream.copy())
+    assert out.dtype == dtype
+    assert np.array_equal(out[latency:], music)
+    assert not out[:latency].any()
+    assert protector.status().limited_blocks == 0
+
+
+def test_full_scale_of_any_shape_is_untouched_where_the_amplifier_cannot_reach_the_limits():
+    drive = np.concatenate([tone(90.0, 0.2), tone(90.0, 0.2, shape=square), np.ones(500)])
+    protector, out = protect(PAPER, drive)
+    latency = protector.latency_frames
+    assert np.array_equal(out[latency : latency + len(drive)], drive)
+
+
+def test_the_delay_is_two_blocks_and_declared():
+    protector = Protector(PAPER, 48_000, 1)
+    assert protector.latency_frames == 192
+    assert protector.status().latency_s == pytest.approx(0.004)
+    assert Protector(PAPER, 48_000, 1, block_s=0.001).latency_frames == 96
+
+
+# ------------------------------------------------------------------------- level, current, heat
+
+
+def test_what_is_over_full_scale_is_turned_down_without_a_corner():
+    drive = 4.0 * tone(50.0, 0.5)
+    protector, out = protect(PAPER, drive)
+    level = protector.limits.level
+    assert 0.9 * level < np.abs(out).max() <= level * (1 + 1e-6)
+    # Clipping would leave frames at the limit one beside the other.
+    at_limit = np.abs(out) > 0.9999 * level
+    assert not (at_limit[1:] & at_limit[:-1]).any()
+    steps = np.abs(np.diff(out)).max()
+    assert steps < 2.0 * 4.0 * math.tau * 50.0 / RATE  # and a click would be a step
+
+
+@pytest.mark.parametrize("shape", [np.sin, square])
+def test_the_current_stays_under_its_limit(shape):
+    limits = Limits(excursion_m=1.5e-3, current_a=3.0)
+    drive = tone(150.0, 0.3, shape=shape)
+    protector, out = protect(LOUD, drive, limits=limits)
+    for share in (-0.1, -0.05, 0.0, 0.05, 0.1):
+        actuator = LinearActuator(detuned(LOUD.actuator, share), RATE)
+        current_a = np.abs(actuator.move(volts_of(LOUD, out), ("current_a",)).current_a).max()
+        assert current_a <= 3.0 * (1 + 1e-6)
+        assert current_a > 2.0 or share
+    assert protector.status().infeasible_blocks == 0
+
+
+def thermal_reference(parameters, power_w, seconds):
+    """Coil and magnet by a general solver, from the equations written again."""
+    p = parameters
+
+    def slope(_, warm):
+        onward = (warm[0] - warm[1]) / p.coil_k_per_w
+        return [
+            (power_w - onward) / p.coil_j_per_k,
+            (onward - warm[1] / p.magnet_k_per_w) / p.magnet_j_per_k,
+        ]
+
+    solved = solve_ivp(slope, (0.0, seconds), [0.0, 0.0], rtol=1e-10, atol=1e-10)
+    return solved.y[:, -1] + p.ambient_c
+
+
+def test_the_thermal_masses_follow_their_equations():
+    coil = CoilTemperature(THERMAL, 3.3, 0.002)
+    for _ in range(20_000):
+        coil.step(10.0)
+    expected = thermal_reference(THERMAL, 10.0, 40.0)
+    # Stepped exactly: rounding over 20 000 steps.
+    np.testing.assert_allclose([coil.coil_c, coil.magnet_c], expected, rtol=1e-8)
+
+
+def test_the_warm_coil_has_the_resistance_of_warm_copper():
+    coil = CoilTemperature(ThermalParameters(4, 8, 3, 400, ambient_c=20.0), 3.3, 0.002)
+    assert coil.resistance_ohm == pytest.approx(3.3)
+    coil.step(coil.power_that_reaches(120.0))
+    assert coil.coil_c == pytest.approx(120.0)
+    assert coil.resistance_ohm == pytest.approx(3.3 * 1.393)
+    assert COPPER_PER_K == 0.00393
+
+
+def test_in_the_long_run_the_coil_is_as_warm_as_both_resistances_say():
+    coil = CoilTemperature(THERMAL, 3.3, 10.0)
+    for _ in range(10_000):
+        coil.step(5.0)
+    assert coil.coil_c == pytest.approx(20.0 + 5.0 * (4.0 + 3.0), rel=1e-9)
+
+
+def test_the_coil_comes_up_to_its_limit_and_stays_there():
+    # 40 V into 3.3 ohm at 160 Hz, where nothing else limits much; a small coil to save time
+    rig = replace(LOUDER, thermal=ThermalParameters(4.0, 0.4, 3.0, 400.0))
+    limits = replace(limits_of(rig), coil_temperature_c=60.0)
+    protector = Protector(rig, 2_000, 1, limits=limits)
+    drive = 0.7 * tone(160.0, 1.0, 2_000)[:, None]
+    warmest = []
+    for _ in range(12):
+        protector.process(drive.copy())
+        warmest.append(protector.status().coil_c or math.nan)
+    # The last block may still heat by what it was promised: some hundredths of a kelvin.
+    assert max(warmest) <= 60.2
+    assert warmest[-1] > 58.0
+    assert protector.status().limited_by == "temperature"
+    assert 0.0 < protector.status().gain < 1.0
+
+
+def test_a_gain_from_outside_is_kept_and_a_wrong_one_is_silence():
+    protector = Protector(PAPER, RATE, 1)
+    drive = 0.5 * tone(50.0, 1.0)[:, None]
+    protector.most = 0.25
+    out = protector.process(drive.copy())
+    latency = protector.latency_frames
+    tail = slice(RATE // 2, RATE)
+    np.testing.assert_allclose(
+        out[tail, 0], 0.25 * drive[RATE // 2 - latency : RATE - latency, 0], rtol=1e-12
+    )
+    assert protector.status().limited_by == "outside"
+    protector.most = math.nan
+    assert not protector.process(drive.copy())[tail].any()
+
+
+# --------------------------------------------------------------------------------------- live
+
+
+@settings(max_examples=20)
+@given(
+    st.lists(st.integers(0, 4_000), max_size=12),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([np.float32, np.float64]),
+)
+def test_any_split_into_blocks_gives_the_same_bytes(cuts, seed, dtype):
+    rng = np.random.default_rng(seed)
+    stream = rng.uniform(-1, 1, (4_000, 2)) + tone(85.0, 0.5)[:, None]
+    stream[2_000:3_000] = 0.0
+    stream[[50, 60]] = [[np.nan, 0.0], [np.inf, -np.inf]]
+    stream = stream.astype(dtype)
+    whole, split = Protector(LOUD, RATE, 2), Protector(LOUD, RATE, 2)
+    expected = whole.process(stream.copy())
+    blocks = [split.process(block.copy()) for block in np.split(stream, sorted(cuts))]
+    assert np.concatenate(blocks).tobytes() == expected.tobytes()
+    assert split.status() == whole.status()
+    assert split.status().replaced_samples == 3
+
+
+def test_channels_are_held_by_their_own_gains():
+    quiet, loud = 0.1 * tone(60.0, 0.5), tone(85.0, 0.5)
+    protector = Protector(LOUD, RATE, 2)
+    out = protector.process(np.column_stack([quiet, loud]))
+    latency = protector.latency_frames
+    assert np.array_equal(out[latency:, 0], quiet[:-latency])
+    assert protector.status().least_gain < 1.0
+
+
+@settings(max_examples=40)
+@given(st.lists(st.floats(width=32), max_size=300), st.sampled_from([LOUD, LOUDER]))
+def test_what_leaves_is_finite_and_within_full_scale_whatever_comes(samples, rig):
+    protector = Protector(rig, RATE, 1)
+    out = protector.process(np.array(samples, np.float32)[:, None])
+    rest = protector.process(np.zeros((200, 1)))
+    level = protector.limits.level * (1 + 1e-6)
+    assert (np.abs(out) <= level).all()
+    assert (np.abs(rest) <= level).all()
+
+
+def test_silence_comes_to_rest_and_stays_there():
+    protector = Protector(LOUD, RATE, 1)
+    protector.process(tone(85.0, 0.5)[:, None])
+    for _ in range(20):
+        out = protector.process(np.zeros((RATE // 4, 1)))
+    assert not out.any()
+    status = protector.status()
+    assert (status.excursion_m, status.gain, status.limited_by) == (0.0, 1.0, "")
+
+
+def test_after_reset_it_is_as_new():
+    protector = Protector(LOUD, RATE, 1)
+    drive = tone(85.0, 0.3)[:, None]
+    first = protector.process(drive.copy())
+    before = protector.status()
+    protector.reset()
+    assert protector.process(drive.copy()).tobytes() == first.tobytes()
+    assert protector.status() == before
+
+
+# ---------------------------------------------------------------------------------- bad input
+
+
+def test_what_is_out_of_range_is_refused_by_name():
+    with pytest.raises(UsageError, match="samplerate="):
+        Protector(PAPER, 500, 1)
+    with pytest.raises(UsageError, match="block_s="):
+        Protector(PAPER, RATE, 1, block_s=0.5)
+    with pytest.raises(InternalError, match="channels="):
+        Protector(PAPER, RATE, 0)
+    with pytest.raises(InternalError, match="shape"):
+        Protector(PAPER, RATE, 1).process(np.zeros((10, 2)))
+    with pytest.raises(UsageError, match=r"excursion_m=-1.*detuning=10"):
+        Limits(excursion_m=-1, detuning=10)
+    with pytest.raises(UsageError, match="level=nan"):
+        Limits(excursion_m=1e-3, level=math.nan)
+    with pytest.raises(UsageError, match="coil_j_per_k=0"):
+        ThermalParameters(4.0, 0, 3.0, 400.0)
+
+
+def test_the_limits_of_a_rig_end_where_its_amplifier_clips():
+    assert limits_of(LOUDER).level == 30.0 / 40.0
+    assert limits_of(PAPER).level == 1.0
+    assert limits_of(PAPER).excursion_m == 1.5e-3
+
+
+def test_the_limits_are_those_that_the_rig_describes():
+    limits = limits_of(CONSUMER)
+    assert limits.excursion_m == CONSUMER.actuator.x_max_m
+    assert limits.current_a == CONSUMER.amplifier.current_limit_a
+    assert limits.stiffness_rise == 0.5  # as its file says
+    soft = replace(PAPER, large_signal=replace(LARGE, stiffness_rise=0.1))
+    assert limits_of(soft).stiffness_rise == 0.1
+    assert limits_of(LOUD).current_a is None  # an amplifier without such a limit
+
+
+def test_a_rig_that_does_not_say_how_it_warms_up_has_no_temperature_and_no_limit_of_it():
+    bare = replace(PAPER, thermal=None)
+    protector, out = protect(bare, tone(90.0, 0.1))
+    status = protector.status()
+    assert (status.coil_c, status.resistance_ohm) == (None, None)
+    assert out.tobytes() == protect(PAPER, tone(90.0, 0.1))[1].tobytes()
+    with pytest.raises(UsageError, match=r"describes no \[thermal\]"):
+        Protector(bare, RATE, 1, limits=replace(limits_of(bare), coil_temperature_c=100.0))
+    loud, _ = protect(replace(LOUD, thermal=None), tone(85.0, 0.3))
+    assert loud.status().least_gain < 1.0
+
+
+@pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
+def test_a_current_that_no_drive_reaches_is_no_limit_and_another_one_is(rig):
+    drive = tone(rig.actuator.resonance_hz / 2, 0.2, shape=square)
+    source = rig.amplifier.source_impedance_ohm
+    actuator = LinearActuator(rig.actuator, RATE, source)
+    reached_a = np.abs(actuator.move(volts_of(rig, drive)).current_a).max()
+    assert reached_a < limits_of(rig).current_a  # that of the amplifier
+    free = replace(limits_of(rig), excursion_m=1.0)
+    _, out = protect(rig, drive, limits=free)
+    latency = Protector(rig, RATE, 1).latency_frames
+    assert np.array_equal(out[latency : latency + len(drive)], drive)
+    _, out = protect(rig, drive, limits=replace(free, current_a=reached_a / 2))
+    moved = LinearActuator(rig.actuator, RATE, source).move(volts_of(rig, out))
+    assert np.abs(moved.current_a).max() <= reached_a / 2 * (1 + 1e-6)

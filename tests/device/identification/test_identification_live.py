@@ -1,0 +1,388 @@
+"""Identification of real devices, on simulated ones: what is found, and what ends it in silence."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from device.errors import LostError, UsageError
+from device.identification import IdentificationError
+from device.identification.calibration import STEPS, calibrate
+from device.identification.live.channels import Inputs
+from device.identification.live.exchange import Exchange
+from device.identification.live.excitation import Excitation
+from device.identification.live.laboratory import MOST_TRIES, LiveLaboratory
+from device.identification.live.two_clocks import find_delay, find_drift, on_played_clock
+from device.identification.output_error import Estimate
+from device.identification.recording import Recording
+from device.identification.rig_values import write_rig
+from device.identification.sweep import Sweep
+from device.rig import CONSUMER, PAPER, read_rig
+from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
+from tools.bench.random_rigs import truth
+
+SCALES = {
+    "full_scale_v": 1.0,
+    "acceleration_v_per_m_s2": 0.005,
+    "shunt_ohm": 0.1,
+    "voltage_ratio": 20.0,
+}
+ALL = Inputs.parse("acceleration,current,voltage", **SCALES)
+ELECTRICAL = Inputs.parse("voltage,-,current", **SCALES)
+ALONE = Inputs.parse("acceleration,-", full_scale_v=1.0, acceleration_v_per_m_s2=0.005)
+UNKNOWN = Inputs.parse("-,acceleration")
+SWEEP = Sweep(low_hz=15.0, high_hz=400.0, duration_s=1.0, level=0.04)
+WEAK = {"acceleration": 0.002}
+"""Of an input in m/s^2 whose full scale is 1: where no sensitivity is given."""
+
+KNOWN = replace(
+    PAPER, sources=tuple(s for s in PAPER.sources if not s.parameter.startswith("actuator."))
+)
+
+
+def calibrated(devices, rig=PAPER, sweep=SWEEP, **options):
+    inputs = devices.inputs
+    laboratory = LiveLaboratory(devices, inputs, 0, rig.amplifier)
+    return calibrate(
+        laboratory, rig, sweep, pairs=inputs.pairs, scaled=inputs.acceleration_scaled, **options
+    )
+
+
+def refused(devices, rig=PAPER, sweep=SWEEP, error=IdentificationError):
+    with pytest.raises(error) as caught:
+        calibrated(devices, rig, sweep)
+    return str(caught.value)
+
+
+# --------------------------------------------------------------------------------- what is found
+
+
+@pytest.mark.parametrize("rig", [PAPER, CONSUMER])
+def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(rig, tmp_path):
+    found = calibrated(SimulatedDevices(rig, ALL, drift_ppm=60.0), rig)
+    assert len(found.values) == 6
+    write_rig(found.rig, tmp_path / "mine.toml")
+    again = read_rig(tmp_path / "mine.toml")
+    assert again == found.rig
+    for parameter, estimate in found.values.items():
+        name = parameter.removeprefix("actuator.")
+        true, limit = getattr(rig.actuator, name), 0.005 if name == "resonance_hz" else 0.02
+        assert estimate.value == pytest.approx(true, rel=limit)
+        assert getattr(again.actuator, name) == estimate.value
+    sources = {source.parameter: source for source in again.sources}
+    assert sources["actuator.resonance_hz"].kind == "identified"
+
+
+@pytest.mark.parametrize("drift_ppm", [-120.0, 120.0])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_acceleration_for_what_was_played_needs_neither_one_clock_nor_a_polarity(drift_ppm, sign):
+    devices = SimulatedDevices(
+        PAPER, ALONE, drift_ppm=drift_ppm, noise=1e-4, gains={"acceleration": sign}
+    )
+    found, true = calibrated(devices), truth(PAPER, False)
+    assert found.driven.f0_hz.value == pytest.approx(true.f0_hz, rel=0.005)
+    assert found.driven.q.value == pytest.approx(true.q, rel=0.05)
+    assert found.driven.inverted == (sign < 0.0)
+    assert found.level_of_x_max < 0.15
+
+
+def test_a_loop_back_is_the_reference_and_gives_the_same():
+    inputs = Inputs.parse("loopback,acceleration")
+    found = calibrated(SimulatedDevices(PAPER, inputs, gains=WEAK, noise=1e-6))
+    true = truth(PAPER, False)
+    assert found.driven.f0_hz.value == pytest.approx(true.f0_hz, rel=0.005)
+    assert found.driven.q.value == pytest.approx(true.q, rel=0.05)
+    laboratory = LiveLaboratory(SimulatedDevices(PAPER, inputs, gains=WEAK), inputs)
+    assert not laboratory.measure(SWEEP, inputs.pairs)[0].delayed
+
+
+def test_without_a_sensitivity_f0_and_q_are_found_and_no_level_is_said():
+    found, true = calibrated(SimulatedDevices(PAPER, UNKNOWN, gains=WEAK)), truth(PAPER, False)
+    assert found.driven.f0_hz.value == pytest.approx(true.f0_hz, rel=0.005)
+    assert found.driven.q.value == pytest.approx(true.q, rel=0.05)
+    assert found.level_of_x_max is None
+
+
+def test_what_follows_from_an_assumed_coil_is_called_assumed_and_gives_the_measured_mode():
+    # the file's coil is wrong, and whoever reads it learns that it was assumed
+    wrong = replace(PAPER, actuator=replace(PAPER.actuator, force_factor_n_per_a=8.5))
+    devices = SimulatedDevices(PAPER, ALONE)
+    found = calibrated(devices, wrong)
+    assert found.matched
+    assert found.values == {}
+    kinds = {source.parameter: source.kind for source in found.rig.sources}
+    assert kinds["actuator.resonance_hz"] == kinds["actuator.q_mechanical"] == "assumed"
+    mode = truth(found.rig, False)
+    assert mode.f0_hz == pytest.approx(found.driven.f0_hz.value, rel=1e-3)
+    assert mode.q == pytest.approx(found.driven.q.value, rel=1e-2)
+
+
+def test_a_known_coil_makes_the_mechanics_of_the_acceleration_identified():
+    found = calibrated(SimulatedDevices(PAPER, ALONE), KNOWN)
+    assert not found.matched
+    assert found.values["actuator.resonance_hz"].value == pytest.approx(90.0, rel=0.005)
+    assert found.values["actuator.q_mechanical"].value == pytest.approx(8.0, rel=0.05)
+
+
+def test_a_coil_that_cannot_be_so_gives_the_mode_and_no_file():
+    strong = replace(KNOWN, actuator=replace(KNOWN.actuator, force_factor_n_per_a=20.0))
+    found = calibrated(SimulatedDevices(PAPER, ALONE), strong)
+    assert found.rig is None
+    assert "damps it electrically" in found.why_not
+    assert found.driven.q.value == pytest.approx(truth(PAPER, False).q, rel=0.05)
+
+
+def test_voltage_and_current_alone_give_the_impedance_and_with_a_weighed_mass_bl():
+    # the shunt is connected the other way round: a coil takes power, so that is seen
+    devices = SimulatedDevices(PAPER, ELECTRICAL, gains={"current": -1.0})
+    found = calibrated(devices)
+    assert sorted(found.values) == [
+        f"actuator.{name}"
+        for name in ("inductance_h", "q_mechanical", "resistance_ohm", "resonance_hz")
+    ]
+    weighed = Estimate(0.25, 0.245, 0.255)
+    found = calibrated(devices, weighed=weighed)
+    assert found.values["actuator.force_factor_n_per_a"].value == pytest.approx(10.0, rel=0.02)
+
+
+def test_distortion_and_coherence_are_said_of_every_recording():
+    bent = {"change": lambda name, samples, first: samples + 0.01 * samples**2}
+    clean, dirty = (
+        calibrated(SimulatedDevices(PAPER, ALONE, **how), sweep=replace(SWEEP, duration_s=1.5))
+        for how in ({}, bent)
+    )
+    second = [found.qualities[0].harmonics[0] for found in (clean, dirty)]
+    assert [h.order for h in second] == [2, 2]
+    assert second[1].largest_share > 10.0 * second[0].largest_share
+    assert second[1].largest_share > 0.01
+    assert clean.qualities[0].coherence > 0.99
+
+
+# ------------------------------------------------------------------------ what ends it in silence
+
+
+def test_levels_rise_to_the_wanted_one():
+    devices = SimulatedDevices(PAPER, ALL)
+    calibrated(devices, sweep=SWEEP)
+    assert devices.levels == pytest.approx([0.01, 0.02, 0.04], rel=0.01)
+
+
+def test_clipping_is_silence_in_the_very_next_block_and_the_last_that_is_played():
+    devices = SimulatedDevices(PAPER, ALONE, gains={"acceleration": 2000.0})
+    assert "clips at" in refused(devices)
+    assert devices.runs == 1
+    assert np.any(devices.played[: devices.ended_at])
+    assert not np.any(devices.played[devices.ended_at :])
+
+
+def test_whoever_interrupts_it_makes_the_very_next_block_silent():
+    def interrupt(exchange, number):
+        if number == 300:  # in the sweep
+            exchange.abort(LostError("interrupted"))
+
+    devices = SimulatedDevices(PAPER, ALONE, on_block=interrupt)
+    assert refused(devices, error=LostError) == "interrupted"
+    assert np.any(devices.played[290 * BLOCK : 300 * BLOCK])
+    assert not np.any(devices.played[300 * BLOCK :])
+
+
+def test_an_input_that_stands_still_ends_the_sweep_within_half_a_second():
+    devices = SimulatedDevices(PAPER, ALONE, stands_still=300)
+    assert "the input stopped" in refused(devices, error=LostError)
+    sounding = np.flatnonzero(devices.played.any(axis=1))
+    assert sounding[-1] / RATE < 300 * BLOCK / RATE + 0.6
+
+
+def test_an_output_that_stands_still_ends_it():
+    exchange = Exchange(np.ones(RATE), RATE, ["acceleration"])
+    exchange.begin()
+    exchange.fill(np.zeros((BLOCK, 2), np.float32), 0.0)
+    for number in range(RATE // BLOCK):
+        now_s = number * BLOCK / RATE
+        exchange.on_frames(np.zeros((BLOCK, 1), np.float32), now_s)
+    assert isinstance(exchange.error, LostError)
+    assert "the output stopped" in str(exchange.error)
+
+
+def test_where_something_sounds_already_nothing_is_played():
+    devices = SimulatedDevices(PAPER, ALONE, noise=0.05)
+    assert "something else" in refused(devices)
+    assert not np.any(devices.played)
+
+
+def test_what_begins_to_play_during_the_sweep_ends_it():
+    def other(name, samples, first):
+        time_s = (first + np.arange(len(samples))) / RATE
+        return samples + np.where(time_s > 2.0, 1.0, 0.0) * np.sin(2.0 * np.pi * 55.0 * time_s)
+
+    devices = SimulatedDevices(PAPER, ALONE, change=other)
+    assert "something else began" in refused(devices)
+    assert devices.runs == 1
+
+
+@pytest.mark.parametrize("frames", [64, 256, 4800])
+def test_a_dropout_is_refused_and_nothing_louder_is_played(frames):
+    devices = SimulatedDevices(PAPER, ALONE, lost={int(2.0 * RATE): frames}, loses_always=True)
+    message = refused(devices)
+    assert "lost" in message or "cannot be compared" in message
+    assert devices.levels == pytest.approx([STEPS[0] * SWEEP.level] * MOST_TRIES, rel=0.01)
+
+
+def test_a_sweep_that_lost_frames_once_is_repeated_at_the_same_level():
+    devices = SimulatedDevices(PAPER, ALONE, lost={int(2.0 * RATE): 256})
+    found = calibrated(devices)
+    assert devices.levels == pytest.approx([0.01, 0.01, 0.02, 0.04], rel=0.01)
+    assert found.driven.f0_hz.value == pytest.approx(truth(PAPER, False).f0_hz, rel=0.005)
+
+
+def test_a_response_that_does_not_grow_with_the_level_ends_it():
+    devices = SimulatedDevices(PAPER, ALONE)
+    devices.change = lambda name, samples, first: samples / devices.runs
+    assert "acceleration grew by 1 where the level grew by 2" in refused(devices)
+    assert devices.runs == 2
+
+
+def test_no_signal_is_told_by_the_channels_name():
+    devices = SimulatedDevices(PAPER, ALL, gains={"current": 0.0}, noise=1e-6)
+    assert refused(devices).startswith("current: no signal")
+    silent = SimulatedDevices(PAPER, ALONE, gains={"acceleration": 0.0}, noise=0.0)
+    assert refused(silent).startswith("acceleration: no signal")
+    assert silent.runs == 1
+    assert silent.ended_at < 2 * RATE  # nobody waits for the end of the sweep
+
+
+def test_a_channel_of_other_sound_is_no_acceleration():
+    def other(name, samples, first):
+        loud = 0.5 if 0.7 * RATE < first < 3.5 * RATE else 0.0
+        return loud * np.random.default_rng(first).standard_normal(len(samples))
+
+    devices = SimulatedDevices(PAPER, ALONE, change=other)
+    message = refused(devices)
+    assert message.startswith("acceleration does not follow the sweep")
+    assert devices.runs == 1
+
+
+def test_the_drive_itself_is_no_acceleration():
+    inputs = Inputs.parse("loopback,acceleration")
+    swapped = SimulatedDevices(PAPER, inputs)
+    original = swapped.change
+    kept = {}
+
+    def change(name, samples, first):
+        if name == "loopback":
+            kept["drive"] = samples
+        return original(name, kept["drive"], first)
+
+    swapped.change = change
+    assert "is the drive itself" in refused(swapped)
+
+
+@pytest.mark.parametrize(
+    ("wired", "named"),
+    [("current,voltage", "voltage,current"), ("voltage,current,-", "acceleration,-,-")],
+)
+def test_channels_that_are_swapped_give_no_number_and_are_a_thing_to_check(wired, named):
+    devices = SimulatedDevices(PAPER, Inputs.parse(wired, **SCALES))
+    laboratory = LiveLaboratory(devices, inputs := Inputs.parse(named, **SCALES))
+    with pytest.raises(IdentificationError, match=r"swapped|which input it is"):
+        calibrate(laboratory, PAPER, SWEEP, pairs=inputs.pairs)
+
+
+@pytest.mark.parametrize(("low_hz", "high_hz"), [(120.0, 500.0), (10.0, 60.0)])
+def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_hz):
+    sweep = replace(SWEEP, low_hz=low_hz, high_hz=high_hz)
+    message = refused(SimulatedDevices(PAPER, ALL), sweep=sweep)
+    assert "outside the band" in message or "does not" in message or "unexplained" in message
+
+
+def test_a_rig_that_would_move_too_far_is_never_driven_so_far():
+    devices = SimulatedDevices(PAPER, ALONE)
+    small = replace(PAPER, actuator=replace(PAPER.actuator, x_max_m=1e-5))
+    assert "lower the level" in refused(devices, small)
+    assert devices.runs == 1
+
+
+# ------------------------------------------------------------------------------------- the parts
+
+
+@pytest.mark.parametrize("drift_ppm", [-180.0, -3.0, 0.0, 150.0])
+def test_the_drift_of_two_clocks_is_found_to_a_few_ppm(drift_ppm):
+    devices = SimulatedDevices(PAPER, ALONE, drift_ppm=drift_ppm, noise=1e-4)
+    laboratory = LiveLaboratory(devices, ALONE)
+    laboratory.measure(replace(SWEEP, level=0.02), ALONE.pairs)
+    assert laboratory.drift
+    assert abs(laboratory.drift.value - drift_ppm) < max(2.0, 2.0 * laboratory.drift.reach)
+    assert laboratory.delay_s == pytest.approx(0.0634, abs=0.012)  # with the block and the ring
+
+
+def test_a_recording_on_the_played_clock_is_as_if_there_was_one():
+    excitation = Excitation(SWEEP)
+    at = np.arange(excitation.frames + 4000)
+    smooth = np.sin(2.0 * np.pi * 300.0 * (at / (1.0 + 150e-6)) / RATE)
+    shown = on_played_clock(smooth, 1000.0 * (1.0 + 150e-6), 150.0, 50_000)
+    exact = np.sin(2.0 * np.pi * 300.0 * (1000.0 + np.arange(50_000)) / RATE)
+    assert np.abs(shown - exact).max() < 1e-6
+
+
+def test_marks_far_apart_are_compared_whatever_lies_between():
+    excitation = Excitation(SWEEP)
+    channel = np.concatenate([np.zeros(1234), excitation.samples, np.zeros(4000)])
+    assert find_delay(excitation, channel, "x") == 1234
+    assert abs(find_drift(excitation, channel, 1234, "x").value) < 0.01
+
+
+def test_samples_are_between_the_levels_and_silence_surrounds_the_sweep():
+    excitation = Excitation(SWEEP)
+    assert np.abs(excitation.samples).max() <= SWEEP.level
+    before = excitation.samples[excitation.mark_frames : excitation.sweep_start]
+    assert not np.any(before)
+    steps = np.abs(np.diff(excitation.samples))
+    assert steps.max() < 0.1 * SWEEP.level  # nothing clicks
+
+
+def test_callbacks_allocate_no_recording():
+    exchange = Exchange(np.zeros(RATE), RATE, ["acceleration", "-"])
+    before = exchange._recorded
+    exchange.begin()
+    heard, out = np.full((BLOCK, 2), 1e-3, np.float32), np.zeros((BLOCK, 2), np.float32)
+    for number in range(3 * RATE // BLOCK):
+        exchange.fill(out, number * BLOCK / RATE)
+        exchange.on_frames(heard, number * BLOCK / RATE)
+    assert exchange._recorded is before
+    assert exchange.ended.is_set()
+    assert exchange.error is None
+
+
+def test_the_first_error_is_kept_whichever_thread_tells_another():
+    exchange = Exchange(np.zeros(RATE), RATE, ["acceleration"])
+    exchange.abort(LostError("first"))
+    thread = threading.Thread(target=exchange.abort, args=(LostError("second"),))
+    thread.start()
+    thread.join()
+    assert str(exchange.error) == "first"
+
+
+@pytest.mark.parametrize(
+    ("text", "known", "words"),
+    [
+        ("accelleration", {}, "'accelleration' is unknown"),
+        ("acceleration,acceleration", {}, "acceleration twice"),
+        ("-", {}, "nothing can be identified"),
+        ("current", SCALES, "name acceleration, or voltage and current"),
+        ("voltage,current", {}, "--input-full-scale-v"),
+        ("voltage,current", {"full_scale_v": 1.0}, "--shunt-ohm"),
+        ("acceleration", {"acceleration_v_per_m_s2": 0.01}, "--input-full-scale-v"),
+        ("acceleration", {"full_scale_v": 0.0}, "must be above 0"),
+        (",".join(["-"] * 40), {}, "1 to 32"),
+    ],
+)
+def test_inputs_that_say_nothing_are_refused(text, known, words):
+    with pytest.raises(UsageError) as caught:
+        Inputs.parse(text, **known)
+    assert words in str(caught.value)
+
+
+def test_a_delayed_and_inverted_recording_is_still_one():
+    recording = Recording(SWEEP, np.ones(SWEEP.frames), np.arange(SWEEP.frames, dtype=np.float64))
+    assert np.array_equal(recording.inverted().response, -recording.response)

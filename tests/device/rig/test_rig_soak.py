@@ -1,0 +1,108 @@
+"""The rig's soaks in short, and that each would see what it looks for."""
+
+import numpy as np
+import pytest
+
+from device.rig import PAPER
+from device.rig.ladder import Ladder
+from device.rig.rungs import Rung
+from tools.bench import rig_soak, soak_report
+from tools.bench.identification import soak_identification
+from tools.bench.random_rigs import Found
+from tools.bench.rig_soak import soak_energy, steady_drive
+from tools.bench.signals import SAMPLERATE
+from tools.bench.soak_record import SoakRecord, keep_record
+from tools.bench.workbench import QUICK, SUBJECTS, Workbench
+
+SAMPLES = {Rung.LINEAR: 2_000_000, Rung.NONLINEAR: 1_000_000, Rung.STEPPED: 8_000}
+
+
+@pytest.mark.parametrize("rung", SAMPLES)
+def test_the_largest_energy_of_a_steady_drive_stays_and_falls_when_it_stops(rung):
+    record = soak_energy(rung, SAMPLES[rung])
+    assert record.samples is not None
+    assert record.samples >= SAMPLES[rung]
+    assert record.passed, record
+    assert (record.energy_from_nowhere is not None) == (rung is Rung.STEPPED)
+
+
+def test_the_drive_is_loud_enough_to_be_non_linear_and_goes_on_in_a_loop():
+    volts = steady_drive(10.0)
+    motion = Ladder(PAPER, SAMPLERATE, rung=Rung.NONLINEAR).move(volts, ("displacement_m",))
+    large = PAPER.large_signal
+    assert large
+    reached_m = np.abs(motion.displacement_m).max()
+    assert 0.6 * PAPER.actuator.x_max_m < reached_m < large.stop_m
+    # The jump at the seam is as any other from sample to sample.
+    assert abs(volts[0] - volts[-1]) <= np.abs(np.diff(volts)).max()
+
+
+def test_a_rung_that_gains_a_millionth_in_each_loop_is_found_out(monkeypatch):
+    moves = 0
+
+    def creeping(rung):
+        moved = by_ladder(rung)
+
+        def louder(volts):
+            nonlocal moves
+            moves += 1
+            return moved(volts) * (1.0 + 1e-6 * moves)
+
+        return louder
+
+    by_ladder = rig_soak._by_ladder
+    monkeypatch.setattr(rig_soak, "_by_ladder", creeping)
+    record = soak_energy(Rung.LINEAR, 3_000_000)
+    assert record.energy_creep is not None
+    assert record.energy_creep > 1e-6
+    assert not record.passed
+
+
+def test_energy_that_rises_after_the_drive_is_found_out_while_there_is_any():
+    falling = np.exp(-0.01 * np.arange(6_000))
+    assert rig_soak._largest_rise(falling, Rung.LINEAR) == 0.0
+    risen = falling.copy()
+    risen[1_000] = falling[999] * 1.001
+    assert rig_soak._largest_rise(risen, Rung.LINEAR) == pytest.approx(1e-3)
+    dead = falling.copy()
+    dead[5_000] *= 2.0  # 2e-22 of what it was
+    assert rig_soak._largest_rise(dead, Rung.LINEAR) == 0.0
+
+
+def test_a_soak_of_the_identification_says_how_many_rigs_and_how_far_off():
+    record = soak_identification(0.05, 2)
+    assert record.rigs == 2
+    assert record.f0_error_percent is not None
+    assert 0.0 < record.f0_error_percent < 0.5
+    assert record.passed
+
+
+@pytest.mark.parametrize(
+    "found",
+    [Found(0.6, 1, 95, 95), Found(0.1, 6, 95, 95), Found(0.1, 1, 89, 95), Found(0.1, 1, 95, 89)],
+)
+def test_one_limit_that_is_not_kept_fails_the_soak(found):
+    assert not found.passed
+
+
+def test_each_section_shows_the_records_of_its_kind_alone(monkeypatch, tmp_path):
+    path = tmp_path / "soak.json"
+    monkeypatch.setattr(soak_report, "record_path", lambda: path)
+    for what, fields in (
+        ("a rung", {"samples": 100_000_000, "energy_creep": 2e-6, "energy_rise": 0.0}),
+        ("sweeps", {"rigs": 200, "f0_error_percent": 0.3, "f0_held_percent": 97.5}),
+        ("a tone", {"hops": 1_000_000}),
+    ):
+        keep_record(SoakRecord(what, "2026-01-01", "cpu", 1.0, 1.0, True, **fields), path)
+    bench = Workbench(QUICK, SUBJECTS, ())
+    live, rig, identified = (
+        show(bench)
+        for show in (
+            soak_report.soak_result,
+            soak_report.rig_soak_result,
+            soak_report.identified_result,
+        )
+    )
+    assert [row.name for row in live.rows] == ["a tone"]
+    assert {row.name: row.met for row in rig.rows if "creep" in row.column} == {"a rung": False}
+    assert [row.value for row in identified.rows] == [200.0, 0.3, 97.5]

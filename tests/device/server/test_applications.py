@@ -1,0 +1,184 @@
+"""Rules select the applications that a user means, and never what must not be captured."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from device.errors import UsageError
+from device.server.applications import AppRules, name_of, nearest
+from device.server.snapshot import ServerSnapshot, Sink, Stream
+from device.stream.pcms import APPLICATION_ID, ROLE, TAG
+
+NAMES = st.text(
+    st.characters(codec="utf-8", exclude_characters="*?[]:", exclude_categories=("Cc", "Cs")),
+    min_size=1,
+    max_size=12,
+).filter(lambda name: name == name.strip())
+
+
+RULES = st.lists(
+    st.sampled_from(["firefox", "m*", "role:game", "binary:doom", "*", "x"]), max_size=3
+)
+
+
+def playing(
+    index: int,
+    application: str = "",
+    binary: str = "",
+    role: str = "",
+    place: str | None = "desktop",
+    **properties: str,
+) -> Stream:
+    where = None if place is None else {"desktop": 1, "haptic": 2}[place]
+    known = {name.replace("_", "."): value for name, value in properties.items()}
+    return Stream(
+        index, where, place or "", application, binary, role, "a song", 999_999, False, False, known
+    )
+
+
+FIREFOX = playing(1, "Firefox", "firefox-esr", application_id="org.mozilla.firefox")
+MPV = playing(2, "mpv Media Player", "mpv", "video")
+GAME = playing(3, "Doom [shareware]", "doom", "game")
+CHIME = playing(4, "Mail", "thunderbird", "event")
+APPLICATIONS = (FIREFOX, MPV, GAME, CHIME)
+
+
+def snapshot(*streams: Stream) -> ServerSnapshot:
+    sinks = tuple(
+        Sink(index, name, name, f"{name}.monitor", 48_000, 2, None, {})
+        for index, name in ((1, "desktop"), (2, "haptic"))
+    )
+    return ServerSnapshot("PulseAudio", "16.1", "desktop", "", sinks, (), streams, (), 0)
+
+
+def selected(include: tuple[str, ...], exclude: tuple[str, ...] = ()) -> tuple[int, ...]:
+    found = AppRules(include, exclude).select(snapshot(*APPLICATIONS), "haptic")
+    return tuple(stream.index for stream in found)
+
+
+@pytest.mark.parametrize(
+    ("rule", "indexes"),
+    [
+        ("Firefox", (1,)),
+        ("FIREFOX", (1,)),
+        (" firefox ", (1,)),
+        ("firefox-esr", (1,)),
+        ("org.mozilla.firefox", (1,)),
+        ("binary:firefox-esr", (1,)),
+        ("binary:Firefox", ()),
+        ("application:firefox", (1,)),
+        ("application:org.mozilla.firefox", (1,)),
+        ("application:firefox-esr", ()),
+        ("Fire", ()),
+        ("fire*", (1,)),
+        ("*", (1, 2, 3, 4)),
+        ("m?v", (2,)),
+        ("mpv Media Player", (2,)),
+        ("role:video", (2,)),
+        ("Role:Game", (3,)),
+        ("role:*", (2, 3, 4)),
+        ("video", ()),
+        ("Doom [shareware]", (3,)),
+        ("application:doom*", (3,)),
+    ],
+)
+def test_a_rule_matches_whole_names_of_any_case(rule: str, indexes: tuple[int, ...]) -> None:
+    assert selected((rule,)) == indexes
+
+
+def test_excluding_comes_before_including() -> None:
+    assert selected(()) == (1, 2, 3, 4)
+    assert selected((), ("role:event",)) == (1, 2, 3)
+    assert selected(("mpv", "doom"), ("role:game",)) == (2,)
+    assert selected(("mpv",), ("*",)) == ()
+
+
+@pytest.mark.parametrize(
+    "rule", ["", "  ", "binary:", "role: ", ":x", "name:mpv", "app:mpv", "a:b"]
+)
+def test_a_rule_that_is_empty_or_of_an_unknown_kind_is_refused(rule: str) -> None:
+    for include, exclude in (((rule,), ()), ((), (rule,))):
+        with pytest.raises(UsageError, match="rule for applications"):
+            AppRules(include, exclude)
+
+
+def test_a_name_with_a_colon_can_be_said() -> None:
+    stream = playing(1, "Radio: live")
+    found = AppRules(("application:Radio: live",)).select(snapshot(stream))
+    assert found == (stream,)
+
+
+@pytest.mark.parametrize(
+    "stream",
+    [
+        playing(9, "mpv", "mpv", ROLE),
+        playing(9, "mpv", "mpv", application_id=APPLICATION_ID),
+        replace(MPV, index=9, properties={TAG: "17-1"}),
+        replace(MPV, index=9, process_id=os.getpid()),
+        playing(9, "mpv", "mpv", "abstract"),
+        playing(9, "mpv", "mpv", "filter"),
+        replace(MPV, index=9, properties={"node.link-group": "loopback-1-2"}),
+        replace(MPV, index=9, properties={"pulse.module.id": "536870913"}),
+        playing(9, "mpv", "mpv", place="haptic"),
+        playing(9, "mpv", "mpv", place=None),
+    ],
+)
+def test_ours_the_servers_own_and_the_haptic_sinks_are_never_captured(stream: Stream) -> None:
+    streams = snapshot(MPV, stream)
+    for rules in (AppRules(), AppRules(("mpv",)), AppRules(("*", "role:*", "binary:*"))):
+        assert rules.select(streams, "haptic") == (MPV,)
+
+
+def test_what_plays_on_the_haptic_sink_counts_where_no_sink_is_haptic() -> None:
+    stream = playing(9, "mpv", place="haptic")
+    assert AppRules().select(snapshot(stream)) == (stream,)
+
+
+def test_a_paused_or_muted_application_stays_selected() -> None:
+    quiet = replace(MPV, corked=True, mute=True)
+    assert AppRules(("mpv",)).select(snapshot(quiet), "haptic") == (quiet,)
+
+
+@given(NAMES, NAMES)
+def test_a_name_without_wildcards_matches_that_name_alone(rule: str, name: str) -> None:
+    found = AppRules((f"application:{rule}",)).select(snapshot(playing(1, name)))
+    assert bool(found) == (rule.casefold() == name.casefold())
+
+
+@given(
+    st.lists(st.sampled_from(APPLICATIONS), unique_by=lambda stream: stream.index),
+    RULES,
+    RULES,
+)
+def test_a_selection_keeps_the_order_and_more_rules_only_narrow_or_widen_it(
+    streams: list[Stream], include: list[str], exclude: list[str]
+) -> None:
+    def chosen(include: list[str], exclude: list[str]) -> list[int]:
+        found = AppRules(tuple(include), tuple(exclude)).select(snapshot(*streams))
+        return [stream.index for stream in found]
+
+    found = chosen(include, exclude)
+    assert found == [stream.index for stream in streams if stream.index in found]
+    assert set(chosen(include, [*exclude, "m*"])) <= set(found)
+    if include:
+        assert set(found) <= set(chosen([*include, "m*"], exclude))
+        assert set(found) <= set(chosen([], exclude))
+
+
+def test_an_error_can_offer_what_plays() -> None:
+    streams = snapshot(*APPLICATIONS, playing(9, "ours", role=ROLE))
+    assert nearest("firefx", streams) == ("Firefox",)
+    assert nearest("binary:thunderbrd", streams) == ("Mail",)
+    assert nearest("application:MPV media plaver", streams) == ("mpv Media Player",)
+    assert nearest("zzzz", streams) == ("Doom [shareware]", "Firefox", "Mail", "mpv Media Player")
+    assert nearest("mpv", snapshot()) == ()
+
+
+def test_a_stream_without_a_name_is_called_by_what_it_is() -> None:
+    assert name_of(playing(1, "", "mpv")) == "mpv"
+    assert name_of(playing(1)) == "a song"

@@ -1,0 +1,125 @@
+"""What goes to a card bit by bit, through PortAudio: the card is a file that ALSA writes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.mixer.pcm import PcmFormat, decode
+from audioflinger_hook.mixer.pcm import encode as mixer_encode
+from device.errors import LostError
+from device.stream.pcms import PcmConfig
+from device.stream.sample_format import SampleFormat
+from device.stream.streams import PlaybackStream
+from device.stream.targets import CardDevice, ServerDevice
+from device.units import Float32Array
+from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
+
+RATE = 48_000
+FORMATS = {
+    SampleFormat.FLOAT32: PcmFormat.FLOAT,
+    SampleFormat.S16: PcmFormat.I16,
+    SampleFormat.S24_3: PcmFormat.I24,
+    SampleFormat.S32: PcmFormat.I32,
+}
+
+
+@pytest.fixture(scope="module")
+def pcms() -> Iterator[PcmConfig]:
+    with portaudio_with("cushion_card") as config:
+        yield config
+
+
+class Player:
+    """Noise with clipped peaks, a block at a time; keeps what it gave and what was sent."""
+
+    def __init__(self) -> None:
+        self.rng = np.random.default_rng(1)
+        self.given: list[Float32Array] = []
+        self.sent: list[Float32Array] = []
+
+    def fill(self, out: Float32Array, now_s: float) -> None:
+        time.sleep(BLOCK_S)
+        out[:] = self.rng.uniform(-1.2, 1.2, out.shape).astype(np.float32)
+        self.given.append(out.copy())
+
+    def on_sent(self, frames: Float32Array, now_s: float) -> None:
+        self.sent.append(frames)
+
+
+@pytest.mark.parametrize("channels", [1, 2, 8])
+@pytest.mark.parametrize("sample_format", FORMATS)
+def test_every_byte_arrives_as_it_was_encoded(
+    pcms: PcmConfig, tmp_path: Path, sample_format: SampleFormat, channels: int
+) -> None:
+    player, pcm = Player(), pcms.pcms["cushion_card"]
+    pcm.lead_to(ToFile(tmp_path / "card.raw"))
+    stream = PlaybackStream(
+        pcm, RATE, channels, player.fill, player.on_sent, sample_format=sample_format
+    )
+    stream.audible = True
+    until(lambda: len(player.sent) > 40)
+    assert stream.close()
+    assert stream.errors == {}
+    sounding = [frames for frames in player.sent if frames.any()]
+    # a block may have been filled before the stream was audible
+    encoded = mixer_encode(np.concatenate(player.given[-len(sounding) :]), FORMATS[sample_format])
+    meant = decode(encoded, FORMATS[sample_format], channels)
+    np.testing.assert_array_equal(np.concatenate(sounding), meant)
+    stored = (tmp_path / "card.raw").read_bytes()
+    frame = channels * sample_format.bytes_per_sample
+    # silence comes before, and what PortAudio had not passed on yet is cut off
+    begin = stored.index(encoded[: 16 * frame])
+    assert not any(stored[:begin])
+    arrived = min(len(stored) - begin, len(encoded))
+    assert arrived > 20 * 256 * frame
+    assert stored[begin : begin + arrived] == encoded[:arrived]
+
+
+def test_nothing_but_silence_goes_out_until_the_stream_is_audible(
+    pcms: PcmConfig, tmp_path: Path
+) -> None:
+    player, pcm = Player(), pcms.pcms["cushion_card"]
+    pcm.lead_to(ToFile(tmp_path / "card.raw"))
+    stream = PlaybackStream(
+        pcm, RATE, 2, player.fill, player.on_sent, sample_format=SampleFormat.S24_3
+    )
+    until(lambda: len(player.sent) > 5)
+    assert stream.close()
+    assert stream.silenced == len(player.sent)
+    assert not np.concatenate(player.sent).any()
+    assert not any((tmp_path / "card.raw").read_bytes())
+
+
+def test_a_card_that_is_not_there_is_an_error_that_says_what_may_be_wrong(
+    pcms: PcmConfig,
+) -> None:
+    pcm = pcms.pcms["cushion_card"]
+    pcm.lead_to(CardDevice(31, 2))
+    with pytest.raises(LostError, match="cannot open hw:31,2 for playback") as error:
+        PlaybackStream(pcm, RATE, 2, lambda *_: None, sample_format=SampleFormat.S16)
+    assert "2 channels at 48000 Hz in S16_LE" in str(error.value)
+    assert "the card was pulled out" in str(error.value)
+
+
+def test_a_name_is_led_to_another_card_without_a_new_list_of_devices(
+    pcms: PcmConfig, tmp_path: Path
+) -> None:
+    pcm = pcms.pcms["cushion_card"]
+    for name in ("first", "second"):
+        player = Player()
+        pcm.lead_to(ToFile(tmp_path / name))
+        stream = PlaybackStream(pcm, RATE, 2, player.fill, sample_format=SampleFormat.S16)
+        stream.audible = True
+        until(lambda: len(player.given) > 8)  # noqa: B023
+        assert stream.close()
+        assert any((tmp_path / name).read_bytes())
+
+
+def test_a_card_is_opened_without_anything_in_between() -> None:
+    assert CardDevice(3, 1).definition == "type hw card 3 device 1"
+    assert ServerDevice("a").definition == 'type pulse device "a"'

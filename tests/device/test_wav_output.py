@@ -1,0 +1,236 @@
+"""Vibration as float32 WAV files: what readers find in them, and what a failing disk does."""
+
+import os
+import signal
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.io import wavfile
+
+from device.errors import InternalError, UsageError, WriteError
+from device.wav_output import WavOutput, wav_header
+from tests.support.recordings import ROOT
+
+
+def written(path, blocks, samplerate=48_000, channels=2, **options):
+    output = WavOutput(path, samplerate, channels, **options)
+    for block in blocks:
+        output.write(block)
+    output.close()
+    return Path(path)
+
+
+def noise(frames, channels=2):
+    return np.random.default_rng(1).standard_normal((frames, channels))
+
+
+@pytest.mark.parametrize("channels", [1, 2, 5, 64])
+@pytest.mark.parametrize("samplerate", [1_000, 44_100, 192_000])
+def test_libsndfile_and_scipy_read_back_what_was_written(tmp_path, samplerate, channels):
+    vibration = noise(1_000, channels)
+    path = written(tmp_path / "a.wav", [vibration], samplerate, channels)
+    samples, rate = soundfile.read(path, dtype="float32", always_2d=True)
+    info = soundfile.info(path)
+    assert (info.format, info.subtype, rate) == ("WAV", "FLOAT", samplerate)
+    assert np.array_equal(samples, vibration.astype(np.float32))
+    rate, samples = wavfile.read(path)
+    assert rate == samplerate
+    assert np.array_equal(samples.reshape(-1, channels), vibration.astype(np.float32))
+
+
+@given(st.lists(st.integers(0, 50)), st.sampled_from([np.float32, np.float64]))
+def test_equal_vibration_gives_equal_bytes_however_it_is_split(tmp_path_factory, sizes, dtype):
+    folder = tmp_path_factory.mktemp("split")
+    vibration = noise(sum(sizes)).astype(dtype)
+    blocks = np.split(vibration, np.cumsum(sizes)[:-1]) if sizes else []
+    split = written(folder / "split.wav", blocks)
+    whole = written(folder / "whole.wav", [np.asfortranarray(vibration)])
+    assert split.read_bytes() == whole.read_bytes()
+
+
+def test_a_file_of_no_frames_is_a_wav_file_of_no_frames(tmp_path):
+    assert soundfile.info(written(tmp_path / "a.wav", [])).frames == 0
+
+
+@pytest.mark.parametrize("comment", ["profile paper", "odd", "Grüße", ""])
+def test_the_comment_is_the_files_comment(tmp_path, comment):
+    path = written(tmp_path / "a.wav", [noise(3)], comment=comment)
+    with soundfile.SoundFile(path) as file:
+        assert file.comment == comment
+        assert file.frames == 3
+
+
+@pytest.mark.parametrize("comment", [None, "long recording"])
+def test_a_file_over_4_gb_is_rf64(tmp_path, comment):
+    path = tmp_path / "long.wav"
+    small, frames = 2**20, 2**30 + 5
+    header = wav_header(48_000, 1, frames, comment)
+    assert len(header) == len(wav_header(48_000, 1, small, comment))
+    with path.open("wb") as file:
+        file.write(header)
+        file.truncate(len(header) + 4 * frames)  # a hole: takes no room on the disk
+    info = soundfile.info(path)
+    assert (info.format, info.subtype, info.frames) == ("RF64", "FLOAT", frames)
+
+
+def test_the_last_frame_that_fits_a_wav_file_is_still_in_one(tmp_path):
+    head = len(wav_header(48_000, 1, 0))
+    frames = (2**32 - 2 - (head - 8)) // 4
+    assert wav_header(48_000, 1, frames).startswith(b"RIFF")
+    assert wav_header(48_000, 1, frames + 1).startswith(b"RF64")
+
+
+@pytest.mark.parametrize(("samplerate", "channels"), [(0, 1), (48_000, 0), (48_000, 16_384)])
+def test_what_a_header_cannot_say_is_refused_and_leaves_no_file(tmp_path, samplerate, channels):
+    with pytest.raises(InternalError, match="samplerate="):
+        WavOutput(tmp_path / "a.wav", samplerate, channels)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_block_of_another_shape_is_refused(tmp_path):
+    output = WavOutput(tmp_path / "a.wav", 48_000, 2)
+    for shape in [(10,), (10, 3), (10, 2, 1)]:
+        with pytest.raises(InternalError, match="shape"):
+            output.write(np.zeros(shape))
+    output.abort()
+
+
+def test_the_first_of_close_and_abort_counts(tmp_path):
+    kept, discarded = (WavOutput(tmp_path / name, 48_000, 2) for name in ("kept", "discarded"))
+    kept.close()
+    discarded.abort()
+    for output in (kept, discarded):
+        output.abort()
+        output.close()
+        with pytest.raises(InternalError, match="closed"):
+            output.write(noise(1))
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
+def test_a_folder_that_does_not_exist_is_the_users_mistake(tmp_path):
+    with pytest.raises(UsageError, match="does not exist"):
+        WavOutput(tmp_path / "none" / "a.wav", 48_000, 1)
+
+
+def test_memory_stays_flat(tmp_path):
+    block = noise(10_000).astype(np.float32)
+    output = WavOutput(tmp_path / "a.wav", 48_000, 2)
+    output.write(block)
+    tracemalloc.start()
+    for _ in range(100):
+        output.write(block)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    output.close()
+    assert peak < block.nbytes  # of 100 times that
+
+
+# ------------------------------------------------------------------------------- disks that fail
+
+
+def test_a_disk_known_to_be_too_small_is_refused_at_once(tmp_path, monkeypatch):
+    real = os.statvfs(tmp_path)
+    tiny = os.statvfs_result((real.f_bsize, 512, 1_000, 10, 10, *real[5:]))
+    monkeypatch.setattr(os, "fstatvfs", lambda fd: tiny)
+    written(tmp_path / "fits.wav", [], frames_expected=600)
+    with pytest.raises(WriteError, match=r"needs 0\.\d MB and 0\.0 MB are free"):
+        WavOutput(tmp_path / "a.wav", 48_000, 2, frames_expected=100_000)
+    assert [path.name for path in tmp_path.iterdir()] == ["fits.wav"]
+
+
+SCRIPT = """
+import resource, sys
+import numpy as np
+from device.errors import WriteError
+from device.wav_output import WavOutput
+if sys.argv[2] != "none":
+    limit = int(sys.argv[2])
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+output = None
+try:
+    output = WavOutput(sys.argv[1], 48_000, 2)
+    for number in range(2_000):
+        output.write(np.zeros((480, 2)))
+        if number == 100:
+            print("half way", flush=True)
+            if len(sys.argv) > 3: sys.stdin.read()
+    output.close()
+    print("done")
+except WriteError as error:
+    if output: output.close()
+    print(error)
+"""
+
+
+def test_kill_9_leaves_an_existing_file_alone_and_no_other(tmp_path):
+    (tmp_path / "a.wav").write_bytes(b"old")
+    command = [sys.executable, "-c", SCRIPT, str(tmp_path / "a.wav"), "none", "wait"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, cwd=ROOT) as child:
+        assert child.stdout
+        assert child.stdout.readline() == b"half way\n"
+        child.kill()
+    assert child.returncode == -signal.SIGKILL
+    assert [path.name for path in tmp_path.iterdir()] == ["a.wav"]
+    assert (tmp_path / "a.wav").read_bytes() == b"old"
+
+
+# Reached within the header, between two blocks, within a block.
+@pytest.mark.parametrize("limit", [50, len(wav_header(48_000, 2, 0)) + 26 * 3_840, 1_000_001])
+def test_a_file_size_limit_is_a_write_error_and_leaves_no_file(tmp_path, limit):
+    (tmp_path / "a.wav").write_bytes(b"old")
+    command = [sys.executable, "-c", SCRIPT, str(tmp_path / "a.wav"), str(limit)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert "larger than allowed; raise the limit (ulimit -f)" in done.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["a.wav"]
+    assert (tmp_path / "a.wav").read_bytes() == b"old"
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A filesystem of 1 MB; only root may mount one."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("a small disk can be mounted by root only: sudo make test")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_disk_that_fills_up_is_a_write_error_and_keeps_the_old_file(small_disk):
+    (small_disk / "a.wav").write_bytes(b"old")
+    output = WavOutput(small_disk / "a.wav", 48_000, 2)
+
+    def fill():
+        for _ in range(1_000):
+            output.write(noise(480))
+
+    with pytest.raises(WriteError, match="disk is full"):
+        fill()
+    output.close()  # has nothing left to finish
+    assert [path.name for path in small_disk.iterdir()] == ["a.wav"]
+    assert (small_disk / "a.wav").read_bytes() == b"old"
+    assert os.statvfs(small_disk).f_bavail > 200  # the room is free again
+
+
+def test_a_disk_without_room_for_what_is_expected_is_refused_at_once(small_disk):
+    with pytest.raises(WriteError, match="are free"):
+        WavOutput(small_disk / "a.wav", 48_000, 2, frames_expected=200_000)
+    assert list(small_disk.iterdir()) == []
+
+
+def test_a_file_that_is_not_as_long_as_it_must_be_is_discarded(tmp_path, monkeypatch):
+    output = WavOutput(tmp_path / "a.wav", 48_000, 2)
+    output.write(noise(480))
+    monkeypatch.setattr("device.atomic_file.AtomicFile.size", lambda file: 1_000)
+    with pytest.raises(WriteError, match="1000 of 39"):
+        output.close()
+    assert list(tmp_path.iterdir()) == []

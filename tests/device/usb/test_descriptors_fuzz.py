@@ -1,0 +1,225 @@
+"""No bytes whatever make the descriptor parser raise anything but its own error, nor take long."""
+
+import gc
+import random
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, note, settings
+from hypothesis import strategies as st
+
+from device.usb.descriptors import DescriptorError, parse_configuration
+from tests.support import usb_builder as usb
+from tests.support.usb_shapes import SHAPES
+from tools.fuzz_descriptors import exercise
+
+ROOT = Path(__file__).resolve().parents[3]
+WHOLE = tuple(SHAPES.values())
+PLACES = {raw: [raw.index(part) for part in usb.split(raw)] for raw in WHOLE}
+
+EXAMPLES = 100
+MUTATED_EACH = 70
+RANDOM_EACH = 25
+"""Together 10 000 inputs with those that hypothesis makes by itself."""
+
+SOAK_INPUTS = 1_000_000
+SECONDS_MAX = 0.05
+GROWTH_MAX_KB = 10_000
+
+seeds = st.integers(0, 2**32 - 1)
+patient = settings(
+    max_examples=EXAMPLES, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large]
+)
+
+
+def mutated(chance: random.Random) -> bytes:
+    """A device's bytes with one to four changes, such as firmware, cables and files make them."""
+    shape = chance.choice(WHOLE)
+    raw = bytearray(shape)
+    for _ in range(chance.randint(1, 4)):
+        at = chance.randrange(len(raw) + 1)
+        to = min(len(raw), at + chance.randrange(40))
+        match chance.randrange(9):
+            case 0 if at < len(raw):
+                raw[at] ^= 1 << chance.randrange(8)
+            case 1 if at < len(raw):
+                raw[at] = chance.choice((0, 1, 2, 0x7F, 0x80, 0xFF, chance.randrange(256)))
+            case 2:
+                del raw[at:]
+            case 3:
+                del raw[at:to]
+            case 4:
+                other = chance.choice(WHOLE)
+                start = chance.randrange(len(other))
+                raw[at:at] = other[start : start + chance.randrange(60)]
+            case 5:
+                raw[at:at] = raw[at:to]
+            case 6:
+                raw[at:at] = chance.randbytes(chance.randrange(12))
+            case 7:
+                # bLength, bDescriptorType, bDescriptorSubtype, an id or a count
+                place = chance.choice(PLACES[shape]) + chance.choice((0, 0, 0, 1, 2, 3, 4, 5))
+                if place < len(raw):
+                    raw[place] = chance.randrange(256) if chance.random() < 0.3 else place % 24
+            case _:
+                # two descriptors change places
+                parts = usb.split(shape)
+                first, second = chance.randrange(len(parts)), chance.randrange(len(parts))
+                parts[first], parts[second] = parts[second], parts[first]
+                raw = bytearray(b"".join(parts))
+        raw = raw or bytearray(shape)
+    return bytes(raw)
+
+
+def made_up(chance: random.Random) -> bytes:
+    """Descriptors of plausible types, of any length and content, behind a right beginning."""
+    parts = []
+    for _ in range(chance.randrange(30)):
+        descriptor_type = chance.choice((0x04, 0x05, 0x0B, 0x24, 0x24, 0x24, 0x25, 0x30, 0x41))
+        body = bytearray(chance.choices(range(16), k=chance.randrange(24)))
+        if descriptor_type == 0x04 and len(body) > 5:
+            body[3:6] = 1, chance.choice((1, 2, 3)), chance.choice((0, 0x20, 0x30))
+        parts.append(usb.descriptor(descriptor_type, bytes(body)))
+    return usb.configuration_of(b"".join(parts), chance.randrange(4))
+
+
+def inputs(seed: int) -> Iterator[bytes]:
+    """Endlessly one of each kind, the same for the same seed."""
+    chance = random.Random(seed)
+    while True:
+        yield mutated(chance)
+        yield mutated(chance)
+        yield made_up(chance)
+        yield chance.randbytes(chance.randrange(300))
+
+
+@patient
+@given(seeds)
+def test_a_changed_device_gives_a_configuration_or_an_error_of_ours(seed):
+    chance = random.Random(seed)
+    for _ in range(MUTATED_EACH):
+        raw = mutated(chance)
+        try:
+            exercise(raw)
+        except BaseException:
+            note(f"raw: {raw.hex()}")
+            raise
+
+
+@patient
+@given(seeds)
+def test_made_up_descriptors_give_a_configuration_or_an_error_of_ours(seed):
+    chance = random.Random(seed)
+    for _ in range(RANDOM_EACH):
+        raw = made_up(chance)
+        try:
+            assert exercise(raw), "its beginning is right"
+        except BaseException:
+            note(f"raw: {raw.hex()}")
+            raise
+
+
+@settings(max_examples=250)
+@given(st.binary(max_size=400))
+def test_any_bytes_give_a_configuration_or_an_error_of_ours(raw):
+    exercise(raw)
+
+
+@settings(max_examples=250)
+@given(st.binary(max_size=400))
+def test_any_bytes_behind_a_right_beginning_give_a_configuration(raw):
+    assert exercise(usb.configuration_of(raw, 1))
+
+
+def test_the_changes_reach_most_of_what_can_be_wrong():
+    """Else the tests above would pass without having looked anywhere."""
+    chance = random.Random(1)
+    said = set()
+    for _ in range(1_000):
+        raw = mutated(chance)
+        try:
+            problems = parse_configuration(raw).problems
+        except DescriptorError:
+            continue
+        said |= {problem.found.partition(" is ")[0] for problem in problems}
+    assert {"bLength", "wTotalLength", "bNumInterfaces", "bNumEndpoints", "bTerminalLink"} <= said
+    assert len(said) > 40
+
+
+def body_of_64_kb(part: bytes) -> bytes:
+    control = usb.control(0, usb.UAC2, usb.header_2())
+    return usb.configuration_of(control + part * (65_000 // len(part)), 1)
+
+
+def chain() -> bytes:
+    """The longest way through a function, taken by a thousand alternate settings."""
+    units = b"".join(usb.feature_2(i, i + 1, [0, 0]) for i in range(1, 254))
+    ends = usb.output_2(255, usb.SPEAKER, 1, 1) + usb.input_2(254, usb.STREAMING_TERMINAL, 0, 1, 0)
+    parts = (usb.general_2(254, 1, 0), usb.format_2(2, 16), usb.endpoint(1, 5, 100))
+    settings_of_1 = [usb.streaming(1, i % 256, usb.UAC2, *parts) for i in range(1_000)]
+    control = usb.control(0, usb.UAC2, usb.header_2(units, ends))
+    return usb.configuration_of(control + b"".join(settings_of_1), 2)
+
+
+WORST = {
+    "shortest descriptors": body_of_64_kb(b"\x02\x24"),
+    "associations of all": body_of_64_kb(usb.association(0, 255)),
+    "interfaces": body_of_64_kb(usb.interface(0, 0, (1, 1, 0))),
+    "streams": body_of_64_kb(usb.streaming(1, 1, usb.UAC2, usb.general_2(9, 2, 3))),
+    "endpoints": body_of_64_kb(usb.endpoint(1, 5, 100)),
+    "selectors of all": body_of_64_kb(usb.selector_2(5, range(1, 246))),
+    "a chain of units": chain(),
+    "far too much": usb.configuration() + bytes([255]) * 10_000_000,
+}
+
+
+@pytest.mark.parametrize("worst", WORST)
+def test_the_worst_that_64_kilobytes_can_hold_takes_a_moment(worst):
+    before_s = time.thread_time()
+    assert exercise(WORST[worst])
+    # Read twice, searched and described; a walk that is not bounded takes minutes.
+    assert time.thread_time() - before_s < 3.0
+
+
+def soak(count: int) -> tuple[float, int]:
+    """The slowest forgiving read in seconds of processor time, and the growth of memory in kB."""
+    source = inputs(seed=1)
+    for _ in range(count // 10):
+        exercise(next(source))
+    gc.collect()
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    slowest_s = 0.0
+    for _ in range(count - count // 10):
+        raw = next(source)
+        before_s = time.thread_time()
+        with suppress(DescriptorError):
+            parse_configuration(raw)
+        slowest_s = max(slowest_s, time.thread_time() - before_s)
+        exercise(raw)
+    return slowest_s, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb
+
+
+@pytest.mark.soak
+def test_a_million_inputs_are_read_quickly_and_leave_nothing_behind():
+    slowest_s, growth_kb = soak(SOAK_INPUTS)
+    assert slowest_s < SECONDS_MAX
+    assert growth_kb < GROWTH_MAX_KB
+
+
+def test_the_tool_that_searches_for_longer_says_what_it_needs(tmp_path):
+    (tmp_path / "atheris.py").write_text("raise ImportError('not here')\n")
+    done = subprocess.run(
+        [sys.executable, ROOT / "tools/fuzz_descriptors.py"],
+        env={"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "pip install atheris" in done.stderr

@@ -1,0 +1,364 @@
+"""Real libusb and the whole command in front of USB devices that answer as the kernel's would."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from device.usb.descriptors import parse_configuration, playback_formats
+from tests.device.usb.test_control import plain_dac
+from tests.support import usb_builder
+from tests.support.usb_shapes import headset_adapter
+
+ROOT = Path(__file__).parents[3]
+SYSTEM_PYTHON = "/usr/bin/python3"
+SHAPES = {1: headset_adapter, 2: plain_dac}
+
+
+def why_not() -> str:
+    """What is missing for these tests, "" for nothing."""
+    if not shutil.which("umockdev-wrapper"):
+        return "umockdev is missing; run tools/fetch_usb_mock.sh"
+    check = "import gi; gi.require_version('UMockdev', '1.0'); gi.require_version('GLib', '2.0')"
+    done = subprocess.run([SYSTEM_PYTHON, "-c", check], capture_output=True)
+    return "" if done.returncode == 0 else "umockdev has no bindings; run tools/fetch_usb_mock.sh"
+
+
+pytestmark = pytest.mark.skipif(bool(why_not()), reason=why_not() or "-")
+
+
+def plugged(uac: int, port: str = "1-1", address: int = 5, **options: Any) -> dict[str, Any]:
+    """A device for the testbed. options: of it, those of its dac under "dac"."""
+    configuration = SHAPES[uac]()
+    playback = max(
+        playback_formats(parse_configuration(configuration)), key=lambda one: one.volume_channels
+    )
+    device = usb_builder.device(product=0xDAC0 + uac)
+    dac: dict[str, Any] = {
+        "descriptors": (device + configuration).hex(),
+        "uac": uac,
+        "strings": ["Soft", f"DAC {uac}", "SN1"],
+        "unit": playback.feature_unit,
+        "endpoint": playback.endpoint_address,
+        "volumes": dict.fromkeys(playback.volume_channels, -0x800),
+        "mutes": dict.fromkeys(playback.mute_channels, 0),
+        **options.pop("dac", {}),
+    }
+    return {"port": port, "address": address, "card": 1, "dac": dac, **options}
+
+
+def within(scene: list[dict[str, Any]], *command: str, log: Path | None = None) -> Any:
+    """What a command gives that sees these devices and no others."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    if log is not None:
+        environment["CUSHION_USBMOCK_LOG"] = str(log)
+    return subprocess.run(
+        [
+            *(
+                "umockdev-wrapper",
+                SYSTEM_PYTHON,
+                "-m",
+                "tests.support.usbmock.serve",
+                json.dumps(scene),
+            ),
+            *("--", *command),
+        ],
+        cwd=ROOT,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+
+
+def cushion(scene: list[dict[str, Any]], *arguments: str, log: Path | None = None) -> Any:
+    return within(scene, sys.executable, "-m", "audioflinger_hook", *arguments, log=log)
+
+
+versions = pytest.mark.parametrize("uac", [1, 2])
+
+
+@versions
+def test_devices_lists_it_with_name_card_and_formats(uac: int) -> None:
+    done = cushion([plugged(uac)], "devices", "--json")
+    assert done.returncode == 0
+    (device,) = json.loads(done.stdout)["usb"]
+    assert device["device"] == f"usb:1209:dac{uac}:SN1"
+    assert (device["manufacturer"], device["product"]) == ("Soft", f"DAC {uac}")
+    assert device["audio_class"] == uac
+    assert device["hw"] == ["hw:1,0"]
+    assert device["drivers"] == ["snd-usb-audio"]
+    assert device["formats"][0]["channels"] == 2
+
+
+def test_two_alike_are_told_apart_by_their_ports() -> None:
+    twins = [plugged(2), plugged(2, "1-2", 6, card=2)]
+    done = cushion(twins, "devices", "--json")
+    names = [device["device"] for device in json.loads(done.stdout)["usb"]]
+    assert names == ["usb:1209:dac2:SN1@1-1", "usb:1209:dac2:SN1@1-2"]
+    refused = cushion(twins, "usb", "describe", "usb:1209:dac2")
+    assert refused.returncode == 3
+    assert "is not one device but 2" in refused.stderr
+    assert names[1] in refused.stderr
+
+
+WHOLE_CARD = """
+import json
+from device.alsa import set_card_volume
+from device.alsa.mixer import CardMixer
+
+told = []
+for wanted_db, limit_db in ((-9.9, 0.0), (12.0, 0.0), (0.0, -20.0)):
+    with CardMixer(1) as mixer:
+        mixer.set_muted(mixer.switches[0], True)
+    told.append(set_card_volume(1, wanted_db, limit_db))
+    with CardMixer(1) as mixer:
+        told.append([mixer.volume_db(mixer.volumes[0]), mixer.muted(mixer.switches[0])])
+print(json.dumps(told))
+"""
+
+
+def test_a_whole_card_is_set_to_a_level_never_above_it_and_its_mute_is_lifted() -> None:
+    done = within([plugged(1)], sys.executable, "-c", WHOLE_CARD)
+    assert done.returncode == 0, done.stderr
+    levels_db, states = json.loads(done.stdout)[::2], json.loads(done.stdout)[1::2]
+    assert levels_db == [[-10.0], [0.0], [-20.0]]
+    assert states == [[[level] * 2, [False]] for (level,) in levels_db]
+
+
+@versions
+def test_while_its_driver_holds_it_nothing_is_asked_of_its_controls(
+    uac: int, tmp_path: Path
+) -> None:
+    log = tmp_path / "log"
+    done = cushion([plugged(uac)], "usb", "describe", f"usb:1209:dac{uac}", "--json", log=log)
+    assert done.returncode == 0
+    document = json.loads(done.stdout)
+    assert document["settings"] is None
+    assert document["configurations"][0]["problems"] == []
+    (asked,) = json.loads(log.read_text()).values()
+    assert not [request for request in asked if request[0] & 0x60]
+
+
+@versions
+@pytest.mark.parametrize("bound", [True, False])
+def test_volumes_are_told_without_a_driver_or_when_taken_over(uac: int, bound: bool) -> None:
+    take = ["--take-over"] if bound else []
+    name = f"usb:1209:dac{uac}"
+    done = cushion([plugged(uac, bound=bound)], "usb", "describe", name, "--json", *take)
+    assert done.returncode == 0, done.stderr
+    settings = json.loads(done.stdout)["settings"]
+    assert [volume["channel"] for volume in settings["volumes"]] == [1, 2]
+    for volume in settings["volumes"]:
+        assert (volume["db"], volume["lowest_db"], volume["highest_db"]) == (-8.0, -64.0, 0.0)
+    assert settings["mutes"] == [{"channel": 0, "muted": False}]
+    assert settings["samplerate"] == 44_100
+
+
+@versions
+def test_a_device_that_stalls_everything_is_described_all_the_same(uac: int) -> None:
+    scene = [plugged(uac, bound=False, dac={"stalls": True})]
+    done = cushion(scene, "usb", "describe", f"usb:1209:dac{uac}")
+    assert done.returncode == 0
+    assert "plays: interface 1.1" in done.stdout
+    assert "refuses the request" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+TAKES_OVER = """
+import os, signal, sys
+from device.usb import find_devices
+from device.usb.take_over import take_over
+(device,) = find_devices().devices
+with take_over(device) as control:
+    for channel in control.volume_channels:
+        control.set_volume_db(channel, -30.0)
+    if sys.argv[1] == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+LOOKS = """
+import subprocess, sys, time
+from device.usb import find_devices
+from device.usb.pyusb_access import open_device
+import usb.util
+subprocess.run([sys.executable, "-c", sys.argv[1], sys.argv[2]])
+(device,) = find_devices().devices
+deadline_s = time.monotonic() + 10.0
+while time.monotonic() < deadline_s:
+    handle = open_device(device)
+    attached = handle.is_kernel_driver_active(0)
+    usb.util.dispose_resources(handle)
+    if attached:
+        break
+print(attached)
+"""
+
+
+@versions
+@pytest.mark.parametrize("ends", ["well", "killed"])
+def test_what_was_taken_is_given_back_also_by_one_who_is_killed(
+    uac: int, ends: str, tmp_path: Path
+) -> None:
+    log = tmp_path / "log"
+    done = within([plugged(uac)], sys.executable, "-c", LOOKS, TAKES_OVER, ends, log=log)
+    assert done.stdout.strip() == "True", done.stderr
+    (asked,) = json.loads(log.read_text()).values()
+    sets = [request for request in asked if request[0] == 0x21 and request[2] >> 8 == 2]
+    for channel in (1, 2):
+        values = [data for _, _, value, _, data in sets if value & 0xFF == channel]
+        assert values == ["00e2", "00f8"]  # -30 dB, then -8 dB again
+
+
+NO_SUPERUSER = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--inh-caps=-all", "--")
+"""Root may open everything, unless it is told not to."""
+
+
+def can_do_without_privileges() -> bool:
+    try:
+        return subprocess.run([*NO_SUPERUSER, "true"], capture_output=True).returncode == 0
+    except OSError:
+        return False
+
+
+@versions
+def test_without_permission_all_that_the_kernel_tells_is_shown_and_the_way_out(uac: int) -> None:
+    without = () if os.geteuid() else NO_SUPERUSER
+    if without and not can_do_without_privileges():
+        pytest.skip("this root cannot give up its privileges")
+    scene = [plugged(uac, bound=False, permission=False)]
+    command = (*without, sys.executable, "-m", "audioflinger_hook")
+    done = within(scene, *command, "usb", "describe", f"usb:1209:dac{uac}")
+    assert done.returncode == 0, done.stderr
+    assert "plays: interface 1.1" in done.stdout
+    assert "permission" in done.stderr
+    assert "cushion install-service --udev" in done.stderr
+    listed = within(scene, *command, "devices", "--json")
+    assert json.loads(listed.stdout)["usb"][0]["device"] == f"usb:1209:dac{uac}:SN1"
+
+
+def test_no_bus_no_device_and_no_libusb_are_three_messages(tmp_path: Path) -> None:
+    empty = cushion([], "usb", "describe")
+    assert empty.returncode == 3
+    assert "no USB audio device is plugged in" in empty.stderr
+    absent = cushion([plugged(1)], "usb", "describe", "usb:1209:dac7")
+    assert absent.returncode == 3
+    assert "usb:1209:dac7" in absent.stderr
+    # A library that cannot be loaded stands for one that is not installed.
+    hide = (
+        "import ctypes.util, usb.backend.libusb1 as b; b.get_backend = lambda *a, **k: None\n"
+        "import sys; from audioflinger_hook.cli import main; sys.exit(main())"
+    )
+    arguments = ("usb", "describe", "usb:1209:dac1", "--take-over")
+    none = within([plugged(1)], sys.executable, "-c", hide, *arguments)
+    assert none.returncode == 3
+    assert "no libusb" in none.stderr
+    assert "install it" in none.stderr
+    texts = [done.stderr for done in (empty, absent, none)]
+    assert all(text.count("\n") == 1 for text in texts), texts
+
+
+MIXES = """
+import json
+from device.alsa.mixer import CardMixer
+from device.errors import UsageError
+
+with CardMixer(1) as mixer:
+    (volume,), (switch,) = mixer.volumes, mixer.switches
+    told = [volume.name, volume.channels, mixer.volume_db(volume), mixer.muted(switch)]
+    told += [mixer.set_volume_db(volume, -9.9), mixer.volume_db(volume)]
+    told += [mixer.set_volume_db(volume, 12.0), mixer.set_volume_db(volume, 0.0, -20.0)]
+    mixer.set_muted(switch, True)
+    told += [mixer.muted(switch), volume.decibels.highest_db]
+    try:
+        mixer.set_volume_db(volume, float("nan"))
+    except UsageError as error:
+        told.append(str(error))
+    print(json.dumps(told))
+"""
+
+
+def test_a_card_s_own_mixer_is_read_and_set_and_never_above_0_db() -> None:
+    done = within([plugged(1)], sys.executable, "-c", MIXES)
+    assert done.returncode == 0, done.stderr
+    name, channels, volume_db, muted, set_db, now_db, *rest = json.loads(done.stdout)
+    assert (name, channels) == ("PCM Playback Volume", 2)
+    assert (volume_db, muted) == ([-8.0, -8.0], [False])
+    assert (set_db, now_db) == (-10.0, [-10.0, -10.0])
+    assert rest == [0.0, -20.0, [True], 0.0, "volume nan dB is no number; choose one up to 0"]
+
+
+@versions
+def test_while_its_driver_holds_it_volume_and_mute_are_told_by_the_card_s_mixer(uac: int) -> None:
+    name = f"usb:1209:dac{uac}"
+    done = cushion([plugged(uac)], "usb", "describe", name, "--json")
+    mixer = json.loads(done.stdout)["mixer"]
+    volume = {"name": "PCM Playback Volume", "db": [-8.0, -8.0], "highest_db": 0.0}
+    assert mixer["volumes"] == [{**volume, "lowest_db": None}]  # its lowest step is silence
+    assert mixer["mutes"] == [{"name": "PCM Playback Switch", "muted": [False]}]
+    listed = cushion([plugged(uac)], "devices", "--json")
+    assert json.loads(listed.stdout)["usb"][0]["mixer"] == mixer
+    assert "-8.0 dB" in cushion([plugged(uac)], "devices").stdout
+    told = cushion([plugged(uac)], "usb", "describe", name).stdout
+    assert "PCM Playback Volume of the sound card: -8.00 dB, silence to +0.00 dB" in told
+    assert "PCM Playback Switch of the sound card: not muted" in told
+
+
+PULLS = """
+import os, time
+from device.errors import CushionError
+from device.usb import find_again, identify
+from device.usb.control import open_control
+from device.usb.presence import PresenceWatch
+
+def tell(line):
+    with open(os.environ["CUSHION_USBMOCK"], "w") as pipe:
+        pipe.write(line + "\\n")
+
+def until(condition):
+    began = time.monotonic()
+    while time.monotonic() < began + 10.0:
+        change = watch.poll(time.monotonic())
+        if condition(change):
+            return time.monotonic() - began
+        time.sleep(0.02)
+    raise SystemExit("nothing changed")
+
+watch = PresenceWatch()
+(device,) = watch.found.devices
+name = identify(device, watch.found.devices)
+control = open_control(device)
+tell("unplug 1-1")
+print(until(lambda change: change.vanished))
+print(watch.is_present(device), watch.found.reason)
+try:
+    control.volume_db(1)
+    print("it answered")
+except CushionError as error:
+    print(type(error).__name__, error)
+tell("plug 1-1 9")
+print(until(lambda change: change.appeared))
+(again,) = watch.found.devices
+print(again.address, watch.is_present(device), identify(again, watch.found.devices) == name)
+"""
+
+
+@versions
+def test_unplug_and_plug_are_noticed_and_the_device_is_known_again(uac: int) -> None:
+    done = within([plugged(uac, bound=False)], sys.executable, "-c", PULLS)
+    assert done.returncode == 0, done.stderr
+    vanished_s, gone, asked, appeared_s, back = done.stdout.splitlines()
+    assert float(vanished_s) < 0.6
+    assert float(appeared_s) < 1.0
+    assert gone.startswith("False no USB audio device")
+    assert asked.startswith(("NoUsbDeviceError", "UsbAccessError"))
+    assert "plug it in again" in asked
+    assert back == "9 False True"

@@ -1,0 +1,544 @@
+"""The lifecycle of an effect, and what the framework does with one that misbehaves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.effect.interface import EINVAL, ENODATA, OK, Command
+from audioflinger_hook.effect.module import EffectModule
+from audioflinger_hook.effect.parameters import Parameter
+from tests.effect.test_engines import CYCLE_S, FRAMES, FakeClock, Probe, config, noise, running
+
+
+def module_of(probe, clock=None, budget_s=0.01):
+    return EffectModule(probe, session=0, clock=clock or FakeClock(), budget_s=budget_s)
+
+
+def cycle(module, buffer=None):
+    buffer = buffer or noise()
+    module.process(buffer, buffer)
+    module.update_state()
+
+
+# Lifecycle: the orders that AOSP checks.
+
+
+def test_enable_is_sent_at_the_end_of_the_next_cycle_and_process_comes_a_buffer_later():
+    probe = Probe()
+    module = module_of(probe)
+    module.set_config(config())
+    assert probe.take() == ["INIT", "SET_CONFIG"]
+    module.enable()
+    assert (module.state.name, probe.take()) == ("STARTING", [])
+    cycle(module)
+    assert (module.state.name, probe.take()) == ("ACTIVE", ["ENABLE"])
+    cycle(module)
+    assert probe.take() == ["process"]
+
+
+def test_disable_is_sent_at_the_end_of_the_next_cycle_and_the_tail_follows():
+    probe = Probe()
+    _, module = running(probe)
+    probe.take()
+    module.disable()
+    assert module.state.name == "STOPPING"
+    cycle(module)
+    assert (module.state.name, probe.take()) == ("STOPPED", ["process", "DISABLE"])
+    cycle(module)
+    assert probe.take() == ["process"]
+    probe.act = lambda source, target: ENODATA
+    cycle(module)
+    assert (module.state.name, probe.take()) == ("IDLE", ["process", "RESET"])
+    cycle(module)
+    assert probe.take() == []
+
+
+def test_nothing_is_processed_before_a_configuration_and_starting_waits_for_one():
+    probe = Probe()
+    module = module_of(probe)
+    module.enable()
+    cycle(module)
+    cycle(module)
+    assert probe.take() == ["INIT"]
+    assert module.command(Command.RESET) == (EINVAL, None)
+    module.set_config(config())
+    cycle(module)
+    cycle(module)
+    assert probe.take() == ["SET_CONFIG", "ENABLE", "process"]
+
+
+def test_a_second_enable_and_a_disable_in_idle_change_nothing():
+    probe = Probe()
+    module = module_of(probe)
+    module.set_config(config())
+    assert module.disable() == OK
+    cycle(module)
+    assert module.state.name == "IDLE"
+    module.enable()
+    module.enable()
+    cycle(module)
+    module.enable()
+    cycle(module)
+    assert probe.take() == ["INIT", "SET_CONFIG", "ENABLE", "process"]
+
+
+def test_disable_before_enable_was_sent_sends_neither():
+    probe = Probe()
+    module = module_of(probe)
+    module.set_config(config())
+    module.enable()
+    module.disable()
+    cycle(module)
+    assert (module.state.name, probe.take()) == ("IDLE", ["INIT", "SET_CONFIG"])
+
+
+def test_enable_before_disable_was_sent_goes_on_without_either():
+    probe = Probe()
+    _, module = running(probe)
+    probe.take()
+    module.disable()
+    module.enable()
+    assert module.state.name == "ACTIVE"
+    cycle(module)
+    assert probe.take() == ["process"]
+
+
+def test_enable_within_the_tail_restarts_from_rest():
+    probe = Probe()
+    _, module = running(probe)
+    module.disable()
+    cycle(module)
+    probe.take()
+    module.enable()
+    assert module.state.name == "RESTART"
+    cycle(module)
+    assert module.state.name == "ACTIVE"
+    assert probe.take() == ["process", "RESET", "ENABLE"]
+    module.disable()
+    cycle(module)
+    module.enable()
+    module.disable()
+    assert module.state.name == "STOPPED"
+
+
+def test_reset_while_active_reaches_the_engine_and_it_goes_on():
+    probe = Probe()
+    _, module = running(probe)
+    probe.take()
+    assert module.command(Command.RESET) == (OK, None)
+    cycle(module)
+    assert (module.state.name, probe.take()) == ("ACTIVE", ["RESET", "process"])
+
+
+def test_release_while_active_stops_the_engine_and_nothing_reaches_it_afterwards():
+    probe = Probe()
+    chains, module = running(probe)
+    probe.take()
+    chains.remove(module)
+    assert (module.state.name, probe.take()) == ("DESTROYED", ["DISABLE"])
+    assert chains.sessions() == ()
+    assert module.enable() == module.disable() == module.set_config(config(44_100)) == EINVAL
+    assert module.command(Command.RESET) == module.command(Command.ENABLE) == (EINVAL, None)
+    cycle(module)
+    chains.remove(module)
+    assert probe.take() == []
+
+
+def test_release_of_one_that_never_ran_sends_no_disable():
+    probe = Probe()
+    module = module_of(probe)
+    module.release()
+    assert probe.take() == ["INIT"]
+
+
+def test_enable_and_disable_as_commands_do_what_the_methods_do():
+    probe = Probe()
+    module = module_of(probe)
+    module.set_config(config())
+    assert module.command(Command.ENABLE) == (OK, None)
+    assert module.state.name == "STARTING"
+    assert module.command(Command.DISABLE) == (OK, None)
+    assert module.state.name == "IDLE"
+    assert probe.take() == ["INIT", "SET_CONFIG"]
+
+
+def test_a_configuration_is_sent_only_where_it_is_new():
+    probe = Probe()
+    _, module = running(probe)
+    probe.take()
+    assert module.set_config(config()) == OK
+    assert probe.take() == []
+    assert module.set_config(config(44_100)) == OK
+    assert module.set_config(config(44_100, channels=1)) == OK
+    assert probe.take() == ["SET_CONFIG", "SET_CONFIG"]
+    assert module.state.name == "ACTIVE"
+    assert module.set_config("48000") == EINVAL
+
+
+def test_an_engine_that_refuses_to_start_is_named_and_stays_idle():
+    probe = Probe()
+    probe.replies[Command.ENABLE] = (EINVAL, None)
+    module = module_of(probe)
+    module.set_config(config())
+    module.enable()
+    cycle(module)
+    assert module.state.name == "IDLE"
+    assert module.guard.complaint == "refused ENABLE (status -22)"
+    assert module.refusals == 1
+
+
+def test_an_engine_that_refuses_init_is_passed_by_until_it_takes_it():
+    probe = Probe()
+    probe.replies[Command.INIT] = (EINVAL, None)
+    module = module_of(probe)
+    assert module.set_config(config()) == EINVAL
+    assert module.bypassed == "refused INIT (status -22)"
+    probe.replies.clear()
+    assert module.set_config(config()) == OK
+    assert module.bypassed == ""
+
+
+# What misbehaves is bypassed, counted and named, and the sound is as it was before it.
+
+
+def spoil(target, value):
+    target.samples[5] = value
+    return OK
+
+
+def exchange(source, target):
+    target.audio = np.zeros((3, 3), np.float32)
+    return OK
+
+
+def reshape(source, target):
+    target.audio.shape = (-1,)
+    return OK
+
+
+def drop(source, target):
+    del target.haptic
+    return OK
+
+
+def scribble_and_raise(source, target):
+    source.samples[:] = 9.0
+    target.samples[:] = 9.0
+    raise ZeroDivisionError("by zero\nin the middle")
+
+
+def leave(source, target):
+    target.samples[:] = 9.0
+    raise SystemExit(3)
+
+
+class Unspeakable(BaseException):
+    def __str__(self):
+        raise RuntimeError("no words")
+
+
+def unspeakable(source, target):
+    raise Unspeakable
+
+
+MISBEHAVIOURS = [
+    (scribble_and_raise, "raised ZeroDivisionError: by zero in the middle in process"),
+    (leave, "raised SystemExit: 3 in process"),
+    (unspeakable, "raised Unspeakable in process"),
+    (lambda source, target: spoil(target, np.nan), "made samples that are not finite"),
+    (lambda source, target: spoil(target, -np.inf), "made samples that are not finite"),
+    (lambda source, target: 7, "answered process with nonsense"),
+    (lambda source, target: None, "answered process with nonsense"),
+    (lambda source, target: True, "answered process with nonsense"),
+    (lambda source, target: np.zeros(3), "answered process with nonsense"),
+    (lambda source, target: EINVAL, "answered process with nonsense"),
+    (exchange, "exchanged or reshaped the arrays that it was lent"),
+    (drop, "exchanged or reshaped the arrays that it was lent"),
+    pytest.param(
+        reshape,
+        "exchanged or reshaped the arrays that it was lent",
+        marks=pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+    ),
+]
+
+
+@pytest.mark.parametrize(("misbehave", "reason"), MISBEHAVIOURS)
+def test_an_engine_that_misbehaves_is_bypassed_counted_and_named(misbehave, reason):
+    probe, after = Probe("Rogue"), Probe("After", 2)
+    chains, rogue, _ = running(probe, after)
+    probe.act = misbehave
+    buffer = noise()
+    before = buffer.samples.copy()
+    arrays = buffer.samples, buffer.audio, buffer.haptic
+    for now in range(3):
+        chains.process(0, buffer, now * CYCLE_S)
+        chains.end_of_cycle(now * CYCLE_S)
+    for now, then in zip((buffer.samples, buffer.audio, buffer.haptic), arrays, strict=True):
+        assert now is then
+    assert buffer.audio.shape == (960, 2)
+    assert buffer.samples.tobytes() == before.tobytes()
+    assert rogue.guard.faults == 1
+    assert chains.bypassed() == [f"session 0, Rogue: {reason}"]
+    assert probe.take().count("process") == 1
+    assert after.take().count("process") == 3
+
+
+def test_a_misbehaving_engine_does_not_change_what_it_would_have_been_added_to():
+    probe = Probe()
+    chains, module = running(probe, session=4)
+    probe.act = scribble_and_raise
+    own, mix = noise(seed=1), noise(seed=2)
+    expected = own.samples + mix.samples
+    chains.process(4, own, 0.0, mix)
+    assert module.guard.faults == 1
+    np.testing.assert_array_equal(mix.samples, expected)
+    np.testing.assert_array_equal(own.samples, noise(seed=1).samples)
+
+
+def test_what_an_engine_scribbles_later_into_arrays_it_kept_is_not_heard():
+    probe = Probe()
+    chains, _ = running(probe)
+    kept = []
+
+    def keep(source, target):
+        kept.append(target.audio)
+        return OK
+
+    probe.act = keep
+    buffer = noise()
+    chains.process(0, buffer, 0.0)
+    kept[0][:] = 9.0
+    chains.process(0, buffer, 0.0)
+    assert buffer.samples.tobytes() == noise().samples.tobytes()
+
+
+def exchange_and_raise(source, target):
+    exchange(source, target)
+    raise ZeroDivisionError
+
+
+def exchange_and_answer_nonsense(source, target):
+    exchange(source, target)
+    return 7
+
+
+def lock(source, target):
+    target.samples.flags.writeable = False
+    return EINVAL
+
+
+@pytest.mark.parametrize(
+    "misbehave", [exchange, drop, exchange_and_raise, exchange_and_answer_nonsense, lock]
+)
+def test_an_engine_that_is_given_another_chance_is_lent_a_sound_buffer(misbehave):
+    probe = Probe()
+    chains, module = running(probe)
+    probe.act = misbehave
+    chains.process(0, noise(), 0.0)
+    assert module.bypassed
+
+    def halve(source, target):
+        assert target.audio.shape == (FRAMES, 2)
+        target.samples *= 0.5
+        return OK
+
+    probe.act = halve
+    module.enable()
+    chains.end_of_cycle(0.0)
+    buffer = noise()
+    chains.process(0, buffer, 0.0)
+    assert not module.bypassed
+    np.testing.assert_array_equal(buffer.samples, noise().samples * np.float32(0.5))
+
+
+def test_an_engine_that_spoils_what_it_kept_is_blamed_and_the_sound_goes_on():
+    probe = Probe()
+    chains, module = running(probe)
+    kept = []
+
+    def keep(source, target):
+        kept.append(target)
+        return OK
+
+    probe.act = keep
+    chains.process(0, noise(), 0.0)
+    exchange(kept[0], kept[0])
+    buffer = noise()
+    chains.process(0, buffer, 0.0)
+    assert module.bypassed == "exchanged or reshaped the arrays that it was lent"
+    assert buffer.samples.tobytes() == noise().samples.tobytes()
+
+
+def test_not_finite_samples_that_came_with_the_sound_are_not_blamed_on_an_effect():
+    probe = Probe()
+    chains, module = running(probe)
+    buffer = noise()
+    buffer.audio[3, 1] = np.nan
+    before = buffer.samples.copy()
+    chains.process(0, buffer, 0.0)
+    assert (module.guard.faults, buffer.samples.tobytes()) == (0, before.tobytes())
+
+    def spoil_vibration(source, target):
+        target.haptic[0] = np.inf
+        return OK
+
+    probe.act = spoil_vibration
+    chains.process(0, buffer, 0.0)
+    assert module.guard.fault == "made samples that are not finite"
+    assert buffer.samples.tobytes() == before.tobytes()
+
+
+@pytest.mark.parametrize("code", [Command.SET_CONFIG, Command.ENABLE, Command.DISABLE])
+@pytest.mark.parametrize("answer", [None, (1, 2, 3), ("0", None), (5, None), (None, None)])
+def test_nonsense_as_the_answer_to_a_command_is_a_fault(code, answer):
+    probe = Probe()
+    probe.replies[code] = answer
+    module = module_of(probe)
+    module.set_config(config())
+    module.enable()
+    cycle(module)
+    module.disable()
+    cycle(module)
+    assert module.guard.fault == f"answered {code.name} with nonsense"
+    probe.take()
+    cycle(module)
+    assert probe.take() == []
+
+
+def test_an_engine_that_raises_when_asked_something_is_named_but_goes_on():
+    probe = Probe()
+    chains, module = running(probe)
+
+    def fail():
+        raise OSError("cannot")
+
+    probe.replies[Command.DUMP] = fail
+    assert module.command(Command.DUMP) == (EINVAL, None)
+    assert (module.guard.faults, module.bypassed) == (1, "")
+    assert module.guard.complaint == "raised OSError: cannot in DUMP"
+    probe.take()
+    chains.process(0, noise(), 0.0)
+    assert probe.take() == ["process"]
+
+
+def test_the_user_can_still_interrupt():
+    probe = Probe()
+    chains, _ = running(probe)
+
+    def interrupt(source, target):
+        raise KeyboardInterrupt
+
+    probe.act = interrupt
+    with pytest.raises(KeyboardInterrupt):
+        chains.process(0, noise(), 0.0)
+
+
+def test_three_overruns_in_a_row_bypass_and_two_do_not():
+    clock, probe = FakeClock(), Probe()
+    chains, module = running(probe, clock=clock, budget_share=0.5)
+    took_ms = [11, 11, 9, 11, 11, 11, 1]
+
+    def slow(source, target):
+        clock.now_s += took_ms.pop(0) * 1e-3
+        target.audio *= 0.5
+        return OK
+
+    probe.act = slow
+    loudness = []
+    for _ in range(7):
+        buffer = noise()
+        chains.process(0, buffer, 0.0)
+        loudness.append(np.abs(buffer.audio).max() / np.abs(noise().audio).max())
+    # What came late came whole, and is used; the seventh buffer passes as it is.
+    assert loudness == [0.5] * 6 + [1.0]
+    assert (module.guard.overruns, module.guard.faults) == (5, 1)
+    assert module.guard.worst_s == pytest.approx(0.011)
+    assert module.bypassed == "took more than the 10 ms allowed for 960 frames, 3 buffers in a row"
+
+
+def test_the_time_allowed_follows_the_buffers_length_and_may_be_without_end():
+    clock, probe = FakeClock(), Probe()
+    chains, module = running(probe, clock=clock, budget_share=0.25)
+    assert module.guard.budget_s == pytest.approx(0.005)
+    chains.reconfigure(96_000, 2, 1, 960)
+    assert module.guard.budget_s == pytest.approx(0.0025)
+
+    slow = Probe()
+    chains, module = running(slow, clock=clock, budget_share=float("inf"))
+
+    def act(source, target):
+        clock.now_s += 3600.0
+        return OK
+
+    slow.act = act
+    for _ in range(5):
+        chains.process(0, noise(), 0.0)
+    assert (module.guard.overruns, module.bypassed) == (0, "")
+
+
+def test_a_bypassed_effect_is_initialised_anew_when_it_is_enabled_again():
+    probe = Probe()
+    chains, module = running(probe)
+    probe.act = scribble_and_raise
+    chains.process(0, noise(), 0.0)
+    chains.end_of_cycle(0.0)
+    assert module.enabled
+    probe.take()
+    probe.act = lambda source, target: OK
+    module.enable()
+    chains.process(0, noise(), 0.0)
+    assert probe.take() == []
+    chains.end_of_cycle(0.0)
+    chains.process(0, noise(), 0.0)
+    assert probe.take() == ["INIT", "SET_CONFIG", "ENABLE", "process"]
+    assert (module.bypassed, module.guard.faults) == ("", 1)
+
+
+def test_a_bypassed_effect_that_is_disabled_goes_idle_without_hearing_of_it():
+    probe = Probe()
+    chains, module = running(probe)
+    probe.act = scribble_and_raise
+    chains.process(0, noise(), 0.0)
+    probe.take()
+    module.disable()
+    chains.end_of_cycle(0.0)
+    assert (module.state.name, probe.take()) == ("IDLE", [])
+
+
+@pytest.mark.parametrize("shape", [(961, 2, 1), (960, 1, 1), (960, 2, 2), (960, 2, 0), (0, 2, 1)])
+def test_a_buffer_that_does_not_fit_the_configuration_passes_and_is_counted(shape):
+    probe = Probe()
+    _, module = running(probe)
+    probe.take()
+    cycle(module, noise(*shape))
+    assert (probe.take(), module.misfits) == ([], 1)
+    cycle(module, noise(17))
+    assert (probe.take(), module.misfits) == (["process"], 1)
+
+
+def test_several_parameters_are_set_together_or_not_at_all():
+    probe = Probe(parameters=(Parameter("a", float, 0.0, 0, 1), Parameter("b", bool, False)))
+    module = module_of(probe)
+    probe.take()
+    assert module.set_parameters({"a": 0.5, "b": 1}) == EINVAL
+    assert module.set_parameters({"a": 0.5, "c": True}) == EINVAL
+    assert probe.take() == []
+    assert module.set_parameters({"a": 0.5, "b": True}) == OK
+    assert probe.take() == ["SET_PARAM_DEFERRED", "SET_PARAM_DEFERRED", "SET_PARAM_COMMIT"]
+
+
+def test_a_shorter_buffer_has_its_part_of_the_time():
+    clock, probe = FakeClock(), Probe()
+    chains, module = running(probe, clock=clock, budget_share=0.5)
+    quarter = FRAMES // 4
+
+    def slow(source, target):
+        clock.now_s += 3e-3  # of 2.5 ms for a quarter of 20 ms
+        return OK
+
+    probe.act = slow
+    for _ in range(3):
+        chains.process(0, noise(quarter), 0.0)
+    assert module.guard.overruns == 3
+    assert "took more" in module.bypassed

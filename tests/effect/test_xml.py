@@ -1,0 +1,253 @@
+"""audio_effects.xml: what it declares, and what is left out of a bad one, with its line."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from uuid import UUID
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from audioflinger_hook.effect.chain import EffectChains
+from audioflinger_hook.effect.haptic import CUSHION, HAPTIC_CUSHION
+from audioflinger_hook.effect.registry import EffectRegistry
+from audioflinger_hook.effect.xml import (
+    OUTPUT_MIX_STREAM,
+    SIZE_MAX,
+    bundled_effects,
+    parse_effects,
+    read_effects,
+)
+from audioflinger_hook.mixer.sessions import OUTPUT_MIX
+from device.errors import UsageError
+from tests.effect.test_engines import DELAY, LIBRARY, FakeClock
+
+REGISTRY = EffectRegistry([CUSHION, LIBRARY])
+
+GOOD = f"""<?xml version="1.0" encoding="UTF-8"?>
+<audio_effects_conf version="2.0" xmlns="http://schemas.android.com/audio/audio_effects_conf/v2_0">
+    <libraries>
+        <library name="cushion" path="cushion"/>
+        <library name="lib2" path="echoes"/>
+    </libraries>
+    <effects>
+        <effect name="haptic" library="cushion" uuid="{HAPTIC_CUSHION.uuid}"/>
+        <effect name="delay" library="lib2" uuid="{str(DELAY.uuid).upper()}"/>
+    </effects>
+    <postprocess>
+        <stream type="output_mix">
+            <apply effect="delay"/>
+            <apply effect="haptic"/>
+        </stream>
+        <stream type="music"><apply effect="delay"/></stream>
+    </postprocess>
+</audio_effects_conf>
+"""
+
+
+def line_of(text, part):
+    return next(number for number, line in enumerate(text.splitlines(), 1) if part in line)
+
+
+def test_effects_libraries_and_streams_are_read():
+    declared = parse_effects(GOOD.encode(), REGISTRY)
+    assert declared.problems == declared.notes == []
+    assert declared.effects == {"haptic": HAPTIC_CUSHION.uuid, "delay": DELAY.uuid}
+    assert declared.postprocess == {
+        "output_mix": [DELAY.uuid, HAPTIC_CUSHION.uuid],
+        "music": [DELAY.uuid],
+    }
+
+
+def test_the_bundled_file_puts_our_effect_on_the_output_mix_without_a_problem():
+    registry = EffectRegistry.installed()
+    declared = bundled_effects(registry)
+    assert declared.problems == declared.notes == []
+    chains = EffectChains(FakeClock())
+    for uuid in declared.postprocess[OUTPUT_MIX_STREAM]:
+        chains.add(registry.create(uuid), OUTPUT_MIX)
+    assert [module.descriptor for module in chains.modules(0)] == [HAPTIC_CUSHION]
+
+
+HAPTIC_LINE = f'<effect name="haptic" library="cushion" uuid="{HAPTIC_CUSHION.uuid}"/>'
+BAD = [
+    ('path="echoes"', 'path="libx.so"', ["path='libx.so' is an unknown library", "library='lib2'"]),
+    ('<library name="lib2" path="echoes"/>', "<library/>", ["has no name and no path"]),
+    ('name="lib2" path="echoes"', 'name="cushion" path="echoes"', ["'cushion' is declared twice"]),
+    ('library="lib2"', 'library="lib9"', ["library='lib9' is an unknown library"]),
+    (str(DELAY.uuid).upper(), "7d7cb2f0", ["uuid='7d7cb2f0' is not a UUID"]),
+    (str(DELAY.uuid).upper(), f"{{{DELAY.uuid}}}", ["is not a UUID"]),
+    (str(DELAY.uuid).upper(), str(UUID(int=3)), ["is not in library 'lib2'"]),
+    (str(DELAY.uuid).upper(), str(HAPTIC_CUSHION.uuid), ["is a duplicate UUID"]),
+    ('name="delay"', 'name="haptic"', ["name='haptic' is declared twice"]),
+    ('name="delay"', "", ["has no name"]),
+]
+
+
+@pytest.mark.parametrize(("right", "wrong", "reasons"), BAD)
+def test_a_bad_element_is_left_out_with_what_needs_it_and_the_rest_counts(right, wrong, reasons):
+    text = GOOD.replace(right, wrong)
+    declared = parse_effects(text.encode(), REGISTRY)
+    problems = [str(problem) for problem in declared.problems]
+    assert problems[0].startswith(f"line {line_of(GOOD, right)}: ")
+    for reason in reasons:
+        assert any(reason in problem for problem in problems), problems
+    # Both of its applications are named with their lines too.
+    assert declared.effects == {"haptic": HAPTIC_CUSHION.uuid}
+    assert [p.line for p in declared.problems if "unknown effect" in p.text] == [13, 16]
+    assert declared.postprocess["output_mix"] == [HAPTIC_CUSHION.uuid]
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "line", "reason"),
+    [
+        ('<apply effect="haptic"/>', "<apply/>", 14, "<apply> has no effect"),
+        ('<apply effect="haptic"/>', '<apply effect="x"/>', 14, "effect='x' is an unknown effect"),
+        ('<apply effect="haptic"/>', '<apply effect="delay"/>', 14, "is applied twice"),
+        ('type="music"', 'type="musik"', 16, "type='musik' is an unknown stream"),
+        ('type="music"', "", 16, "<stream> has no type"),
+        ('version="2.0"', 'version="3.0"', 2, "version='3.0' is not 2.0"),
+        ('conf version="2.0"', "conf", 2, "version=None is not 2.0"),
+        ("<libraries>", "<libraries><x><library/></x>", 3, "<x> does not belong in <libraries>"),
+        ("<postprocess>", "<postprocess><apply/>", 11, "<apply> does not belong in <postprocess>"),
+    ],
+)
+def test_each_mistake_is_named_once_with_its_line(right, wrong, line, reason):
+    declared = parse_effects(GOOD.replace(right, wrong, 1).encode(), REGISTRY)
+    (problem,) = declared.problems
+    assert problem.line == line
+    assert reason in problem.text
+    assert len(declared.effects) == 2
+
+
+def test_elements_may_stand_in_any_order():
+    lines = GOOD.splitlines()
+    swapped = [*lines[:2], *lines[10:17], *lines[6:10], *lines[2:6], lines[17]]
+    declared = parse_effects("\n".join(swapped).encode(), REGISTRY)
+    assert declared.problems == []
+    assert declared.postprocess["output_mix"] == [DELAY.uuid, HAPTIC_CUSHION.uuid]
+
+
+def test_what_android_has_and_we_do_not_emulate_is_noted_with_its_line():
+    more = """<preprocess>
+        <stream type="voice_communication"><apply effect="aec"/></stream>
+    </preprocess>
+    <deviceEffects><devicePort type="BUS" address="x"/></deviceEffects>
+</audio_effects_conf>"""
+    text = GOOD.replace("</audio_effects_conf>", more).replace(
+        "<effects>", '<effects><effectProxy name="p"><libsw/><libhw/></effectProxy>'
+    )
+    declared = parse_effects(text.encode(), REGISTRY)
+    assert declared.problems == []
+    assert [(note.line, note.text.split(",")[0]) for note in declared.notes] == [
+        (7, "<effectProxy>"),
+        (18, "<preprocess>"),
+        (21, "<deviceEffects>"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("cut", "reason"),
+    [
+        ("        <stream type", "no element found"),
+        ("    </postprocess>", "no element found"),
+        ('" uuid="7D7CB2F0', "unclosed token"),
+    ],
+)
+def test_what_stands_before_a_syntax_error_counts(cut, reason):
+    text = GOOD[: GOOD.index(cut)]
+    declared = parse_effects(text.encode(), REGISTRY)
+    assert declared.effects["haptic"] == HAPTIC_CUSHION.uuid
+    assert any(
+        reason in problem.text and "nothing after it is read" in problem.text
+        for problem in declared.problems
+    )
+
+
+@pytest.mark.parametrize(
+    ("xml", "line", "reason"),
+    [
+        (b"", 1, "no element found"),
+        (b"\n\nno xml", 3, "syntax error"),
+        (b"<a><b></a>", 1, "mismatched tag"),
+        (b'<a x="1" x="2"/>', 1, "duplicate attribute"),
+        (b"<other/>", 1, "<other> does not belong at the top"),
+        (b'<?xml version="1.0" encoding="nonsense"?><a/>', 1, "encoding"),
+        (b'<?xml version="1.0" encoding="utf-7"?><a/>', 1, "encoding"),
+        (b"\xff\xfe\x00", 1, "nothing after it is read"),
+        (b"<a>\x00</a>", 1, "nothing after it is read"),
+    ],
+)
+def test_what_is_no_such_file_is_named_and_nothing_is_declared(xml, line, reason):
+    declared = parse_effects(xml, REGISTRY)
+    assert declared.effects == declared.postprocess == {}
+    assert any(reason in problem.text for problem in declared.problems)
+    assert declared.problems[0].line == line
+
+
+def test_entities_are_refused_before_they_can_expand():
+    bomb = '<!DOCTYPE a [<!ENTITY a "ha">' + "".join(
+        f'<!ENTITY {new} "{f"&{old};" * 50}">'
+        for old, new in zip("abcdefgh", "bcdefghi", strict=True)
+    )
+    text = GOOD.replace("<audio_effects_conf", bomb + "]>\n<audio_effects_conf", 1)
+    text = text.replace('effect="haptic"', 'effect="&i;"')
+    began = time.process_time()
+    declared = parse_effects(text.encode(), REGISTRY)
+    assert time.process_time() - began < 1.0
+    (problem,) = declared.problems
+    assert problem.line == 2
+    assert "document type, with its entities, is not allowed" in problem.text
+    assert declared.effects == {}
+
+
+def test_files_outside_are_not_read(tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("haptic")
+    text = GOOD.replace(
+        "<audio_effects_conf", f'<!DOCTYPE a SYSTEM "file://{secret}">\n<audio_effects_conf', 1
+    )
+    assert "not allowed" in parse_effects(text.encode(), REGISTRY).problems[0].text
+
+
+def test_deeply_nested_elements_do_no_harm():
+    xml = b'<audio_effects_conf version="2.0">' + b"<x>" * 100_000
+    declared = parse_effects(xml, REGISTRY)
+    assert len(declared.problems) == 2
+
+
+@given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode()))
+@example(b"<audio_effects_conf version='2.0'><effects><effect uuid='\xc2\x80'/>")
+def test_no_bytes_make_it_raise(xml):
+    parse_effects(xml, REGISTRY)
+
+
+@given(st.integers(0, len(GOOD) - 1), st.sampled_from([b"", b"<", b">", b'"', b"/", b"&", b"\x00"]))
+def test_no_damage_to_a_good_file_makes_it_raise_or_declare_what_is_not_there(place, damage):
+    xml = GOOD.encode()
+    declared = parse_effects(xml[:place] + damage + xml[place + 1 :], REGISTRY)
+    assert set(declared.effects.values()) <= {HAPTIC_CUSHION.uuid, DELAY.uuid}
+    for uuids in declared.postprocess.values():
+        assert len(uuids) <= 2
+
+
+def test_a_file_that_cannot_be_read_is_an_error(tmp_path):
+    good = tmp_path / "audio_effects.xml"
+    good.write_text(GOOD)
+    assert read_effects(good, REGISTRY).problems == []
+    with pytest.raises(UsageError, match="cannot be read"):
+        read_effects(tmp_path / "absent.xml", REGISTRY)
+    with pytest.raises(UsageError, match="cannot be read"):
+        read_effects(tmp_path, REGISTRY)
+    good.write_bytes(b"<" * (SIZE_MAX + 1))
+    with pytest.raises(UsageError, match="too large"):
+        read_effects(good, REGISTRY)
+
+
+def test_the_bundled_file_is_part_of_the_package():
+    import audioflinger_hook.effect
+
+    folder = Path(audioflinger_hook.effect.__file__).parent
+    assert folder.joinpath("audio_effects.xml").is_file()

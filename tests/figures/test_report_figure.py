@@ -1,0 +1,240 @@
+import io
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from PIL import Image
+
+from audioflinger_hook.figures import columns, palette, panels
+from audioflinger_hook.figures.report import HEIGHT_PX, WIDTH_PX, draw_report
+from tests.support.costs import cost_ffts
+from tools.bench.cost import in_ffts
+
+SAMPLERATE = 8_000
+
+
+def picture_of(duration_s=2.0, samplerate=SAMPLERATE, **changes):
+    """The report's picture of a tone and what it might become, as an array (height, width, 3)."""
+    file = io.BytesIO()
+    draw_report(file, **arguments(duration_s, samplerate, **changes))
+    return np.asarray(Image.open(file).convert("RGB"))
+
+
+def arguments(duration_s=2.0, samplerate=SAMPLERATE, **changes):
+    time_s = np.arange(round(duration_s * samplerate)) / samplerate
+    tone = 0.5 * np.sin(2.0 * np.pi * 950.0 * time_s)
+    vibration = 0.2 * np.sin(2.0 * np.pi * 128.2 * time_s)
+    plain = {
+        "title": "A tone",
+        "samplerate": samplerate,
+        "audio": np.stack([tone, 0.5 * tone], axis=1).astype(np.float32),
+        "vibration": vibration,
+        "vibration_samplerate": samplerate,
+        "acceleration_m_s2": 12.0 * vibration,
+        "acceleration_samplerate": samplerate,
+        "principals": [(at_s, 950.0, 128.2, 0.7) for at_s in np.arange(0.0, duration_s, 0.0464)],
+        "events": [(0.1 * duration_s, 0.9 * duration_s, "tone")],
+        "facts": ["8 kHz stereo", "a test"],
+    }
+    return plain | changes
+
+
+def pixels_of(picture, colour):
+    wanted = [int(colour[at : at + 2], 16) for at in (1, 3, 5)]
+    return int(np.sum(np.all(np.abs(picture.astype(int) - wanted) <= 1, axis=2)))
+
+
+def test_the_report_is_a_png_of_1600_by_1500_pixels_and_at_most_a_megabyte(tmp_path):
+    path = tmp_path / "report.png"
+    draw_report(path, **arguments())
+    with Image.open(path) as picture:
+        assert picture.format == "PNG"
+        assert picture.size == (WIDTH_PX, HEIGHT_PX) == (1600, 1500)
+    assert path.stat().st_size <= 1_000_000
+    assert [entry.name for entry in tmp_path.iterdir()] == ["report.png"]
+
+
+def test_white_noise_which_no_png_compresses_still_fits_in_a_megabyte():
+    noise = np.random.default_rng(1).uniform(-1.0, 1.0, (15 * 48_000, 2))
+    file = io.BytesIO()
+    draw_report(file, **arguments(15.0, audio=noise, samplerate=48_000))
+    assert len(file.getvalue()) <= 1_000_000
+
+
+def test_the_same_input_gives_the_same_bytes_to_a_name_and_to_an_open_file(tmp_path):
+    path = tmp_path / "report.png"
+    draw_report(str(path), **arguments())
+    file = io.BytesIO()
+    draw_report(file, **arguments())
+    assert path.read_bytes() == file.getvalue()
+
+
+def test_a_report_that_fails_leaves_the_one_before_as_it_was(tmp_path):
+    path = tmp_path / "report.png"
+    path.write_bytes(b"before")
+    with pytest.raises(ValueError, match="audio has shape"):
+        draw_report(path, **arguments(audio=np.zeros(10)))
+    assert path.read_bytes() == b"before"
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_silence_is_drawn_without_a_warning():
+    silent = picture_of(
+        audio=np.zeros((16_000, 2), np.float32),
+        vibration=np.zeros(16_000),
+        acceleration_m_s2=np.zeros(16_000),
+        principals=[],
+        events=[],
+        facts=[],
+    )
+    loud = picture_of()
+    assert silent.shape == loud.shape
+    assert pixels_of(silent, palette.FELT) < pixels_of(loud, palette.FELT) / 4
+
+
+@pytest.mark.parametrize("duration_s", [1 / SAMPLERATE, 0.002, 0.2])
+def test_very_short_sound_is_drawn(duration_s):
+    assert picture_of(duration_s).shape == (1500, 1600, 3)
+
+
+def test_ten_minutes_are_drawn_at_a_low_cost():
+    given = arguments(600.0)
+    assert cost_ffts(lambda: draw_report(io.BytesIO(), **given)) < in_ffts(6.0)
+
+
+@pytest.mark.parametrize("samplerate", [1_000, 192_000])
+@pytest.mark.parametrize("channels", [1, 6])
+def test_any_rate_and_number_of_channels_is_drawn(samplerate, channels):
+    noise = np.random.default_rng(2).uniform(-1.0, 1.0, (samplerate // 2, channels))
+    picture_of(0.5, samplerate, audio=noise)
+
+
+def test_parts_of_different_length_and_rate_share_one_time_axis():
+    picture_of(vibration=np.zeros(500), vibration_samplerate=1_000, acceleration_m_s2=np.zeros(7))
+
+
+def test_samples_that_are_not_finite_are_drawn_as_zero():
+    audio = arguments()["audio"].copy()
+    clean = audio.copy()
+    audio[100], clean[100] = np.nan, 0.0
+    audio[200, 0], clean[200, 0] = np.inf, 0.0
+    assert np.array_equal(picture_of(audio=audio), picture_of(audio=clean))
+
+
+def test_titles_may_hold_anything():
+    # a formula that would not parse, signs the font lacks, far too many letters
+    picture_of(title="$\\frac{ 日本語 🎧", facts=["$x"] * 200, events=[(0.0, 1.0, "日本 $_" * 90)])
+
+
+def test_principal_frequencies_appear_as_dots_in_the_accent_colour():
+    far = [(at_s, 200.0, 71.7, 1.0) for at_s in np.arange(0.1, 2.0, 0.1)]
+    assert pixels_of(picture_of(principals=far), palette.FELT) > 100 + pixels_of(
+        picture_of(principals=[]), palette.FELT
+    )
+
+
+def test_a_hundred_thousand_principal_frequencies_are_drawn_at_a_low_cost():
+    rng = np.random.default_rng(3)
+    at_s = rng.uniform(0.0, 2.0, 100_000)
+    hz = rng.uniform(50.0, 12_000.0, 100_000)
+    many = np.stack([at_s, hz, hz / 60.0, rng.random(100_000)], axis=1)
+    assert cost_ffts(lambda: picture_of(principals=many)) < in_ffts(6.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"audio": np.zeros((0, 2))}, r"audio has shape \(0, 2\), want \(frames, channels\)"),
+        ({"vibration": np.zeros((5, 1))}, r"vibration has shape \(5, 1\), want \(frames,\)"),
+        ({"acceleration_m_s2": np.zeros(0)}, "with at least one frame"),
+        ({"vibration_samplerate": 0}, "samplerate=0 is not above 0 Hz"),
+        ({"audio": np.zeros((5, 1), np.int16)}, "audio is of int16, want floating point"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_in_words(changes, words):
+    with pytest.raises(ValueError, match=words):
+        draw_report(io.BytesIO(), **arguments(**changes))
+
+
+def test_no_two_event_labels_share_a_place():
+    events = [(0.2 * at, 0.2 * at + 0.5, f"event {at}") for at in range(40)] + [(9.9, 30.0, "last")]
+    placed = panels.place_events(events, 10.0, 660.0)
+    assert len(placed) > 10
+    for lane in range(panels.MAX_EVENT_LANES):
+        mine = [(text_s, event) for at, text_s, event in placed if at == lane]
+        for (_, event), (next_text_s, _) in pairwise(mine):
+            assert event[1] <= next_text_s
+    assert all(0.0 <= start_s < end_s <= 10.0 for _, _, (start_s, end_s, _) in placed)
+
+
+@pytest.mark.parametrize("frames", [1, 3, 100, 1381, 50_000])
+def test_an_envelope_holds_every_sample(frames):
+    signal = np.random.default_rng(frames).standard_normal(frames)
+    lowest, highest = columns.envelope(signal, 1380)
+    assert lowest.shape == highest.shape == (1380,)
+    assert np.all(lowest <= highest)
+    assert (lowest.min(), highest.max()) == (signal.min(), signal.max())
+
+
+@pytest.mark.parametrize("frames", [1, 700, 48_000, 480_001])
+def test_the_short_time_rms_of_a_constant_is_that_constant(frames):
+    rms = columns.short_time_rms(np.full(frames, -0.25), 48_000, 1380, 0.05)
+    # an einsum and a running sum over at most half a million frames
+    assert np.allclose(rms, 0.25, rtol=1e-9)
+
+
+@pytest.mark.parametrize("rows_hz", [np.geomspace(50, 12_000, 200), np.linspace(0, 8_000, 161)])
+@pytest.mark.parametrize("duration_s", [1.0, 20.0])
+def test_a_full_scale_tone_is_0_dbfs_in_the_row_of_its_frequency(rows_hz, duration_s):
+    time_s = np.arange(round(duration_s * 48_000)) / 48_000
+    level_db = columns.spectrogram_db(
+        np.sin(2.0 * np.pi * 1_000.0 * time_s),
+        48_000,
+        window_s=0.04643,
+        columns=40,
+        rows_hz=rows_hz,
+    )
+    middle = level_db[:, 10:30]
+    # between two bins of a spectrum padded to double length a Hamming window loses 0.45 dB
+    assert np.all(np.abs(middle.max(axis=0)) < 0.5)
+    nearest_hz = rows_hz[np.argmax(middle, axis=0)]
+    assert np.all(np.abs(nearest_hz / 1_000.0 - 1.0) < 0.06)
+
+
+def test_rows_above_half_the_samplerate_are_empty():
+    noise = np.random.default_rng(4).standard_normal(8_000)
+    level_db = columns.spectrogram_db(
+        noise, 8_000, window_s=0.05, columns=10, rows_hz=np.array([1_000.0, 4_500.0, 9_000.0])
+    )
+    assert np.all(level_db[0] > -60.0)
+    assert np.all(level_db[1:] == -200.0)
+
+
+def test_the_level_map_falls_in_lightness_by_equal_steps():
+    linear = np.array(
+        [[int(hex_[at : at + 2], 16) / 255 for at in (1, 3, 5)] for hex_ in palette.LEVEL_COLOURS]
+    )
+    linear = np.where(linear <= 0.04045, linear / 12.92, ((linear + 0.055) / 1.055) ** 2.4)
+    luminance = linear @ [0.2126, 0.7152, 0.0722]
+    lightness = 116.0 * np.cbrt(luminance) - 16.0
+    # colours are rounded to 8 bits, which is up to 0.2 of lightness
+    assert np.allclose(np.diff(lightness), np.diff(lightness).mean(), atol=0.5)
+
+
+def test_an_indexed_picture_keeps_the_colours_of_the_figures():
+    own = [
+        palette.INK,
+        palette.GREY,
+        palette.HEARD,
+        palette.FELT,
+        palette.FELT_LIGHT,
+        *palette.LEVEL_COLOURS,
+    ]
+    rgb = np.array([[int(colour[at : at + 2], 16) for at in (1, 3, 5)] for colour in own], np.uint8)
+    rgba = np.concatenate([rgb, np.full((len(own), 1), 255, np.uint8)], axis=1)[None]
+    drawn = np.asarray(Image.open(io.BytesIO(palette.indexed_png(rgba, 150))).convert("RGB"))[0]
+    # half a step between two of the levels, and Pillow looks for the nearest colour only roughly
+    assert np.max(np.abs(drawn.astype(int) - rgb)) <= 6

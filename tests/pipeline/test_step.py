@@ -1,0 +1,280 @@
+"""The chain as one step function: any client, any blocksize, the same bytes on every output."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
+from audioflinger_hook.sources import FileTap, FramesTap, SceneClient, TapClient, mixdown
+from audioflinger_hook.transform import HapticTransform
+from device.drive.alignment import Aligned
+from device.errors import WriteError
+from device.rig import PAPER
+from device.rig.twin import Twin
+from device.wav_output import WavOutput
+from tests.support.commands import RATE, listing, noise, sound, vibration
+from tests.support.signals import FORMS
+
+BLOCKSIZES = [1, 7, 240, 256, 960, 4_096, 32_768, 10**6]
+
+
+class Collector:
+    """An output that keeps what it is given, and whether it was closed or aborted."""
+
+    def __init__(self, samplerate=RATE, channels=1):
+        self.samplerate = samplerate
+        self.channels = channels
+        self.blocks = []
+        self.ended = []
+
+    def write(self, vibration):
+        self.blocks.append(vibration.copy())
+
+    def close(self):
+        self.ended.append("close")
+
+    def abort(self):
+        self.ended.append("abort")
+
+    @property
+    def frames(self):
+        return np.concatenate([np.zeros((0, self.channels)), *self.blocks])
+
+
+class Clogged(Collector):
+    """An output that takes one block and then fails, as a full disk does."""
+
+    def write(self, vibration):
+        if self.blocks:
+            raise WriteError("the disk is full")
+        super().write(vibration)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Half a second of the demo: silence, then the engine, which has peaks of every strength."""
+    frames = mixdown(demo_scene())[12_000:36_000]
+    return Scene("test", RATE, (SceneTrack("all", RATE, frames, 0.0),), 0.5)
+
+
+@pytest.fixture(scope="module")
+def mix(scene):
+    """What is heard of the scene."""
+    return mixdown(scene)
+
+
+@pytest.fixture(scope="module")
+def scene_file(mix, tmp_path_factory):
+    """The scene's mixdown as a sound file, exact."""
+    return sound(tmp_path_factory.mktemp("scene") / "scene.wav", mix)
+
+
+@pytest.fixture(scope="module")
+def expected(mix):
+    """By form, the whole vibration of the scene in one block, its latency taken out."""
+
+    def whole(form):
+        transform = HapticTransform(RATE, 2, form=form)
+        blocks = [transform.process(mix), transform.finish()]
+        return np.concatenate(blocks)[transform.latency_frames :].astype(np.float32)
+
+    return {form: whole(form) for form in FORMS}
+
+
+def played(frames, blocksize):
+    """A client that plays frames in buffers of one size."""
+    return TapClient(FramesTap(frames, RATE, blocksize))
+
+
+def run(client, settings, outputs=None):
+    """Step a chain to its end and return its steps and its outputs, two if none are given."""
+    framework = Framework(client.samplerate, client.channels, settings)
+    if outputs is None:
+        outputs = [Collector(client.samplerate, framework.haptic_channels) for _ in range(2)]
+    latency = framework.latency_frames
+    chain = Chain(client, framework, [Aligned(output, latency) for output in outputs])
+    steps = []
+    while step := chain.step():
+        steps.append(step)
+        assert len(steps) < 100_000  # it ends
+    assert chain.step() is None
+    chain.close()
+    return steps, outputs
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("blocksize", BLOCKSIZES)
+def test_a_file_in_any_blocksize_gives_the_same_bytes(
+    scene_file, expected, tmp_path, form, blocksize
+):
+    path = tmp_path / "out.wav"
+    client = TapClient(FileTap(scene_file, blocksize))
+    steps, _ = run(client, Settings(form=form), [WavOutput(path, RATE, 1)])
+    assert sum(len(step.audio) for step in steps) == len(expected[form])
+    assert np.array_equal(vibration(path), expected[form])
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("blocksize", BLOCKSIZES)
+def test_a_scene_in_any_blocksize_gives_the_same_bytes(
+    scene, mix, expected, tmp_path, form, blocksize
+):
+    path = tmp_path / "out.wav"
+    client = SceneClient(scene, blocksize)
+    steps, _ = run(client, Settings(form=form), [WavOutput(path, RATE, 1)])
+    assert np.array_equal(np.concatenate([step.audio for step in steps]), mix)
+    assert np.array_equal(vibration(path), expected[form])
+
+
+class UnevenTap:
+    """Frames in buffers of the given lengths, as a sound server may deliver them; then the rest."""
+
+    def __init__(self, frames, lengths):
+        ends = np.minimum(np.cumsum([0, *lengths]), len(frames))
+        self.buffers = [frames[a:b] for a, b in zip(ends, [*ends[1:], len(frames)], strict=True)]
+        self.samplerate = RATE
+        self.channels = frames.shape[1]
+        self.frames_expected = None
+        self.format_changed = False
+        self.discontinuity = False
+        self.closed = 0
+
+    def read(self):
+        return self.buffers.pop(0) if self.buffers else None
+
+    def close(self):
+        self.closed += 1
+
+
+@settings(max_examples=30)
+@given(st.lists(st.integers(0, 3_000), max_size=20), st.sampled_from(FORMS))
+def test_buffers_of_changing_lengths_and_of_none_give_the_same_bytes(mix, expected, lengths, form):
+    _, outputs = run(TapClient(UnevenTap(mix, lengths)), Settings(form=form))
+    assert np.array_equal(outputs[0].frames, expected[form])
+
+
+def test_the_twin_moves_alike_whatever_the_blocksize(mix, tmp_path):
+    felt = []
+    for blocksize in (7, 256, 10**6):
+        path = tmp_path / "felt.wav"
+        twin = Twin(PAPER, RATE, 1, recorder=WavOutput(path, RATE, 1))
+        run(played(mix, blocksize), Settings(form="reference"), [twin])
+        felt.append(path.read_bytes())
+    assert felt[0] == felt[1] == felt[2]
+
+
+def test_every_output_gets_the_same_and_nothing_twice(mix, expected):
+    steps, outputs = run(played(mix, 256), Settings())
+    for output in outputs:
+        assert output.ended == ["close"]
+        assert np.array_equal(output.frames, expected["live"])
+    sent = np.concatenate([step.vibration for step in steps])
+    latency = HapticTransform(RATE, 2).latency_frames
+    assert np.array_equal(sent[latency:], expected["live"])
+    assert sent.dtype == np.float32
+
+
+def test_each_channel_has_its_own_column(mix):
+    _, outputs = run(played(mix, 256), Settings(channels="each"))
+    assert outputs[0].frames.shape == (RATE // 2, 2)
+    assert not np.array_equal(outputs[0].frames[:, 0], outputs[0].frames[:, 1])
+
+
+def test_a_step_moves_one_buffer_and_the_last_step_only_what_is_owed(mix):
+    framework = Framework(RATE, 2)
+    output = Collector()
+    chain = Chain(played(mix, 800), framework, [output])
+    for _ in range(30):
+        step = chain.step()
+        assert step
+        assert step.audio.shape == (800, 2)
+        assert step.vibration.shape == (800, 1)
+    last = chain.step()
+    assert last
+    assert last.audio.shape == (0, 2)
+    assert last.vibration.shape == (framework.latency_frames, 1)
+    assert [chain.step() for _ in range(3)] == [None] * 3
+    assert len(output.frames) == 24_000 + framework.latency_frames
+
+
+def test_a_sound_of_a_single_frame_goes_through(tmp_path):
+    client = TapClient(FileTap(sound(tmp_path / "one.wav", noise(1))))
+    steps, outputs = run(client, Settings())
+    assert [len(step.audio) for step in steps] == [1, 0]
+    assert len(outputs[0].frames) == 1
+
+
+def test_the_effect_leaves_the_sound_as_it_is(mix):
+    steps, _ = run(played(mix, 256), Settings())
+    assert np.array_equal(np.concatenate([step.audio for step in steps]), mix)
+
+
+# --- the end
+
+
+@pytest.mark.parametrize("before", [{}, {"out.wav": b"old", "felt.wav": b"older"}])
+@pytest.mark.parametrize("steps", [0, 1, 20, 1_000])
+def test_abort_leaves_nothing_and_harms_nothing(mix, tmp_path, before, steps):
+    for name, content in before.items():
+        (tmp_path / name).write_bytes(content)
+    recorder = WavOutput(tmp_path / "felt.wav", RATE, 1)
+    felt = Aligned(Twin(PAPER, RATE, 1, recorder=recorder), 10)
+    outputs = [Aligned(WavOutput(tmp_path / "out.wav", RATE, 1), 10), felt]
+    chain = Chain(played(mix, 256), Framework(RATE, 2), outputs)
+    for _ in range(steps):
+        chain.step()
+    chain.abort()
+    chain.abort()
+    chain.close()  # the first one counts
+    assert listing(tmp_path) == before
+
+
+def test_close_keeps_what_was_sent_and_lets_go_of_the_tap(tmp_path):
+    tap = UnevenTap(noise(5_000, 2).astype(np.float32), [600, 400])
+    chain = Chain(TapClient(tap), Framework(RATE, 2), [WavOutput(tmp_path / "a", RATE, 1)])
+    chain.step()
+    chain.step()
+    chain.close()
+    chain.close()
+    chain.abort()
+    assert tap.closed
+    assert len(vibration(tmp_path / "a")) == 1_000
+
+
+def test_an_output_that_fails_stops_the_chain_and_abort_discards_the_others(mix, tmp_path):
+    whole = WavOutput(tmp_path / "out.wav", RATE, 1)
+    chain = Chain(played(mix, 256), Framework(RATE, 2), [whole, Clogged()])
+    chain.step()
+    with pytest.raises(WriteError, match="disk is full"):
+        chain.step()
+    chain.abort()
+    assert listing(tmp_path) == {}
+
+
+# --- the alignment
+
+
+@given(
+    st.integers(0, 50),
+    st.lists(st.integers(0, 20), max_size=12),
+)
+def test_alignment_drops_exactly_the_first_frames_however_they_come(latency, lengths):
+    frames = np.arange(float(sum(lengths)))[:, None] + 1.0
+    output = Collector()
+    aligned = Aligned(output, latency)
+    assert (aligned.samplerate, aligned.channels) == (RATE, 1)
+    for block in np.split(frames, np.cumsum(lengths)[:-1]) if lengths else []:
+        aligned.write(block)
+    aligned.close()
+    assert np.array_equal(output.frames, frames[latency:])
+    assert output.ended == ["close"]
+
+
+def test_alignment_passes_an_abort_on():
+    output = Collector()
+    Aligned(output, 5).abort()
+    assert output.ended == ["abort"]

@@ -1,0 +1,279 @@
+"""The user unit and the udev rule."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from audioflinger_hook.service.install import (
+    FORGET,
+    START,
+    install,
+    own_command,
+    remove,
+    systemd_version,
+)
+from audioflinger_hook.service.udev import PATH, udev_command, udev_rule
+from audioflinger_hook.service.unit import MARK, unit_text
+from device.errors import UsageError, WriteError
+from device.stream.priority import PRIORITY
+
+STATE = Path("/home/me/.local/state/cushion")
+ANALYZE = shutil.which("systemd-analyze")
+needs_systemd = pytest.mark.skipif(ANALYZE is None, reason="systemd is not installed")
+
+
+@pytest.fixture
+def environ(tmp_path):
+    return {"HOME": str(tmp_path)}
+
+
+def line_of(text: str, key: str) -> str:
+    (line,) = [line for line in text.splitlines() if line.startswith(f"{key}=")]
+    return line.partition("=")[2]
+
+
+def complaints(text: str, folder: Path) -> str:
+    """Return what systemd says about a unit, "" if it has nothing to say."""
+    assert ANALYZE is not None
+    path = folder / "cushion.service"
+    path.write_text(text)
+    environ = {"PATH": os.environ["PATH"], "HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}
+    command = [ANALYZE, "--user", "--man=no", "verify", str(path)]
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=30)
+    # It names units of the machine, too.
+    about = [line for line in done.stderr.splitlines() if "cushion" in line]
+    return "\n".join(about) or ("" if done.returncode == 0 else done.stderr)
+
+
+@needs_systemd
+def test_systemd_has_nothing_to_say_about_the_unit(tmp_path):
+    text = unit_text((sys.executable, "-m", "audioflinger_hook", "run"), STATE)
+    assert complaints(text, tmp_path) == ""
+    assert "Nonsense" in complaints(text.replace("UMask=", "Nonsense="), tmp_path)
+
+
+@needs_systemd
+def test_systemd_understands_every_name_and_argument(tmp_path):
+    program = tmp_path / "it's 100% $HOME; a b"
+    program = program.with_name(program.name.replace("'", ""))
+    program.mkdir()
+    program /= "cushion"
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    arguments = ("--config", "a \"b\" \\ $X ${Y} %h 'c'", ";", "", "é", "--offset-ms=-5")
+    text = unit_text((str(program), *arguments), tmp_path / "st ate %h $X")
+    assert complaints(text, tmp_path) == ""
+    assert "not executable" in complaints(text.replace("; a b", "; a c"), tmp_path)
+
+
+def test_the_command_is_quoted_so_that_nothing_in_it_is_expanded():
+    text = unit_text(("/opt/a b/100%/$x/cushion", "run", '$HOME %h "q" b\\s'), Path("/s %h"))
+    assert line_of(text, "ExecStart") == (
+        '"/opt/a b/100%%/$x/cushion" "run" "$$HOME %%h \\"q\\" b\\\\s"'
+    )
+    assert line_of(text, "ReadWritePaths") == '"-/s %%h"'
+    assert line_of(text, "ExecReload") == "/bin/kill -HUP $MAINPID"
+
+
+def test_a_newer_systemd_sends_the_signal_itself_and_waits_for_the_end_of_the_reload():
+    old, new = (unit_text(("/cushion", "run"), STATE, systemd) for systemd in (252, 253))
+    assert old == unit_text(("/cushion", "run"), STATE)
+    assert line_of(old, "Type") == "notify"
+    assert "ReloadSignal" not in old
+    assert line_of(new, "Type") == "notify-reload"
+    assert line_of(new, "ReloadSignal") == "SIGHUP"
+    assert "ExecReload" not in new
+
+
+@needs_systemd
+def test_the_unit_that_is_written_is_one_for_the_systemd_that_is_there(tmp_path, environ):
+    version = systemd_version()
+    assert version > 200
+    path = install([], [sys.executable], environ, version).path
+    assert complaints(path.read_text(), tmp_path) == ""
+
+
+def test_without_systemd_its_version_is_0(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert systemd_version() == 0
+    program = tmp_path / "systemctl"
+    for text, version in (("systemd 254 (254.1)", 254), ("something else", 0), ("", 0)):
+        program.write_text(f"#!/bin/sh\necho '{text}'\n")
+        program.chmod(0o755)
+        assert systemd_version() == version
+
+
+def test_wrong_config_stays_wrong_and_audio_threads_have_room_and_bounds():
+    text = unit_text(("/cushion", "run"), STATE)
+    assert line_of(text, "RestartPreventExitStatus") == "2 3"
+    assert line_of(text, "LimitRTPRIO") == "20"
+    assert line_of(text, "LimitRTTIME") == "200ms:2s"
+    assert int(line_of(text, "LimitRTPRIO")) >= PRIORITY
+    assert line_of(text, "RestrictAddressFamilies") == "AF_UNIX AF_NETLINK"
+    # Neither the sound cards nor real-time priority may be out of reach.
+    assert not any(line.startswith(("PrivateDevices", "RestrictRealtime")) for line in text.split())
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("cushion",),
+        ("./cushion",),
+        ('/a"b/cushion',),
+        ("/a'b/cushion",),
+        ("/a\\b/cushion",),
+        ("/a\nb/cushion",),
+        ("/a\udc80/cushion",),
+        ("/cushion", "a\nExecStartPre=/bin/evil"),
+        ("/cushion", "\x07"),
+    ],
+)
+def test_what_systemd_cannot_take_is_refused(command):
+    with pytest.raises(UsageError, match="systemd"):
+        unit_text(command, STATE)
+
+
+@pytest.mark.parametrize("folder", ['/a"b', "/a\\b", "/a\nb"])
+def test_a_state_folder_that_systemd_cannot_take_is_refused(folder):
+    with pytest.raises(UsageError, match="systemd takes no"):
+        unit_text(("/cushion",), Path(folder))
+
+
+def test_the_unit_is_written_whole_where_systemd_looks_and_only_if_it_is_new(environ, tmp_path):
+    done = install(["--tap", "sink:a b"], ["/opt/cushion"], environ)
+    assert done.path == tmp_path / ".config/systemd/user/cushion.service"
+    assert (done.changed, done.commands) == (True, START)
+    text = done.path.read_text()
+    assert text.startswith(MARK)
+    assert line_of(text, "ExecStart") == '"/opt/cushion" "run" "--tap" "sink:a b"'
+    state = tmp_path / ".local/state/cushion"
+    assert stat.S_IMODE(state.stat().st_mode) == 0o700
+    assert line_of(text, "ReadWritePaths") == f'"-{state}"'
+    inode = done.path.stat().st_ino
+    assert not install(["--tap", "sink:a b"], ["/opt/cushion"], environ).changed
+    assert done.path.stat().st_ino == inode
+    assert install([], ["/opt/cushion"], environ).changed
+    assert [path.name for path in done.path.parent.iterdir()] == ["cushion.service"]
+
+
+def test_the_config_and_state_homes_are_respected_and_relative_ones_are_not(tmp_path):
+    environ = {
+        "HOME": str(tmp_path / "home"),
+        "XDG_CONFIG_HOME": str(tmp_path / "config"),
+        "XDG_STATE_HOME": "relative",
+    }
+    done = install([], ["/opt/cushion"], environ)
+    assert done.path == tmp_path / "config/systemd/user/cushion.service"
+    assert (tmp_path / "home/.local/state/cushion").is_dir()
+    with pytest.raises(UsageError, match="neither XDG_CONFIG_HOME nor HOME"):
+        install([], ["/opt/cushion"], {})
+
+
+def test_removing_takes_our_unit_and_nothing_else(environ, tmp_path):
+    path = install([], ["/opt/cushion"], environ).path
+    other = path.with_name("other.service")
+    other.touch()
+    done = remove(environ)
+    assert (done.path, done.changed, done.commands) == (path, True, FORGET)
+    assert list(path.parent.iterdir()) == [other]
+    assert not remove(environ).changed
+
+
+@pytest.mark.parametrize("kind", ["edited", "binary", "masked", "folder", "huge"])
+def test_a_unit_that_somebody_else_wrote_stays(environ, tmp_path, kind):
+    path = tmp_path / ".config/systemd/user/cushion.service"
+    path.parent.mkdir(parents=True)
+    if kind == "masked":
+        path.symlink_to("/dev/null")
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        content = {"edited": b"[Service]\n", "binary": b"\xff", "huge": MARK.encode() * 10_000}
+        path.write_bytes(content[kind])
+    before = path.lstat()
+    for change in (lambda: install([], ["/opt/cushion"], environ), lambda: remove(environ)):
+        with pytest.raises(UsageError, match="is left alone; move it away first"):
+            change()
+    assert os.path.samestat(path.lstat(), before)
+
+
+def test_a_config_home_that_is_no_folder_is_an_error_of_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    environ = {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path / "file")}
+    with pytest.raises(UsageError, match="cannot make the folder"):
+        install([], ["/opt/cushion"], environ)
+
+
+def test_a_disk_that_is_full_leaves_the_unit_as_it_was(environ, monkeypatch):
+    path = install([], ["/opt/cushion"], environ).path
+    before = path.read_text()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(WriteError, match="the disk is full"):
+        install(["--profile", "x"], ["/opt/cushion"], environ)
+    assert path.read_text() == before
+
+
+def test_the_program_that_runs_is_the_one_that_is_installed(tmp_path):
+    script = tmp_path / "cushion"
+    script.write_text("#!/bin/sh\n")
+    python = (sys.executable, "-m", "audioflinger_hook")
+    assert own_command(str(script), sys.executable) == python  # not executable
+    script.chmod(0o755)
+    assert own_command(str(script), sys.executable) == (str(script),)
+    assert own_command("/x/audioflinger_hook/__main__.py", sys.executable) == python
+    link = tmp_path / "venv" / "cushion"
+    link.parent.mkdir()
+    link.symlink_to(script)
+    assert own_command(str(link), sys.executable) == (str(link),)
+
+
+# ------------------------------------------------------------------------------------- udev
+
+
+def test_the_rule_gives_usb_audio_devices_to_who_sits_there():
+    (rule,) = [line for line in udev_rule().splitlines() if not line.startswith("#")]
+    assert rule == (
+        'ACTION!="remove", SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
+        'ENV{ID_USB_INTERFACES}=="*:0101??:*", TAG+="uaccess"'
+    )
+    assert int(Path(PATH).name[:2]) < 73
+
+
+def test_a_rule_for_one_device_names_it_in_lower_case():
+    rule = udev_rule("0D8C", "0014")
+    assert 'ATTR{idVendor}=="0d8c", ATTR{idProduct}=="0014"' in rule
+    assert "the USB device 0d8c:0014" in rule
+
+
+@pytest.mark.parametrize(
+    "ids", [("0d8c", None), (None, "0014"), ("d8c", "0014"), ("0d8c", '0014"'), ("0d8c\n", "0014")]
+)
+def test_an_id_that_is_none_is_refused(ids):
+    with pytest.raises(UsageError, match="four hex digits"):
+        udev_rule(*ids)
+
+
+def test_the_command_installs_the_rule_as_it_is(tmp_path):
+    """The command runs here with a `sudo` that only does the writing, elsewhere."""
+    target = tmp_path / "70-cushion.rules"
+    sudo = f'sudo() {{ if [ "$1" = tee ]; then cat > "{target}"; else echo "$*"; fi; }}\n'
+    done = subprocess.run(
+        ["sh", "-c", sudo + udev_command(udev_rule())], capture_output=True, text=True, timeout=10
+    )
+    assert done.stderr == ""
+    assert target.read_text() == udev_rule()
+    assert done.stdout.splitlines() == [
+        "udevadm control --reload",
+        "udevadm trigger --subsystem-match=usb --action=change",
+    ]

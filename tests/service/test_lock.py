@@ -1,0 +1,224 @@
+"""The runtime folder is private, and one daemon holds it at a time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from audioflinger_hook.service.folder import RuntimeFolder
+from audioflinger_hook.service.lock import NAME, DaemonLock, Holder
+from device.errors import NotFoundError, UsageError
+from tests.support.commands import environment, open_files
+
+ME = Holder(os.getpid(), "2024-05-01 12:00:00", "sink:Cushion")
+HOLD = """
+import os, sys
+from audioflinger_hook.service.folder import RuntimeFolder
+from audioflinger_hook.service.lock import DaemonLock, Holder
+lock = DaemonLock(RuntimeFolder(os.environ, True), Holder(os.getpid(), "today", "hw:Card"))
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+root_only = pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
+
+
+@pytest.fixture
+def environ(tmp_path):
+    return {"XDG_RUNTIME_DIR": str(tmp_path)}
+
+
+@pytest.fixture
+def folder(environ):
+    with RuntimeFolder(environ, create=True) as folder:
+        yield folder
+
+
+@contextmanager
+def holding(environ: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD],
+        env=environment(**environ),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == "held\n"
+            yield process
+        finally:
+            process.kill()
+
+
+# --------------------------------------------------------------------------------- the folder
+
+
+def test_the_folder_is_made_for_its_owner_alone_whatever_the_umask(environ, tmp_path):
+    before = os.umask(0)
+    try:
+        RuntimeFolder(environ, create=True).close()
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "cushion").stat().st_mode) == 0o700
+    RuntimeFolder(environ, create=True).close()  # one that is there is taken
+
+
+@pytest.mark.parametrize(
+    "value", [None, "", "relative/path", "/no/such/folder", "/dev/null", "/\0"]
+)
+def test_a_runtime_dir_that_cannot_be_used_is_refused_with_what_to_set(value):
+    environ = {} if value is None else {"XDG_RUNTIME_DIR": value}
+    with pytest.raises(UsageError, match=r"XDG_RUNTIME_DIR is .*; set it to a folder of your own"):
+        RuntimeFolder(environ, create=True)
+
+
+def test_who_only_asks_makes_no_folder(environ, tmp_path):
+    with pytest.raises(NotFoundError):
+        RuntimeFolder(environ, create=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_link_or_a_file_in_its_place_is_refused(environ, tmp_path):
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    (tmp_path / "cushion").symlink_to("elsewhere")
+    with pytest.raises(UsageError, match="is a link or no folder; remove it"):
+        RuntimeFolder(environ, create=True)
+    (tmp_path / "cushion").unlink()
+    (tmp_path / "cushion").touch()
+    with pytest.raises(UsageError, match="is a link or no folder; remove it"):
+        RuntimeFolder(environ, create=True)
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o750, 0o701])
+def test_a_folder_that_others_can_enter_is_refused(environ, tmp_path, mode):
+    (tmp_path / "cushion").mkdir()
+    (tmp_path / "cushion").chmod(mode)
+    files = open_files()
+    with pytest.raises(UsageError, match=f"open to others .mode 0{mode:o}.; allowed: 0700"):
+        RuntimeFolder(environ, create=True)
+    assert open_files() == files
+
+
+@root_only
+def test_a_folder_of_somebody_else_is_refused(environ, tmp_path):
+    (tmp_path / "cushion").mkdir(mode=0o700)
+    os.chown(tmp_path / "cushion", 65534, 65534)
+    with pytest.raises(UsageError, match="belongs to user 65534, not to 0; run as that user"):
+        RuntimeFolder(environ, create=True)
+
+
+def test_two_cannot_be_alone_in_the_folder(environ, folder):
+    with (
+        RuntimeFolder(environ, create=True) as other,
+        folder.alone(),
+        pytest.raises(UsageError, match="starts or ends just now"),
+        other.alone(),
+    ):
+        pass
+    with folder.alone():
+        pass
+
+
+# ----------------------------------------------------------------------------------- the lock
+
+
+def test_the_second_daemon_is_told_who_holds_the_lock(environ, folder):
+    with holding(environ) as process, pytest.raises(UsageError) as caught:
+        DaemonLock(folder, ME)
+    assert str(caught.value) == (
+        f"another cushion daemon is running (process {process.pid}, started today, device "
+        "hw:Card); allowed: one a user; ask it with `cushion status`, or stop it first"
+    )
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGSEGV, None])
+def test_the_lock_is_free_after_any_death_of_its_holder(environ, folder, end):
+    with holding(environ) as process:
+        if end is None:
+            assert process.stdin is not None
+            process.stdin.close()
+        else:
+            process.send_signal(end)
+        process.wait(10)
+        with DaemonLock(folder, ME):
+            pass
+
+
+def test_a_program_that_the_holder_started_does_not_keep_the_lock(environ, folder):
+    lock = DaemonLock(folder, ME)
+    with subprocess.Popen(["cat"], stdin=subprocess.PIPE, close_fds=False) as child:
+        lock.release()
+        with DaemonLock(folder, ME):
+            assert child.poll() is None
+
+
+def test_a_released_lock_is_free_and_leaves_no_name_behind(folder):
+    lock = DaemonLock(folder, ME)
+    held = json.loads((folder.path / NAME).read_text())
+    assert held == {"pid": ME.pid, "started": ME.started, "device": ME.device}
+    assert (folder.path / NAME).stat().st_mode & 0o777 == 0o600
+    lock.release()
+    lock.release()
+    assert (folder.path / NAME).read_text() == ""
+    DaemonLock(folder, ME).release()
+
+
+def test_what_a_long_dead_holder_wrote_is_overwritten_to_the_last_byte(folder):
+    (folder.path / NAME).write_text("x" * 1000)
+    with DaemonLock(folder, ME):
+        assert json.loads((folder.path / NAME).read_text())["pid"] == ME.pid
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "x", '{"pid": -1}', '{"pid": 999999999999999999999, "started": "", "device": ""}'],
+)
+def test_a_holder_that_does_not_say_who_it_is_still_holds(folder, content):
+    with DaemonLock(folder, ME):
+        (folder.path / NAME).write_text(content)
+        with pytest.raises(UsageError, match="another cushion daemon is running; allowed"):
+            DaemonLock(folder, ME)
+
+
+def test_a_lock_file_that_was_removed_meanwhile_locks_nothing_and_is_made_anew(folder, monkeypatch):
+    """The file goes away between opening and locking, as when somebody cleans up."""
+    look: Callable[[str], os.stat_result | None] = folder.entry
+
+    def gone_once(name: str) -> os.stat_result | None:
+        monkeypatch.setattr(folder, "entry", look)
+        (folder.path / NAME).unlink()
+        return look(name)
+
+    monkeypatch.setattr(folder, "entry", gone_once)
+    with DaemonLock(folder, ME):
+        assert json.loads((folder.path / NAME).read_text())["pid"] == ME.pid
+        with pytest.raises(UsageError, match="another cushion daemon"):
+            DaemonLock(folder, ME)
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("x")])
+def test_what_is_no_file_of_ours_is_refused_at_once(folder, make):
+    make(folder.path / NAME)
+    files = open_files()
+    with pytest.raises(UsageError, match=r"; remove it$"):
+        DaemonLock(folder, ME)
+    assert open_files() == files
+    assert not (folder.path / "x").exists()
+
+
+@root_only
+def test_a_lock_file_of_somebody_else_is_refused(folder):
+    (folder.path / NAME).touch()
+    os.chown(folder.path / NAME, 65534, 65534)
+    with pytest.raises(UsageError, match="is no file of user 0; remove it"):
+        DaemonLock(folder, ME)

@@ -1,0 +1,125 @@
+"""What a user may write for a tap, and what it opens."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from audioflinger_hook.capture import CaptureWriter
+from audioflinger_hook.sources import CaptureTap, FileTap, FramesTap, SceneClient, TapClient
+from audioflinger_hook.sources.address import (
+    GRAMMAR,
+    KINDS,
+    TapAddress,
+    open_client,
+    open_tap,
+    parse_tap,
+)
+from device.errors import NotFoundError, UsageError
+from device.wav_output import WavOutput
+
+names = st.text(min_size=1).filter(str.strip)
+
+
+@pytest.mark.parametrize(
+    ("text", "kind", "name"),
+    [
+        ("default", "default", ""),
+        ("sink:alsa_output.pci-0000_00_1f.3", "sink", "alsa_output.pci-0000_00_1f.3"),
+        ("sink:default", "sink", "default"),
+        ("sink:a:b", "sink", "a:b"),
+        ("app:Firefox", "app", "Firefox"),
+        ("file:a/b c.wav", "file", "a/b c.wav"),
+        ("file:capture:x", "file", "capture:x"),
+        ("capture:out", "capture", "out"),
+        ("scene:demo", "scene", "demo"),
+        ("alsa_output.usb", "sink", "alsa_output.usb"),
+        ("demo", "sink", "demo"),
+        ("Default", "sink", "Default"),
+        (" default", "sink", " default"),
+        ("sink: x ", "sink", " x "),
+        ("out/", "sink", "out/"),
+    ],
+)
+def test_an_address_is_taken_as_it_is_written(text, kind, name):
+    assert parse_tap(text) == TapAddress(kind, name)
+
+
+@given(st.sampled_from([kind for kind in KINDS if kind != "default"]), names)
+def test_an_address_written_out_is_the_same_address(kind, name):
+    address = TapAddress(kind, name)
+    assert parse_tap(str(address)) == address
+
+
+@given(names.filter(lambda name: ":" not in name and name != "default"))
+def test_a_word_alone_is_a_sinks_name(name):
+    assert parse_tap(name) == TapAddress("sink", name)
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("", "the name is empty"),
+        (" ", "the name is empty"),
+        ("sink:", "the name is empty"),
+        ("file: ", "the name is empty"),
+        ("default:", "'default' takes no name"),
+        ("default:x", "'default' takes no name"),
+        ("Sink:x", "there is no kind 'Sink'"),
+        ("usb:1234:5678", r"there is no kind 'usb' \(a sink of that name is written sink:usb:1234"),
+        (":x", "there is no kind ''"),
+    ],
+)
+def test_what_is_no_address_is_refused_with_the_grammar(text, what):
+    with pytest.raises(UsageError, match=what) as caught:
+        parse_tap(text)
+    assert f"tap {text!r}" in str(caught.value) or not text.strip()
+    assert GRAMMAR in str(caught.value)
+    assert caught.value.exit_code == 2
+
+
+def test_a_file_a_capture_and_the_scene_are_opened(tmp_path):
+    frames = np.ones((10, 2), np.float32)
+    output = WavOutput(tmp_path / "a.wav", 48_000, 2)
+    output.write(frames)
+    output.close()
+    with CaptureWriter(tmp_path / "c") as writer:
+        writer.write_buffer("tap", frames, 48_000, 0.0)
+    for text, kind, player in [
+        (f"file:{tmp_path / 'a.wav'}", FileTap, TapClient),
+        (f"capture:{tmp_path / 'c'}", CaptureTap, TapClient),
+        ("scene:demo", FramesTap, SceneClient),
+    ]:
+        tap = open_tap(parse_tap(text))
+        assert isinstance(tap, kind)
+        assert (tap.samplerate, tap.channels) == (48_000, 2)
+        assert tap.read() is not None
+        tap.close()
+        client = open_client(parse_tap(text))
+        assert isinstance(client, player)
+        assert (client.samplerate, client.channels) == (48_000, 2)
+        assert client.frames_expected == tap.frames_expected
+        client.close()
+
+
+@pytest.mark.parametrize("text", ["default", "sink:x", "app:Firefox", "demo"])
+@pytest.mark.parametrize("opened", [open_tap, open_client])
+def test_what_is_playing_cannot_be_tapped_yet_and_the_user_is_told_what_can(text, opened):
+    with pytest.raises(NotFoundError, match=r"cannot listen .* yet; .*file:PATH, capture:DIR or"):
+        opened(parse_tap(text))
+    assert NotFoundError.exit_code == 3
+
+
+@pytest.mark.parametrize("opened", [open_tap, open_client])
+def test_there_is_no_other_scene(opened):
+    with pytest.raises(NotFoundError, match=r"'scene:Demo': there is no such scene.*scene:demo"):
+        opened(parse_tap("scene:Demo"))
+
+
+@pytest.mark.parametrize("text", ["file:{}/none.wav", "capture:{}/none", "capture:{}"])
+@pytest.mark.parametrize("opened", [open_tap, open_client])
+def test_what_cannot_be_opened_is_the_users_mistake(tmp_path, text, opened):
+    with pytest.raises(UsageError, match=str(tmp_path)):
+        opened(parse_tap(text.format(tmp_path)))

@@ -1,0 +1,421 @@
+"""The compiled live form and its twin in NumPy: the same vibration, whatever the sound."""
+
+import copy
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.sources import mixdown
+from audioflinger_hook.transform import LIMITS, TransformParameters, kernel_warning
+from audioflinger_hook.transform.grid import LiveGrid
+from device.errors import UsageError
+from tests.support.recordings import require_recordings
+from tests.support.signals import (
+    SAMPLERATES,
+    burst,
+    chirp,
+    columns,
+    identical,
+    joined,
+    low_noise,
+    made,
+    one_sample,
+    played,
+    silence,
+    square,
+    times,
+    tone,
+    white_noise,
+)
+from tools.bench.growth import memory_growth
+
+AGREEMENT = 1e-6
+"""Of full scale: what the two owe each other. On what follows they are within 1e-8."""
+
+NUMPY = "live in NumPy"
+
+needs_kernel = pytest.mark.skipif(kernel_warning() is not None, reason=str(kernel_warning()))
+
+
+def test_the_set_up_has_built_the_kernel():
+    # Without it everything works, but nothing of it would be tested below.
+    assert kernel_warning() is None
+
+
+def assert_twins(sound, samplerate, **options):
+    """Play a sound through both; vibration, latency and counters must be the same."""
+    ours, theirs = (
+        made(sound, samplerate, **options),
+        made(sound, samplerate, form=NUMPY, **options),
+    )
+    assert (ours.implementation, theirs.implementation) == ("compiled", "numpy")
+    assert ours.latency_frames == theirs.latency_frames
+    during = ours.process(sound), theirs.process(sound)
+    assert partials_of(ours) == pytest.approx(partials_of(theirs), abs=1e-6)
+    after = ours.finish(), theirs.finish()
+    for one, other in (during, after):
+        assert one.shape == other.shape
+        assert np.abs(one - other).max(initial=0.0) <= AGREEMENT
+    assert ours.limited_samples == theirs.limited_samples
+    assert ours.replaced_samples == theirs.replaced_samples
+    return during[0]
+
+
+def partials_of(transform):
+    """Return how many partials each voice plays, then Hz and amplitude of each."""
+    stream = transform._stream
+    if transform.implementation == "compiled":
+        voices = [[partial[:2] for partial in voice] for voice in stream._kernel.partials]
+    else:
+        trackers = [voice._tracker for voice in stream.voices]
+        voices = [list(zip(t._hz[t._alive], t._amplitude[t._alive], strict=True)) for t in trackers]
+    return [len(voice) for voice in voices] + list(np.ravel([p for v in voices for p in v]))
+
+
+# --- sounds -------------------------------------------------------------------------------------
+
+
+@needs_kernel
+def test_twins_agree_on_the_demo_scene():
+    assert assert_twins(mixdown(demo_scene()), 48_000).any()
+
+
+@needs_kernel
+@pytest.mark.parametrize("level", [0.05, 1.0, 8.0])
+def test_twins_agree_on_recordings_at_any_level(level):
+    for path in require_recordings():
+        sound, samplerate = soundfile.read(path, dtype="float32", always_2d=True)
+        vibration = assert_twins(np.float32(level) * sound, samplerate)
+        assert vibration.any() or level < 1.0, path.name
+
+
+@needs_kernel
+def test_twins_agree_where_speech_is_suppressed():
+    parameters = TransformParameters(speech_suppression_db=24.0)
+    paths = [path for path in require_recordings() if path.stem.startswith("Front_")]
+    spoken = np.concatenate([soundfile.read(path)[0] for path in paths])
+    speech = joined(spoken, spoken, silence(3.0, 48_000), spoken)
+    effects = np.resize(mixdown(demo_scene()).mean(axis=1), speech.shape)
+    for sound in (speech, speech + effects, columns(speech, effects)):
+        lowered = assert_twins(sound, 48_000, parameters=parameters, per_channel=True)
+        assert not identical(lowered, played(sound, 48_000, per_channel=True)[: len(sound)])
+
+
+def sweep_up(samplerate):
+    return chirp(60, 0.49 * samplerate, 1.5, samplerate)
+
+
+def swelling(samplerate):
+    time = times(1.0, samplerate)
+    slow, fast = 1 + np.sin(2 * np.pi * 5 * time), 1 + np.sin(2 * np.pi * 31 * time)
+    return (
+        tone(440, 1.0, samplerate, 0.3) * slow
+        + tone(0.21 * samplerate, 1.0, samplerate, 0.3) * fast
+    )
+
+
+def gaps(samplerate):
+    pieces = [
+        joined(white_noise(0.1, samplerate, 0.5, seed), silence(0.35 + 0.05 * seed, samplerate))
+        for seed in range(4)
+    ]
+    return joined(*pieces)
+
+
+def damaged(samplerate):
+    sound = white_noise(0.6, samplerate, 0.5)
+    sound[samplerate // 3 : samplerate // 3 + 50] = np.nan
+    sound[samplerate // 2 : samplerate // 2 + 3] = np.inf, -np.inf, 1e30
+    return sound
+
+
+def clicks(samplerate):
+    # The spectrum of one sample is flat: there rounding would decide, if it were let.
+    period = np.zeros(samplerate // 40)
+    period[0] = 1.0
+    return joined(np.resize(period, samplerate), one_sample(0.5, samplerate, 0.2))
+
+
+def equal_tones(samplerate):
+    # On bins, in step and equally strong: every decision is between equals.
+    window = TransformParameters().window_frames(samplerate)
+    turns = np.arange(samplerate)[:, None] * (np.array([3, 5, 8, 11, 14]) / window)
+    return 0.1 * np.cos(2 * np.pi * turns).sum(axis=1)
+
+
+SOUNDS = {
+    "noise": lambda rate: white_noise(1.0, rate),
+    "faint noise": lambda rate: white_noise(1.0, rate, 0.02),
+    "low noise": lambda rate: low_noise(1.0, rate, 0.05),
+    "noise 60 dB over": lambda rate: white_noise(0.5, rate, 1_000.0),
+    "tones": lambda rate: sum(tone(hz, 1.0, rate, 0.1) for hz in (110, 220, 330, 441, 450, 663)),
+    "a tone 60 dB over": lambda rate: tone(150, 0.5, rate, 1_000.0),
+    "two tones": lambda rate: tone(600, 0.7, rate, 0.4) + tone(630, 0.7, rate, 0.4),
+    "square": lambda rate: square(83, 0.5, rate),
+    "Nyquist's frequency": lambda rate: square(rate / 2, 0.5, rate),
+    "DC": lambda rate: joined(silence(0.2, rate), np.full(rate // 2, 1.0)),
+    "bursts": lambda rate: joined(*(burst(hz, 0.02, 0.3, rate, 0.8) for hz in (80, 700, 2_300))),
+    "denormal numbers": lambda rate: joined(tone(300, 0.3, rate), np.full(rate, 1e-310)),
+    "sweep": sweep_up,
+    "swelling": swelling,
+    "gaps": gaps,
+    "damaged": damaged,
+    "clicks": clicks,
+    "equal tones": equal_tones,
+}
+
+
+@needs_kernel
+@pytest.mark.parametrize("samplerate", [*SAMPLERATES, 37_123])
+@pytest.mark.parametrize("kind", SOUNDS)
+def test_twins_agree_on_synthetic_sounds(kind, samplerate):
+    assert_twins(SOUNDS[kind](samplerate), samplerate)
+
+
+@needs_kernel
+@pytest.mark.parametrize("samplerate", [1_000, 1_001, 1_400, 2_350, 3_900, 384_000, 768_000])
+def test_twins_agree_at_the_ends_of_the_samplerates(samplerate):
+    # 1 400 Hz: a spectrum of odd length; 2 350 Hz: of twice an odd length.
+    for kind in ("noise", "sweep", "clicks", "square"):
+        assert_twins(SOUNDS[kind](samplerate)[: samplerate // 2], samplerate)
+
+
+# --- channels and parameters ---------------------------------------------------------------------
+
+
+@needs_kernel
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("per_channel", [False, True])
+@pytest.mark.parametrize("channels", [1, 2, 3, 64])
+def test_twins_agree_on_any_channels(channels, per_channel, dtype):
+    kinds = list(SOUNDS)
+    sounds = [SOUNDS[kinds[index % len(kinds)]](8_000)[:4_000] for index in range(channels)]
+    assert_twins(columns(*sounds).astype(dtype), 8_000, per_channel=per_channel)
+
+
+def at_the_limits():
+    """Return parameters with one of them at one of its limits, at three lengths of the window."""
+    for name, limits in LIMITS.items():
+        for value in (limits.low, limits.high):
+            for window_s in (0.01, 0.04643, 0.2):
+                values = {"window_s": window_s, "vibration_top_hz": 220.0, name: value}
+                values["partials_max"] = int(values.get("partials_max", 16))
+                if not TransformParameters.problems(values):
+                    yield values
+
+
+@needs_kernel
+@pytest.mark.parametrize("kind", ["noise", "sweep", "square", "clicks", "Nyquist's frequency"])
+def test_twins_agree_with_every_parameter_at_its_limits(kind):
+    sound = SOUNDS[kind](16_000)[:12_000]
+    cases = list(at_the_limits())
+    assert len(cases) > 30
+    for values in cases:
+        assert_twins(sound, 16_000, parameters=TransformParameters(**values))
+
+
+VARIANTS: dict[str, dict[str, Any]] = {
+    "by energy": {"level_law": "energy"},
+    "equal JNDs": {"mapping": "jnd"},
+    "both": {"level_law": "energy", "mapping": "jnd", "partials_max": 5},
+    "followed": {"follower_db": 30.0},
+    "all": {
+        "follower_db": 40.0,
+        "level_law": "energy",
+        "mapping": "jnd",
+        "partials_max": 5,
+        "speech_suppression_db": 24.0,
+    },
+}
+
+
+@needs_kernel
+@pytest.mark.parametrize("samplerate", [8_000, 44_100])
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_twins_agree_with_every_law_and_mapping(variant, samplerate):
+    parameters = TransformParameters(**VARIANTS[variant])
+    for make in SOUNDS.values():
+        assert_twins(make(samplerate), samplerate, parameters=parameters)
+
+
+@needs_kernel
+@pytest.mark.parametrize("variant", ["followed", "all"])
+def test_twins_agree_on_voices_that_share_a_programme(variant):
+    samplerate = 8_000
+    sounds = [SOUNDS[kind](samplerate)[:7_000] for kind in ("gaps", "sweep", "noise", "bursts")]
+    both = columns(
+        *(level * each for level, each in zip((1, 0.05, 0.3, 0.01), sounds, strict=True))
+    )
+    parameters = TransformParameters(**VARIANTS[variant])
+    assert_twins(both, samplerate, per_channel=True, parameters=parameters)
+
+
+@given(
+    pieces=st.lists(
+        st.tuples(
+            st.sampled_from(
+                ["tone", "clicks", "tones", "pairs", "noise", "step", "steps", "silence"]
+            ),
+            st.integers(1, 60),
+            st.sampled_from([0.5, 1, 2, 4]),
+            st.sampled_from([0.003, 0.05, 0.3, 1.0, 30.0]),
+        ),
+        min_size=1,
+        max_size=5,
+    ),
+    samplerate=st.sampled_from([1_000, 1_024, 2_000, 8_000, 11_025, 16_000]),
+    window_s=st.sampled_from([0.01, 0.02, 0.04643, 0.1, 0.2]),
+    partials_max=st.sampled_from([1, 2, 16]),
+    threshold_hz=st.sampled_from([0.001, 0.3, 2.0]),
+    variant=st.sampled_from(list(VARIANTS)),
+)
+@settings(max_examples=120)
+@needs_kernel
+def test_twins_agree_where_every_decision_is_between_equals(
+    pieces, samplerate, window_s, partials_max, threshold_hz, variant
+):
+    parameters = TransformParameters(
+        window_s=window_s,
+        threshold_hz=threshold_hz,
+        vibration_top_hz=220.0,
+        **({"partials_max": partials_max} | VARIANTS[variant]),
+    )
+    window = parameters.window_frames(samplerate)
+
+    def piece(kind, number, share, level):
+        # Periods that divide the window put lines on bins and zeros beside them.
+        frames = 3 * window
+        turns = np.arange(frames) / (share * window)
+        match kind:
+            case "tone":
+                return level * np.cos(2 * np.pi * number * turns)
+            case "clicks":
+                return level * (np.arange(frames) % max(1, round(share * window / 3)) == 0)
+            case "tones":
+                return level * sum(np.cos(2 * np.pi * k * turns) for k in range(number, number + 5))
+            case "pairs":
+                pair = np.zeros(frames)
+                pair[[frames // 2, min(frames - 1, frames // 2 + number)]] = level, -level
+                return pair
+            case "noise":
+                return level * np.random.default_rng(number).uniform(-1, 1, frames)
+            case "step":
+                return np.full(frames, level)
+            case "steps":
+                return np.round(100 * np.cos(2 * np.pi * number * turns)) * level / 100
+        return np.zeros(frames)
+
+    sound = joined(*(piece(*each) for each in pieces))
+    try:
+        assert_twins(sound, samplerate, parameters=parameters)
+    except UsageError:
+        # The band begins above half of so low a samplerate.
+        assert samplerate == 1_000
+
+
+# --- the stream ----------------------------------------------------------------------------------
+
+
+@needs_kernel
+@pytest.mark.parametrize("per_channel", [False, True])
+@pytest.mark.parametrize("variant", ["by energy", "followed"])
+def test_a_copy_and_a_pickle_go_on_where_the_stream_stands(per_channel, variant):
+    sound = columns(SOUNDS["gaps"](16_000), SOUNDS["noise"](16_000), SOUNDS["damaged"](16_000))
+    first, second = sound[:5_001], sound[5_001:]
+    parameters = TransformParameters(**VARIANTS[variant])
+    transform = made(sound, 16_000, per_channel=per_channel, parameters=parameters)
+    transform.process(first)
+    others = [copy.deepcopy(transform), pickle.loads(pickle.dumps(transform))]
+    expected = np.concatenate((transform.process(second), transform.finish()))
+    for other in others:
+        assert identical(np.concatenate((other.process(second), other.finish())), expected)
+        assert other.limited_samples == transform.limited_samples
+        assert other.replaced_samples == transform.replaced_samples
+
+
+@needs_kernel
+@pytest.mark.parametrize("dtype", [np.float16, np.longdouble, ">f4", ">f8"])
+def test_unusual_types_of_sound_are_taken_as_their_twin_takes_them(dtype):
+    sound = columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5))
+    sound[100, 0] = np.nan
+    assert assert_twins(sound.astype(dtype), 8_000).any()
+
+
+@needs_kernel
+def test_a_sample_that_does_not_begin_where_its_type_should_is_read():
+    sound = columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5)).astype(np.float32)
+    shifted = np.zeros(sound.nbytes + 1, np.uint8)[1:].view(np.float32).reshape(sound.shape)
+    shifted[:] = sound
+    assert not shifted.flags.aligned
+    expected = made(sound, 8_000).process(sound)
+    assert identical(made(shifted, 8_000).process(shifted), expected)
+
+
+@needs_kernel
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("channels", [1, 2, 3])
+def test_silence_is_the_same_however_its_frames_lie_in_memory(channels, dtype):
+    # Silences that it falls asleep in; what then wakes it is one channel of one frame.
+    rng = np.random.default_rng(0)
+    sound = white_noise(4.0 * channels, 8_000, 0.5).reshape(-1, channels).astype(dtype)
+    for first in (1_000, 9_000, 17_000, 25_000):
+        sound[first : first + 6_000] = 0.0
+        sound[first + rng.integers(5_000, 6_000), -1] = 1e-40
+    sound[2_000:2_100] = -0.0
+    apart = np.ones((len(sound), 2 * channels), dtype)[:, ::2]
+    apart[:] = sound
+    for block in (7, 100, 32_000):
+        one, other = made(sound, 8_000), made(sound, 8_000)
+        for first in range(0, len(sound), block):
+            dense, strided = sound[first : first + block], apart[first : first + block]
+            assert identical(one.process(dense), other.process(strided))
+
+
+@needs_kernel
+def test_twins_agree_after_a_silence_in_which_the_band_pass_comes_to_rest():
+    noise = white_noise(0.2, 48_000, 0.5)
+    assert assert_twins(joined(noise, silence(1.0, 48_000), noise), 48_000)[58_000:].any()
+
+
+@needs_kernel
+@pytest.mark.parametrize(
+    "block",
+    [
+        np.zeros((10, 3), np.float32),
+        np.zeros(10),
+        np.zeros((10, 2), np.int16),
+        np.zeros((10, 2), np.complex128),
+        np.zeros((1, 10, 2)),
+        np.zeros(()),
+        np.full((10, 2), "loud"),
+    ],
+    ids=lambda block: f"{block.dtype} {block.shape}",
+)
+def test_a_block_that_is_refused_leaves_the_stream_as_it_was(block):
+    sound = columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5))
+    transform, other = made(sound, 8_000), made(sound, 8_000)
+    first = transform.process(sound[:1_000])
+    with pytest.raises(UsageError, match="a block of"):
+        transform.process(block)
+    whole = np.concatenate((first, transform.process(sound[1_000:]), transform.finish()))
+    assert identical(whole, np.concatenate((other.process(sound), other.finish())))
+
+
+@needs_kernel
+def test_a_million_hops_take_no_more_memory_than_a_thousand():
+    samplerate = 1_000
+    hop = LiveGrid.at(TransformParameters(), samplerate).hop_frames
+    sound = joined(
+        tone(200, 8.0, samplerate, 0.5), white_noise(4.0, samplerate), silence(2.0, 1_000)
+    )
+    loop = np.resize(sound, (1_000 * hop, 1)).astype(np.float32)
+    held = memory_growth(made(loop, samplerate), loop, 100 * hop, 1_000_000 * hop)
+    assert held.frames >= 1_000_000 * hop
+    assert held.resident_kb < 256
+    assert held.objects < 200

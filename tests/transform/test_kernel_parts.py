@@ -1,0 +1,372 @@
+"""The kernel's parts by themselves, and what it refuses to be made of or to work on."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.fft import rfft
+
+from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.kernel import settings_of
+from audioflinger_hook.transform.live import LiveTransform
+from tests.support.signals import SAMPLERATES, identical, joined, silence, tone, white_noise
+from tools.bench.growth import resident_bytes
+
+_kernel = pytest.importorskip("audioflinger_hook.transform._kernel", exc_type=ImportError)
+
+RATE = 8_000
+# With everything that can be switched on, so that all of it meets what does not fit.
+SETTINGS = settings_of(LiveTransform(TransformParameters(speech_suppression_db=12.0), RATE))
+
+
+def made(channels=1, each=False, **changes):
+    return _kernel.LiveKernel({**SETTINGS, **changes}, channels, each)
+
+
+def played(kernel, sound, voices=1):
+    vibration = np.empty((len(sound), voices))
+    kernel.process(sound, vibration)
+    return vibration
+
+
+# --- spectra and functions -----------------------------------------------------------------------
+
+LENGTHS = {
+    *(TransformParameters().fft_length(samplerate) for samplerate in (1_000, *SAMPLERATES)),
+    *(2**a * 3**b * 5**c for a in range(6) for b in range(4) for c in range(4)),
+    2**13,
+    3**7,
+    5**5,
+} - {1}
+
+
+def test_every_spectrum_is_scipys():
+    rng = np.random.default_rng(0)
+    for length in sorted(LENGTHS):
+        for frames in {length // 2, max(1, length // 2 - 1), max(1, length // 3), length}:
+            samples = rng.standard_normal(frames)
+            expected = rfft(samples, length)
+            bins = np.empty((2, length // 2 + 1))
+            _kernel.spectrum(samples, length, bins)
+            error = np.abs(bins[0] + 1j * bins[1] - expected).max()
+            assert error <= 1e-15 * np.log2(length) * np.abs(expected).max(), length
+            # The first of them alone are the same.
+            few = np.empty((2, 1 + length // 5))
+            _kernel.spectrum(samples, length, few)
+            assert identical(few, np.ascontiguousarray(bins[:, : few.shape[1]]))
+
+
+@pytest.mark.parametrize(
+    ("frames", "length", "bins"),
+    [
+        (7, 14, 8),
+        (11, 22, 3),
+        (6, 5, 2),
+        (2, 1 << 25, 2),
+        (1, 0, 1),
+        (1, -8, 1),
+        (2, 8, 6),
+        (2, 8, 0),
+    ],
+)
+def test_a_spectrum_that_cannot_be_made_is_refused(frames, length, bins):
+    with pytest.raises(ValueError, match=r"length|bins"):
+        _kernel.spectrum(np.zeros(frames), length, np.zeros((2, bins)))
+
+
+@given(st.lists(st.floats(1e-300, 1e300), min_size=1, max_size=40))
+@settings(max_examples=200)
+def test_fifth_roots_are_exact_but_for_a_unit_in_the_last_place(numbers):
+    roots = np.array(numbers)
+    _kernel.fifth_roots(roots)
+    # In extended precision: 0.2 is not a fifth, which shows from 1e30 on.
+    exact = np.array(numbers, dtype=np.longdouble) ** (np.longdouble(1) / 5)
+    np.testing.assert_allclose(roots, exact.astype(np.float64), rtol=4e-16)
+
+
+@pytest.mark.parametrize("strange", [np.inf, -np.inf, np.nan, -1.0, 5e-324, 1e-310, 1.7e308])
+def test_a_fifth_root_of_anything_else_is_a_number_or_none_and_harms_no_neighbour(strange):
+    roots = np.array([1.0, 32.0, strange, 243.0, 0.0, 1_024.0])
+    _kernel.fifth_roots(roots)
+    np.testing.assert_allclose(np.delete(roots, 2), [1.0, 2.0, 3.0, 0.0, 4.0], rtol=1e-15)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40))
+@settings(max_examples=200)
+def test_cosines_of_turns_are_exact_to_the_last_bits(turns):
+    cosines = np.array(turns)
+    _kernel.cosines(cosines)
+    exact = np.cos(2 * np.pi * (np.array(turns) - np.rint(turns)))
+    np.testing.assert_allclose(cosines, exact, rtol=0, atol=1e-15)
+
+
+# --- settings ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_a_kernel_is_not_made_without_a_setting(name):
+    given = {other: value for other, value in SETTINGS.items() if other != name}
+    with pytest.raises(ValueError, match=name):
+        _kernel.LiveKernel(given, 1, False)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("window_frames", SETTINGS["window_frames"] + 1),
+        ("window_frames", 0),
+        ("hop_frames", SETTINGS["hop_frames"] + 1),
+        ("decimation", 0),
+        ("steps", 0),
+        ("hops_in_window", 0),
+        ("fft_length", SETTINGS["window_frames"]),
+        ("fft_length", 7 * 2**10),
+        ("bins", 1),
+        ("bins", SETTINGS["fft_length"]),
+        ("first_bin", 0),
+        ("last_bin", SETTINGS["bins"] - 1),
+        ("partials_max", 0),
+        ("partials_max", 2**40),
+        ("ring_hops", 2**63),
+        ("silence", np.nan),
+        ("gain_step_hz", 0.0),
+        ("window", SETTINGS["window"][1:]),
+        ("window", np.full_like(SETTINGS["window"], np.nan)),
+        ("band_b", np.ones(1)),
+        ("band_b", np.ones(30)),
+        ("band_a", np.ones(2)),
+        ("low_a", 2.0 * SETTINGS["low_a"]),
+        ("image_table", np.zeros(0)),
+        ("image_turn", np.zeros((2, SETTINGS["bins"] + 1))),
+        ("image_turn", np.zeros(3)),
+        ("attack", SETTINGS["attack"][1:]),
+        ("seconds", np.zeros(1)),
+        ("phases", np.ones(1)),
+        ("phases", np.zeros((0, SETTINGS["decimation"]))),
+        ("gain_table", np.ones(1)),
+        ("ticks", 0),
+        ("ticks", SETTINGS["ticks"] + 1),
+        ("tick_steps", SETTINGS["tick_steps"] + 1),
+        ("tick_frames", SETTINGS["tick_frames"] + 1),
+        ("tick_frames", SETTINGS["short_frames"] + 1),
+        ("tick_glide", SETTINGS["tick_glide"][1:]),
+        ("tick_glide_s", SETTINGS["tick_glide_s"][1:]),
+        ("find_onsets", 2),
+        ("by_energy", 2),
+        ("short_frames", 0),
+        ("short_frames", SETTINGS["short_frames"] + 1),
+        ("short_frames", SETTINGS["tick_frames"] - 1),
+        ("short_window", SETTINGS["short_window"][1:]),
+        ("short_length", SETTINGS["short_length"] + 1),
+        ("short_length", 2 * (SETTINGS["short_frames"] // 2) - 2),
+        ("short_length", 7 * 2**10),
+        ("short_bins", 0),
+        ("short_bins", SETTINGS["short_bins"] + 1),
+        ("short_bins", SETTINGS["short_bins"] - 1),
+        ("short_hz", SETTINGS["short_hz"][1:]),
+        ("short_ticks", SETTINGS["short_ticks"] - 1),
+        ("short_ticks", SETTINGS["short_ticks"] + 1),
+        ("newest_frames", 0),
+        ("newest_frames", SETTINGS["tick_frames"] + 1),
+        ("newest_frames", SETTINGS["short_frames"] + 1),
+        ("band_edges", SETTINGS["band_edges"][:1]),
+        ("band_edges", SETTINGS["band_edges"][::-1].copy()),
+        ("band_edges", SETTINGS["band_edges"] + SETTINGS["short_bins"]),
+        ("band_edges", SETTINGS["band_edges"] - SETTINGS["band_edges"][0]),
+        ("band_edges", SETTINGS["band_edges"] + 0.5),
+        ("back_ticks", 2),
+        ("back_ticks", 65),
+        ("rest_ticks", SETTINGS["rearmed_ticks"] - 1),
+        ("rest_ticks", 2**40),
+        ("rearmed_ticks", 0),
+        ("rearmed_ticks", SETTINGS["rest_ticks"] + 1),
+        ("heard_ticks", 0),
+        ("heard_ticks", SETTINGS["heard_ticks"] + 1),
+        ("one_tone", SETTINGS["one_tone"][1:]),
+        ("groups_max", 0),
+        ("groups_max", SETTINGS["fresh_max"] + 1),
+        ("fresh_max", SETTINGS["groups_max"] - 1),
+        ("fresh_max", 17),
+        ("rise_shares", np.zeros(0)),
+        ("rise_shares", np.full_like(SETTINGS["rise_shares"], np.inf)),
+        ("hold_hops", 2**40),
+        ("loudness_weights", np.ones(1)),
+        ("speech_edges", SETTINGS["speech_edges"][1:]),
+        ("speech_edges", SETTINGS["speech_edges"][::-1].copy()),
+        ("speech_edges", SETTINGS["speech_edges"] + SETTINGS["bins"]),
+        ("speech_edges", SETTINGS["speech_edges"] - 1e3),
+        ("speech_centres_hz", np.ones(6)),
+        ("speech_log_pitches", np.ones(1)),
+        ("speech_log_pitches", SETTINGS["speech_log_pitches"][1:]),
+        ("speech_teeth", SETTINGS["speech_teeth"] - 1.0),
+        ("speech_teeth", SETTINGS["speech_teeth"] + SETTINGS["bins"]),
+        ("speech_teeth", np.zeros(0)),
+        ("speech_ramps", SETTINGS["speech_ramps"][1:]),
+    ],
+)
+def test_a_kernel_is_not_made_of_settings_that_do_not_fit(name, value):
+    with pytest.raises((ValueError, OverflowError)):
+        made(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("steps", 4.5), ("steps", "four"), ("hop_s", "long"), ("window", [1.0]), ("window", None),
+     ("window", SETTINGS["window"].astype(np.float32))],
+)  # fmt: skip
+def test_a_kernel_is_not_made_of_settings_of_another_type(name, value):
+    with pytest.raises(TypeError):
+        made(**{name: value})
+
+
+@pytest.mark.parametrize("channels", [0, -1, 1_025, 2**70])
+def test_a_kernel_has_one_channel_at_least_and_not_thousands(channels):
+    with pytest.raises((ValueError, OverflowError)):
+        made(channels)
+
+
+@given(data=st.data(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=150)
+def test_settings_of_any_numbers_make_a_kernel_that_runs_or_none(data, seed):
+    rng = np.random.default_rng(seed)
+    odd_numbers = st.sampled_from([0.0, -1.0, 1e-300, 1e300, np.inf, -np.inf, 0.5, np.nan, 3.0])
+    odd_counts = st.sampled_from([0, 1, 2, 3, 5, 7, 60, 100, 1_000])
+    changes = {}
+    for name in data.draw(st.lists(st.sampled_from(sorted(SETTINGS)), min_size=1, max_size=4)):
+        value = SETTINGS[name]
+        if isinstance(value, np.ndarray):
+            changes[name] = value * rng.uniform(-2.0, 2.0, value.shape)
+        elif isinstance(value, int):
+            changes[name] = data.draw(odd_counts)
+        else:
+            changes[name] = data.draw(odd_numbers)
+    try:
+        kernel = made(**changes)
+    except ValueError:
+        return
+    for sound in (white_noise(0.3, RATE, 0.5), tone(300, 0.2, RATE, 1_000.0), silence(0.1, RATE)):
+        played(kernel, sound)
+    kernel.state = kernel.state
+
+
+def test_a_kernel_that_is_let_go_of_gives_its_memory_back():
+    def kernels(count):
+        for _ in range(count):
+            played(made(8, True), np.zeros((100, 8)), 8)
+            with pytest.raises(ValueError, match="fft_length"):
+                made(fft_length=7 * 2**10)
+        return resident_bytes()
+
+    before = kernels(50)
+    assert kernels(400) - before < 2**20
+
+
+# --- blocks and states ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("frames", "vibration", "error"),
+    [
+        (np.zeros((5, 2)), np.zeros((5, 1)), None),
+        (np.zeros((5, 2)), np.zeros((4, 1)), ValueError),
+        (np.zeros((5, 2)), np.zeros((5, 2)), ValueError),
+        (np.zeros((5, 2)), np.zeros(5), ValueError),
+        (np.zeros((5, 2)), np.zeros((5, 1), np.float32), TypeError),
+        (np.zeros((5, 2)), np.zeros((5, 2))[:, :1], ValueError),
+        (np.zeros((5, 2)), np.zeros((5, 1)).tobytes(), (TypeError, ValueError, BufferError)),
+        (np.zeros((5, 2)), None, TypeError),
+        (np.zeros((5, 1)), np.zeros((5, 1)), ValueError),
+        (np.zeros(5), np.zeros((5, 1)), ValueError),
+        (np.zeros((5, 2), np.int32), np.zeros((5, 1)), TypeError),
+        (np.zeros((5, 2), ">f4"), np.zeros((5, 1)), TypeError),
+        (np.zeros((1, 5, 2)), np.zeros((5, 1)), ValueError),
+        ([[0.0, 0.0]] * 5, np.zeros((5, 1)), TypeError),
+    ],
+)
+def test_a_block_that_does_not_fit_is_refused(frames, vibration, error):
+    kernel = made(2)
+    before = kernel.state
+    if error is None:
+        kernel.process(frames, vibration)
+        return
+    with pytest.raises(error):
+        kernel.process(frames, vibration)
+    assert kernel.state == before
+    with pytest.raises(TypeError):
+        kernel.process(frames)
+
+
+def test_vibration_is_not_written_where_that_is_forbidden():
+    vibration = np.zeros((5, 1))
+    vibration.flags.writeable = False
+    with pytest.raises((ValueError, BufferError)):
+        made().process(np.zeros(5), vibration)
+
+
+def test_every_buffer_is_let_go_of_after_a_call_and_after_a_mistake():
+    # A bytearray refuses to grow while anybody holds its buffer.
+    memories = [bytearray(8 * 5), bytearray(8 * 5)]
+    frames, vibration = (np.frombuffer(memory, np.float64)[:, None] for memory in memories)
+    made().process(frames, vibration)
+    with pytest.raises(ValueError, match="frames"):
+        made(2).process(frames, vibration)
+    with pytest.raises(ValueError, match="vibration"):
+        made().process(frames, vibration[:3])
+    del frames, vibration
+    for memory in memories:
+        memory.extend(b"0")
+
+
+def test_a_state_can_be_kept_and_returned_to():
+    sound = joined(white_noise(0.4, RATE, 0.5), tone(300, 0.4, RATE))
+    kernel = made()
+    played(kernel, sound[:2_000])
+    kept = kernel.state
+    expected = played(kernel, sound[2_000:])
+    kernel.state = kept
+    assert identical(played(kernel, sound[2_000:]), expected)
+    other = made()
+    other.state = kept
+    assert identical(played(other, sound[2_000:]), expected)
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        b"",
+        made().state[:-1],
+        made().state + b"0",
+        b"\xff" * len(made().state),
+        b"\x01" * len(made().state),
+        np.full(len(made().state) // 8, 1.0).tobytes(),
+        np.full(len(made().state) // 8, np.nan).tobytes(),
+        None,
+        1,
+    ],
+)
+def test_a_state_that_no_kernel_has_is_refused(state):
+    kernel = made()
+    played(kernel, white_noise(0.4, RATE, 0.5))
+    with pytest.raises(ValueError, match="state"):
+        kernel.state = state
+    with pytest.raises((AttributeError, ValueError, TypeError)):
+        del kernel.state
+    assert np.isfinite(played(kernel, white_noise(0.4, RATE, 0.5))).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from([0.001, 0.1, 1.0]))
+@settings(max_examples=100)
+def test_a_state_of_any_numbers_is_refused_or_goes_on_without_a_fall(seed, share):
+    rng = np.random.default_rng(seed)
+    kernel = made()
+    played(kernel, white_noise(0.4, RATE, 0.5))
+    numbers = np.frombuffer(kernel.state, np.float64).copy()
+    changed = rng.random(numbers.size) < share
+    numbers[changed] = rng.choice([0.0, 1.0, -1.0, np.nan, np.inf, 1e300, 5e-324], changed.sum())
+    # Counters stay: they are no numbers with a decimal point.
+    numbers[:5] = np.frombuffer(kernel.state, np.float64)[:5]
+    try:
+        kernel.state = numbers.tobytes()
+    except ValueError:
+        return
+    played(kernel, white_noise(0.4, RATE, 0.5))

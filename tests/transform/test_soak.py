@@ -1,0 +1,50 @@
+"""What takes minutes; `make soak` runs it, and the bench shows the last results."""
+
+import pytest
+
+from device.rig.rungs import Rung
+from tools.bench.identification import soak_identification
+from tools.bench.random_rigs import RIGS, SHARES
+from tools.bench.rig_soak import SAMPLES, STEPPED_SAMPLES, soak_energy
+from tools.bench.signals import PROJECT_ROOT
+from tools.bench.soak import HOPS, soak_scene, soak_tone
+from tools.bench.soak_record import RECORD, SoakRecord, keep_record
+
+
+def kept(record: SoakRecord) -> SoakRecord:
+    """The record, once it stands in docs/soak.json: a failure is kept as well."""
+    keep_record(record, PROJECT_ROOT / RECORD)
+    return record
+
+
+@pytest.mark.soak
+def test_a_million_hops_of_the_demo_scene_leave_nothing_in_memory() -> None:
+    record = kept(soak_scene())
+    assert record.hops is not None
+    assert record.hops >= HOPS
+    assert record.passed, record
+
+
+@pytest.mark.soak
+def test_a_tone_is_as_loud_and_as_pure_after_a_million_hops_as_at_first() -> None:
+    record = kept(soak_tone())
+    assert record.hops is not None
+    assert record.hops >= HOPS
+    assert record.passed, record
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("rung", [Rung.LINEAR, Rung.NONLINEAR, Rung.STEPPED])
+def test_over_a_hundred_million_samples_no_energy_creeps_up(rung: Rung) -> None:
+    record = kept(soak_energy(rung))
+    assert record.samples is not None
+    assert record.samples >= (STEPPED_SAMPLES if rung is Rung.STEPPED else SAMPLES)
+    assert record.passed, record
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("share", SHARES)
+def test_two_hundred_random_rigs_are_identified_and_their_intervals_hold(share: float) -> None:
+    record = kept(soak_identification(share))
+    assert record.rigs == RIGS
+    assert record.passed, record

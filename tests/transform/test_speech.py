@@ -1,0 +1,235 @@
+"""Speech suppression of the live form: what is lowered, and that nothing else changes."""
+
+import functools
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform.speech import SpeechSuppressor
+from tests.support.recordings import require_recordings
+from tests.support.signals import (
+    identical,
+    in_blocks,
+    joined,
+    low_noise,
+    played,
+    silence,
+    tone,
+    white_noise,
+)
+
+RATE = 16_000
+FORMS = ("live", "live in NumPy")
+OFF, ON = TransformParameters(), TransformParameters(speech_suppression_db=18.0)
+KNOWN_S = 1.0
+"""By when speech must have been recognised; `cushion bench` says by when it usually is."""
+
+
+@functools.cache
+def demo():
+    return demo_scene(RATE)
+
+
+@functools.cache
+def track(name):
+    """Return one sound of the demo scene alone, (frames,) float64 at RATE."""
+    (found,) = [each for each in demo().tracks if each.name == name]
+    step = found.samplerate / RATE
+    mono = np.asarray(found.frames, dtype=np.float64).mean(axis=1)
+    # Aliases of what lies above 8 kHz do no harm here.
+    return np.interp(np.arange(0.0, mono.size - 1, step), np.arange(mono.size), mono)
+
+
+@functools.cache
+def talk(seconds):
+    """Return the demo scene's speaker going on and on."""
+    return np.resize(track("speech"), round(seconds * RATE))
+
+
+def energy_db(vibration, from_s, to_s, samplerate=RATE):
+    part = vibration[round(from_s * samplerate) : round(to_s * samplerate)]
+    return 10.0 * np.log10((part**2).mean())
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_speech_is_lowered_once_it_is_known(form):
+    plain, lowered = (played(talk(8), RATE, form=form, parameters=p)[:, 0] for p in (OFF, ON))
+    # Of the 18 dB some is left: beginnings of words after a pause, what lies under 120 Hz.
+    assert energy_db(lowered, KNOWN_S, 8) < energy_db(plain, KNOWN_S, 8) - 8.0
+    # Nothing is known before there was something to hear.
+    assert identical(lowered[: RATE // 4], plain[: RATE // 4])
+
+
+def test_recorded_speech_is_lowered_once_it_is_known():
+    paths = [path for path in require_recordings() if path.stem.startswith(("Front", "Rear"))]
+    sound = np.concatenate([soundfile.read(path)[0] for path in paths])
+    plain, lowered = (played(sound, 48_000, parameters=p)[:, 0] for p in (OFF, ON))
+    seconds = sound.size / 48_000
+    change = energy_db(lowered, KNOWN_S, seconds, 48_000) - energy_db(
+        plain, KNOWN_S, seconds, 48_000
+    )
+    assert change < -8.0
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    "name", ["engine", "footsteps", "explosion", "chord", "noise", "beeps", "hiss and rumble"]
+)
+def test_what_is_no_speech_keeps_every_byte(name, form):
+    if name == "noise":
+        sound = white_noise(2.0, RATE, 0.5)
+    elif name == "hiss and rumble":
+        # Everything of speech but its pitch.
+        hiss, rumble = white_noise(0.12, RATE, 0.3, 1), low_noise(0.12, RATE, 0.1)
+        sound = np.tile(joined(np.diff(hiss), silence(0.06, RATE), rumble), 10)
+    elif name == "beeps":
+        sound = np.tile(joined(tone(800, 0.15, RATE, 0.5), silence(0.15, RATE)), 8)
+    else:
+        sound = track(name)
+    plain, same = (played(sound, RATE, form=form, parameters=p) for p in (OFF, ON))
+    assert plain.any()
+    assert identical(same, plain)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_an_explosion_is_felt_while_somebody_speaks(form):
+    speech, effect = talk(6), np.zeros(6 * RATE)
+    bang = track("explosion")[: 2 * RATE]
+    effect[3 * RATE : 3 * RATE + bang.size] = bang
+    alone, both = (
+        played(sound, RATE, form=form, parameters=ON)[:, 0] for sound in (effect, effect + speech)
+    )
+    assert energy_db(both, 3.0, 4.0) > energy_db(alone, 3.0, 4.0) - 2.0
+    assert energy_db(both, 2.0, 3.0) < energy_db(both, 3.0, 4.0) - 15.0
+
+
+@pytest.mark.parametrize("form", FORMS)
+@given(blocks=st.lists(st.integers(1, 3_000), max_size=30))
+@settings(max_examples=10)
+def test_any_split_gives_the_same_bytes_with_suppression(form, blocks):
+    sound = joined(talk(3), silence(1.0, RATE), track("explosion")[:RATE] + talk(1))
+    whole = in_blocks(sound, [], RATE, form=form, parameters=ON)
+    assert identical(in_blocks(sound, blocks, RATE, form=form, parameters=ON), whole)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_after_a_long_silence_nothing_is_remembered(form):
+    first = played(talk(3), RATE, form=form, parameters=ON)
+    twice = played(joined(talk(3), silence(3.2179, RATE), talk(3)), RATE, form=form, parameters=ON)
+    assert identical(twice[-len(first) :], first)
+
+
+def test_the_reference_form_does_without():
+    plain, same = (played(talk(2), RATE, form="reference", parameters=p) for p in (OFF, ON))
+    assert identical(same, plain)
+
+
+def test_suppression_costs_no_latency():
+    assert (
+        HapticTransform(RATE, 1, ON).latency_frames == HapticTransform(RATE, 1, OFF).latency_frames
+    )
+
+
+def test_belief_does_not_depend_on_the_volume():
+    def beliefs(level):
+        suppressor = SpeechSuppressor(18.0, BIN_HZ, BINS, HOP_S)
+        heard = []
+        for spectrum in spectra(level * talk(4)):
+            suppressor.hear(spectrum)
+            heard.append(suppressor.belief)
+        return np.array(heard)[round(KNOWN_S / HOP_S) :]
+
+    loud = beliefs(1.0)
+    assert loud.max() == 1.0
+    # The floor of all levels is all that does not follow the volume; 20 dB down little is felt.
+    assert np.abs(beliefs(0.1) - loud).max() < 0.1
+
+
+BIN_HZ, BINS, HOP_S = 10.0, 800, 0.017
+
+
+def spectra(sound):
+    """Return (hops, BINS) spectra as the live form makes them, a full-scale sine having 1."""
+    frames, hop = round(0.04643 * RATE), round(HOP_S * RATE)
+    window = np.hamming(frames)
+    windows = np.lib.stride_tricks.sliding_window_view(sound, frames)[::hop] * window
+    return np.fft.rfft(windows, round(RATE / BIN_HZ))[:, :BINS] * (2.0 / window.sum())
+
+
+def convinced():
+    """Return a suppressor in the middle of a clear vowel, sure of speech."""
+    suppressor = SpeechSuppressor(18.0, BIN_HZ, BINS, HOP_S)
+    for spectrum in spectra(talk(4)):
+        suppressor.hear(spectrum)
+        if suppressor.belief == 1.0 and suppressor._voiced == 1.0 and suppressor._balance > 9.0:
+            return suppressor
+    raise AssertionError("no hop like that")
+
+
+def test_harmonics_of_a_clear_pitch_are_lowered_and_what_lies_between_is_not():
+    suppressor = convinced()
+    pitch_hz = float(np.exp(suppressor._log_pitch))
+    assert 100.0 < pitch_hz < 160.0  # the speaker's
+    on, between = suppressor.gains(pitch_hz * np.array([[3.0, 4.0], [3.5, 4.5]]).ravel()).reshape(
+        2, 2
+    )
+    assert (on < 10 ** (-14.0 / 20.0)).all()
+    assert (between == 1.0).all()
+    # What is known coarsely alone may be either.
+    assert (suppressor.gains(pitch_hz * np.array([3.5, 4.5]), coarse=True) < 0.2).all()
+
+
+def test_nothing_under_80_hz_is_lowered_however_sure_it_is():
+    gains = convinced().gains(np.array([20.0, 55.0, 79.9, 240.0]))
+    assert (gains[:3] == 1.0).all()
+
+
+def test_what_hides_a_voice_and_is_far_louder_is_not_lowered():
+    suppressor = convinced()
+    # A flat spectrum is a click's.
+    suppressor.hear(np.full(BINS, 0.3 + 0.0j))
+    assert (suppressor.belief, suppressor._voiced) == (1.0, 0.0)
+    assert (suppressor.gains(np.array([150.0, 300.0, 700.0, 2_000.0])) > 0.99).all()
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["nothing", "silence", "noise", "comb", "flat", "denormal", "huge"]),
+            st.integers(0, 200),
+        ),
+        max_size=60,
+    ),
+    st.floats(0.0, 24.0),
+)
+@settings(max_examples=100)
+def test_every_gain_is_a_number_between_the_suppression_and_one(hops, suppression_db):
+    suppressor = SpeechSuppressor(suppression_db, BIN_HZ, BINS, HOP_S)
+    audio_hz = np.array([20.0, 50.0, 79.0, 100.0, 123.0, 200.0, 999.0, 4_000.0, 19_000.0])
+    for kind, number in hops:
+        spectrum = np.zeros(BINS, dtype=complex)
+        match kind:
+            case "noise":
+                spectrum += np.random.default_rng(number).standard_normal(BINS)
+            case "comb":
+                spectrum[:: 8 + number % 20] = 0.1
+            case "flat":
+                spectrum += 1e-3
+            case "denormal":
+                spectrum += 1e-300
+            case "huge":
+                spectrum += 1e6j
+        if kind == "nothing":
+            suppressor.pause()
+        else:
+            suppressor.hear(spectrum)
+        gains = suppressor.gains(audio_hz)
+        assert (gains >= 10 ** (-suppression_db / 20) * (1 - 1e-12)).all()
+        assert (gains <= 1.0).all()
+        assert (gains[:3] == 1.0).all()  # under 80 Hz nothing is a voice's
+        assert 0.0 <= suppressor.belief <= 1.0

@@ -1,0 +1,135 @@
+"""The rig's soak: 10^8 samples of a steady drive on each rung, and whether energy creeps up."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from audioflinger_hook.transform.arrays import FloatArray
+from device.rig import PAPER
+from device.rig.co_energy import Energies, energies, linear_energies, stored_energy_j
+from device.rig.equations import EXCURSION, SPEED, Equations
+from device.rig.ladder import Ladder
+from device.rig.node_grid import NodeGrid
+from device.rig.passive_step import PassiveStepper
+from device.rig.rungs import Rung
+from tools.bench.machine import cpu_model
+from tools.bench.report import Must
+from tools.bench.signals import SAMPLERATE
+from tools.bench.soak_record import SoakRecord, now
+
+SAMPLES = 100_000_000
+STEPPED_SAMPLES = 10_000_000
+"""The step by step rung is about as fast as the signal: more would take half an hour."""
+NO_CREEP = Must("<=", 1e-6)
+PASSIVE_DEFAULT, PASSIVE_FALLBACK = Must("<=", 1e-6), Must("<=", 1e-10)
+"""Of the energy, a step: for the rungs that are chosen, and for the one that never fails."""
+
+LOOP_S = 10.0
+SETTLED_LOOPS = 1
+"""The rig forgets within tenths of a second."""
+BAND_HZ = (10.0, 400.0)
+LEVEL_V = 10.0
+"""Root mean square: it drives the `paper` rig to about Xmax and not into the stops."""
+STILL_S = 1.0
+STILL = 1e-12
+"""Of the energy at the drive's end: below it the motion has died away."""
+
+Energy = Callable[[FloatArray], FloatArray]
+"""Moves on by some volts, (frames,), and gives the stored energy at each sample, J."""
+
+
+def soak_energy(rung: Rung, samples: int | None = None) -> SoakRecord:
+    """What becomes of the energy of one rung over so many samples; None: as the soak asks for.
+
+    A bounded random drive of ten seconds in a loop, again and again: after the first loop each
+    must reach the same largest energy. Then the drive stops, and the energy only falls.
+    """
+    wanted = samples or (STEPPED_SAMPLES if rung is Rung.STEPPED else SAMPLES)
+    volts = steady_drive(min(LOOP_S, wanted / SAMPLERATE))
+    stepper = _stepper() if rung is Rung.STEPPED else None
+    moved = _by_steps(stepper) if stepper else _by_ladder(rung)
+    start_s = time.process_time()
+    loops = SETTLED_LOOPS + -(-wanted // len(volts))
+    peaks_j = np.array([moved(volts).max() for _ in range(loops)])[SETTLED_LOOPS:]
+    creep = float(np.abs(peaks_j / peaks_j[0] - 1.0).max())
+    rise = _largest_rise(moved(np.zeros(round(STILL_S * SAMPLERATE))), rung)
+    worst = stepper.worst_share if stepper else None
+    return SoakRecord(
+        what=f"{rung} rung",
+        date=now(),
+        cpu=cpu_model(),
+        stream_s=loops * len(volts) / SAMPLERATE,
+        took_s=time.process_time() - start_s,
+        passed=NO_CREEP.met(creep)
+        and PASSIVE_DEFAULT.met(rise)
+        and (worst is None or PASSIVE_FALLBACK.met(worst)),
+        samples=loops * len(volts),
+        energy_creep=creep,
+        energy_rise=rise,
+        energy_from_nowhere=worst,
+    )
+
+
+def steady_drive(duration_s: float) -> FloatArray:
+    """Band noise that goes on from its end at its beginning, (frames,), V."""
+    frames = round(duration_s * SAMPLERATE)
+    frequencies_hz = np.fft.rfftfreq(frames, 1.0 / SAMPLERATE)
+    inside = (frequencies_hz >= BAND_HZ[0]) & (frequencies_hz <= BAND_HZ[1])
+    turns = np.random.default_rng(21).random(len(frequencies_hz))
+    noise = np.fft.irfft(inside * np.exp(2j * math.pi * turns), frames)
+    return np.asarray(LEVEL_V * noise / np.sqrt(np.mean(noise * noise)))
+
+
+def _largest_rise(stored_j: FloatArray, rung: Rung) -> float:
+    """After a drive's end, from node to node: the largest rise, of the energy before it.
+
+    Between its nodes the non-linear rung gives curves through them, which have no energy to keep.
+    Until the first node the voltage still falls to 0.
+    """
+    spacing = NodeGrid(SAMPLERATE).spacing if rung is Rung.NONLINEAR else 1
+    nodes_j = stored_j[spacing - 1 :: spacing]
+    before, after = nodes_j[:-1], nodes_j[1:]
+    moving = before > STILL * nodes_j[0]
+    return max(0.0, float((after[moving] / before[moving]).max() - 1.0))
+
+
+def _by_ladder(rung: Rung) -> Energy:
+    e = _energies(rung)
+    ladder = Ladder(PAPER, SAMPLERATE, rung=rung)
+
+    def moved(volts: FloatArray) -> FloatArray:
+        motion = ladder.move(volts, ("displacement_m", "velocity_m_s", "current_a"))
+        stored_j = stored_energy_j(e, motion.displacement_m, motion.current_a)
+        return stored_j + _kinetic_j(motion.velocity_m_s)
+
+    return moved
+
+
+def _by_steps(stepper: PassiveStepper) -> Energy:
+    e = stepper.equations.energies
+    last_v = 0.0
+
+    def moved(volts: FloatArray) -> FloatArray:
+        nonlocal last_v
+        states = stepper.move(volts, last_v)
+        last_v = float(volts[-1])
+        return stored_energy_j(e, states[EXCURSION], states[5]) + _kinetic_j(states[SPEED])
+
+    return moved
+
+
+def _stepper() -> PassiveStepper:
+    return PassiveStepper(Equations(PAPER.actuator, _energies(Rung.STEPPED)), 1.0 / SAMPLERATE)
+
+
+def _energies(rung: Rung) -> Energies:
+    p = PAPER.actuator
+    return linear_energies(p) if rung is Rung.LINEAR else energies(p, PAPER.large_signal)
+
+
+def _kinetic_j(speed_m_s: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * PAPER.actuator.moving_mass_kg * speed_m_s * speed_m_s)

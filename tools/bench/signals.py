@@ -1,0 +1,221 @@
+"""What the benches listen to: signals made by formula, and real recordings where there are any.
+
+Signals are float32 or float64 with full scale +-1, (frames,) or (frames, 2); nothing is random
+from run to run.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import soundfile
+from numpy.typing import NDArray
+
+import audioflinger_hook
+from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.sources import mixdown
+from audioflinger_hook.transform.arrays import FloatArray
+
+SAMPLERATE = 48_000
+"""Rate of every scene and every signal that does not say otherwise, in Hz."""
+
+Stereo = NDArray[np.float32]
+"""(frames, 2) at SAMPLERATE."""
+
+PROJECT_ROOT = Path(str(audioflinger_hook.__path__[0])).resolve().parent
+RECORDINGS_VARIABLE = "CUSHION_RECORDINGS"
+RECORDINGS_FOLDER = ".cache/recordings"
+RECORDINGS_COMMAND = "tools/fetch_recordings.sh"
+DEMO_TIMES, DEMO_PART_S = 3.0, (6.9, 8.9)
+"""Of the demo scene, for who has no time for all of it: footsteps, then speech."""
+SHORTEST_S = 0.3
+"""Shorter recordings hold no more than a few windows and are left out."""
+
+_SPOKEN = """
+    Front_Center Front_Left Front_Right Noise Rear_Center Rear_Left Rear_Right Side_Left Side_Right
+"""
+_DESKTOP = """
+    alarm-clock-elapsed audio-channel-front-center audio-channel-front-left
+    audio-channel-front-right audio-channel-rear-center audio-channel-rear-left
+    audio-channel-rear-right audio-channel-side-left audio-channel-side-right audio-test-signal
+    audio-volume-change bell camera-shutter complete device-added device-removed
+    dialog-information dialog-warning message-new-instant message phone-incoming-call
+    phone-outgoing-busy phone-outgoing-calling service-login service-logout suspend-error
+    trash-empty
+"""
+KNOWN = (
+    *(f"alsa/{name}.wav" for name in _SPOKEN.split()),
+    *(f"freedesktop/{name}.oga" for name in _DESKTOP.split()),
+)
+"""What the folder holds once `RECORDINGS_COMMAND` has filled it: KIND/FILE."""
+
+CHORD_HZ = (110.0, 220.0, 277.2, 329.6, 440.0, 554.4, 659.3, 880.0, 1318.5, 1760.0)
+CHORD_AMPLITUDE = 0.08
+BURST_S, BURST_RISE_S = 0.25, 0.001
+DENORMAL, DENORMAL_FLOAT64 = 1e-40, 1e-310
+"""Denormal numbers of float32 and of float64, far under anything audible."""
+WEAK = 1e-30
+"""As inaudible, and a normal number of both: what denormal ones should cost."""
+
+
+def tone(
+    frequency_hz: float, amplitude: float, duration_s: float, samplerate: int = SAMPLERATE
+) -> FloatArray:
+    """Return a steady sine, (frames,) float64, that starts at phase 0."""
+    time_s = np.arange(round(duration_s * samplerate)) / samplerate
+    return amplitude * np.sin(2.0 * np.pi * frequency_hz * time_s)
+
+
+def burst(frequency_hz: float, amplitude: float, onset_s: float, duration_s: float) -> FloatArray:
+    """Return silence with one tone of 0.25 s in it, 1 ms of rise and fall, (frames,) float64."""
+    since_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE - onset_s
+    rise = np.clip(since_s / BURST_RISE_S, 0.0, 1.0)
+    fall = np.clip((BURST_S - since_s) / BURST_RISE_S, 0.0, 1.0)
+    return amplitude * rise * fall * np.sin(2.0 * np.pi * frequency_hz * since_s)
+
+
+def white_noise(duration_s: float) -> Stereo:
+    """Return white noise with its peaks at 0 dBFS, the same in both channels."""
+    noise = np.random.default_rng(1).uniform(-1.0, 1.0, round(duration_s * SAMPLERATE))
+    return stereo(noise)
+
+
+def chord(duration_s: float) -> Stereo:
+    """Return ten partials, each with its own slow vibrato of level."""
+    time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
+    total = np.zeros(time_s.size)
+    for number, frequency_hz in enumerate(CHORD_HZ):
+        swell = 1.0 + 0.3 * np.sin(2.0 * np.pi * (2.0 + 0.7 * number) * time_s + number)
+        total += swell * np.sin(2.0 * np.pi * frequency_hz * time_s + number)
+    return stereo(CHORD_AMPLITUDE * total)
+
+
+def stereo(mono: FloatArray) -> Stereo:
+    """Return a mono signal on two channels, float32."""
+    return np.repeat(mono.astype(np.float32)[:, None], 2, axis=1)
+
+
+def looped(frames: Stereo, duration_s: float) -> Stereo:
+    """Return the sound repeated or cut to a duration."""
+    wanted = round(duration_s * SAMPLERATE)
+    return np.tile(frames, (-(-wanted // len(frames)), 1))[:wanted]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One real recording: its name, its folder's name, frames (frames, channels) and Hz."""
+
+    name: str
+    kind: str
+    frames: NDArray[np.float32]
+    samplerate: int
+
+    @property
+    def is_speech(self) -> bool:
+        """Whether it is one of alsa-utils' spoken names of loudspeakers, at 48 kHz."""
+        return self.kind == "alsa" and self.name != "Noise" and self.samplerate == SAMPLERATE
+
+
+def recordings_folder() -> Path | None:
+    """Return the folder with recordings, or None where there is none.
+
+    CUSHION_RECORDINGS names it, else it is .cache/recordings; below the current folder or the
+    project's.
+    """
+    name = os.environ.get(RECORDINGS_VARIABLE, RECORDINGS_FOLDER)
+    for root in (Path.cwd(), PROJECT_ROOT):
+        folder = root / name
+        if folder.is_dir() and any(folder.iterdir()):
+            return folder
+    return None
+
+
+def load_recordings() -> tuple[Recording, ...]:
+    """Return the folder's recordings longer than 0.3 s, by name; empty where there are none."""
+    return examine_recordings()[0]
+
+
+def examine_recordings() -> tuple[tuple[Recording, ...], dict[str, str]]:
+    """Return the folder's recordings longer than 0.3 s, and why others are not among them.
+
+    The second one: by KIND/FILE, the reason, for those that cannot be read, and those of `KNOWN`
+    that are not there. Both are empty where there is no folder.
+    """
+    folder = recordings_folder()
+    if folder is None:
+        return (), {}
+    found, wrong = [], {}
+    for path in sorted(folder.rglob("*")):
+        if path.suffix in {".wav", ".oga"}:
+            name = f"{path.parent.name}/{path.name}"
+            try:
+                frames, samplerate = soundfile.read(path, dtype="float32", always_2d=True)
+            except (soundfile.LibsndfileError, OSError, RuntimeError) as error:
+                wrong[name] = f"it cannot be read ({error})"
+                continue
+            if len(frames) > SHORTEST_S * samplerate:
+                found.append(Recording(path.stem, path.parent.name, frames, samplerate))
+    there = {f"{path.parent.name}/{path.name}" for path in folder.rglob("*")}
+    wrong |= {name: f"it is not in {folder}" for name in KNOWN if name not in there}
+    return tuple(found), wrong
+
+
+def speech(recordings: tuple[Recording, ...]) -> Stereo | None:
+    """Return all spoken recordings one after another, or None where there is none."""
+    spoken = [item.frames.mean(axis=1) for item in recordings if item.is_speech]
+    return stereo(np.concatenate(spoken)) if spoken else None
+
+
+@dataclass(frozen=True)
+class CostScene:
+    """A kind of sound whose cost is measured.
+
+    make: (seconds, recordings) to sound of about that length, None where it cannot be had; of the
+    demo scene all, or where that is more than three times as long two seconds.
+    """
+
+    name: str
+    make: Callable[[float, tuple[Recording, ...]], Stereo | FloatArray | None]
+
+
+def _speech_scene(duration_s: float, recordings: tuple[Recording, ...]) -> Stereo | None:
+    spoken = speech(recordings)
+    return None if spoken is None else looped(spoken, duration_s)
+
+
+@cache
+def demo_sound() -> Stereo:
+    """Return the mix of the demo scene, not to be written to; it is made once."""
+    sound = mixdown(demo_scene())
+    sound.flags.writeable = False
+    return sound
+
+
+def _demo_scene(duration_s: float, _recordings: tuple[Recording, ...]) -> Stereo:
+    """Return the whole scene, or a part of it where that would take far longer than asked."""
+    whole = demo_sound()
+    if len(whole) <= DEMO_TIMES * duration_s * SAMPLERATE:
+        return whole
+    first, last = (round(second * SAMPLERATE) for second in DEMO_PART_S)
+    return whole[first:last]
+
+
+COST_SCENES: tuple[CostScene, ...] = (
+    CostScene("demo scene", _demo_scene),
+    CostScene("chord, 10 modulated partials", lambda s, _: chord(s)),
+    CostScene("speech recordings", _speech_scene),
+    CostScene("white noise, 0 dBFS", lambda s, _: white_noise(s)),
+    CostScene("silence", lambda s, _: stereo(np.zeros(round(s * SAMPLERATE)))),
+    CostScene("weak numbers", lambda s, _: stereo(np.full(round(s * SAMPLERATE), WEAK))),
+    CostScene("denormal numbers", lambda s, _: stereo(np.full(round(s * SAMPLERATE), DENORMAL))),
+    CostScene("weak numbers of float64", lambda s, _: np.full((round(s * SAMPLERATE), 2), WEAK)),
+    CostScene(
+        "denormal numbers of float64",
+        lambda s, _: np.full((round(s * SAMPLERATE), 2), DENORMAL_FLOAT64),
+    ),
+)

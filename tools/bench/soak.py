@@ -1,0 +1,86 @@
+"""The transform's soak: a million hops of the live form.
+
+`make soak` runs it through the tests and leaves its record for the report (soak_record.py).
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.grid import LiveGrid
+from tools.bench.growth import NO_GROWTH_KB, NO_GROWTH_OBJECTS, memory_growth
+from tools.bench.machine import cpu_model
+from tools.bench.measures import SineFit, sine_fit
+from tools.bench.report import Must
+from tools.bench.signals import (
+    SAMPLERATE,
+    demo_sound,
+    tone,
+)
+from tools.bench.soak_record import SoakRecord, now
+
+HOPS = 1_000_000
+
+BLOCKSIZE = 4_096
+TONE_HZ = 440.0
+"""A whole number of cycles a second: one second in a loop is a tone without end."""
+TONE_AMPLITUDE = 0.3
+SETTLED_AFTER_S = 2
+WATCHED_S = 5
+NO_DRIFT_DB = Must("<=", 0.01)
+PURITY = Must("<=", -60.0)
+
+
+def soak_scene(hops: int = HOPS) -> SoakRecord:
+    """Return what `hops` hops of the demo scene in a loop leave behind in memory."""
+    hop_frames = LiveGrid.at(TransformParameters(), SAMPLERATE).hop_frames
+    start_s = time.process_time()
+    held = memory_growth(HapticTransform(SAMPLERATE, 2), demo_sound(), BLOCKSIZE, hops * hop_frames)
+    return SoakRecord(
+        what="demo scene in a loop",
+        date=now(),
+        cpu=cpu_model(),
+        hops=held.frames // hop_frames,
+        stream_s=held.frames / SAMPLERATE,
+        took_s=time.process_time() - start_s,
+        passed=NO_GROWTH_KB.met(held.resident_kb) and NO_GROWTH_OBJECTS.met(held.objects),
+        memory_growth_kb=held.resident_kb,
+        objects_left=held.objects,
+    )
+
+
+def soak_tone(hops: int = HOPS) -> SoakRecord:
+    """Return how far a steady tone drifts in level and purity over `hops` hops."""
+    hop_frames = LiveGrid.at(TransformParameters(), SAMPLERATE).hop_frames
+    second = tone(TONE_HZ, TONE_AMPLITUDE, 1.0)[:, None]
+    seconds = max(SETTLED_AFTER_S + 2 * WATCHED_S, -(-hops * hop_frames // SAMPLERATE))
+    start_s = time.process_time()
+    transform = HapticTransform(SAMPLERATE, 1)
+    watched: list[FloatArray] = []
+    for index in range(seconds):
+        vibration = transform.process(second)[:, 0]
+        at_start = SETTLED_AFTER_S <= index < SETTLED_AFTER_S + WATCHED_S
+        if at_start or index >= seconds - WATCHED_S:
+            watched.append(vibration)
+    first, last = _fit(watched[:WATCHED_S]), _fit(watched[WATCHED_S:])
+    drift_db = abs(20.0 * float(np.log10(last.amplitude / first.amplitude)))
+    return SoakRecord(
+        what=f"steady tone of {TONE_HZ:g} Hz",
+        date=now(),
+        cpu=cpu_model(),
+        hops=seconds * SAMPLERATE // hop_frames,
+        stream_s=float(seconds),
+        took_s=time.process_time() - start_s,
+        passed=NO_DRIFT_DB.met(drift_db) and PURITY.met(last.residual_db),
+        level_drift_db=drift_db,
+        thdn_start_db=first.residual_db,
+        thdn_end_db=last.residual_db,
+    )
+
+
+def _fit(seconds: list[FloatArray]) -> SineFit:
+    return sine_fit(np.concatenate(seconds), SAMPLERATE)
