@@ -15,8 +15,7 @@ import soundfile
 
 from audioflinger_hook.cli.parser import build_parser
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.live_settings import LiveSettings
-from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import CHOICES, LIMITS, TransformParameters
 from device.drive.settings import DELAY_MAX_MS, GAIN_MIN_DB, KEYS
 

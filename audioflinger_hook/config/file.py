@@ -10,10 +10,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config import actuator_tables, live_settings
-from audioflinger_hook.config.live_settings import LiveSettings
+from audioflinger_hook.config import actuator_tables
 from audioflinger_hook.config.profiles import PROFILES, parameters_of, values_of
-from audioflinger_hook.config.settings import CHOICES, Settings, wrong_gain, wrong_rig
+from audioflinger_hook.config.settings import (
+    CHOICES,
+    LISTS,
+    RENAMED_PARAMETERS,
+    LiveSettings,
+    Settings,
+    live_from_document,
+    live_problems,
+    wrong_gain,
+    wrong_rig,
+)
 from audioflinger_hook.transform import CHOICES as PARAMETER_CHOICES
 from audioflinger_hook.transform import LIMITS, TransformParameters
 from audioflinger_hook.transform.parameters import Problem as PartProblem
@@ -30,7 +39,7 @@ TRANSFORM_CHOICES = ("form", "channels")
 SECTION = "transform"
 LIVE_SECTION = "applications"
 PARAMETERS = (*LIMITS, *PARAMETER_CHOICES)
-SECTIONS = {SECTION: (*TRANSFORM_CHOICES, *PARAMETERS), LIVE_SECTION: live_settings.LISTS}
+SECTIONS = {SECTION: (*TRANSFORM_CHOICES, *PARAMETERS), LIVE_SECTION: LISTS}
 SYNTAX_ERRORS_MAX = 50
 CONFIG_BYTES_MAX = 1 << 20
 SHOWN_MAX = 200
@@ -107,6 +116,11 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
         ) from None
     document, problems = _parse(text)
     lines = _lines_of_keys(text)
+    section = _section(document, SECTION)
+    for old, new in RENAMED_PARAMETERS.items():
+        if old in section and new not in section:
+            section[new] = section.pop(old)
+            lines[f"{SECTION}.{new}"] = lines.get(f"{SECTION}.{old}", 0)
     problems += _unknown_keys(document, lines)
     problems += _wrong_choices(document, lines)
     problems += _wrong_effects_file(document, lines, path.parent)
@@ -121,12 +135,10 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
     problems += _from_part(wrong_together, chosen, f"{SECTION}.", lines)
     live = {name: document[name] for name in LIVE if name in document}
     rules = {
-        name: value
-        for name, value in _section(document, LIVE_SECTION).items()
-        if name in live_settings.LISTS
+        name: value for name, value in _section(document, LIVE_SECTION).items() if name in LISTS
     }
-    problems += _from_part(live_settings.problems(live), live, "", lines)
-    problems += _from_part(live_settings.problems(rules), rules, f"{LIVE_SECTION}.", lines)
+    problems += _from_part(live_problems(live), live, "", lines)
+    problems += _from_part(live_problems(rules), rules, f"{LIVE_SECTION}.", lines)
     tables = actuator_tables.tables_of(document)
     wrong_tables = actuator_tables.problems(tables, path.parent)
     problems += _from_part(wrong_tables, actuator_tables.values_of(tables), "", lines)
@@ -149,7 +161,7 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
         said=tuple(chosen),
         actuators=actuator_tables.from_tables(tables, path.parent),
     )
-    return Config(settings, live_settings.from_document(live | rules)), []
+    return Config(settings, live_from_document(live | rules)), []
 
 
 def _profile(document: dict[str, Any]) -> str:

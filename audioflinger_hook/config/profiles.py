@@ -28,11 +28,11 @@ PROFILES: dict[str, dict[str, Choice]] = {
     "paper": {},
     "cinema": {
         "level_law": BY_ENERGY,
-        "follower_db": FOLLOWED,
+        "loudness_db": FOLLOWED,
     },
     "game": {
         "level_law": BY_ENERGY,
-        "follower_db": FOLLOWED,
+        "loudness_db": FOLLOWED,
         "window_s": Choice(
             0.03, "what lasts, and its end, is felt 13 ms earlier; vibration begins at 33 Hz"
         ),
@@ -40,8 +40,8 @@ PROFILES: dict[str, dict[str, Choice]] = {
     },
     "music": {
         "level_law": BY_ENERGY,
-        "follower_db": FOLLOWED,
-        "follower_slope_db": Choice(10.0, "music has few phons between soft and loud: keep half"),
+        "loudness_db": FOLLOWED,
+        "loudness_slope_db": Choice(10.0, "music has few phons between soft and loud: keep half"),
         "partials_max": Choice(6, "a chord's strongest, with room between them"),
     },
 }

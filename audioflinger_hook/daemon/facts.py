@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.capture.format import Facts
-from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.config.settings import RENAMED_PARAMETERS, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
 from device.errors import UsageError
@@ -56,6 +56,7 @@ def settings_from(facts: Facts) -> Settings | None:
     """
     if "form" not in facts:
         return None
+    facts = {RENAMED_PARAMETERS.get(name, name): value for name, value in facts.items()}
     try:
         parameters = TransformParameters(**_named(TransformParameters, facts))
         chosen = _named(Settings, facts)
@@ -63,7 +64,8 @@ def settings_from(facts: Facts) -> Settings | None:
         if "effects_file" in chosen:
             chosen["effects_file"] = Path(chosen["effects_file"])
         if SAID in chosen:
-            chosen[SAID] = tuple(chosen[SAID].split(","))
+            said = chosen[SAID].split(",")
+            chosen[SAID] = tuple(RENAMED_PARAMETERS.get(name, name) for name in said)
         if ACTUATORS in chosen:
             tables = json.loads(chosen[ACTUATORS])
             chosen[ACTUATORS] = tuple(ActuatorSettings.from_document(table) for table in tables)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import astuple, dataclass, replace
 
-from audioflinger_hook.config.live_settings import LiveSettings
-from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress

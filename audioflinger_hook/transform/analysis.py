@@ -89,8 +89,8 @@ class LiveAnalysis:
             spectrum.samplerate
         )
         # What is weaker may be a side lobe, whose image is not its own.
-        self._weakest_share = SIDE_LOBE_FOLLOWED if parameters.follower_db else 0.0
-        self._side_lobe = SIDE_LOBE_FOLLOWED if parameters.follower_db else SIDE_LOBE
+        self._weakest_share = SIDE_LOBE_FOLLOWED if parameters.loudness_db else 0.0
+        self._side_lobe = SIDE_LOBE_FOLLOWED if parameters.loudness_db else SIDE_LOBE
         self._partials_max = parameters.partials_max
         self._turn, self._table = window_tables(spectrum, bins)
         self._first_sample = spectrum._window[0] / spectrum._window[1:].sum()

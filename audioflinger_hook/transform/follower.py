@@ -20,7 +20,7 @@ import math
 from audioflinger_hook.transform.parameters import TransformParameters
 
 PROGRAMME_TOP_DB = -10.0
-"""Loudness of the loudest programmes; `follower_db` under it the quietest that are lifted."""
+"""Loudness of the loudest programmes; `loudness_db` under it the quietest that are lifted."""
 
 PROGRAMME_START_DB = -20.0
 """What a programme's level is taken for before anything of it is heard."""
@@ -59,11 +59,11 @@ class LoudnessFollower:
     """
 
     def __init__(self, parameters: TransformParameters, hop_s: float) -> None:
-        lift_db = parameters.follower_db
-        self.floor_min_db = parameters.follower_floor_db
-        self.target_db = parameters.follower_target_db
-        self.gate_db = parameters.follower_gate_db
-        self.slope = parameters.follower_slope_db / PHONS_A_SLOPE
+        lift_db = parameters.loudness_db
+        self.floor_min_db = parameters.loudness_floor_db
+        self.target_db = parameters.loudness_target_db
+        self.gate_db = parameters.loudness_gate_db
+        self.slope = parameters.loudness_slope_db / PHONS_A_SLOPE
         self.gain_max = _ratio(lift_db)
         self.programme_min_db = PROGRAMME_TOP_DB - lift_db
         self.start_db = max(self.programme_min_db, PROGRAMME_START_DB)

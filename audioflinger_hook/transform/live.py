@@ -82,7 +82,7 @@ class LiveTransform:
         self._silence = threshold_hz / samplerate
         self.follower: LoudnessFollower | None = None
         self._loudness_weights = np.zeros(0)
-        if parameters.follower_db > 0.0:
+        if parameters.loudness_db > 0.0:
             self.follower = LoudnessFollower(parameters, self._grid.hop_s)
             self._loudness_weights = bin_weights(self._spectrum, bins)
         self._bandpass = BandPass(parameters, samplerate)

@@ -60,11 +60,11 @@ LIMITS: dict[str, Limits] = {
     "vibration_top_hz": Limits(60.0, 400.0, "Hz", "vibration frequency of the band's top"),
     "threshold_hz": Limits(0.001, 1_000.0, "Hz", "amplitude x bandwidth to be principal (C_th)"),
     "partials_max": Limits(1, 64, "", "principal frequencies kept a unit (n)"),
-    "follower_db": Limits(0.0, 40.0, "dB", "most that loudness lifts vibration; 0: not followed"),
-    "follower_target_db": Limits(-40.0, 0.0, "dB", "vibration at the programme's level"),
-    "follower_slope_db": Limits(1.0, 20.0, "dB", "of vibration for 20 phon of loudness"),
-    "follower_floor_db": Limits(-90.0, -30.0, "dB", "loudness up to which nothing is felt"),
-    "follower_gate_db": Limits(1.0, 30.0, "dB", "from there to where all is felt"),
+    "loudness_db": Limits(0.0, 40.0, "dB", "most that loudness lifts vibration; 0: not followed"),
+    "loudness_target_db": Limits(-40.0, 0.0, "dB", "vibration at the programme's level"),
+    "loudness_slope_db": Limits(1.0, 20.0, "dB", "of vibration for 20 phon of loudness"),
+    "loudness_floor_db": Limits(-90.0, -30.0, "dB", "loudness up to which nothing is felt"),
+    "loudness_gate_db": Limits(1.0, 30.0, "dB", "from there to where all is felt"),
     "speech_suppression_db": Limits(0.0, 24.0, "dB", "by how much speech is lowered, live form"),
 }
 
@@ -82,9 +82,9 @@ class TransformParameters:
     amplitude times Hz; partials_max: a count; speech_suppression_db: dB, 0 for off, in the live
     form alone. Ranges stand in `LIMITS`.
 
-    follower_db: how far the live form's loudness follower (`follower.py`) lifts vibration; 0 turns
-    it off, and the next four mean nothing. follower_target_db: vibration, follower_slope_db: more
-    of it for 20 phon, follower_floor_db: loudness, follower_gate_db: more of it. A full-scale tone,
+    loudness_db: how far the live form's loudness follower (`follower.py`) lifts vibration; 0 turns
+    it off, and the next four mean nothing. loudness_target_db: vibration, loudness_slope_db: more
+    of it for 20 phon, loudness_floor_db: loudness, loudness_gate_db: more of it. A full-scale tone,
     for loudness of 1 kHz, is at 0 dB.
 
     level_law: `tonal`, the paper's r^2 / sum r, or `energy`, see `levels.law_amplitudes`; mapping:
@@ -102,11 +102,11 @@ class TransformParameters:
     vibration_top_hz: float = 220.0
     threshold_hz: float = 0.3
     partials_max: int = 16
-    follower_db: float = 0.0
-    follower_target_db: float = -18.0
-    follower_slope_db: float = 5.5
-    follower_floor_db: float = -60.0
-    follower_gate_db: float = 10.0
+    loudness_db: float = 0.0
+    loudness_target_db: float = -18.0
+    loudness_slope_db: float = 5.5
+    loudness_floor_db: float = -60.0
+    loudness_gate_db: float = 10.0
     speech_suppression_db: float = 0.0
     level_law: str = "tonal"
     mapping: str = "paper"
@@ -176,7 +176,7 @@ class TransformParameters:
     @property
     def heard_threshold_hz(self) -> float:
         """C_th of the live form: lower with the follower, by what that lifts. Its gate is soft."""
-        lowered = self.threshold_hz * math.pow(10.0, -self.follower_db / 20.0)
+        lowered = self.threshold_hz * math.pow(10.0, -self.loudness_db / 20.0)
         return max(lowered, LIMITS["threshold_hz"].low)
 
     def window_frames(self, samplerate: int) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.config.live_settings import LiveSettings, from_document, problems
+from audioflinger_hook.config.settings import LiveSettings, live_from_document, live_problems
 from device.errors import UsageError
 from tests.support.commands import call, refused
 
@@ -33,7 +33,7 @@ def test_a_negative_offset_takes_drop_in() -> None:
 def test_the_device_is_never_set_above_0_db(volume_db: object) -> None:
     with pytest.raises(UsageError, match=r"device_volume_db=.* allowed: -96 to 0 dB"):
         LiveSettings(device_volume_db=volume_db)  # type: ignore[arg-type]
-    assert problems({"device_volume_db": volume_db}).keys() == {"device_volume_db"}
+    assert live_problems({"device_volume_db": volume_db}).keys() == {"device_volume_db"}
 
 
 def test_a_document_of_no_mistakes_becomes_settings() -> None:
@@ -44,11 +44,11 @@ def test_a_document_of_no_mistakes_becomes_settings() -> None:
         "include": ["a"],
         "device": "b",
     }
-    assert problems(document) == {}
-    assert from_document(document) == LiveSettings(
+    assert live_problems(document) == {}
+    assert live_from_document(document) == LiveSettings(
         tap=("app:a",), device_volume_db=-6.0, offset_ms=5.0, include=("a",), device="b"
     )
-    assert from_document({}) == LiveSettings()
+    assert live_from_document({}) == LiveSettings()
 
 
 @pytest.fixture

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from audioflinger_hook.config.live_settings import LiveSettings
-from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon import pairing
 from audioflinger_hook.daemon.alsa_output import AlsaOutput
 from audioflinger_hook.daemon.engine import Clocks

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from audioflinger_hook.config.live_settings import LiveSettings
-from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.order import Changes, Order
 from audioflinger_hook.sources import PushTap, TapAddress, TapClient

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from audioflinger_hook.config.live_settings import LiveSettings
+from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.garbage import spare_what_is_there
 from audioflinger_hook.daemon.pulled import PulledFeed

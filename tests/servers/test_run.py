@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from audioflinger_hook.config.live_settings import LiveSettings
+from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.service.state import Cause, DaemonState

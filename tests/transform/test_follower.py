@@ -28,7 +28,7 @@ from tests.support.signals import (
 )
 
 RATE = 48_000
-FOLLOWED = TransformParameters(follower_db=30.0, level_law="energy")
+FOLLOWED = TransformParameters(loudness_db=30.0, level_law="energy")
 LIVE = ("live", "live in NumPy")
 HOP_S = 0.017
 
@@ -159,7 +159,7 @@ def test_what_is_under_the_noise_floor_is_not_felt(form):
 
 @pytest.mark.parametrize("lift_db", [10.0, 30.0])
 def test_quiet_noise_is_lifted_by_no_more_than_was_asked_for(lift_db):
-    parameters = TransformParameters(follower_db=lift_db, level_law="energy")
+    parameters = TransformParameters(loudness_db=lift_db, level_law="energy")
     sound = white_noise(12.0, 16_000, 10 ** (-54 / 20))
     plain = TransformParameters(threshold_hz=parameters.heard_threshold_hz, level_law="energy")
     lifted, as_it_is = (

@@ -224,9 +224,9 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "by energy": {"level_law": "energy"},
     "equal JNDs": {"mapping": "jnd"},
     "both": {"level_law": "energy", "mapping": "jnd", "partials_max": 5},
-    "followed": {"follower_db": 30.0},
+    "followed": {"loudness_db": 30.0},
     "all": {
-        "follower_db": 40.0,
+        "loudness_db": 40.0,
         "level_law": "energy",
         "mapping": "jnd",
         "partials_max": 5,

@@ -63,7 +63,7 @@ class Way:
 
     def settled(self, sound: FloatArray, settled_s: float) -> FloatArray:
         """Return the vibration of a sound that has been played over and over for so long before."""
-        times = round(settled_s * SAMPLERATE / sound.size) if self.parameters.follower_db else 0
+        times = round(settled_s * SAMPLERATE / sound.size) if self.parameters.loudness_db else 0
         felt = self.felt(np.resize(sound, (times + 1) * sound.size))
         return felt[times * sound.size :]
 

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.live_settings import LiveSettings
+from audioflinger_hook.config.settings import LiveSettings
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
 from tools.bench.records import typed
