@@ -1,0 +1,259 @@
+"""Golden digests: SHA-256 of what the commands write, to hold a redesign to the same bytes.
+
+    python -m tests.golden.golden [--check] [--quick]     compare with digests.json (the default)
+    python -m tests.golden.golden --write                 record digests.json again
+
+Recordings are cut to their first `EXCERPT_S` seconds, so that a full run takes a minute. Digests
+hold for one kind of machine, whose libraries round logarithms, cosines and spectra in their
+way. The entry `machine` is a probe of these; where it differs, nothing can be compared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import hashlib
+import io
+import itertools
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import scipy.fft
+import soundfile
+
+from audioflinger_hook import HapticTransform
+from audioflinger_hook.cli import main as cushion
+
+EXCERPT_S = 2.5
+DIGESTS = Path(__file__).with_name("digests.json")
+RECORDINGS = Path(__file__).resolve().parents[2] / ".cache/recordings"
+FORMS = ("live", "reference")
+PROFILES = ("paper", "cinema", "game", "music")
+TWO_ACTUATORS = """
+profile = "cinema"
+gain_db = -3
+[[actuator]]
+source = "left"
+channels = [0]
+[[actuator]]
+source = "right"
+channels = [2]
+polarity = "inverted"
+gain_db = -2.5
+delay_ms = 3
+rig = "consumer"
+protection = "on"
+exposure_cap = "limit"
+"""
+CONFIGS = {
+    "level": "gain_db = -7.5\n",
+    "parameters": 'profile = "music"\n[transform]\nthreshold_hz = 0.1\npartials_max = 9\n',
+    "follower": "[transform]\nfollower_db = 20\nfollower_slope_db = 8\n",
+    "jnd": '[transform]\nmapping = "jnd"\nlevel_law = "energy"\nspeech_suppression_db = 12\n',
+    "damped": 'damping = "auto"\nrig = "consumer"\n',
+    "protected": 'protection = "on"\nexposure_cap = "action"\n',
+    "one actuator": '[[actuator]]\nchannels = [1]\ngain_db = -6\ndamping = "auto"\n',
+    "two actuators": TWO_ACTUATORS,
+}
+
+Case = tuple[str, Callable[[Path], bytes]]
+
+
+def digest(content: bytes) -> str:
+    """Return the SHA-256 of some bytes, in hexadecimal."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def machine() -> str:
+    """Return a digest of how this machine rounds logarithms, cosines and spectra."""
+    x = np.linspace(0.1, 9.7, 5_000)
+    parts = [np.log(x), np.cos(x), np.exp(-x), np.tanh(x), np.abs(scipy.fft.rfft(x))]
+    return digest(b"".join(part.tobytes() for part in parts))
+
+
+def run(*arguments: object) -> str:
+    """Run a command in this process and return what it printed; raise where it fails."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()) as errors:
+        code = cushion([str(argument) for argument in arguments])
+    if code:
+        raise RuntimeError(f"cushion {arguments} ended with {code}: {errors.getvalue()}")
+    return printed.getvalue()
+
+
+def excerpt(recording: Path, folder: Path) -> Path:
+    """Write the first seconds of a recording into a folder and return its path."""
+    with soundfile.SoundFile(recording) as file:
+        sound = file.read(int(EXCERPT_S * file.samplerate), dtype="float32", always_2d=True)
+        path = folder / f"{recording.stem}.wav"
+        soundfile.write(path, sound, file.samplerate, subtype="FLOAT")
+    return path
+
+
+def rendered(recording: Path, *options: str) -> Callable[[Path], bytes]:
+    """Return a case: the vibration of a recording, and its acceleration where that is asked for."""
+
+    def render(folder: Path) -> bytes:
+        out = folder / "out.wav"
+        chosen = [folder / str(o) if str(o).endswith(".rig.wav") else o for o in options]
+        run("render", excerpt(recording, folder), out, *chosen)
+        parts = [out, *(path for path in chosen if isinstance(path, Path) and path.exists())]
+        return b"".join(path.read_bytes() for path in parts)
+
+    return render
+
+
+def configured(recording: Path, config: str, *options: object) -> Callable[[Path], bytes]:
+    """Return a case: what a config file makes of a recording, with the rig's acceleration."""
+
+    def render(folder: Path) -> bytes:
+        path = folder / "config.toml"
+        path.write_text(config)
+        out, rig = folder / "out.wav", folder / "rig.wav"
+        source = excerpt(recording, folder)
+        run("render", source, out, "--config", path, "--acceleration", rig, *options)
+        return out.read_bytes() + rig.read_bytes()
+
+    return render
+
+
+def numpy_live(recording: Path, profile: str) -> Callable[[Path], bytes]:
+    """Return a case: the NumPy implementation of the live form on half a second."""
+
+    def transform(_folder: Path) -> bytes:
+        from audioflinger_hook.config.profiles import parameters_of
+
+        with soundfile.SoundFile(recording) as file:
+            sound = file.read(file.samplerate // 2, dtype="float32", always_2d=True)
+            rate = file.samplerate
+        live = HapticTransform(
+            rate, sound.shape[1], parameters_of(profile), per_channel=True, implementation="numpy"
+        )
+        return np.concatenate([live.process(sound), live.finish()]).tobytes()
+
+    return transform
+
+
+def kernel_settings(samplerate: int, profile: str) -> Callable[[Path], bytes]:
+    """Return a case: all numbers and tables that the compiled kernel is given."""
+
+    def settings(_folder: Path) -> bytes:
+        from audioflinger_hook.config.profiles import parameters_of
+
+        found = settings_of_kernel(parameters_of(profile), samplerate)
+        return b"".join(
+            name.encode() + np.asarray(found[name], dtype=np.float64).tobytes()
+            for name in sorted(found)
+        )
+
+    return settings
+
+
+def settings_of_kernel(parameters: object, samplerate: int) -> dict[str, object]:
+    """Return the kernel's settings by name; the one place that knows how they are made."""
+    from audioflinger_hook.transform.kernel import settings_of
+    from audioflinger_hook.transform.live import LiveTransform
+
+    return dict(settings_of(LiveTransform(parameters, samplerate)))  # type: ignore[arg-type]
+
+
+def demo(folder: Path) -> bytes:
+    """Return the files of the demo but for its picture."""
+    run("demo", "--fast", "--out", folder / "demo")
+    names = ("scene.wav", "vibration.wav", "acceleration.wav")
+    return b"".join((folder / "demo" / name).read_bytes() for name in names)
+
+
+def replayed(folder: Path) -> bytes:
+    """Return the replay of a capture of the demo scene, in both forms."""
+    run("capture", folder / "capture", "--tap", "scene:demo")
+    for form in FORMS:
+        run("replay", folder / "capture", folder / f"{form}.wav", "--transform", form)
+    return b"".join((folder / f"{form}.wav").read_bytes() for form in FORMS)
+
+
+def inspected(recording: Path) -> Callable[[Path], bytes]:
+    """Return a case: the principal frequencies of a recording."""
+    return lambda folder: run("inspect", excerpt(recording, folder), "--json").encode()
+
+
+def cases() -> Iterator[Case]:
+    """Yield every case: its name, and what gives its bytes in an empty folder."""
+    files = sorted(p for p in RECORDINGS.rglob("*") if p.suffix in {".wav", ".oga"})
+    for file in files:
+        name = f"{file.parent.name}/{file.stem}"
+        for form, profile in itertools.product(FORMS, PROFILES):
+            for channels in ("mono", "each"):
+                options = ("--transform", form, "--profile", profile, "--channels", channels)
+                yield f"render/{name}/{form}/{profile}/{channels}", rendered(file, *options)
+        yield f"inspect/{name}", inspected(file)
+    for file, profile in itertools.product(files[::6], PROFILES):
+        yield f"numpy/{file.stem}/{profile}", numpy_live(file, profile)
+    for file, rig in itertools.product(files[::9], ("paper", "consumer")):
+        options = ("--rig", rig, "--damping", "auto", "--acceleration", "x.rig.wav")
+        yield f"rig/{file.stem}/{rig}", rendered(file, *options)
+    for file, (config, text) in itertools.product(files[1::12], CONFIGS.items()):
+        yield f"config/{file.stem}/{config}", configured(file, text)
+    for rate, profile in itertools.product((8_000, 44_100, 48_000, 96_000), PROFILES):
+        yield f"kernel/{rate}/{profile}", kernel_settings(rate, profile)
+    yield "demo", demo
+    yield "replay", replayed
+
+
+def quick(name: str) -> bool:
+    """Return whether a case belongs to the quick subset."""
+    chosen = ("bell/live/cinema/each", "bell/reference/paper/mono", "Front_Left/live/game/mono")
+    return name.endswith(chosen) or name.startswith(
+        ("kernel/48000", "config/Front_Left", "rig/Front_Center")
+    )
+
+
+def made(name: str) -> tuple[str, str]:
+    """Return the name of a case and its digest, or why it has none."""
+    case = dict(cases())[name]
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            return name, digest(case(Path(folder)))
+        except Exception as error:
+            return name, f"failed: {type(error).__name__}: {error}"
+
+
+def digests(only: Callable[[str], bool] = lambda _name: True) -> dict[str, str]:
+    """Return the digests of the cases whose names are asked for, by name."""
+    names = [name for name, _ in cases() if only(name)]
+    with ProcessPoolExecutor(os.cpu_count()) as pool:
+        return {"machine": machine(), **dict(sorted(pool.map(made, names, chunksize=4)))}
+
+
+def main() -> int:
+    """Write or check the digests; return 1 where they differ."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--check", action="store_true", help="the default")
+    parser.add_argument("--quick", action="store_true", help="a dozen of them")
+    options = parser.parse_args()
+    found = digests(quick if options.quick else lambda _name: True)
+    if options.write:
+        DIGESTS.write_text(json.dumps(found, indent=0, sort_keys=True) + "\n")
+        print(f"{len(found)} digests written")
+        return 0
+    golden = json.loads(DIGESTS.read_text())
+    if options.quick:
+        golden = {name: golden[name] for name in golden if name == "machine" or quick(name)}
+    wrong = [
+        f"{name}: {found.get(name, 'missing')} instead of {golden.get(name, 'nothing')}"
+        for name in sorted(golden.keys() | found.keys())
+        if golden.get(name) != found.get(name)
+    ]
+    print(*wrong, f"{len(found) - len(wrong)} of {len(golden)} are the same", sep="\n")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,20 @@
+"""The bytes that the commands write are those of the golden digests."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.golden.golden import DIGESTS, digests, machine, quick
+from tests.support.recordings import require_recordings
+
+
+def test_a_sample_of_all_outputs_has_its_golden_digests() -> None:
+    require_recordings()
+    golden = json.loads(DIGESTS.read_text())
+    if golden["machine"] != machine():
+        pytest.skip("this machine rounds logarithms or spectra differently")
+    found = digests(quick)
+    assert len(found) > 10
+    assert found == {name: golden[name] for name in golden if name == "machine" or quick(name)}
