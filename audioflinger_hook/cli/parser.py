@@ -243,21 +243,6 @@ def build_parser() -> Parser:
     service.add_argument("--remove", action="store_true", help="take it away again")
     service.add_argument("--udev", action="store_true", help="print a rule for USB devices, too")
 
-    bench = _add(commands, "bench", "measure speed against error on this machine")
-    bench.add_argument(
-        "--quick",
-        action="store_true",
-        help="every row from less material, in under a minute instead of about five",
-    )
-    bench.add_argument(
-        "--plots",
-        type=Path,
-        metavar="DIR",
-        help="draw the figures there; a report above that folder shows them",
-    )
-    bench.add_argument("--out", type=Path, metavar="FILE", help="default: docs/benchmarks.md")
-    _add_json(bench)
-
     check = _add(commands, "check", "report every mistake of a config file")
     check.add_argument("--config", type=Path, metavar="FILE", help="default: the user's own")
     _add_json(check)

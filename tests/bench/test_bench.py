@@ -14,66 +14,24 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.live import LiveTransform
 from audioflinger_hook.transform.principal import Principals
 from device.errors import UsageError
+from tests.support.bench_runs import LEAST
 from tools import bench
-from tools.bench import (
-    damping_recordings,
-    measures,
-    mixing,
-    rendering,
-    rig,
-    savings,
-    soak,
-    soak_record,
-    soak_report,
-)
+from tools.bench import soak, soak_record
 from tools.bench.cost import in_ffts, interleaved, rfft_unit_s
 from tools.bench.machine import MachineFacts
+from tools.bench.measures import vibration as measures
 from tools.bench.report import BenchReport, Missing, Must, Row, Section, number
-from tools.bench.signals import (
+from tools.bench.sections import damping_recordings, mixing, rendering, rig, savings
+from tools.bench.sections import soaks as soak_report
+from tools.bench.sounds.signals import (
     RECORDINGS_COMMAND,
     RECORDINGS_VARIABLE,
     load_recordings,
     tone,
 )
-from tools.bench.workbench import SUBJECTS, Effort, Workbench
+from tools.bench.workbench import SUBJECTS, Workbench
 
 RATE = 48_000
-
-# Every bench with as little as it can do: what it measures is not the point here.
-LEAST = Effort(
-    tones=2,
-    low_tones=2,
-    tone_s=1.0,
-    gain_tones=1,
-    bursts=3,
-    onsets_made=9,
-    onsets_a_burst=2,
-    noisy_tones=8,
-    frontier_sounds=2,
-    compared_bursts=3,
-    compared_recordings=1,
-    settled_s=1.0,
-    split_s=0.05,
-    cost_repeats=1,
-    slow_repeats=1,
-    cost_s=0.2,
-    cold_s=0.1,
-    saving_repeats=1,
-    saving_s=0.2,
-    mix_rounds=2,
-    mix_repeats=1,
-    growth_s=1.6,
-    channels_s=0.2,
-    hops_timed=200,
-    hops_timed_in_numpy=50,
-    hops_held=200,
-    render_s=(1.0,),
-    rig_s=0.5,
-    rig_timed_s=0.5,
-    rung_repeats=1,
-    integrator_repeats=1,
-    random_rigs=2,
-)
 
 
 @pytest.fixture(scope="module")
@@ -485,7 +443,7 @@ def test_without_recordings_their_rows_are_named_with_the_command_that_fetches_t
 
 
 def test_without_a_command_line_rendering_is_missing(monkeypatch):
-    monkeypatch.setattr(rendering, "PACKAGE", "tools.bench")
+    monkeypatch.setattr(rendering, "PACKAGE", "tools.live_latency")
     section = rendering.render_speed(Workbench(LEAST, SUBJECTS, ()))
     assert section.rows == ()
     assert [gone.name for gone in section.missing] == ["rendering"]

@@ -5,9 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from tools.bench import comparators, comparison, likeness
+from tools.bench import baselines as comparators
+from tools.bench.measures import similarity as likeness
 from tools.bench.report import Row
-from tools.bench.signals import (
+from tools.bench.sections import baselines as comparison
+from tools.bench.sounds.signals import (
     RECORDINGS_COMMAND,
     SAMPLERATE,
     Recording,

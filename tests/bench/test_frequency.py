@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from tools.bench import frequency_error
-from tools.bench.frequency_error import (
+from tools.bench.sections import frequency_error
+from tools.bench.sections.frequency_error import (
     RANGES_HZ,
     bound_hz,
     window_loss,
 )
-from tools.bench.signals import SAMPLERATE
-from tools.bench.tones import SAMPLERATES
+from tools.bench.sections.tones import SAMPLERATES
+from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import LIVE, QUICK, REFERENCE, SUBJECTS, Workbench
 
 

@@ -7,16 +7,16 @@ import pytest
 
 from audioflinger_hook.transform import grid, smoothing
 from audioflinger_hook.transform.grid import LiveGrid
-from tools.bench import frontier
-from tools.bench.frontier import COST, LAG, LEAK, PURITY, UNLIKE
-from tools.bench.frontier_settings import (
+from tools.bench.sections import frontier
+from tools.bench.sections.frontier import COST, LAG, LEAK, PURITY, UNLIKE
+from tools.bench.sections.frontier_settings import (
     DEFAULT,
     SETTINGS,
     Setup,
     constants_changed,
     hop,
 )
-from tools.bench.signals import SAMPLERATE, tone
+from tools.bench.sounds.signals import SAMPLERATE, tone
 from tools.bench.workbench import LIVE, SUBJECTS
 
 CONSTANTS = [

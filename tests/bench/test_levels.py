@@ -6,7 +6,7 @@ import pytest
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.transform import TransformParameters
 from tests.support.signals import joined, tone
-from tools.bench.levels import (
+from tools.bench.sections.levels import (
     Way,
     k_weighted,
     loudest_db,
@@ -14,8 +14,8 @@ from tools.bench.levels import (
     units_db,
     ways,
 )
-from tools.bench.profile_measures import _smallest_step_percent
-from tools.bench.signals import SAMPLERATE
+from tools.bench.sections.profiles import _smallest_step_percent
+from tools.bench.sounds.signals import SAMPLERATE
 
 
 def test_a_full_scale_tone_has_every_level_at_0_db():

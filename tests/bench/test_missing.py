@@ -6,31 +6,27 @@ import fastjsonschema
 import pytest
 
 from audioflinger_hook.transform import kernel
-from tests.bench.test_bench import LEAST
-from tests.support.commands import call, noise, refused, sound
+from tests.support.bench_runs import a_bench, bench_command
+from tests.support.commands import noise, sound
 from tests.support.recordings import require_recordings
 from tools import bench
-from tools.bench import (
-    BenchReport,
-    comparators,
-    comparison,
-    live_report,
-    recordings,
-    soak_report,
-    speed,
-    workbench,
-)
-from tools.bench.comparators.band_pass import Way
+from tools.bench import BenchReport, workbench
+from tools.bench import baselines as comparators
+from tools.bench.baselines.band_pass import Way
 from tools.bench.machine import machine_facts
 from tools.bench.report import Row, Section
-from tools.bench.signals import (
+from tools.bench.sections import baselines as comparison
+from tools.bench.sections import live_latency as live_report
+from tools.bench.sections import recordings, speed
+from tools.bench.sections import soaks as soak_report
+from tools.bench.sounds.signals import (
     COST_SCENES,
     KNOWN,
     PROJECT_ROOT,
     RECORDINGS_VARIABLE,
     examine_recordings,
 )
-from tools.bench.workbench import LIVE, QUICK, SUBJECTS, TWIN, Workbench
+from tools.bench.workbench import LIVE, QUICK, TWIN
 
 SCHEMA = json.loads((PROJECT_ROOT / "tools/bench/report.schema.json").read_text())
 
@@ -39,10 +35,6 @@ SCHEMA = json.loads((PROJECT_ROOT / "tools/bench/report.schema.json").read_text(
 def without_kernel(monkeypatch):
     monkeypatch.setattr(kernel, "_kernel", None)
     monkeypatch.setattr(kernel, "_why_missing", "it was never built", raising=False)
-
-
-def a_bench(found=(), absent=None):
-    return Workbench(LEAST, SUBJECTS, found, absent or {})
 
 
 def a_report(*sections):
@@ -59,7 +51,9 @@ def short_scenes(monkeypatch):
 def ran(monkeypatch, tmp_path, *benches, options=()):
     """Run the command with these benches, as a user without a report to replace does."""
     monkeypatch.setattr(bench, "BENCHES", tuple((name, each, 1.0) for name, each in benches))
-    return call("bench", "--quick", "--out", tmp_path / "report.md", *options)
+    monkeypatch.chdir(tmp_path)
+    out = [] if "--json" in options else ["--out", tmp_path / "report.md"]
+    return bench_command("--quick", *out, *options)
 
 
 def fine(_):
@@ -73,10 +67,11 @@ def broken(_):
 # ------------------------------------------------------------------------------------- the schema
 
 
+@pytest.mark.exhaustive
 def test_a_real_report_is_what_the_schema_says(short_scenes):
     measures = [each for name, each, _ in bench.BENCHES if name in TAKEN]
     found, absent = examine_recordings()
-    sections = tuple(each(Workbench(LEAST, SUBJECTS, found, absent)) for each in measures)
+    sections = tuple(each(a_bench(found, absent)) for each in measures)
     assert len(sections) == len(TAKEN)
     document = json.loads(json.dumps(a_report(*sections).to_json()))
     fastjsonschema.validate(SCHEMA, document)
@@ -138,6 +133,7 @@ def test_json_with_something_missing_is_still_one_document_by_the_schema(monkeyp
     benches = [("what fails", broken), ("what works", fine)]
     done = ran(monkeypatch, tmp_path, *benches, options=["--json"])
     assert done.code == 2
+    assert list(tmp_path.iterdir()) == []
     document = json.loads(done.stdout)
     fastjsonschema.validate(SCHEMA, document)
     assert [len(section["missing"]) for section in document["sections"]] == [1, 0]
@@ -342,6 +338,19 @@ def test_a_report_that_cannot_be_written_is_refused_before_anything_is_measured(
     monkeypatch, tmp_path
 ):
     monkeypatch.setattr(bench, "BENCHES", (("broken", broken, 1.0),))
-    error = refused(call("bench", "--out", tmp_path))
+    done = bench_command("--out", tmp_path)
+    assert (done.code, done.stdout) == (2, "")
+    (error,) = done.stderr.splitlines()
+    assert error.startswith("bench: error: ")
     assert "it is a folder" in error
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_json_writes_no_file(monkeypatch, tmp_path):
+    done = ran(monkeypatch, tmp_path, ("what works", fine), options=["--json"])
+    assert (done.code, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["sections"][0]["title"] == "Fine"
+    assert list(tmp_path.iterdir()) == []
+    for option in ("--out", "--plots"):
+        assert bench_command("--json", option, tmp_path / "new").code == 2
     assert list(tmp_path.iterdir()) == []

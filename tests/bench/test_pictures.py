@@ -5,9 +5,9 @@ import sys
 
 import pytest
 
-from tests.support.commands import call
+from tests.support.bench_runs import bench_command
 from tools import bench
-from tools.bench.drawing import LAG_TITLE, PICTURES, shown_in
+from tools.bench.figures.pictures import LAG_TITLE, PICTURES, shown_in
 from tools.bench.report import Row, Section
 
 SMALL_BYTES = 100_000
@@ -31,7 +31,7 @@ def drawing():
 
 def ran(monkeypatch, page, folder, measure=lags):
     monkeypatch.setattr(bench, "BENCHES", (("onset lag", measure, 1.0),))
-    return call("bench", "--quick", "--out", page, "--plots", folder)
+    return bench_command("--quick", "--out", page, "--plots", folder)
 
 
 def test_a_page_shows_the_pictures_under_its_folder_in_their_section(

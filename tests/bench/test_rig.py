@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tools.bench import passivity, rig_growth
-from tools.bench.precision import LEVEL_V, drive
+from tools.bench.sections import passivity
+from tools.bench.sections import rig_scaling as rig_growth
+from tools.bench.sections.rig_precision import LEVEL_V, drive
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
 
 LEAST = Workbench(replace(QUICK, rig_s=1.0, random_rigs=2), SUBJECTS, ())

@@ -5,9 +5,9 @@ import pytest
 
 from tests.support.recordings import require_recordings
 from tests.support.signals import joined, silence, tone, white_noise
-from tools.bench import speech_suppression
-from tools.bench.signals import RECORDINGS_COMMAND, SAMPLERATE, load_recordings
-from tools.bench.speech_sounds import (
+from tools.bench.sections import speech_suppression
+from tools.bench.sounds.signals import RECORDINGS_COMMAND, SAMPLERATE, load_recordings
+from tools.bench.sounds.speech_sounds import (
     HALVES,
     LOUDNESS_DB,
     desktop,

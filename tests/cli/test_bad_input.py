@@ -543,7 +543,7 @@ def test_wrong_usage_is_answered_with_what_is_wrong_and_where_to_look(arguments,
     assert "--help" in error
 
 
-@pytest.mark.parametrize("command", ["demo", "render", "inspect", "check", "bench"])
+@pytest.mark.parametrize("command", ["demo", "render", "inspect", "check"])
 def test_every_command_has_its_help_with_the_exit_codes(command):
     done = call(command, "--help")
     assert (done.code, done.stderr) == (0, "")

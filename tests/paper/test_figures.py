@@ -18,8 +18,9 @@ from matplotlib.text import Text
 
 from device.errors import InternalError, UsageError
 from device.rig import PAPER
+from tests.support.commands import environment
 from tests.support.signals import FIVE_TONES_HZ
-from tools import figures
+from tools.paper import __main__ as figures
 from tools.paper import layout
 from tools.paper.recording import SAMPLERATE, recording
 from tools.paper.response import measure_response
@@ -249,8 +250,8 @@ def test_without_matplotlib_it_says_how_to_get_it(tmp_path, capsys, monkeypatch)
 def test_it_runs_as_a_program_from_any_folder(tmp_path):
     (tmp_path / "file").write_text("")
     done = subprocess.run(
-        [sys.executable, ROOT / "tools/figures.py", "--out", "file"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False,
+        [sys.executable, "-m", "tools.paper", "--out", "file"],
+        cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == "figures: error: file is not a folder; name another with --out\n"

@@ -18,7 +18,7 @@ from audioflinger_hook.daemon.garbage import spare_what_is_there
 from device.server import CaptureStream, PcmConfig, PlaybackStream, quiet_libraries
 from device.units import Float32Array
 from tests.servers.listening import RATE_HZ
-from tools.bench.pauses import Pause
+from tools.live_latency.pauses import Pause
 
 ROOT = Path(__file__).parents[2]
 WITNESS_FRAMES = 256

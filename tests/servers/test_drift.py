@@ -27,9 +27,9 @@ from device.server import CaptureStream, PcmConfig, PlaybackStream
 from device.stream import portaudio
 from tests.servers.bare_streams import bare_streams
 from tests.servers.listening import RATE_HZ, playing, wait_for
-from tools.bench.lag import swelling_tone
-from tools.bench.live_recording import Recording
-from tools.bench.pauses import Pause, PauseWitness, undisturbed
+from tools.live_latency.lag import swelling_tone
+from tools.live_latency.pauses import Pause, PauseWitness, undisturbed
+from tools.live_latency.recording import Recording
 from tools.sound_server import SoundServer, missing_clock, missing_programs
 
 pytestmark = pytest.mark.calm

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.servers.daemons import ROOT, environment, running
-from tools.bench.live_report import (
+from tools.bench.sections.live_latency import (
     CPU_PERCENT,
     LAG,
     NO_GROWTH_MS,

@@ -11,8 +11,8 @@ from audioflinger_hook.transform.kernel import KernelStream
 from audioflinger_hook.transform.live import LiveTransform
 from audioflinger_hook.transform.voices import VoiceStream
 from tests.support.signals import burst, energy_above_db, envelope, thinned
-from tools.bench import onset_detection
-from tools.bench.measures import onset_lag_s
+from tools.bench.measures.vibration import onset_lag_s
+from tools.bench.sections import onset_detection
 
 RATE = 48_000
 AUDIBLE_HZ = 250.0

@@ -33,7 +33,7 @@ from tests.support.signals import (
     tone,
     white_noise,
 )
-from tools.bench.growth import memory_growth
+from tools.bench.sections.scaling import memory_growth
 
 AGREEMENT = 1e-6
 """Of full scale: what the two owe each other. On what follows they are within 1e-8."""

@@ -10,7 +10,7 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.kernel import settings_of
 from audioflinger_hook.transform.live import LiveTransform
 from tests.support.signals import SAMPLERATES, identical, joined, silence, tone, white_noise
-from tools.bench.growth import resident_bytes
+from tools.bench.sections.scaling import resident_bytes
 
 _kernel = pytest.importorskip("audioflinger_hook.transform._kernel", exc_type=ImportError)
 

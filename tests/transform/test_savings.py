@@ -53,7 +53,7 @@ from tests.support.signals import (
     tone,
     white_noise,
 )
-from tools.bench.savings import SAVINGS, Saving, kept_alike
+from tools.bench.sections.savings import SAVINGS, Saving, kept_alike
 
 PARAMETERS = TransformParameters()
 HOP_FRAMES = LiveGrid.at(PARAMETERS, 48_000).hop_frames

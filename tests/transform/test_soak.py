@@ -3,12 +3,12 @@
 import pytest
 
 from device.rig.rungs import Rung
-from tools.bench.identification import soak_identification
-from tools.bench.random_rigs import RIGS, SHARES
+from tools.bench.measures.random_rigs import RIGS, SHARES
 from tools.bench.rig_soak import SAMPLES, STEPPED_SAMPLES, soak_energy
-from tools.bench.signals import PROJECT_ROOT
+from tools.bench.sections.identification import soak_identification
 from tools.bench.soak import HOPS, soak_scene, soak_tone
 from tools.bench.soak_record import RECORD, SoakRecord, keep_record
+from tools.bench.sounds.signals import PROJECT_ROOT
 
 
 def kept(record: SoakRecord) -> SoakRecord:

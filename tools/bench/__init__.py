@@ -22,40 +22,40 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tools.bench import (
+from tools.bench.machine import machine_facts
+from tools.bench.report import COMMAND, BenchReport, Missing, Must, Row, Section
+from tools.bench.sections import (
     attacks,
-    comparison,
     damping,
     damping_levels,
     damping_recordings,
     fidelity,
     frequency_error,
     frontier,
-    growth,
     identification,
     levels,
-    live_report,
     mixing,
     onset_detection,
-    precision,
-    profile_measures,
     protection,
     recordings,
     rendering,
     rig,
-    rig_growth,
-    rungs,
-    rungs_by_second,
     savings,
-    soak_report,
     speech_suppression,
     speed,
     tones,
 )
-from tools.bench.machine import machine_facts
-from tools.bench.report import COMMAND, BenchReport, Missing, Must, Row, Section
-from tools.bench.signals import examine_recordings
+from tools.bench.sections import baselines as comparison
+from tools.bench.sections import live_latency as live_report
+from tools.bench.sections import model_by_second as rungs_by_second
+from tools.bench.sections import model_selection as rungs
+from tools.bench.sections import profiles as profile_measures
+from tools.bench.sections import rig_precision as precision
+from tools.bench.sections import rig_scaling as rig_growth
+from tools.bench.sections import scaling as growth
+from tools.bench.sections import soaks as soak_report
 from tools.bench.soak_record import now
+from tools.bench.sounds.signals import examine_recordings
 from tools.bench.workbench import FULL, QUICK, SUBJECTS, Bench, Effort, Workbench
 
 __all__ = [
@@ -155,7 +155,7 @@ def _measured(name: str, measure: Bench, bench: Workbench) -> Section:
     except Exception as error:
         title = name[0].upper() + name[1:]
         reason = f"its bench failed ({type(error).__name__}: {' '.join(str(error).split())})"
-        gone = Missing(f"every row of {name}", reason, f"{COMMAND} --debug, and please report it")
+        gone = Missing(f"every row of {name}", reason, COMMAND)
         return Section(title, "This could not be measured here.", (), (gone,))
 
 
@@ -169,13 +169,13 @@ def plots(report: BenchReport, folder: Path) -> list[Path]:
     UsageError
         matplotlib is not installed, or the folder cannot be written.
     """
-    from tools.bench.drawing import draw_all
+    from tools.bench.figures.pictures import draw_all
 
     return draw_all(report, folder)
 
 
 def pictures_in(page: Path, drawn: Sequence[Path]) -> dict[str, str]:
     """Return what `to_markdown` takes to show pictures that `plots` drew under a page's folder."""
-    from tools.bench.drawing import shown_in
+    from tools.bench.figures.pictures import shown_in
 
     return shown_in(page, drawn)

@@ -25,7 +25,7 @@ from tools.bench.machine import MachineFacts
 SCHEMA_VERSION = 1
 
 MET, NOT_MET, MISSING = "met", "**not met**", "**missing**"
-COMMAND = "cushion bench"
+COMMAND = "python -m tools.bench"
 
 
 @dataclass(frozen=True)

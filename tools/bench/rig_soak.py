@@ -18,8 +18,8 @@ from device.rig.passive_step import PassiveStepper
 from device.rig.rungs import Rung
 from tools.bench.machine import cpu_model
 from tools.bench.report import Must
-from tools.bench.signals import SAMPLERATE
 from tools.bench.soak_record import SoakRecord, now
+from tools.bench.sounds.signals import SAMPLERATE
 
 SAMPLES = 100_000_000
 STEPPED_SAMPLES = 10_000_000

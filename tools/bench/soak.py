@@ -12,16 +12,16 @@ import numpy as np
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.grid import LiveGrid
-from tools.bench.growth import NO_GROWTH_KB, NO_GROWTH_OBJECTS, memory_growth
 from tools.bench.machine import cpu_model
-from tools.bench.measures import SineFit, sine_fit
+from tools.bench.measures.vibration import SineFit, sine_fit
 from tools.bench.report import Must
-from tools.bench.signals import (
+from tools.bench.sections.scaling import NO_GROWTH_KB, NO_GROWTH_OBJECTS, memory_growth
+from tools.bench.soak_record import SoakRecord, now
+from tools.bench.sounds.signals import (
     SAMPLERATE,
     demo_sound,
     tone,
 )
-from tools.bench.soak_record import SoakRecord, now
 
 HOPS = 1_000_000
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
-from tools.bench.records import typed
-from tools.bench.signals import PROJECT_ROOT
+from tools.bench.sounds.signals import PROJECT_ROOT
+from tools.records import typed
 
 SCHEMA_VERSION = 1
 RECORD = Path("docs/soak.json")

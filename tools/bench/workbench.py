@@ -10,7 +10,7 @@ from typing import Protocol
 from audioflinger_hook.transform import HapticTransform, kernel_warning
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from tools.bench.report import Missing, Section
-from tools.bench.signals import RECORDINGS_COMMAND, SAMPLERATE, Recording
+from tools.bench.sounds.signals import RECORDINGS_COMMAND, SAMPLERATE, Recording
 
 LIVE, TWIN, REFERENCE = "live", "live in NumPy", "reference"
 

@@ -24,7 +24,7 @@ from device.identification.transfer import distortion, transfer
 from device.rig import CONSUMER, PAPER, read_rig
 from device.rig.rig_file import parse_rig
 from device.rig.rungs import Rung
-from tools.bench.random_rigs import identified, random_rig, sweep_of, truth
+from tools.bench.measures.random_rigs import identified, random_rig, sweep_of, truth
 
 SWEEP = Sweep(low_hz=15.0, high_hz=400.0, duration_s=5.0)
 ACCELERATION = ("voltage", "acceleration")

@@ -20,7 +20,7 @@ from device.identification.rig_values import write_rig
 from device.identification.sweep import Sweep
 from device.rig import CONSUMER, PAPER, read_rig
 from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
-from tools.bench.random_rigs import truth
+from tools.bench.measures.random_rigs import truth
 
 SCALES = {
     "full_scale_v": 1.0,

@@ -6,12 +6,13 @@ import pytest
 from device.rig import PAPER
 from device.rig.ladder import Ladder
 from device.rig.rungs import Rung
-from tools.bench import rig_soak, soak_report
-from tools.bench.identification import soak_identification
-from tools.bench.random_rigs import Found
+from tools.bench import rig_soak
+from tools.bench.measures.random_rigs import Found
 from tools.bench.rig_soak import soak_energy, steady_drive
-from tools.bench.signals import SAMPLERATE
+from tools.bench.sections import soaks as soak_report
+from tools.bench.sections.identification import soak_identification
 from tools.bench.soak_record import SoakRecord, keep_record
+from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
 
 SAMPLES = {Rung.LINEAR: 2_000_000, Rung.NONLINEAR: 1_000_000, Rung.STEPPED: 8_000}

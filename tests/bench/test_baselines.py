@@ -1,0 +1,121 @@
+"""Comparators: each does what its name says, streams, and makes nothing out of nothing."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tools.bench import baselines as comparators
+from tools.bench.baselines import centroid, envelope, octave_fold
+from tools.bench.measures.vibration import sine_fit
+from tools.bench.sounds.signals import SAMPLERATE, tone, white_noise
+
+SUBJECTS = {subject.name: subject for subject in comparators.load()[0]}
+RATES = (8_000, 44_100, 48_000, 192_000)
+
+
+def felt(name, frequency_hz, amplitude=0.3, samplerate=SAMPLERATE):
+    """The settled second half of a second of a tone's vibration."""
+    sound = tone(frequency_hz, amplitude, 1.0, samplerate)
+    return SUBJECTS[name].vibration(sound, samplerate)[samplerate // 2 :]
+
+
+def level_db(vibration):
+    return 10.0 * np.log10(np.mean(vibration**2) + 1e-30)
+
+
+def test_every_comparator_is_there():
+    found, missing = comparators.load()
+    assert tuple(subject.name for subject in found) == comparators.NAMES
+    assert missing == ()
+
+
+def test_a_comparator_that_is_not_there_is_named_with_what_to_do(monkeypatch):
+    monkeypatch.setattr(comparators, "NAMES", ("band-pass", "divining rod"))
+    found, (gone,) = comparators.load()
+    assert [subject.name for subject in found] == ["band-pass"]
+    assert gone.name == "every row of the comparator divining rod"
+    assert gone.command == "make run"
+
+
+@pytest.mark.parametrize("name", comparators.NAMES)
+@pytest.mark.parametrize("samplerate", RATES)
+def test_silence_gives_silence(name, samplerate):
+    assert not SUBJECTS[name].vibration(np.zeros(samplerate), samplerate).any()
+
+
+@pytest.mark.parametrize("name", comparators.NAMES)
+def test_what_is_no_number_never_comes_out(name):
+    sound = white_noise(0.5).astype(np.float64)
+    sound[1_000], sound[2_000], sound[3_000] = np.nan, np.inf, 1e9
+    vibration = SUBJECTS[name].vibration(sound, SAMPLERATE)
+    assert np.isfinite(vibration).all()
+    assert vibration.any()
+
+
+@pytest.mark.parametrize("name", comparators.NAMES)
+def test_blocks_of_any_size_give_the_same_vibration(name):
+    sound = white_noise(0.4)
+    whole = SUBJECTS[name].start(SAMPLERATE, 2)
+    cut = SUBJECTS[name].start(SAMPLERATE, 2)
+    expected = np.concatenate((whole.process(sound), whole.finish()))
+    edges = [0, 1, 8, 250, 1_234, 9_000, len(sound)]
+    parts = [cut.process(sound[a:b]) for a, b in pairwise(edges)]
+    # sums in another order: rounding, no more
+    np.testing.assert_allclose(np.concatenate([*parts, cut.finish()]), expected, atol=1e-9)
+
+
+def test_the_band_pass_passes_100_hz_and_stops_2_khz():
+    assert level_db(felt("band-pass", 100.0)) == pytest.approx(
+        level_db(tone(100.0, 0.3, 1.0)), abs=0.5
+    )
+    # two poles above 250 Hz: 12 dB an octave over three octaves
+    assert level_db(felt("band-pass", 2_000.0)) < level_db(felt("band-pass", 100.0)) - 34.0
+
+
+def test_the_envelope_of_a_sound_that_comes_and_goes_is_felt():
+    swelling = tone(3_000.0, 0.3, 1.0) * (tone(150.0, 0.5, 1.0) + 0.5)
+    vibration = SUBJECTS["envelope"].vibration(swelling, SAMPLERATE)[SAMPLERATE // 2 :]
+    assert sine_fit(vibration, SAMPLERATE).frequency_hz == pytest.approx(150.0, abs=0.5)
+    assert level_db(vibration) > level_db(felt("envelope", 3_000.0)) + 20.0
+
+
+def test_the_envelope_s_levelling_outweighs_its_expansion():
+    loud, quiet = (felt("envelope", 150.0, amplitude) for amplitude in (0.5, 0.05))
+    assert np.abs(loud).max() < envelope.GAIN_OUT
+    # the cube alone would make 60 dB of 20
+    assert 0.0 < level_db(loud) - level_db(quiet) < 20.0
+
+
+@pytest.mark.parametrize("frequency_hz", [100.0, 300.0, 500.0])
+def test_the_centroid_follows_a_tone(frequency_hz):
+    fit = sine_fit(felt("centroid", frequency_hz), SAMPLERATE)
+    # bins are 47 Hz wide, and a window's main lobe is cut off at the band's ends
+    assert fit.frequency_hz == pytest.approx(frequency_hz, abs=15.0)
+    assert fit.amplitude == pytest.approx(0.3, rel=0.1)
+
+
+def test_the_centroid_s_envelope_falls_by_e_in_a_tenth_of_a_second():
+    way = centroid.Way(SAMPLERATE, 1)
+    hops = SAMPLERATE // way.hop
+    sound = np.zeros((hops, way.hop))
+    sound[0] = 0.5
+    level = way._envelope(sound)
+    held_s = centroid.HOLD_S
+    at = round((0.1 + held_s) * SAMPLERATE / way.hop)
+    assert level[0] == pytest.approx(0.5)
+    assert level[at] == pytest.approx(0.5 / np.e, rel=0.04)  # within a hop, 2.7 ms
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "folded_hz"), [(1_000.0, 125.0), (600.0, 150.0), (3_500.0, 218.75)]
+)
+def test_the_fold_brings_a_tone_under_230_hz_by_octaves(frequency_hz, folded_hz):
+    fit = sine_fit(felt("octave fold", frequency_hz), SAMPLERATE)
+    assert fit.frequency_hz < octave_fold.UNDER_HZ
+    assert fit.frequency_hz == pytest.approx(folded_hz, rel=0.01)
+
+
+def test_the_fold_leaves_out_what_lies_outside_its_ranges():
+    assert level_db(felt("octave fold", 100.0)) < -60.0
+    assert level_db(felt("octave fold", 8_000.0)) < -60.0

@@ -1,0 +1,404 @@
+"""The instrument for live latency finds the delay that was put in, and says when it cannot."""
+
+import json
+import mmap
+import os
+import time
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import soundfile
+
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.offline.render import render_file
+from audioflinger_hook.scenes import demo_scene
+from audioflinger_hook.sources import mixdown
+from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform.grid import LiveGrid
+from device.errors import UsageError
+from tools.bench.sections import live_latency as live_report
+from tools.bench.sections.live_latency import USUAL_BLOCK_FRAMES, LiveRecord
+from tools.bench.workbench import QUICK, SUBJECTS, Workbench
+from tools.live_latency.arrival import ArrivalLine
+from tools.live_latency.lag import (
+    Envelope,
+    LevelTrace,
+    dropouts,
+    growth,
+    lag_between,
+    swelling_tone,
+)
+from tools.live_latency.measurement import Rendering
+from tools.live_latency.usage import ProcessUse
+
+RATE = 48_000
+HOP = LiveGrid.at(TransformParameters(), RATE).hop_frames
+BLOCK = 256
+
+
+# ------------------------------------------------------------------------------------ the clock
+
+
+def arrivals(seconds, *, ppm=0.0, block=BLOCK, burst=1, late_ms=3.0, lost=(), seed=1):
+    """Times and counts of blocks from a source that renders `burst` of them at once.
+
+    lost: pairs of a time in seconds and frames that are missing from then on (negative: that
+    came twice).
+    """
+    generator = np.random.default_rng(seed)
+    count = int(seconds * RATE / block)
+    due = -(-(1 + np.arange(count)) // burst) * burst  # a block comes with the last of its burst
+    made = due * block / RATE * (1.0 + 1e-6 * ppm)
+    frames = block * (1 + np.arange(count))
+    late = generator.exponential(1e-3 * late_ms, count // burst + 1)
+    late[::7] = 0.0
+    late = np.repeat(late, burst)[:count]
+    for at_s, missing in lost:
+        made[made > at_s] += missing / RATE
+    times = np.maximum.accumulate(1000.0 + made + late)
+    return times, frames.astype(np.intp)
+
+
+def line_of(times_and_frames):
+    times, frames = times_and_frames
+    return ArrivalLine(times, frames, RATE)
+
+
+def truth_s(frames, ppm):
+    return 1000.0 + (np.asarray(frames) + 0.0) / RATE * (1.0 + 1e-6 * ppm)
+
+
+@pytest.mark.parametrize("ppm", [-450.0, -250.0, 0.0, 300.0])
+@pytest.mark.parametrize("burst", [1, 4])
+def test_late_arrivals_and_bursts_do_not_move_the_line(ppm, burst):
+    line = line_of(arrivals(60.0, ppm=ppm, burst=burst))
+    frames = np.arange(2 * RATE, 58 * RATE, 4_801)
+    error_s = line.times_s(frames) - truth_s(frames, ppm)
+    assert np.abs(error_s).max() < 0.0002
+    assert line.jumps == ()
+    assert line.drift_ppm == pytest.approx(ppm, abs=5.0)
+
+
+def test_a_machine_that_hangs_for_a_second_does_not_move_the_line():
+    times, frames = arrivals(30.0)
+    stalled = (times > 1010.0) & (times < 1011.0)
+    times[stalled] = 1011.0
+    line = ArrivalLine(times, frames, RATE)
+    asked = np.arange(8 * RATE, 14 * RATE, 480)
+    assert np.abs(line.times_s(asked) - truth_s(asked, 0.0)).max() < 0.0005
+    assert line.jumps == ()
+
+
+@pytest.mark.parametrize("missing", [512, 256, 64, -256, -2_400])
+def test_frames_that_are_missing_or_inserted_shift_only_what_follows(missing):
+    times, frames = arrivals(30.0, ppm=-100.0, lost=((12.0, missing),))
+    line = ArrivalLine(times, frames, RATE)
+    (jump,) = line.jumps
+    assert jump / RATE == pytest.approx(12.0, abs=0.15)
+    before = np.arange(2 * RATE, int(11.8 * RATE), 480)
+    after = np.arange(int(12.2 * RATE), 28 * RATE, 480)
+    assert np.abs(line.times_s(before) - truth_s(before, -100.0)).max() < 0.0003
+    shifted = truth_s(after, -100.0) + missing / RATE
+    assert np.abs(line.times_s(after) - shifted).max() < 0.0003
+
+
+def test_several_losses_are_several_jumps():
+    lost = ((6.0, 256), (13.0, 256), (20.0, 512))
+    line = line_of(arrivals(30.0, lost=lost))
+    assert [round(jump / RATE) for jump in line.jumps] == [6, 13, 20]
+
+
+def test_one_block_is_enough_for_a_line():
+    line = ArrivalLine(np.array([5.0]), np.array([RATE]), RATE)
+    assert line.times_s(np.array([0, RATE])) == pytest.approx([4.0, 5.0])
+
+
+# -------------------------------------------------------------------------------------- the lag
+
+
+def envelope(samples, *, delay_s=0.0, rate=RATE, ppm=0.0):
+    """The envelope of samples of which number 0 comes at delay_s; exact times."""
+    trace = LevelTrace(rate)
+    for first in range(0, len(samples), 7_001):
+        trace.add(samples[first : first + 7_001])
+    frames = np.arange(rate, len(samples) + 1, rate // 100)
+    times = delay_s + frames / rate * (1.0 + 1e-6 * ppm)
+    return Envelope.of(trace, ArrivalLine(times, frames.astype(np.intp), rate))
+
+
+def live(sound):
+    """What a daemon plays: the live form, late by its own latency."""
+    return HapticTransform(RATE, 1).process(sound)[:, 0]
+
+
+def rendered(sound):
+    rendering = Rendering(RATE, Settings())
+    rendering.add(sound)
+    return rendering
+
+
+SOUNDS = {
+    "a tone": swelling_tone(145.0, 12.0, RATE),
+    "a low tone": swelling_tone(110.0, 12.0, RATE, swell_hz=3.0),
+    "a high tone": swelling_tone(1_000.0, 12.0, RATE, swell_hz=6.0, seed=3),
+    "the demo scene": np.tile(mixdown(demo_scene()).mean(axis=1), 2)[: 12 * RATE],
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "within_ms"),
+    # what beats between partials depends on where hops begin
+    [("a tone", 0.2), ("a low tone", 0.2), ("a high tone", 0.2), ("the demo scene", 8.0)],
+)
+def test_a_known_delay_is_found_wherever_the_hops_begin(name, within_ms):
+    sound = SOUNDS[name]
+    wanted = live_envelope_of_render(sound)
+    declared_ms = 1e3 * HapticTransform(RATE, 1).latency_s
+    errors_ms = []
+    for phase in range(0, HOP, HOP // 6):
+        began_earlier = np.concatenate([np.zeros(phase), sound])
+        output = live(began_earlier)
+        for delay_ms in (0.0, 31.37):
+            heard = envelope(output, delay_s=1e-3 * delay_ms - phase / RATE)
+            for start_s in (2.0, 5.0, 8.0):
+                lag = lag_between(wanted, heard, start_s, start_s + 3.0)
+                if lag is not None:
+                    errors_ms.append(1e3 * lag.seconds - delay_ms - declared_ms)
+    print(f"{len(errors_ms)} errors of {np.min(errors_ms):+.3f} to {np.max(errors_ms):+.3f} ms")
+    assert len(errors_ms) >= 36 if within_ms < 1.0 else len(errors_ms) >= 8
+    assert np.abs(errors_ms).max() < within_ms
+
+
+def live_envelope_of_render(sound):
+    trace = rendered(sound).trace
+    frames = np.arange(RATE, len(sound) + 1, RATE // 100).astype(np.intp)
+    return Envelope.of(trace, ArrivalLine(frames / RATE, frames, RATE))
+
+
+def test_the_rendering_is_that_of_the_command(tmp_path):
+    sound = SOUNDS["a tone"][: 2 * RATE].astype(np.float32)
+    soundfile.write(tmp_path / "in.wav", sound, RATE, subtype="FLOAT")
+    render_file(tmp_path / "in.wav", tmp_path / "out.wav")
+    file = soundfile.read(tmp_path / "out.wav")[0]
+    trace = LevelTrace(RATE)
+    trace.add(file)
+    _, of_file = trace.levels()
+    _, ours = rendered(sound).trace.levels()
+    # the file has its last 7 ms, too
+    assert len(of_file) - len(ours) == pytest.approx(7, abs=2)
+    assert np.abs(ours - of_file[: len(ours)])[:-500].max() < 1e-5
+
+
+def test_a_delay_between_other_rates_and_clocks_is_found():
+    wanted = envelope(SOUNDS["a tone"])
+    slower = swelling_tone(145.0, 12.0, 44_100)
+    heard = envelope(slower, delay_s=0.0123, rate=44_100)
+    lag = lag_between(wanted, heard, 3.0, 6.0)
+    assert lag is not None
+    assert lag.seconds == pytest.approx(0.0123, abs=0.0002)
+
+
+def test_a_delay_that_grows_is_found_to_grow():
+    wanted = envelope(SOUNDS["a tone"])
+    heard = envelope(SOUNDS["a tone"], ppm=300.0)
+    starts_s = np.arange(1.0, 8.0)
+    lags = [lag_between(wanted, heard, start_s, start_s + 3.0) for start_s in starts_s]
+    found = np.array([lag.seconds for lag in lags if lag])
+    assert growth(starts_s, found) == pytest.approx(300e-6 * 6.0, abs=0.0001)
+
+
+def test_one_outlier_is_no_growth():
+    lags = np.full(20, 0.07)
+    lags[18] = 0.3
+    assert abs(growth(np.arange(20.0), lags)) < 1e-4
+    assert growth(np.arange(2.0), lags[:2]) == 0.0
+
+
+def test_gaps_in_the_vibration_do_not_change_the_lag_and_are_counted():
+    sound = SOUNDS["a tone"]
+    output = live(sound)
+    for at_s in (4.0, 4.5, 6.0):
+        output[int(at_s * RATE) :][: RATE // 100] = 0.0
+    output[int(6.02 * RATE) :][: RATE * 3 // 1_000] = 0.0  # merged with the one before
+    output[int(5.0 * RATE) :][: RATE // 1_000] = 0.0  # too short for a gap
+    trace = LevelTrace(RATE)
+    trace.add(output)
+    frames = np.arange(RATE, len(sound) + 1, RATE // 100).astype(np.intp)
+    line = ArrivalLine(frames / RATE, frames, RATE)
+    wanted = live_envelope_of_render(sound)
+    lag = lag_between(wanted, Envelope.of(trace, line), 3.5, 6.5)
+    declared_s = HapticTransform(RATE, 1).latency_s
+    assert lag is not None
+    assert lag.seconds == pytest.approx(declared_s, abs=0.0003)
+    count, silent_s = dropouts(wanted, trace, line, declared_s, 3.0, 9.0)
+    assert count == 3
+    assert silent_s == pytest.approx(0.033, abs=0.001)
+    assert dropouts(wanted, trace, line, declared_s, 7.0, 9.0) == (0, 0.0)
+
+
+def test_silence_where_nothing_should_be_felt_is_no_dropout():
+    sound = SOUNDS["a tone"].copy()
+    sound[5 * RATE : 8 * RATE] = 0.0
+    trace = LevelTrace(RATE)
+    output = live(sound)
+    for first in range(0, len(output), BLOCK):
+        trace.add(output[first : first + BLOCK])
+    assert any(count > RATE for _, count in trace.gaps)
+    frames = np.arange(RATE, len(sound) + 1, RATE // 100).astype(np.intp)
+    line = ArrivalLine(frames / RATE, frames, RATE)
+    wanted = live_envelope_of_render(sound)
+    assert dropouts(wanted, trace, line, 0.0412, 2.0, 10.0) == (0, 0.0)
+
+
+def test_of_another_sound_there_is_no_lag():
+    wanted = envelope(SOUNDS["a tone"])
+    other = envelope(swelling_tone(145.0, 12.0, RATE, seed=2))
+    steady = envelope(np.sin(np.arange(12 * RATE) * 0.02))
+    silence = envelope(np.zeros(12 * RATE))
+    for heard in (other, steady, silence):
+        assert lag_between(wanted, heard, 3.0, 6.0) is None
+        assert lag_between(heard, silence, 3.0, 6.0) is None
+
+
+def test_the_tone_never_falls_silent_and_joins_itself():
+    sound = swelling_tone(145.3, 5.0, RATE)
+    assert np.abs(sound).max() <= 0.55
+    joined = np.concatenate([sound, sound])
+    assert np.abs(np.diff(joined)).max() == pytest.approx(np.abs(np.diff(sound)).max(), rel=0.01)
+    crests = np.abs(sound).reshape(-1, RATE // 50).max(axis=1)
+    assert crests.min() > 0.05
+
+
+# ----------------------------------------------------------------------------------- the record
+
+
+def a_record(**changed):
+    record = LiveRecord(
+        server="PulseAudio 16.1",
+        block_frames=USUAL_BLOCK_FRAMES,
+        date="2026-01-01T00:00:00Z",
+        cpu="a processor",
+        cores=2,
+        load_before=0.5,
+        load_after=1.5,
+        stimulus="a tone",
+        seconds=60.0,
+        window_s=3.0,
+        lag_median_ms=71.5,
+        lag_p5_ms=70.0,
+        lag_p95_ms=73.0,
+        growth_ms=-0.4,
+        hidden_growth_ms=0.1,
+        dropouts=1,
+        dropout_ms=5.3,
+        splices=0,
+        check_median_ms=0.01,
+        check_worst_ms=-0.2,
+        budget_ms=60.0,
+        transform_ms=41.2,
+        target_ms=18.5,
+        delay_ms=18.6,
+        ratio_ppm=-150.0,
+        resyncs=0,
+        underflows=1,
+        overflows=0,
+        recoveries=0,
+        cpu_percent=5.8,
+        memory_growth_kb=12.0,
+        machine_pauses=2,
+        machine_pause_ms=24.5,
+        lags_ms=(71.5, None),
+        budgets_ms=(60.0, 60.1),
+    )
+    return replace(record, **changed)
+
+
+def test_the_latest_record_of_each_server_and_block_size_is_kept(tmp_path):
+    path = tmp_path / "docs" / "live.json"
+    assert live_report.read_records(path) == ()
+    long_blocks, short_blocks = a_record(block_frames=1024), a_record(block_frames=128)
+    live_report.keep_records([a_record(lag_median_ms=99.0), long_blocks], path)
+    live_report.keep_records([a_record(), short_blocks], path)
+    assert live_report.read_records(path) == (short_blocks, a_record(), long_blocks)
+    assert set(json.loads(path.read_text())["records"][0]) == {
+        field.name for field in fields(LiveRecord)
+    }
+
+
+def test_a_broken_record_is_an_error_to_read_and_replaced_when_written(tmp_path):
+    path = tmp_path / "live.json"
+    path.write_text('{"records": [{"server": 1}]}')
+    with pytest.raises(UsageError, match="no live record"):
+        live_report.read_records(path)
+    live_report.keep_records([a_record()], path)
+    assert live_report.read_records(path) == (a_record(),)
+
+
+def section(monkeypatch, tmp_path, *records):
+    path = tmp_path / "live.json"
+    if records:
+        live_report.keep_records(records, path)
+    monkeypatch.setattr(live_report, "record_path", lambda: path)
+    return live_report.live_result(Workbench(QUICK, SUBJECTS, ()))
+
+
+def test_the_table_asks_its_limits_of_the_usual_blocks_only(monkeypatch, tmp_path):
+    late = a_record(block_frames=1024, lag_median_ms=140.0)
+    table = section(monkeypatch, tmp_path, a_record(), late)
+    by_name = {(row.name, row.column): row for row in table.rows}
+    assert by_name["PulseAudio 16.1, 512 frames", "lag"].met is True
+    assert by_name["PulseAudio 16.1, 512 frames", "change over the run"].value == 0.4
+    assert by_name["PulseAudio 16.1, 1024 frames", "lag"].met is None
+    assert "a processor (2 cores), load 0.5 to 1.5" in table.footnote
+
+
+def test_a_lag_that_grows_or_is_long_is_not_met(monkeypatch, tmp_path):
+    table = section(monkeypatch, tmp_path, a_record(growth_ms=-1.2, lag_median_ms=91.0))
+    assert [row.column for row in table.rows if row.met is False] == ["lag", "change over the run"]
+
+
+def test_records_of_before_pauses_were_watched_can_be_read(monkeypatch, tmp_path):
+    path = tmp_path / "live.json"
+    document = live_report.to_json([a_record()])
+    for name in ("machine_pauses", "machine_pause_ms"):
+        del document["records"][0][name]
+    path.write_text(json.dumps(document))
+    (record,) = live_report.read_records(path)
+    assert record.machine_pauses is None
+    table = section(monkeypatch, tmp_path, record)
+    assert "the machine stood still" not in [row.column for row in table.rows]
+
+
+def test_an_instrument_that_is_off_says_so(monkeypatch, tmp_path):
+    table = section(monkeypatch, tmp_path, a_record(check_median_ms=3.0))
+    assert any("not to be trusted" in row.note for row in table.rows)
+
+
+def test_what_never_ran_says_so(monkeypatch, tmp_path):
+    table = section(monkeypatch, tmp_path)
+    assert table.rows == ()
+    (gone,) = table.missing
+    assert "never run" in gone.reason
+
+
+# ------------------------------------------------------------------------- what a daemon uses
+
+
+def test_what_a_process_uses_is_its_processor_time_and_the_growth_of_its_memory() -> None:
+    use = ProcessUse()
+    assert (use.cpu_percent, use.memory_growth_kb) == (None, None)
+    began_s, used_before_s = time.monotonic(), time.process_time()
+    use.sample(os.getpid(), began_s)
+    busy_until_s = time.process_time() + 0.2
+    while time.process_time() < busy_until_s:
+        pass
+    # A mapping of its own: the allocator may serve an array from memory that is already held.
+    kept = mmap.mmap(-1, 32 * 2**20)
+    np.frombuffer(kept, np.uint8)[:] = 1
+    use.sample(os.getpid(), began_s + 1.0)  # as if it had taken a second
+    used_s = time.process_time() - used_before_s
+    assert use.cpu_percent == pytest.approx(100.0 * used_s, abs=5.0)  # the kernel counts in 10 ms
+    assert use.memory_growth_kb == pytest.approx(32 * 1_024, rel=0.1)
+    use.sample(2**22 + 1, began_s + 2.0)  # a process that there cannot be
+    assert use.cpu_percent is None

@@ -1,0 +1,124 @@
+"""Pauses of the machine are told from a busy core and from a program's own faults."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tools.live_latency.pauses import LEAST_S, NAP_S, Pause, PauseWitness, common, undisturbed
+
+
+def test_what_one_core_did_not_notice_is_no_pause_of_the_machine() -> None:
+    busy, still = Pause(1.0, 1.5), Pause(2.0, 2.03)
+    seen = common([[busy, still], [Pause(1.998, 2.028)]])
+    assert seen == (Pause(2.0, 2.028),)
+    assert seen[0].seconds == pytest.approx(0.028)
+
+
+def test_a_pause_that_cores_noticed_a_nap_apart_is_one() -> None:
+    apart = [[Pause(5.0, 5.0 + LEAST_S)], [Pause(5.0 + NAP_S, 5.0 + NAP_S + LEAST_S)]]
+    assert len(common(apart)) == 1
+    assert common([[Pause(0.0, 0.02)], [Pause(0.016, 0.04)]]) == ()
+
+
+def test_nobody_who_looked_means_no_pauses() -> None:
+    assert common([]) == ()
+    assert common([[], []]) == ()
+
+
+@given(st.lists(st.floats(0.0, 100.0), max_size=8), st.floats(0.0, 5.0))
+def test_times_are_left_out_from_the_pause_until_it_is_overcome(
+    starts_s: list[float], recovers_s: float
+) -> None:
+    pauses = [Pause(start_s, start_s + 0.02) for start_s in starts_s]
+    times_s = np.linspace(-1.0, 110.0, 1_111)
+    clear = undisturbed(times_s, pauses, recovers_s)
+    for time_s, is_clear in zip(times_s, clear, strict=True):
+        disturbed = any(one.start_s <= time_s <= one.end_s + recovers_s for one in pauses)
+        assert is_clear != disturbed
+
+
+def test_the_witness_watches_every_core_and_ends_when_it_is_closed() -> None:
+    with closing(PauseWitness()) as witness:
+        processes = list(witness._processes)
+        assert len(processes) == len(os.sched_getaffinity(0))
+        began_s = time.monotonic()
+        for pause in witness.pauses():
+            assert pause.seconds >= LEAST_S - NAP_S
+            assert pause.end_s > began_s - 1.0
+    assert all(process.returncode is not None for process in processes)
+    witness.pauses()  # also after the end
+
+
+def test_processes_that_were_stopped_look_like_a_machine_that_stood_still() -> None:
+    """Stopped and continued by signals, which is all that a test can do to a machine."""
+    with closing(PauseWitness()) as witness:
+        pids = [process.pid for process in witness._processes]
+        stopped_s = time.monotonic()
+        for pid in pids:
+            os.kill(pid, signal.SIGSTOP)
+        while time.monotonic() < stopped_s + 0.1:
+            pass
+        for pid in pids:
+            os.kill(pid, signal.SIGCONT)
+        deadline_s = time.monotonic() + 5.0
+        while not (found := [one for one in witness.pauses() if one.seconds > 0.05]):
+            assert time.monotonic() < deadline_s
+    assert found[0].seconds == pytest.approx(0.1, abs=0.05)
+
+
+def test_one_core_that_is_taken_away_is_a_pause_only_of_that_core() -> None:
+    with closing(PauseWitness()) as witness:
+        if len(witness._processes) < 2:
+            pytest.skip("there is one core")
+        pid = witness._processes[0].pid
+        stopped_s = time.monotonic()
+        os.kill(pid, signal.SIGSTOP)
+        while time.monotonic() < stopped_s + 0.1:
+            pass
+        os.kill(pid, signal.SIGCONT)
+        deadline_s = time.monotonic() + 5.0
+        while len(witness._seen[0]) == 0 or witness._seen[0][-1].seconds < 0.05:
+            witness.pauses()
+            assert time.monotonic() < deadline_s
+        whole = [one for one in witness.pauses() if one.seconds > 0.05]
+        assert whole == []
+        parts = [one for one in witness.core_pauses() if one.seconds > 0.05]
+        assert parts if witness.first else parts == []
+        starts_s = [one.start_s for one in witness.core_pauses()]
+        assert starts_s == sorted(starts_s)
+
+
+def test_who_is_killed_leaves_no_witness_behind() -> None:
+    watches = (
+        "from tools.live_latency.pauses import PauseWitness\n"
+        "witness = PauseWitness()\n"
+        "print(*(process.pid for process in witness._processes), flush=True)\n"
+        "input()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", watches], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        pids = process.stdout.readline().split()
+        process.kill()
+    assert pids
+    deadline_s = time.monotonic() + 5.0
+    while any(is_running(pid) for pid in pids):
+        assert time.monotonic() < deadline_s
+
+
+def is_running(pid: str) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state not in "ZX"

@@ -1,0 +1,59 @@
+"""The bench with the least effort, and its command run inside this process."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+
+from tests.support.commands import Done
+from tools.bench.__main__ import main
+from tools.bench.workbench import SUBJECTS, Effort, Workbench
+
+LEAST = Effort(
+    tones=2,
+    low_tones=2,
+    tone_s=1.0,
+    gain_tones=1,
+    bursts=3,
+    onsets_made=9,
+    onsets_a_burst=2,
+    noisy_tones=8,
+    frontier_sounds=2,
+    compared_bursts=3,
+    compared_recordings=1,
+    settled_s=1.0,
+    split_s=0.05,
+    cost_repeats=1,
+    slow_repeats=1,
+    cost_s=0.2,
+    cold_s=0.1,
+    saving_repeats=1,
+    saving_s=0.2,
+    mix_rounds=2,
+    mix_repeats=1,
+    growth_s=1.6,
+    channels_s=0.2,
+    hops_timed=200,
+    hops_timed_in_numpy=50,
+    hops_held=200,
+    render_s=(1.0,),
+    rig_s=0.5,
+    rig_timed_s=0.5,
+    rung_repeats=1,
+    integrator_repeats=1,
+    random_rigs=2,
+)
+"""Every section with as little as it can do: what it measures is not the point in most tests."""
+
+
+def a_bench(found=(), absent=None):
+    """Return a workbench of the least effort."""
+    return Workbench(LEAST, SUBJECTS, found, absent or {})
+
+
+def bench_command(*arguments: object) -> Done:
+    """Run python -m tools.bench inside this process."""
+    stdout, stderr = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(stdout), contextlib.redirect_stderr(stderr):
+        code = main([str(argument) for argument in arguments])
+    return Done(code, stdout.getvalue(), stderr.getvalue())

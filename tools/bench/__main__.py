@@ -1,0 +1,96 @@
+"""Measure speed and error on this machine: python -m tools.bench [--quick] [--json] [--out FILE]
+
+Prints the report as Markdown and writes it to docs/benchmarks.md. With --json it prints one JSON
+document and writes no file. Exit codes: 0 done, 2 wrong usage or something could not be measured,
+or a file could not be
+written, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from audioflinger_hook.cli.terminal import progress_bar
+from device.atomic_file import AtomicFile, write_bytes_atomically
+from device.errors import CushionError, UsageError
+from tools.bench import pictures_in, plots, run_bench
+from tools.bench.figures.pictures import need_matplotlib
+
+REPORT = Path("docs/benchmarks.md")
+EXIT_INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Return the exit code; every error is one line on standard error."""
+    options = _parser().parse_args(arguments)
+    try:
+        return _run(options)
+    except CushionError as error:
+        print(f"bench: error: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print("bench: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.bench",
+        description="Measure speed and error on this machine.",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--quick", action="store_true", help="the same rows from less material, in a minute"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON and write no file")
+    parser.add_argument(
+        "--plots", type=Path, metavar="DIR", help="draw the pictures into this folder"
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help=f"default: {REPORT}")
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.json and (options.out or options.plots):
+        raise UsageError("--json writes no files; leave out --out and --plots")
+    target: Path | None = None if options.json else _writable(options.out or REPORT)
+    if options.plots:
+        need_matplotlib()
+        _make_folder(options.plots)
+    with progress_bar("bench") as advance:
+        report = run_bench(options.quick, lambda _label, share: advance(share, 1.0))
+    drawn = plots(report, options.plots) if options.plots else []
+    page = report.to_markdown(pictures_in(target, drawn) if target and drawn else None)
+    print(json.dumps(report.to_json(), indent=2) if options.json else page)
+    if report.missing:
+        rows = "; ".join(str(row) for row in report.missing)
+        raise UsageError(f"not everything could be measured, no report was written: {rows}")
+    if target:
+        write_bytes_atomically(target, page.encode())
+        print(f"written to {target}", file=sys.stderr)
+    return 0
+
+
+def _writable(target: Path) -> Path:
+    """Return the target; an error that would stop the writing is raised before anything runs."""
+    if not target.parent.is_dir():
+        raise UsageError(f"the folder {target.parent} does not exist; name another with --out")
+    AtomicFile(target).abort()
+    return target
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise UsageError(
+            f"the folder {folder} cannot be made ({error.strerror}); name another with --plots"
+        ) from None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

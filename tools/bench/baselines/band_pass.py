@@ -1,0 +1,22 @@
+"""The traditional way: what lies from 50 to 250 Hz is played as it is."""
+
+from __future__ import annotations
+
+from scipy.signal import butter
+
+from audioflinger_hook.transform.arrays import FloatArray
+from tools.bench.baselines.stages import Comparator, Filter
+
+BAND_HZ = (50.0, 250.0)
+
+
+class Way(Comparator):
+    """A Butterworth band-pass of fourth order (two at each edge) on the mix."""
+
+    def __init__(self, samplerate: int, channels: int) -> None:
+        super().__init__(samplerate, channels)
+        self._filter = Filter(butter(2, BAND_HZ, "bandpass", fs=samplerate, output="sos"))
+
+    def vibration(self, sound: FloatArray) -> FloatArray:
+        """Return what lies in the band."""
+        return self._filter(sound)

@@ -1,0 +1,71 @@
+"""What comparators with a spectrum share: windows at a fixed hop, and sines that glide on."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.fft import rfft
+from scipy.signal.windows import hann
+
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.windows import strided_windows
+from tools.bench.baselines.stages import Comparator
+
+POINTS_AT_48_KHZ = 1_024
+
+
+class SineComparator(Comparator):
+    """Sines, one for each voice, led by spectra of Hann windows; phases go on, the rest glides.
+
+    1024 points at 44.1 and 48 kHz, as near to 21 ms as a power of two comes elsewhere. A window
+    is followed by the hop that glides to what it says: one hop of latency. Subclasses give `lead`.
+    """
+
+    def __init__(self, samplerate: int, channels: int, voices: int, overlap: int) -> None:
+        super().__init__(samplerate, channels)
+        self.points = 2 ** max(6, round(np.log2(POINTS_AT_48_KHZ * samplerate / 48_000)))
+        self.hop = self.points // overlap
+        self.bins_hz = np.arange(self.points // 2 + 1) * (samplerate / self.points)
+        window = hann(self.points, sym=False)
+        self._window = window * (2.0 / window.sum())
+        self.latency_frames = self.hop
+        self._heard = np.zeros(self.points - self.hop)
+        self._ready = np.zeros(self.hop)
+        self._hz = np.zeros(voices)
+        self._amplitude = np.zeros(voices)
+        self._cycles = np.zeros(voices)
+
+    def lead(self, amplitude: FloatArray, newest: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return frequency in Hz and amplitude at each hop's end, (hops, voices) each.
+
+        amplitude: of the spectra, (hops, bins), a full-scale sine has 1; newest: (hops, hop) of
+        sound that each window has new.
+        """
+        raise NotImplementedError
+
+    def vibration(self, sound: FloatArray) -> FloatArray:
+        """Return what the hops completed so far sound like."""
+        heard = np.concatenate((self._heard, sound))
+        hops = (heard.size - self.points) // self.hop + 1 if heard.size >= self.points else 0
+        if hops:
+            windows = strided_windows(heard, self.points, self.hop)
+            amplitude = np.abs(rfft(windows * self._window, axis=1))
+            hz, level = self.lead(amplitude, windows[:, -self.hop :])
+            self._ready = np.concatenate((self._ready, self._sines(hz, level)))
+            heard = heard[hops * self.hop :]
+        self._heard = heard
+        played, self._ready = self._ready[: sound.size], self._ready[sound.size :]
+        return played
+
+    def _sines(self, hz: FloatArray, amplitude: FloatArray) -> FloatArray:
+        """Return the sum of all voices over these hops, gliding from where they were."""
+        from_amplitude = np.vstack((self._amplitude, amplitude[:-1]))
+        from_hz = np.where(from_amplitude == 0.0, hz, np.vstack((self._hz, hz[:-1])))
+        share = (np.arange(self.hop) + 1.0)[:, None] / self.hop
+        glide_hz = from_hz[:, None] + (hz - from_hz)[:, None] * share
+        swell = from_amplitude[:, None] + (amplitude - from_amplitude)[:, None] * share
+        steps = glide_hz.reshape(-1, hz.shape[1]) / self.samplerate
+        cycles = self._cycles + np.cumsum(steps, axis=0)
+        self._hz, self._amplitude, self._cycles = hz[-1], amplitude[-1], cycles[-1] % 1.0
+        waves = swell.reshape(cycles.shape) * np.sin(2.0 * np.pi * cycles)
+        total: FloatArray = waves.sum(axis=1)
+        return total

@@ -1,0 +1,264 @@
+"""Bench on frequencies: how far off a tone in noise is found, against what any method could reach.
+
+Steps 4 and 5 of both forms alone, on windows of one tone, without band-pass and hop: the tone is
+taken to be the highest of all that is found. The limit of any method without bias is the
+Cramer-Rao bound of a real tone of amplitude a in white noise of standard deviation s, over N
+samples at fs (Rife and Boorstyn, 1974): var(f) >= 24 s^2 fs^2 / (4 pi^2 a^2 N (N^2 - 1)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import fft
+from scipy.signal.windows import hamming
+
+from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.principal import PrincipalFinder, Principals
+from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from tools.bench.report import Must, Row, Section
+from tools.bench.sections.tones import SAMPLERATES
+from tools.bench.sounds.signals import SAMPLERATE
+from tools.bench.workbench import LIVE, REFERENCE, Workbench
+
+TITLE = "Frequency error"
+RANGES_HZ = ((50.0, 150.0), (150.0, 600.0), (600.0, 12_000.0))
+"""Under 150 Hz is shown for itself. Under 600 Hz or so a tone is pulled by its own image, its
+half at negative frequency, more than by little noise."""
+HIGHEST_SHARE = 0.45
+"""Tones go up to this share of the samplerate, no nearer to the image above half of it."""
+SNRS_DB = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
+LIMITED_SNRS_DB = (0.0, 10.0, 20.0)
+TIMES_BOUND = Must("<=", 1.5)
+AMPLITUDE = 0.05
+"""Of the tone; at 0 dB the noise then stays under C_th, so that only the tone is refined."""
+WINDOWS_AT_ONCE = 64
+
+APART_HZ = (30.0, 45.0, 60.0, 90.0)
+PAIR_HZ = (300.0, 5_000.0)
+RESOLVED_SHARE = 0.95
+"""Tones so far apart that fewer than this share of windows tells them apart are named."""
+BOUND = "bound"
+FORMS = (LIVE, REFERENCE)
+
+Analysis = Callable[[FloatArray], Principals]
+
+
+def bound_hz(samplerate: int, frames: int, snr_db: float) -> float:
+    """Return the least standard deviation of a frequency, in Hz; snr_db: a^2 / (2 s^2)."""
+    noise_over_tone = 0.5 * 10.0 ** (-snr_db / 10.0)  # s^2 / a^2
+    cube = frames * (frames * frames - 1.0)
+    return float(np.sqrt(24.0 * noise_over_tone / cube) * samplerate / (2.0 * np.pi))
+
+
+def window_loss() -> float:
+    """Return how many times the bound the best method reaches that looks through the window.
+
+    A window w leaves a variance of 12 integral(w^2 t^2) / (12 integral(w t^2))^2 times the
+    bound's, t from -1/2 to 1/2: the ends, which it takes away, tell most.
+    """
+    points = 4096
+    window = hamming(points, sym=False)
+    time = np.arange(points) / points - 0.5
+    squares = float((window**2 * time**2).mean())
+    moment = float((window * time**2).mean())
+    return float(np.sqrt(squares / 12.0)) / moment
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Both forms' analysis at one samplerate, and the windows that they take."""
+
+    samplerate: int
+    frames: int
+    forms: dict[str, Analysis]
+    spectrum: Spectrum
+    finder: PrincipalFinder
+
+    @classmethod
+    def at(cls, samplerate: int) -> _Grid:
+        parameters = TransformParameters()
+        spectrum = Spectrum(parameters, samplerate)
+        finder = PrincipalFinder(parameters, spectrum.bin_hz, spectrum.bins)
+        forms = {
+            LIVE: LiveTransform(parameters, samplerate).analyse,
+            REFERENCE: lambda windows: finder.all_principal(magnitude(spectrum.transform(windows))),
+        }
+        return cls(samplerate, spectrum.window_frames, forms, spectrum, finder)
+
+    def turns(self, audio_hz: FloatArray, phase: FloatArray) -> FloatArray:
+        """Return the phase in radians of each tone in each frame of its window."""
+        turn = 2.0 * np.pi / self.samplerate * audio_hz
+        radians: FloatArray = turn[:, None] * np.arange(self.frames) + phase[:, None]
+        return radians
+
+    def without_image(self, audio_hz: FloatArray, phase: FloatArray) -> FloatArray:
+        """Return the errors in Hz of the reference form's steps on complex tones, noise-free."""
+        window = hamming(self.frames, sym=False)
+        tones = AMPLITUDE * np.exp(1j * self.turns(audio_hz, phase)) * (2.0 / window.sum())
+        spectra = fft(tones * window, self.spectrum.fft_length, axis=1)
+        amplitude = 0.5 * np.abs(spectra[:, : self.spectrum.bins])
+        return _highest_hz(self.finder.all_principal(amplitude), audio_hz.size) - audio_hz
+
+
+def _highest_hz(found: Principals, rows: int) -> FloatArray:
+    """Return the frequency of the highest peak of each row, NaN where there is none."""
+    order = found.amplitude.argsort(kind="stable")
+    highest = np.full(rows, np.nan)
+    highest[found.row[order]] = found.audio_hz[order]  # of several the last one stays
+    return highest
+
+
+def _log_uniform(rng: np.random.Generator, span_hz: tuple[float, float], count: int) -> FloatArray:
+    """Return random frequencies in a range, equally many an octave."""
+    frequencies_hz: FloatArray = np.exp(rng.uniform(np.log(span_hz[0]), np.log(span_hz[1]), count))
+    return frequencies_hz
+
+
+def _rms(errors: FloatArray) -> float:
+    """Return the root of the mean square; NaN if a single tone was not found."""
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def _errors_hz(
+    grid: _Grid, span_hz: tuple[float, float], snrs_db: Sequence[float | None], count: int
+) -> dict[str, FloatArray]:
+    """Return each form's errors in Hz, (ratios, tones): the same tones, fresh noise for each ratio.
+
+    snrs_db: of signal to noise, None for no noise.
+    """
+    rng = np.random.default_rng((grid.samplerate, int(span_hz[0])))
+    span_hz = (span_hz[0], min(span_hz[1], HIGHEST_SHARE * grid.samplerate))
+    errors = {form: np.empty((len(snrs_db), count)) for form in grid.forms}
+    for first in range(0, count, WINDOWS_AT_ONCE):
+        batch = slice(first, min(first + WINDOWS_AT_ONCE, count))
+        rows = batch.stop - first
+        audio_hz = _log_uniform(rng, span_hz, rows)
+        tones = AMPLITUDE * np.sin(grid.turns(audio_hz, rng.uniform(0.0, 2.0 * np.pi, rows)))
+        for ratio, snr_db in enumerate(snrs_db):
+            windows = tones
+            if snr_db is not None:
+                deviation = AMPLITUDE * np.sqrt(0.5 * 10.0 ** (-snr_db / 10.0))
+                windows = tones + deviation * rng.standard_normal(tones.shape, np.float32)
+            for form, analyse in grid.forms.items():
+                errors[form][ratio, batch] = _highest_hz(analyse(windows), rows) - audio_hz
+    return errors
+
+
+def frequency_error(bench: Workbench) -> Section:
+    """The error of a tone's frequency in noise over the bound, and tones close together."""
+    count = bench.effort.noisy_tones
+    grids = {samplerate: _Grid.at(samplerate) for samplerate in SAMPLERATES}
+    rows, series = _over_snr(grids[SAMPLERATE], count)
+    for samplerate, grid in grids.items():
+        rows += _at_samplerate(samplerate, grid, count)
+    pairs = _pairs(grids[SAMPLERATE], count)
+    merging = [
+        f"{apart_hz:g}"
+        for apart_hz in APART_HZ
+        if any(
+            (row.value or 0.0) < 100.0 * RESOLVED_SHARE
+            for row in pairs
+            if row.unit == "%" and row.name.startswith(f"two tones {apart_hz:g} Hz ")
+        )
+    ]
+    spread = 100.0 / np.sqrt(2.0 * count * len(LIMITED_SNRS_DB))
+    return Section(
+        TITLE,
+        "How far off the frequency of a tone in white noise is found, as root mean square over "
+        "tones that are equally many an octave, in multiples of the Cramer-Rao bound: the least "
+        "that any method without bias can reach. Through a Hamming window the best is "
+        f"{window_loss():.2f} times the bound. With little noise the method's own bias remains. "
+        "Then two equal tones: how often they are two, each found nearer to its own place than "
+        "to the middle"
+        + (f"; some merge {' and '.join(merging)} Hz apart." if merging else "; none merge."),
+        tuple(rows + pairs),
+        series=series,
+        footnote=f"{count} tones for each samplerate, range and ratio of signal to noise; a value "
+        f"over {LIMITED_SNRS_DB[0]:g} to {LIMITED_SNRS_DB[-1]:g} dB is uncertain by {spread:.1f} "
+        f"%. The limit is asked from {RANGES_HZ[1][0]:g} Hz up, at "
+        f"{LIMITED_SNRS_DB[0]:g} to {LIMITED_SNRS_DB[-1]:g} dB, of the live form. What the "
+        "reference form is off beyond it is the pull of a tone's image, which the live form takes "
+        "away: complex tones, which have none, show what is left without. Tones go up to "
+        f"{HIGHEST_SHARE:g} of the samplerate where that is under the range's end.",
+    )
+
+
+def _name(span_hz: tuple[float, float]) -> str:
+    return f"{span_hz[0]:g} to {span_hz[1]:g} Hz"
+
+
+def _over_snr(grid: _Grid, count: int) -> tuple[list[Row], dict[str, tuple[float, ...]]]:
+    """Return rows and curves of the error in Hz at one samplerate by signal to noise."""
+    rows: list[Row] = []
+    series: dict[str, tuple[float, ...]] = {"SNR": SNRS_DB}
+    bounds = tuple(bound_hz(grid.samplerate, grid.frames, snr_db) for snr_db in SNRS_DB)
+    for span_hz in RANGES_HZ:
+        by_form = _errors_hz(grid, span_hz, SNRS_DB, count)
+        rms = {form: tuple(_rms(line) for line in errors) for form, errors in by_form.items()}
+        for place, (snr_db, least) in enumerate(zip(SNRS_DB, bounds, strict=True)):
+            name = f"{_name(span_hz)}, {snr_db:g} dB"
+            rows += [Row(name, rms[form][place] / least, "times", form) for form in FORMS]
+            rows.append(Row(name, least, "Hz", BOUND))
+        series |= {f"{form}, {_name(span_hz)}": curve for form, curve in rms.items()}
+    return rows, series | {BOUND: bounds}
+
+
+def _at_samplerate(samplerate: int, grid: _Grid, count: int) -> list[Row]:
+    """Return the rows of one samplerate: over 0 to 20 dB, and what is left without noise."""
+    rows: list[Row] = []
+    bounds = np.array([[bound_hz(samplerate, grid.frames, snr)] for snr in LIMITED_SNRS_DB])
+    for span_hz in RANGES_HZ:
+        limited = span_hz[0] >= RANGES_HZ[1][0]
+        name = f"{samplerate} Hz, {_name(span_hz)}"
+        by_form = _errors_hz(grid, span_hz, (*LIMITED_SNRS_DB, None), count)
+        for form, errors in by_form.items():
+            must = TIMES_BOUND if limited and form == LIVE else None
+            rows.append(Row(name, _rms(errors[:-1] / bounds), "times", form, must))
+        rows += [
+            Row(name, _rms(errors[-1]), "Hz", f"{form}, no noise")
+            for form, errors in by_form.items()
+        ]
+        if samplerate != SAMPLERATE:
+            continue
+        rng = np.random.default_rng(samplerate)
+        audio_hz = _log_uniform(rng, span_hz, count)
+        lone = grid.without_image(audio_hz, rng.uniform(0.0, 2.0 * np.pi, count))
+        rows.append(Row(name, _rms(lone), "Hz", f"{REFERENCE}, no noise, no image"))
+    return rows
+
+
+def _pairs(grid: _Grid, count: int) -> list[Row]:
+    """Return how often two equal tones are told apart, and how well they are found then."""
+    rows: list[Row] = []
+    for apart_hz in APART_HZ:
+        rng = np.random.default_rng(int(apart_hz))
+        lower_hz = _log_uniform(rng, PAIR_HZ, count)
+        wanted_hz = np.stack((lower_hz, lower_hz + apart_hz), axis=1)
+        windows = sum(
+            AMPLITUDE * np.sin(grid.turns(hz, rng.uniform(0.0, 2.0 * np.pi, count)))
+            for hz in wanted_hz.T
+        )
+        name = f"two tones {apart_hz:g} Hz apart"
+        for form, analyse in grid.forms.items():
+            found = analyse(np.asarray(windows))
+            nearest_hz = _nearest_hz(found, wanted_hz)
+            errors_hz = nearest_hz - wanted_hz
+            resolved = (np.abs(errors_hz) < apart_hz / 2.0).all(axis=1)
+            rows.append(Row(f"{name}, two found", 100.0 * float(resolved.mean()), "%", form))
+            error = _rms(errors_hz[resolved]) if resolved.any() else None
+            rows.append(Row(f"{name}, error", error, "Hz", form, note="" if error else "never two"))
+    return rows
+
+
+def _nearest_hz(found: Principals, wanted_hz: FloatArray) -> FloatArray:
+    """Return the found frequency nearest to each wanted one, (rows, tones); infinite for none."""
+    nearest = np.full(wanted_hz.shape, np.inf)
+    for row, audio_hz in zip(found.row, found.audio_hz, strict=True):
+        nearer = np.abs(audio_hz - wanted_hz[row]) < np.abs(nearest[row] - wanted_hz[row])
+        nearest[row, nearer] = audio_hz
+    return nearest

@@ -1,0 +1,338 @@
+"""Bench on the frontier: what each setting of the live form costs, and what error it leaves.
+
+One setting is changed at a time (`frontier_settings`); the verdict under the table is computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Literal
+
+import numpy as np
+from scipy.signal import hilbert
+
+from audioflinger_hook.transform import TransformParameters, kernel_warning
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.principal import PrincipalFinder
+from audioflinger_hook.transform.scaling import vibration_hz
+from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from tools.bench.cost import interleaved
+from tools.bench.measures.vibration import energy_above_db, onset_lag_s, sine_fit
+from tools.bench.report import Row, Section, number
+from tools.bench.sections.fidelity import (
+    BURST_AMPLITUDE,
+    BURST_HZ,
+    BURST_ONSET_S,
+    LAG_P95_LEAD,
+    LEAK_RECORDING_LEAD,
+    REST_S,
+)
+from tools.bench.sections.frontier_settings import DEFAULT, SETTINGS, Setup
+from tools.bench.sections.tones import LEADS
+from tools.bench.sounds.signals import (
+    SAMPLERATE,
+    Stereo,
+    burst,
+    demo_sound,
+    tone,
+)
+from tools.bench.workbench import Playback, Workbench
+
+TITLE = "Cost against error"
+BLOCKSIZE = 256
+SCENE_FROM_S, SCENE_S = 6.9, 2.0
+"""Of the demo scene: footsteps, then speech."""
+TONES_HZ, TONE_S, AMPLITUDE = (60.0, 10_000.0), 1.0, 0.3
+CHIRP_FROM_HZ, CHIRP_OCTAVES_A_S, CHIRP_S = 200.0, 2.0, 1.5
+CHIRP_SETTLED_S = 0.4
+SWELL_HZ, SWELL_DEPTH = 4.0, 0.5
+NOTES, HARMONICS, NOTE_HZ, NOTE_DECAY_S = 24, 12, (98.0, 660.0), 0.3
+NOTE_REACH_HZ = 10.8
+"""Half of 1/T: a partial found so near to its place is found."""
+
+COST, TONE_ERROR, TONE_LEVEL, CHIRP = "cost", "tones", "tones, level", "chirp"
+SWELL, PURITY, LAG, LEAK = "AM, level", "THD+N", "lag, p95", "over 250 Hz"
+MISSED, SPURIOUS = "missed", "spurious"
+UNLIKE = "not the reference's"
+UNITS = {
+    COST: "ms", TONE_ERROR: "Hz", TONE_LEVEL: "dB", CHIRP: "Hz", SWELL: "dB", PURITY: "dB",
+    LAG: "ms", LEAK: "dB", MISSED: "%", SPURIOUS: "%", UNLIKE: "%",
+}  # fmt: skip
+"""What is measured of a setting; of each less is better."""
+BLUR = {
+    COST: 0.1, TONE_ERROR: 1e-3, TONE_LEVEL: 0.01, CHIRP: 0.1, SWELL: 0.02, PURITY: 1.0,
+    LAG: 0.7, LEAK: 0.7, MISSED: 0.3, SPURIOUS: 0.3, UNLIKE: 0.3,
+}  # fmt: skip
+"""Differences under this, of cost as a share, are none: they are within the spread of repeats."""
+
+
+ENOUGH = {PURITY: LEADS[2], LEAK: LEAK_RECORDING_LEAD, LAG: LAG_P95_LEAD}
+"""What is aimed at: of a setting that is better only beyond it there is nothing to be felt."""
+NOT_COMPARED = {COST: "not compiled", UNLIKE: "other units"}
+
+
+def frontier(bench: Workbench) -> Section:
+    """Cost and errors of the live form, one setting changed at a time, and who dominates whom."""
+    setups = [Setup(setting) for setting in SETTINGS]
+    first = round(SCENE_FROM_S * SAMPLERATE)
+    scene = demo_sound()[first : first + round(SCENE_S * SAMPLERATE)]
+    costs_ms = _costs_ms(setups, scene, bench.effort.cost_repeats)
+    count = bench.effort.frontier_sounds
+    measured = {
+        setup.setting.name: {COST: cost_ms, **_errors(setup, scene, count)}
+        for setup, cost_ms in zip(setups, costs_ms, strict=True)
+    }
+    rows = [
+        Row(name, value, UNITS[column], f"{column}, {UNITS[column]}",
+            note="" if value is not None else NOT_COMPARED[column])
+        for name, values in measured.items()
+        for column, value in values.items()
+    ]  # fmt: skip
+    return Section(
+        TITLE,
+        f"The live form ({'compiled' if kernel_warning() is None else 'in NumPy'}) with one "
+        f"setting changed at a time. Cost of a second of stereo, on {SCENE_S:g} s of the demo "
+        f"scene, the least of {bench.effort.cost_repeats} repeats; then errors "
+        "against what is known: root mean square over steady tones "
+        f"({TONES_HZ[0]:g} to {TONES_HZ[1]:g} Hz) in Hz of vibration and dB, and their worst "
+        f"THD+N; a chirp of {CHIRP_OCTAVES_A_S:g} octaves a second; a level that swells at "
+        f"{SWELL_HZ:g} Hz; onset lag of bursts; energy over 250 Hz of the scene; partials missed "
+        f"and spurious on {NOTES} decaying notes of {HARMONICS} harmonics; and principal "
+        "frequencies of the scene that only one of this and the reference form finds. "
+        "Interpolation and precision (64 bit) are no settings of the live form.",
+        tuple(rows),
+        footnote=_verdict(measured),
+    )  # fmt: skip
+
+
+def _plain(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def _costs_ms(setups: list[Setup], scene: Stereo, repeats: int) -> list[float | None]:
+    """Return the least cost of each setting; None where it runs by other means than the default.
+
+    The least of the repeats: settings are told apart, and other programs only ever add.
+    """
+    timed = [setup for setup in setups if setup.compiled == setups[0].compiled]
+    playbacks = [Playback(setup.subject, scene, BLOCKSIZE) for setup in timed]
+    timings = interleaved(
+        [each.play for each in playbacks], repeats, [each.open for each in playbacks]
+    )
+    costs = {
+        setup.setting.name: 1e3 * min(timing.seconds) / SCENE_S
+        for setup, timing in zip(timed, timings, strict=True)
+    }
+    return [costs.get(setup.setting.name) for setup in setups]
+
+
+def _errors(setup: Setup, scene: Stereo, count: int) -> dict[str, float | None]:
+    """Return every error of a setting by its column; None where it cannot be compared."""
+    tone_hz, tone_db, purity_db = _tone_errors(setup, count)
+    missed, spurious = _notes(setup)
+    rest = np.zeros((round(REST_S * SAMPLERATE), 2), scene.dtype)
+    quiet = setup.vibration(np.concatenate((scene, rest)))
+    return {
+        TONE_ERROR: tone_hz,
+        TONE_LEVEL: tone_db,
+        PURITY: purity_db,
+        CHIRP: _chirp_error_hz(setup),
+        SWELL: _swell_error_db(setup),
+        LAG: _lag_p95_ms(setup, count),
+        LEAK: energy_above_db(quiet, SAMPLERATE),
+        MISSED: missed,
+        SPURIOUS: spurious,
+        UNLIKE: _unlike_reference(setup, scene),
+    }
+
+
+def _tone_errors(setup: Setup, count: int) -> tuple[float, float, float]:
+    """Return r.m.s. errors in Hz and dB, and the worst THD+N in dB, of steady tones."""
+    errors_hz, errors_db, purities_db = [], [], []
+    for audio_hz in np.geomspace(*TONES_HZ, count):
+        vibration = setup.vibration(tone(float(audio_hz), AMPLITUDE, TONE_S))
+        fit = sine_fit(vibration[SAMPLERATE // 2 :], SAMPLERATE)
+        wanted_hz = float(vibration_hz(np.array(audio_hz), setup.parameters))
+        errors_hz.append(fit.frequency_hz - wanted_hz)
+        errors_db.append(20.0 * np.log10(fit.amplitude / AMPLITUDE / _band_gain(setup, audio_hz)))
+        purities_db.append(fit.residual_db)
+    return _rms(errors_hz), _rms(errors_db), max(purities_db)
+
+
+def _band_gain(setup: Setup, audio_hz: float) -> float:
+    """Return what the band-pass leaves of a tone: that it is weaker there is no error."""
+    bandpass = setup.made._bandpass
+    delay = np.exp(-2j * np.pi * audio_hz / SAMPLERATE)
+    powers = delay ** np.arange(bandpass._a.size)
+    return float(np.abs((bandpass._b * powers).sum() / (bandpass._a * powers).sum()))
+
+
+def _chirp_error_hz(setup: Setup) -> float:
+    """Return the r.m.s. error in Hz of vibration on a chirp, at the latency of what lasts."""
+    time_s = np.arange(round(CHIRP_S * SAMPLERATE)) / SAMPLERATE
+    growth = CHIRP_OCTAVES_A_S * np.log(2.0)
+    phase = 2.0 * np.pi * CHIRP_FROM_HZ / growth * (np.exp(growth * time_s) - 1.0)
+    vibration = setup.vibration(AMPLITUDE * np.sin(phase))
+    turned = np.unwrap(np.angle(hilbert(vibration)))
+    span = SAMPLERATE // 50  # a mean over 20 ms
+    found_hz = (turned[span:] - turned[:-span]) / span * SAMPLERATE / (2.0 * np.pi)
+    middle_s = time_s[:-span] + 0.5 * span / SAMPLERATE - setup.tonal_latency_frames / SAMPLERATE
+    settled = (time_s[:-span] > CHIRP_SETTLED_S) & (time_s[:-span] < CHIRP_S - 0.1)
+    audio_hz = CHIRP_FROM_HZ * np.exp(growth * middle_s[settled])
+    return _rms(found_hz[settled] - vibration_hz(audio_hz, setup.parameters))
+
+
+def _swell_error_db(setup: Setup) -> float:
+    """Return the r.m.s. error in dB of a tone's level that swells, at the latency of what lasts."""
+    duration_s = 1.5
+    time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
+    swell = 1.0 + SWELL_DEPTH * np.sin(2.0 * np.pi * SWELL_HZ * time_s)
+    vibration = setup.vibration(tone(1_000.0, AMPLITUDE, duration_s) * swell)
+    late = setup.tonal_latency_frames
+    middle = slice(SAMPLERATE // 4, vibration.size - late - SAMPLERATE // 10)
+    level = np.abs(hilbert(vibration))[late:][middle]
+    return _rms(20.0 * np.log10(level / (AMPLITUDE * swell[middle])))
+
+
+def _lag_p95_ms(setup: Setup, count: int) -> float:
+    """Return the 95th percentile of the onset lag over twice as many bursts as count."""
+    stream_s = BURST_ONSET_S + 0.4  # the latest onset, and what the measure looks at after it
+    lags = []
+    for place, audio_hz in enumerate(np.geomspace(*BURST_HZ, 2 * count)):
+        # places spread over the window by the golden ratio, so that no hop is favoured
+        onset_s = BURST_ONSET_S + (0.618 * place % 1.0) * TransformParameters().window_s
+        sound = burst(float(audio_hz), BURST_AMPLITUDE, onset_s, stream_s)
+        lags.append(1e3 * onset_lag_s(setup.vibration(sound), SAMPLERATE, onset_s))
+    return float(np.percentile(lags, 95))
+
+
+def _notes(setup: Setup) -> tuple[float, float]:
+    """Return missed and spurious partials of decaying notes, in percent of all there are."""
+    form = setup.made
+    rng = np.random.default_rng(6)
+    time_s = np.arange(form._grid.window_frames) / SAMPLERATE
+    note_hz = np.exp(rng.uniform(np.log(NOTE_HZ[0]), np.log(NOTE_HZ[1]), NOTES))
+    order = np.arange(1, HARMONICS + 1)
+    wanted_hz = note_hz[:, None] * order
+    turns = 2.0 * np.pi * wanted_hz[:, :, None] * time_s
+    phases = rng.uniform(0.0, 2.0 * np.pi, (NOTES, HARMONICS, 1))
+    waves = np.sin(turns + phases) * (AMPLITUDE / order)[:, None]
+    windows = waves.sum(axis=1) * np.exp(-time_s / NOTE_DECAY_S)
+    found = form._analysis.strongest(form._spectrum.transform(windows))
+    hits = np.zeros(wanted_hz.shape, dtype=bool)
+    spurious = 0
+    for row, audio_hz in zip(found.row, found.audio_hz, strict=True):
+        near = np.abs(wanted_hz[row] - audio_hz) < NOTE_REACH_HZ
+        spurious += not (near & ~hits[row]).any()
+        hits[row] |= near
+    return 100.0 * float((~hits).mean()), 100.0 * spurious / hits.size
+
+
+def _unlike_reference(setup: Setup, scene: Stereo) -> float | None:
+    """Return the share in percent of principal frequencies that only one of both forms finds."""
+    parameters = TransformParameters()
+    if setup.parameters.window_s != parameters.window_s:
+        return None
+    spectrum = Spectrum(parameters, SAMPLERATE)
+    finder = PrincipalFinder(parameters, spectrum.bin_hz, spectrum.bins)
+    form = setup.form()
+    filtered = form._bandpass.process(scene.astype(np.float64).mean(axis=1))
+    units = filtered[: filtered.size - filtered.size % spectrum.window_frames]
+    units = units.reshape(-1, spectrum.window_frames)
+    wanted, found = finder.all_principal(magnitude(spectrum.transform(units))), form.analyse(units)
+    pitch_hz = 4.0 * SAMPLERATE
+    here, there = (each.row * pitch_hz + each.audio_hz for each in (found, wanted))
+    near = np.abs(here[:, None] - there) <= spectrum.bin_hz / 2.0
+    alone = int((~near.any(axis=0)).sum()) + int((~near.any(axis=1)).sum())
+    return 100.0 * alone / max(1, here.size + there.size)
+
+
+def _rms(errors: FloatArray | list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def _compared(
+    one: Mapping[str, float | None], other: Mapping[str, float | None]
+) -> dict[str, Literal["better", "worse"]]:
+    """Return in which columns one setting differs from another by more than the blur."""
+    found: dict[str, Literal["better", "worse"]] = {}
+    for column, blur in BLUR.items():
+        mine, theirs = one[column], other[column]
+        if mine is None or theirs is None:
+            continue
+        apart = blur * theirs if column == COST else blur
+        if abs(mine - theirs) > apart:
+            found[column] = "better" if mine < theirs else "worse"
+    return found
+
+
+def _verdict(measured: Mapping[str, Mapping[str, float | None]]) -> str:
+    """Return why the defaults lie where they lie: what every other setting costs and gains."""
+    default = measured[DEFAULT]
+    dominating: dict[str, list[str]] = {}
+    lines = []
+    for name, values in measured.items():
+        if name == DEFAULT:
+            continue
+        compared = _compared(values, default)
+        gains, losses = (
+            [column for column, side in compared.items() if side == wanted]
+            for wanted in ("better", "worse")
+        )
+        if gains and not losses:
+            dominating[name] = gains
+        lines.append(
+            f"- {name}: better in {_listed(gains, values) or 'nothing'}; "
+            f"worse in {_listed(losses, values) or 'nothing'}"
+        )
+    head = f"The defaults ({_listed(default, default)}) {_place(dominating, measured)}"
+    return "\n".join((head, "Against them, as far as the spread of repeats lets one tell:", *lines))
+
+
+def _listed(columns: Iterable[str], values: Mapping[str, float | None]) -> str:
+    return ", ".join(
+        f"{column} {number(_plain(values[column]))} {UNITS[column]}" for column in columns
+    )
+
+
+def _place(
+    dominating: Mapping[str, list[str]], measured: Mapping[str, Mapping[str, float | None]]
+) -> str:
+    """Return where the defaults lie, given what each setting that dominates them is better in."""
+    if not dominating:
+        return "lie on the frontier: no other setting is better in something and worse in nothing."
+    default = measured[DEFAULT]
+    needless = {
+        name: gains
+        for name, gains in dominating.items()
+        if all(column in ENOUGH and ENOUGH[column].met(_plain(default[column])) for column in gains)
+    }
+    rest = [name for name in dominating if name not in needless]
+    said = []
+    if rest:
+        verb = "is" if len(rest) == 1 else "are"
+        said.append(
+            f"do not lie on the frontier: {', '.join(rest)} {verb} better in something and worse "
+            "in nothing."
+        )
+    if needless:
+        each = "; ".join(
+            f"{name} ({_listed(gains, measured[name])}; cost {_dearer(measured[name], default)})"
+            for name, gains in needless.items()
+        )
+        aims = dict.fromkeys(column for gains in needless.values() for column in gains)
+        reached = ", ".join(f"{column} {ENOUGH[column].shown(UNITS[column])}" for column in aims)
+        said += [] if rest else ["lie on the frontier where there is more to be felt."]
+        said.append(
+            f"Better only where the defaults are good enough already: {each}. What is aimed at "
+            f"there is {reached}; beyond it cost decides."
+        )
+    return " ".join(said)
+
+
+def _dearer(values: Mapping[str, float | None], default: Mapping[str, float | None]) -> str:
+    """Return by how much a setting costs more than the defaults, as measured."""
+    cost, ours = values[COST], default[COST]
+    if cost is None or ours is None:
+        return NOT_COMPARED[COST]
+    return f"{100.0 * (cost / ours - 1.0):+.0f} %"

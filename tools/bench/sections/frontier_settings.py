@@ -1,0 +1,123 @@
+"""Settings of the live form, each changed from outside and alone: see `frontier`.
+
+The transform carries no switches. The kernel takes all of its numbers from a `LiveTransform`,
+whose own come from `TransformParameters` and from the constants of `grid` and `smoothing`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import ModuleType
+
+from scipy.fft import next_fast_len
+
+from audioflinger_hook.transform import TransformParameters, grid, kernel_warning, smoothing
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.haptic import Stream
+from audioflinger_hook.transform.kernel import KernelStream
+from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.voices import VoiceStream
+from tools.bench.sounds.signals import SAMPLERATE, Stereo
+from tools.bench.workbench import Subject
+
+DEFAULT = "as it is"
+KERNEL_PADDING = 2.0
+"""The kernel takes no NFFT under two windows; such a setting is tried in NumPy."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One change of the live form: its knob, its name in the table, and what is changed.
+
+    parameters: of `TransformParameters`; constants: of `grid` and `smoothing`; padding: NFFT over
+    the window's length. onsets: whether what begins is born at once.
+    """
+
+    knob: str
+    name: str
+    parameters: Mapping[str, float | int] = field(default_factory=dict)
+    constants: Mapping[str, float | int] = field(default_factory=dict)
+    padding: float = 2.0
+    onsets: bool = True
+
+
+def hop(hops_a_window: float) -> Setting:
+    """Return the setting of another hop."""
+    hop_ms = 1e3 * TransformParameters().window_s / hops_a_window
+    return Setting("hop", f"hop {hop_ms:.0f} ms", constants={"HOPS_A_WINDOW": hops_a_window})
+
+
+def _filter(order: int, ripple_db: float, stop_db: float) -> Setting:
+    constants = {"ORDER": order, "RIPPLE_DB": ripple_db, "STOP_DB": stop_db}
+    name = f"low-pass of order {order}, {ripple_db:g} dB, {stop_db:g} dB"
+    return Setting("low-pass", name, constants=constants)
+
+
+SETTINGS: tuple[Setting, ...] = (
+    Setting("", DEFAULT),
+    *(hop(hops_a_window) for hops_a_window in (1.0, 1.9, 4.0, 5.5, 11.0)),
+    *(Setting("NFFT", f"NFFT {times:g} windows", padding=times) for times in (1.0, 3.0, 4.0)),
+    *(
+        Setting("window", f"window {1e3 * window_s:.0f} ms", {"window_s": window_s})
+        for window_s in (0.0232, 0.0929)
+    ),
+    *(Setting("partials", f"{n} partials", {"partials_max": n}) for n in (4, 8, 32)),
+    *(
+        Setting("rate", f"oscillators at {rate_hz / 1e3:g} kHz", constants={"LOW_RATE_HZ": rate_hz})
+        for rate_hz in (1_500.0, 6_000.0, 12_000.0)
+    ),
+    Setting("onsets", "without onsets", onsets=False),
+    _filter(5, 1.0, 35.0),
+    _filter(5, 2.0, 38.0),
+)
+
+
+class Setup:
+    """The live form with one setting, compiled where the kernel is there."""
+
+    def __init__(self, setting: Setting) -> None:
+        self.setting = setting
+
+        class Padded(TransformParameters):
+            def fft_length(self, samplerate: int) -> int:
+                wanted = round(setting.padding * self.window_frames(samplerate))
+                return int(next_fast_len(wanted, real=True))
+
+        window_s = setting.parameters.get("window_s", TransformParameters().window_s)
+        partials_max = setting.parameters.get("partials_max", TransformParameters().partials_max)
+        self.parameters = Padded(window_s=window_s, partials_max=int(partials_max))
+        self.compiled = kernel_warning() is None and setting.padding >= KERNEL_PADDING
+        self.made = self.form()  # what the kernel takes its numbers from; never played itself
+        self.tonal_latency_frames = self.made.tonal_latency_frames
+        self.subject = Subject(setting.name, lambda _samplerate, channels: self._stream(channels))
+
+    def form(self) -> LiveTransform:
+        """Return one channel in NumPy."""
+        with constants_changed(self.setting.constants):
+            return LiveTransform(self.parameters, SAMPLERATE, onsets=self.setting.onsets)
+
+    def _stream(self, channels: int) -> Stream:
+        if self.compiled:
+            return KernelStream(self.made, channels, each=False)
+        return VoiceStream([self.form()], channels)
+
+    def vibration(self, sound: FloatArray | Stereo) -> FloatArray:
+        """Return the vibration of a sound, (frames,)."""
+        return self.subject.vibration(sound, SAMPLERATE)
+
+
+@contextmanager
+def constants_changed(changed: Mapping[str, float | int]) -> Iterator[None]:
+    """Change constants of `grid` and `smoothing` for as long as a transform is being made."""
+    kept: list[tuple[ModuleType, str, float | int]] = []
+    try:
+        for name, value in changed.items():
+            (home,) = (module for module in (grid, smoothing) if hasattr(module, name))
+            kept.append((home, name, getattr(home, name)))
+            setattr(home, name, value)
+        yield
+    finally:
+        for home, name, before in kept:
+            setattr(home, name, before)

@@ -1,0 +1,197 @@
+"""Bench on rendering: files through the command line, as a user would do it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+from audioflinger_hook.offline.workers import usable_cores
+from tools.bench.cost import in_ffts
+from tools.bench.report import Missing, Must, Row, Section
+from tools.bench.sounds.signals import (
+    PROJECT_ROOT,
+    SAMPLERATE,
+    demo_sound,
+)
+from tools.bench.workbench import Workbench, not_compiled
+
+PACKAGE = "audioflinger_hook"
+LONG_S = 600.0
+LONG_WALL = Must("<=", 9.0)
+PEAK_MEMORY = Must("<=", 400.0)
+TIMEOUT_S = 300.0
+A_CORE = {"live": Must(">=", 400.0), "reference": Must(">=", 250.0)}
+A_CORE_FFTS = {form: Must("<=", in_ffts(1.0 / must.bound)) for form, must in A_CORE.items()}
+REPEATS = 3
+
+# A small process of its own starts the command: the peak of a child includes what its parent
+# occupied when it was started, and the bench occupies a lot.
+_WATCHER = """
+import json, os, resource, subprocess, sys, time
+start = time.perf_counter()
+done = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+wall_s = time.perf_counter() - start
+peak_kb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+print(json.dumps([done.returncode, wall_s, peak_kb, done.stderr[-400:]]))
+"""
+
+
+# The same command once everything is imported: the CPU time of the rendering alone, and of the
+# FFT before each.
+_STARTED = """
+import json, os, sys, time
+from tools.bench.cost import rfft_unit_s
+from audioflinger_hook.cli import main, render
+sys.stdout = open(os.devnull, "w")
+repeats, forms = int(sys.argv[1]), sys.argv[2].split(",")
+spent = {form: [] for form in forms}
+for form in forms * repeats:
+    unit_s = rfft_unit_s()
+    start = time.process_time()
+    code = main([*sys.argv[3:], "--transform", form])
+    if code:
+        sys.exit(code)
+    spent[form].append((time.process_time() - start, unit_s))
+sys.__stdout__.write(json.dumps(spent))
+"""
+
+
+def render_speed(bench: Workbench) -> Section:
+    """Wall time and peak memory of `render`, the whole process; and what it costs a core."""
+    title = "Rendering a file"
+    explanation = (
+        "`cushion render` of the demo scene in a loop, 48 kHz stereo, live form: wall time of the "
+        "whole command, start of Python included, and the most memory that it occupied, which must "
+        "not depend on the length. A core: by CPU time, start left out, the best of "
+        f"{REPEATS} runs; in FFTs what a second of sound costs, against the best FFT. Several "
+        "files: one for each core that may be used, all at once, by wall time, start included; so "
+        "is one file of the reference form that several share. Limits but that of memory are "
+        "asked of ten minutes (full run)."
+    )
+    if importlib.util.find_spec(f"{PACKAGE}.__main__") is None:
+        reason = f"`python -m {PACKAGE}` is not there"
+        return Section(title, explanation, (), (Missing("rendering", reason, "pip install -e ."),))
+    rows: list[Row] = []
+    missing: list[Missing] = [*not_compiled("rendering")]
+    with tempfile.TemporaryDirectory(prefix="cushion-bench-") as folder:
+        for duration_s in bench.effort.render_s:
+            name = f"{duration_s / 60:g} min"
+            source = Path(folder) / "sound.wav"
+            _write_sound(source, duration_s)
+            for what, measure in (
+                (name, _whole_command),
+                (f"{name}, a core", _a_core),
+                (f"{name}, several files", _several_files),
+                (f"{name}, shared", _one_file),
+            ):
+                try:
+                    rows += measure(source, name, duration_s)
+                except (RuntimeError, OSError, ValueError, subprocess.SubprocessError) as error:
+                    reason = " ".join(str(error).split())
+                    missing.append(Missing(f"rendering {what}", reason, "cushion render --help"))
+    return Section(title, explanation, tuple(rows), tuple(missing))
+
+
+def _whole_command(source: Path, name: str, duration_s: float) -> list[Row]:
+    """Return wall time and peak memory of one rendering."""
+    wall_s, peak_mb = _render(str(source), str(source.with_name("vibration.wav")))
+    return [
+        Row(name, wall_s, "s", "wall time", LONG_WALL if duration_s >= LONG_S else None),
+        Row(name, duration_s / wall_s, "", "x real time"),
+        Row(name, peak_mb, "MB", "peak memory", PEAK_MEMORY),
+    ]
+
+
+def _a_core(source: Path, name: str, duration_s: float) -> list[Row]:
+    """Return how many seconds of sound one second of a core renders, in each form."""
+    target = str(source.with_name("vibration.wav"))
+    # One worker: CPU time is that of this process alone.
+    command = ["render", str(source), target, "--workers", "1"]
+    done = subprocess.run(
+        [sys.executable, "-c", _STARTED, str(REPEATS), ",".join(A_CORE), *command],
+        capture_output=True,
+        timeout=TIMEOUT_S,
+        text=True,
+        env=_environment(),
+    )
+    if done.returncode != 0:
+        raise RuntimeError(f"`render` ended with exit code {done.returncode}: {done.stderr[-400:]}")
+    spent: dict[str, list[tuple[float, float]]] = json.loads(done.stdout)
+    rows = []
+    for form, must in A_CORE.items():
+        # The best of both: whatever else the machine does, it adds time.
+        seconds, unit_s = map(min, zip(*spent[form], strict=True))
+        limits = (must, A_CORE_FFTS[form]) if duration_s >= LONG_S else (None, None)
+        column, twin = f"x real time a core, {form}", f"a second a core, {form}, FFTs"
+        rows.append(Row(name, duration_s / seconds, "", column, limits[0], ffts_column=twin))
+        ffts = round(seconds / duration_s / unit_s)
+        rows.append(Row(name, ffts, "FFTs", twin, limits[1]))
+    return rows
+
+
+def _several_files(source: Path, name: str, duration_s: float) -> list[Row]:
+    """Return how many seconds of sound all cores render in a second, a file for each of them."""
+    cores = usable_cores()
+    with tempfile.TemporaryDirectory(dir=source.parent) as folder:
+        sources = [Path(folder) / f"{number}.wav" for number in range(cores)]
+        for link in sources:
+            link.hardlink_to(source)
+        out = Path(folder) / "out"
+        out.mkdir()
+        wall_s, _ = _render(*map(str, sources), "--out-dir", str(out), "--workers", str(cores))
+    return [Row(f"{name}, {cores} files at once", cores * duration_s / wall_s, "", "x real time")]
+
+
+def _one_file(source: Path, name: str, duration_s: float) -> list[Row]:
+    """Return how many seconds of one sound a second renders, by as many workers as may be."""
+    if duration_s < LONG_S:  # too short to be shared
+        return []
+    rows = []
+    for workers in dict.fromkeys((1, usable_cores())):
+        target = str(source.with_name("vibration.wav"))
+        options = ("--transform", "reference", "--workers", str(workers))
+        wall_s, _ = _render(str(source), target, *options)
+        shared = f"{workers} worker{'s' if workers > 1 else ''}"
+        rows.append(Row(f"{name}, reference, {shared}", duration_s / wall_s, "", "x real time"))
+    return rows
+
+
+def _render(*arguments: str) -> tuple[float, float]:
+    """Return wall seconds and peak MB of one command; RuntimeError where it fails."""
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", _WATCHER, sys.executable, "-m", PACKAGE, "render", *arguments],
+        stdout=subprocess.PIPE,
+        timeout=TIMEOUT_S,
+        check=True,
+        text=True,
+        env=_environment(),
+    )
+    exit_code, wall_s, peak_kb, message = json.loads(done.stdout)
+    if exit_code != 0:
+        raise RuntimeError(f"`render` ended with exit code {exit_code}: {message}")
+    return float(wall_s), float(peak_kb) / 1024.0
+
+
+def _environment() -> dict[str, str]:
+    """Return an environment with the code that is measured here, whether it is installed or not."""
+    path = os.pathsep.join(filter(None, (str(PROJECT_ROOT), os.environ.get("PYTHONPATH"))))
+    return os.environ | {"PYTHONPATH": path}
+
+
+def _write_sound(path: Path, duration_s: float) -> None:
+    """Write the demo scene in a loop, 16 bit, without holding all of it."""
+    demo = demo_sound()
+    demo = np.clip(demo, -1.0, 1.0)
+    left = round(duration_s * SAMPLERATE)
+    with soundfile.SoundFile(path, "w", SAMPLERATE, demo.shape[1], "PCM_16") as file:
+        while left > 0:
+            file.write(demo[:left])
+            left -= len(demo)

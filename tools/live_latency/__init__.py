@@ -1,0 +1,1 @@
+"""The instrument for the latency of live vibration."""

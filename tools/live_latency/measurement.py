@@ -1,0 +1,272 @@
+"""How late live vibration is: a daemon's tap and its device recorded side by side.
+
+The sound's monitor is recorded twice and the device's once. What the transform makes of the sound
+offline, its latency taken out, is the vibration that should be felt with it; how much later the
+device's monitor has it is the lag. Between the two recordings of the sound there must be none.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.service.status import Status
+from audioflinger_hook.transform import HapticTransform
+from audioflinger_hook.transform.arrays import FloatArray, Frames
+from device.errors import LostError
+from tools.bench.machine import cpu_model
+from tools.bench.sections.live_latency import LiveRecord, Numbers
+from tools.bench.soak_record import now
+from tools.live_latency.arrival import ArrivalLine
+from tools.live_latency.daemon import status_of_daemon
+from tools.live_latency.lag import Envelope, Lag, LevelTrace, dropouts, growth, lag_between
+from tools.live_latency.pauses import Pause, PauseWitness
+from tools.live_latency.recording import Recording, samplerate_of, server_name
+from tools.live_latency.usage import ProcessUse
+
+WINDOW_S = 3.0
+LEAD_S, TAIL_S = 2.0, 2.0
+"""Recorded before and after what is measured: lines of time need both."""
+
+POLL_S = 1.0
+TICK_S = 0.1
+
+Progress = Callable[[float, float], None]
+"""Told the seconds done and those in all."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a daemon runs: the monitors of what is heard and of what is felt.
+
+    environment: leads programs to the sound server and to the daemon.
+    """
+
+    heard: str
+    felt: str
+    environment: Mapping[str, str]
+
+
+class _Polls:
+    """What the daemon told of itself, and when."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        self._environment = environment
+        self.seen: list[tuple[float, Status]] = []
+        self.use = ProcessUse()
+        self._due_s = time.monotonic()
+
+    def poll(self, now_s: float) -> None:
+        """Ask it once a second; what it does not answer is left out."""
+        if now_s < self._due_s:
+            return
+        self._due_s = now_s + POLL_S
+        status = status_of_daemon(self._environment)
+        if status is not None:
+            self.seen.append((now_s, status))
+            self.use.sample(status.pid, now_s)
+
+    def median(self, value: Callable[[Status], float], *span_s: float) -> float | None:
+        """Return the median of a figure, from one time to another or of all; None without one."""
+        first_s, last_s = span_s or (-np.inf, np.inf)
+        found = [value(status) for at_s, status in self.seen if first_s <= at_s < last_s]
+        return float(np.median(found)) if found else None
+
+    def rises(self, value: Callable[[Status], int]) -> int:
+        """Return how much a counter rose, which may have begun anew."""
+        counts = [value(status) for _, status in self.seen]
+        return sum(max(0, b - a) for a, b in pairwise(counts))
+
+
+def measure(
+    place: Place,
+    seconds: float,
+    *,
+    settings: Settings | None = None,
+    block_frames: int | None = None,
+    stimulus: str = "whatever played",
+    progress: Progress | None = None,
+) -> LiveRecord:
+    """Return how late the vibration of a running daemon is, for so many seconds from now on.
+
+    settings: the daemon's; block_frames, stimulus: for the record only. Takes 4 s more than
+    `seconds`, at least WINDOW_S; waits in the calling thread.
+
+    Raises
+    ------
+    LostError, NotFoundError
+        The server, one of the monitors or a program needed is not there.
+    """
+    load_before, date = os.getloadavg()[0], now()
+    listened = _listen(place, max(seconds, WINDOW_S), settings or Settings(), progress)
+    start_s, end_s, polls = listened.start_s, listened.end_s, listened.polls
+
+    windows = int((end_s - start_s) / WINDOW_S + 1e-9)
+    starts_s = start_s + WINDOW_S * np.arange(windows, dtype=np.float64)
+    spans_s = [(at_s, at_s + WINDOW_S) for at_s in starts_s.tolist()]
+    lags_ms = _lags_ms(lag_between(listened.wanted, listened.felt, *span_s) for span_s in spans_s)
+    checks_ms = _lags_ms(lag_between(listened.sound, listened.copy, *span_s) for span_s in spans_s)
+    right_ms = [check_ms for check_ms in checks_ms if check_ms is not None]
+    budgets_ms = tuple(
+        polls.median(lambda status: status.latency.total_ms, *span_s) for span_s in spans_s
+    )
+    hidden_ms = [
+        lag_ms - budget_ms if lag_ms is not None and budget_ms is not None else None
+        for lag_ms, budget_ms in zip(lags_ms, budgets_ms, strict=True)
+    ]
+    known_ms = np.array([lag_ms for lag_ms in lags_ms if lag_ms is not None])
+    usual_s = 1e-3 * float(np.median(known_ms)) if known_ms.size else 0.0
+    gaps, silent_s = dropouts(
+        listened.wanted, listened.trace, listened.line, usual_s, start_s + usual_s, end_s
+    )
+    return LiveRecord(
+        server=server_name(place.environment),
+        block_frames=block_frames,
+        date=date,
+        cpu=cpu_model(),
+        cores=len(os.sched_getaffinity(0)),
+        load_before=load_before,
+        load_after=os.getloadavg()[0],
+        stimulus=stimulus,
+        seconds=end_s - start_s,
+        window_s=WINDOW_S,
+        lag_median_ms=1e3 * usual_s if known_ms.size else None,
+        lag_p5_ms=float(np.percentile(known_ms, 5.0)) if known_ms.size else None,
+        lag_p95_ms=float(np.percentile(known_ms, 95.0)) if known_ms.size else None,
+        growth_ms=_growth_ms(starts_s, lags_ms),
+        hidden_growth_ms=_growth_ms(starts_s, hidden_ms),
+        dropouts=gaps,
+        dropout_ms=1e3 * silent_s,
+        splices=listened.splices,
+        check_median_ms=float(np.median(right_ms)) if right_ms else None,
+        check_worst_ms=max(right_ms, key=abs, default=None),
+        budget_ms=polls.median(lambda status: status.latency.total_ms),
+        transform_ms=polls.median(lambda status: status.latency.transform_ms),
+        target_ms=polls.median(lambda status: status.delay_line.target_ms),
+        delay_ms=polls.median(lambda status: status.delay_line.delay_ms),
+        ratio_ppm=polls.median(lambda status: status.delay_line.ratio_ppm),
+        resyncs=polls.rises(lambda status: status.delay_line.resyncs),
+        underflows=polls.rises(lambda status: status.delay_line.underflows),
+        overflows=polls.rises(lambda status: status.delay_line.overflows),
+        recoveries=polls.rises(lambda status: sum(status.recoveries.values())),
+        cpu_percent=polls.use.cpu_percent,
+        memory_growth_kb=polls.use.memory_growth_kb,
+        machine_pauses=len(listened.pauses),
+        machine_pause_ms=max((1e3 * pause.seconds for pause in listened.pauses), default=0.0),
+        lags_ms=lags_ms,
+        budgets_ms=budgets_ms,
+    )
+
+
+@dataclass(frozen=True)
+class _Listened:
+    """What was recorded from start_s to end_s, and a little around it.
+
+    sound, copy: the two recordings of one monitor; wanted: the vibration of the sound; felt: what
+    the device's monitor had instead, with its trace and line. splices: in all recordings.
+    """
+
+    start_s: float
+    end_s: float
+    sound: Envelope
+    copy: Envelope
+    wanted: Envelope
+    felt: Envelope
+    trace: LevelTrace
+    line: ArrivalLine
+    splices: int
+    polls: _Polls
+    pauses: tuple[Pause, ...]
+
+
+def _listen(
+    place: Place, seconds: float, settings: Settings, progress: Progress | None
+) -> _Listened:
+    """Record everything side by side for so many seconds."""
+    rate = samplerate_of(place.heard, place.environment)
+    felt_rate = samplerate_of(place.felt, place.environment)
+    heard, again, felt = LevelTrace(rate), LevelTrace(rate), LevelTrace(felt_rate)
+    wanted = Rendering(rate, settings)
+    polls = _Polls(place.environment)
+
+    def take_sound(mono: Frames) -> None:
+        heard.add(mono)
+        wanted.add(mono)
+
+    with ExitStack() as stack:
+        witness = stack.enter_context(closing(PauseWitness()))
+        recordings = [
+            stack.enter_context(closing(Recording(source, at_hz, place.environment, take)))
+            for source, at_hz, take in (
+                (place.heard, rate, take_sound),
+                (place.felt, felt_rate, felt.add),
+                (place.heard, rate, again.add),
+            )
+        ]
+        start_s = time.monotonic() + LEAD_S
+        end_s = start_s + seconds
+        while (now_s := time.monotonic()) < end_s + TAIL_S:
+            for recording in recordings:
+                recording.drain()
+                if not recording.running:
+                    raise LostError(f"{recording.source!r} is gone; start the server anew")
+            if start_s <= now_s <= end_s:
+                polls.poll(now_s)
+            if progress:
+                progress(min(max(0.0, now_s - start_s), seconds), seconds)
+            time.sleep(TICK_S)
+        lines = [recording.line() for recording in recordings]
+        pauses = tuple(pause for pause in witness.pauses() if start_s <= pause.start_s <= end_s)
+    return _Listened(
+        start_s=start_s,
+        end_s=end_s,
+        sound=Envelope.of(heard, lines[0]),
+        copy=Envelope.of(again, lines[2]),
+        wanted=Envelope.of(wanted.trace, lines[0]),
+        felt=Envelope.of(felt, lines[1]),
+        trace=felt,
+        line=lines[1],
+        splices=sum(len(line.jumps) for line in lines),
+        polls=polls,
+        pauses=pauses,
+    )
+
+
+class Rendering:
+    """What the transform makes of a sound, its latency taken out, as levels.
+
+    The same as `cushion render` of it: mixed to one channel at full volume.
+    """
+
+    def __init__(self, samplerate: int, settings: Settings) -> None:
+        self.trace = LevelTrace(samplerate)
+        self._transform = HapticTransform(samplerate, 1, settings.parameters, form=settings.form)
+        self._early = self._transform.latency_frames
+
+    def add(self, mono: Frames) -> None:
+        """Take the next (frames,) of sound."""
+        vibration = self._transform.process(mono)[:, 0]
+        skipped = min(self._early, vibration.size)
+        self._early -= skipped
+        self.trace.add(vibration[skipped:])
+
+
+def _growth_ms(starts_s: FloatArray, values_ms: Sequence[float | None]) -> float | None:
+    known = [
+        (at, value) for at, value in zip(starts_s, values_ms, strict=True) if value is not None
+    ]
+    if len(known) < 3:
+        return None
+    times_s, found_ms = np.array(known).T
+    return growth(times_s, found_ms)
+
+
+def _lags_ms(lags: Iterator[Lag | None]) -> Numbers:
+    return tuple(None if lag is None else 1e3 * lag.seconds for lag in lags)
