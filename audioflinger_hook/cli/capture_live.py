@@ -8,7 +8,7 @@ from pathlib import Path
 from audioflinger_hook.capture import CaptureRecorder, CaptureWriter
 from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.cli.terminal import progress_bar, warn
-from audioflinger_hook.daemon.garbage import spare_what_is_there
+from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
 from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.sources import TapAddress

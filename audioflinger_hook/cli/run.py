@@ -12,14 +12,14 @@ from datetime import datetime
 from pathlib import Path
 
 from audioflinger_hook.cli.replay import capture_files
+from audioflinger_hook.cli.run_reporter import RunReporter
 from audioflinger_hook.cli.signals import Signals
-from audioflinger_hook.cli.telling import Teller
 from audioflinger_hook.config import file as config
 from audioflinger_hook.daemon.engine import Clocks
-from audioflinger_hook.daemon.garbage import spare_what_is_there
-from audioflinger_hook.daemon.order import LIVE_TAPS, PACED_TAPS, Order
+from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.daemon.report import status_of
+from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, RunConfig
+from audioflinger_hook.daemon.status_report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.offline.render import refuse_same_file
@@ -81,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _order(options: argparse.Namespace) -> Order:
+def _order(options: argparse.Namespace) -> RunConfig:
     """Return what the config asks for, and over it what the options do.
 
     Raises
@@ -109,7 +109,7 @@ def _order(options: argparse.Namespace) -> Order:
             "no device to play the vibration to; `cushion devices` lists them: name one with "
             f"--device, or with the key device in {path}"
         )
-    order = Order(parse_tap(live.tap[0]), parse_device(live.device), settings, live)
+    order = RunConfig(parse_tap(live.tap[0]), parse_device(live.device), settings, live)
     if order.device.kind == "usb" and not order.tap_is_live:
         order = dataclasses.replace(order, past_server=not _server_answers())
     _refuse_what_is_not_there(order)
@@ -125,7 +125,7 @@ def _server_answers() -> bool:
     return True
 
 
-def _refuse_what_is_not_there(order: Order) -> None:
+def _refuse_what_is_not_there(order: RunConfig) -> None:
     """Raise UsageError or NotFoundError for what cannot be done, or not by this version."""
     if order.tap.kind not in LIVE_TAPS + PACED_TAPS:
         raise NotFoundError(f"tap {str(order.tap)!r}: `cushion run` cannot listen to it")
@@ -155,9 +155,9 @@ def _keep_on(
     follow_config: Callable[[float], str],
 ) -> None:
     """Tick until enough was heard or a signal came; tell systemd and the user what goes on."""
-    teller = Teller()
+    reporter = RunReporter()
     watchdog = Watchdog(watchdog_period_s(os.getpid()))
-    teller.begin(*(address for address, _ in supervisor.endpoints))
+    reporter.begin(*(address for address, _ in supervisor.endpoints))
     spare_what_is_there()
     try:
         while supervisor.heard_s < seconds and not supervisor.ended:
@@ -166,15 +166,15 @@ def _keep_on(
             now_s = time.monotonic()
             if signals.reload:
                 signals.reload = False
-                supervisor.trouble = teller.reload(follow_config, now_s)
+                supervisor.trouble = reporter.reload(follow_config, now_s)
             supervisor.tick(now_s)
             report = supervisor.states.report(now_s)
-            teller.tell(report, supervisor.states.notes(), supervisor.warnings, now_s)
+            reporter.tell(report, supervisor.states.notes(), supervisor.warnings, now_s)
             if watchdog.due(supervisor.heard_buffers, report.state, now_s):
-                teller.notifier.watchdog()
+                reporter.notifier.watchdog()
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:
-        teller.end(supervisor.warnings)
+        reporter.end(supervisor.warnings)
     if supervisor.summary:
         print(supervisor.summary)
 

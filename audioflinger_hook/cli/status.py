@@ -6,7 +6,7 @@ import argparse
 import time
 
 from audioflinger_hook.cli.terminal import LineConsole
-from audioflinger_hook.service.ask import ask_status
+from audioflinger_hook.service.status_client import ask_status
 from audioflinger_hook.service.status_view import status_view
 
 ANSWER_S = 2.0

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.gathering import Gathered
+from audioflinger_hook.daemon.level_meter import BufferedLevelMeter
 from audioflinger_hook.pipeline.drive_factory import actuators_of, driving_of
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Chain
@@ -110,11 +110,11 @@ class Engine:
         chosen = self.framework.settings
         self.driving = driving_of(chosen, self.samplerate, self.framework.haptic_channels)
         self.actuators = actuators_of(chosen, self.samplerate)
-        self.driven = [Gathered(self.samplerate) for _ in chosen.actuators]
+        self.driven = [BufferedLevelMeter(self.samplerate) for _ in chosen.actuators]
         self.outputs = len(chosen.actuators) or self.framework.haptic_channels
         self.delay_line = self._line(output_samplerate, offset_s)
-        self.sound = Gathered(self.samplerate)
-        self.vibration = Gathered(self.samplerate)
+        self.sound = BufferedLevelMeter(self.samplerate)
+        self.vibration = BufferedLevelMeter(self.samplerate)
         self.buffer_times = BufferClock()
         self.buffers = 0
         self.frames = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from audioflinger_hook.capture import CaptureRecorder
-from audioflinger_hook.daemon.live_input import LiveInput
+from audioflinger_hook.daemon.inputs.sink import SinkInput
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import StateKeeper
@@ -35,7 +35,7 @@ class LiveCapture:
         self._wake = wake
         self._writer = _Writer()
         self._pcms = PcmConfig("cushion_tap")
-        self._input = LiveInput(
+        self._input = SinkInput(
             address, self._pcms.pcms["cushion_tap"], StateKeeper(now_s), self._writer
         )
         self._connection: PulseConnection | None = None
@@ -120,7 +120,7 @@ class LiveCapture:
 
 
 class _Writer:
-    """Takes a tap's buffers for a capture: a `Taker`. heard_s: how much there was so far."""
+    """Writes a tap's buffers to a capture; heard_s: seconds of sound so far."""
 
     def __init__(self) -> None:
         self.recorder: CaptureRecorder | None = None

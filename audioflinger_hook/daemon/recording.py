@@ -10,8 +10,8 @@ import numpy as np
 
 from audioflinger_hook.capture import STREAMS, CaptureRecorder, CaptureWriter
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.capture_settings import facts_of
 from audioflinger_hook.daemon.engine import OnMix, OnStep
-from audioflinger_hook.daemon.facts import facts_of
 from device.errors import CushionError
 from device.units import Float32Array
 

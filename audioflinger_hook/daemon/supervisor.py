@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from audioflinger_hook.daemon.drop_in_control import DropInControl
+from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.order import Changes, Order
-from audioflinger_hook.daemon.pairing import Sides
-from audioflinger_hook.daemon.pauses import Pauses
-from audioflinger_hook.daemon.rest import Rest
+from audioflinger_hook.daemon.idle_policy import IdlePolicy
+from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.sides import InputSide, OutputSide, Place
-from audioflinger_hook.daemon.stand_in import StandIn
+from audioflinger_hook.daemon.stall_detector import StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.pipeline.drive_factory import actuators_of, driving_of
 from audioflinger_hook.pipeline.framework import Framework
@@ -47,7 +47,7 @@ class Supervisor:
         A file to play, or to write, cannot be used.
     """
 
-    def __init__(self, order: Order, clocks: Clocks, wake: Wake) -> None:
+    def __init__(self, order: RunConfig, clocks: Clocks, wake: Wake) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
         self.engine: Engine | None = None
@@ -56,14 +56,14 @@ class Supervisor:
         self._wake = wake
         self.priority = AudioPriority(order.live.realtime)
         self.trouble = ""
-        self._sides = Sides(order, clocks, self.states, self.priority, wake.ring)
+        self._sides = Endpoints(order, clocks, self.states, self.priority, wake.ring)
         self._stand_in = _stand_in_of(order)
         self._connection: PulseConnection | None = None
         self._refuge: Refuge | None = None
         self._server_backoff = Backoff(longest_s=LONGEST_WAIT_S)
-        self._rest = Rest(now_s)
+        self._rest = IdlePolicy(now_s)
         self._found: tuple[Place | None, Place | None] = (None, None)
-        self._pauses = Pauses(self.states, clocks.slept_s)
+        self._pauses = StallDetector(self.states, clocks.slept_s)
         self._heard_before_s = 0.0
 
     @property
@@ -209,18 +209,18 @@ class Supervisor:
         if self._input.name and self._output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
-    def follow(self, order: Order, now_s: float) -> Changes:
+    def follow(self, order: RunConfig, now_s: float) -> ConfigDiff:
         """Do as another order says from now on; return what that changes.
 
         Only what it concerns is closed, for the next `tick` to open; sound goes on meanwhile
-        where it can, see `Changes`.
+        where it can, see `ConfigDiff`.
 
         Raises
         ------
         UsageError
             What plays cannot be treated so; nothing has changed then.
         """
-        changes, engine = Changes.between(self._order, order), self.engine
+        changes, engine = ConfigDiff.between(self._order, order), self.engine
         self._sides.refuse(self._order, order)
         offset_s = max(0.0, order.live.offset_s)
         if engine and changes.engine:
@@ -333,7 +333,7 @@ class Supervisor:
     def _rests(
         self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
     ) -> bool:
-        """Rest if nothing plays; whether so."""
+        """IdlePolicy if nothing plays; whether so."""
         if not (self._input.may_rest and self._output.may_rest):
             self._rest.awake(now_s)
             return False
@@ -384,8 +384,8 @@ class Supervisor:
             engine.fill(out, now_s)
 
 
-def _stand_in_of(order: Order) -> StandIn | None:
+def _stand_in_of(order: RunConfig) -> DropInControl | None:
     """Return what stands in between, if that is asked for."""
     if not order.live.drop_in:
         return None
-    return StandIn(max(0.0, -order.live.offset_s))
+    return DropInControl(max(0.0, -order.live.offset_s))

@@ -7,8 +7,8 @@ import selectors
 import socket
 from collections.abc import Callable
 
+from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.status import Status
-from audioflinger_hook.service.text import one_line
 
 REQUEST_BYTES_MAX = 4096
 """Of one request, its line break included."""

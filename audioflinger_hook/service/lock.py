@@ -10,9 +10,9 @@ import stat
 from dataclasses import dataclass
 from types import TracebackType
 
-from audioflinger_hook.service.document import from_json, to_json
 from audioflinger_hook.service.folder import RuntimeFolder
-from audioflinger_hook.service.text import one_line
+from audioflinger_hook.service.json_codec import from_json, to_json
+from audioflinger_hook.service.one_line import one_line
 from device.errors import UsageError, WriteError
 
 NAME = "daemon.lock"

@@ -6,7 +6,7 @@ import os
 import socket
 from collections.abc import Mapping
 
-from audioflinger_hook.service.text import one_line
+from audioflinger_hook.service.one_line import one_line
 
 PATIENCE_S = 0.2
 """Longest wait for room in systemd's queue."""

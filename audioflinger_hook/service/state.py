@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
 
-from audioflinger_hook.service.text import one_line
+from audioflinger_hook.service.one_line import one_line
 
 
 class DaemonState(Enum):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from audioflinger_hook.service.buffer_times import BufferTimes
-from audioflinger_hook.service.document import from_json, to_json
+from audioflinger_hook.service.json_codec import from_json, to_json
 from audioflinger_hook.service.levels import Level
 from audioflinger_hook.service.rig_figures import (
     ActuatorFigures,

@@ -9,6 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from audioflinger_hook.service.levels import FLOOR_DBFS, Level
+from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.rig_figures import (
     ActuatorFigures,
     ExposureFigures,
@@ -16,7 +17,6 @@ from audioflinger_hook.service.rig_figures import (
 )
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Status
-from audioflinger_hook.service.text import one_line
 
 BAR_CELLS = 16
 BAR_RANGE_DB = 60.0

@@ -6,7 +6,7 @@ import string
 from collections.abc import Sequence
 from pathlib import Path
 
-from audioflinger_hook.service.text import one_line
+from audioflinger_hook.service.one_line import one_line
 from device.errors import UsageError
 
 NAME = "cushion.service"

@@ -12,10 +12,10 @@ import pytest
 
 from audioflinger_hook.capture import Capture, segment
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.app_input import AppFeed
+from audioflinger_hook.daemon.capture_queue import Feed
+from audioflinger_hook.daemon.capture_settings import facts_of, settings_from
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.facts import facts_of, settings_from
-from audioflinger_hook.daemon.feed import Feed
+from audioflinger_hook.daemon.inputs.applications import ApplicationsFeed
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.effect.haptic import HAPTIC_CUSHION
 from audioflinger_hook.transform import TransformParameters
@@ -251,7 +251,7 @@ def test_of_several_sounds_the_mix_is_recorded_as_no_effect_has_changed_it(tmp_p
     settings = Settings(effects_file=xml)
     recording = RunRecording(tmp_path / "cap", settings, "app:a", "twin")
     recording.begin()
-    feed = AppFeed(recording)
+    feed = ApplicationsFeed(recording)
     on_step, on_mix = recording.hooks(48_000, of_mix=True)
     client = feed.client(48_000, 2)
     engine = Engine(client, 48_000, settings, clocks=STILL, on_step=on_step, on_mix=on_mix)

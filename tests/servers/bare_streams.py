@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from audioflinger_hook.daemon.garbage import spare_what_is_there
+from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
 from device.server import CaptureStream, PcmConfig, PlaybackStream, quiet_libraries
 from device.units import Float32Array
 from tests.servers.listening import RATE_HZ

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.service.ask import ask_status
 from audioflinger_hook.service.state import Cause, DaemonState
 from audioflinger_hook.service.status import Status
+from audioflinger_hook.service.status_client import ask_status
 from device.errors import CushionError
 from device.units import Float32Array
 from tests.servers.listening import RATE_HZ, wait_for

@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.config.settings import LiveSettings
+from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.garbage import spare_what_is_there
-from audioflinger_hook.daemon.pulled import PulledFeed
+from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
 from device.clock.status import DelayState, DelayStatus
 from device.server import CaptureStream, PcmConfig, PlaybackStream
 from device.stream import portaudio
@@ -128,7 +128,7 @@ def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
     """The engine between the first card's `desktop` and the second one's `haptic`."""
     config = PcmConfig("cushion_tap", "cushion_output")
     clocks = Clocks(time.monotonic, time.thread_time)
-    feed = PulledFeed()
+    feed = CaptureQueue()
     client = feed.client(RATE_HZ, 2)
     blocks = LiveSettings.block_frames
     engine = Engine(client, RATE_HZ, clocks=clocks, now_s=time.monotonic(), block_frames=blocks)

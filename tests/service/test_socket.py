@@ -21,12 +21,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.service import socket as server_module
-from audioflinger_hook.service.ask import ask_status
 from audioflinger_hook.service.connection import REQUEST_BYTES_MAX, answer
 from audioflinger_hook.service.folder import RuntimeFolder
 from audioflinger_hook.service.socket import CLIENTS_MAX, NAME, PAUSE_S, StatusServer
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Status
+from audioflinger_hook.service.status_client import ask_status
 from device.errors import InternalError, NotFoundError, UsageError
 from tests.service.test_lock import root_only
 from tests.support.commands import environment, open_files
@@ -311,14 +311,14 @@ def test_a_flood_costs_the_daemon_a_bounded_number_of_answers_and_others_get_the
 
     rests: list[float | None] = []
 
-    class Rest(threading.Event):
+    class IdlePolicy(threading.Event):
         def wait(self, timeout: float | None = None) -> bool:
             rests.append(timeout)
             return super().wait(timeout)
 
     daemon = Daemon(str(tmp_path))
     daemon.server._read = count
-    daemon.server._stopping = Rest()
+    daemon.server._stopping = IdlePolicy()
     over = threading.Event()
 
     def flood() -> None:

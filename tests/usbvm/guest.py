@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import soundfile
 
-from audioflinger_hook.service.ask import ask_status
+from audioflinger_hook.service.status_client import ask_status
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError
 from device.usb import UsbAudioDevice, find_devices

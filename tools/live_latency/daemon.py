@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from audioflinger_hook.service.ask import ask_status
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Status
+from audioflinger_hook.service.status_client import ask_status
 from device.errors import CushionError, LostError
 from tools.bench.sounds.signals import PROJECT_ROOT
 from tools.live_latency.recording import end, spawn

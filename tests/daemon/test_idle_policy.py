@@ -7,8 +7,8 @@ import threading
 import numpy as np
 
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.gathering import Gathered
-from audioflinger_hook.daemon.rest import AWAKE_S, QUIET_S, SILENT_S, Rest
+from audioflinger_hook.daemon.idle_policy import AWAKE_S, QUIET_S, SILENT_S, IdlePolicy
+from audioflinger_hook.daemon.level_meter import BufferedLevelMeter
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.sources import PushTap, TapClient
 
@@ -16,7 +16,7 @@ RATE_HZ = 48_000
 NOBODY: frozenset[int] = frozenset()
 
 
-def rests_after(rest: Rest, began_s: float, players: frozenset[int], sound_s: float) -> float:
+def rests_after(rest: IdlePolicy, began_s: float, players: frozenset[int], sound_s: float) -> float:
     """The time from `began_s` at which it rests, asked ten times a second."""
     for tick in range(1_000):
         now_s = began_s + 0.1 * tick
@@ -26,18 +26,18 @@ def rests_after(rest: Rest, began_s: float, players: frozenset[int], sound_s: fl
 
 
 def test_it_rests_soon_if_nothing_plays_and_later_if_something_silent_does() -> None:
-    assert rests_after(Rest(0.0), 100.0, NOBODY, 100.0) - 100.0 < QUIET_S + 0.2
-    rest = Rest(0.0)
+    assert rests_after(IdlePolicy(0.0), 100.0, NOBODY, 100.0) - 100.0 < QUIET_S + 0.2
+    rest = IdlePolicy(0.0)
     rest.update(99.0, frozenset({1}), 99.0, heard=False)
     assert SILENT_S < rests_after(rest, 100.0, frozenset({1}), 100.0) - 100.0 < SILENT_S + 0.2
 
 
 def test_after_its_start_it_stays_awake_for_a_while() -> None:
-    assert rests_after(Rest(0.0), 0.0, NOBODY, -100.0) > AWAKE_S
+    assert rests_after(IdlePolicy(0.0), 0.0, NOBODY, -100.0) > AWAKE_S
 
 
 def test_a_stream_that_comes_wakes_it_and_so_does_sound_but_not_a_stream_that_goes() -> None:
-    rest = Rest(0.0)
+    rest = IdlePolicy(0.0)
     rests_after(rest, 10.0, frozenset({1, 2}), 10.0)
     assert rest.update(50.0, frozenset({2}), 10.0, heard=False)
     assert rest.update(51.0, frozenset({2}), 10.0, heard=False)
@@ -48,7 +48,7 @@ def test_a_stream_that_comes_wakes_it_and_so_does_sound_but_not_a_stream_that_go
 
 
 def test_sound_keeps_it_awake() -> None:
-    rest = Rest(0.0)
+    rest = IdlePolicy(0.0)
     for second in range(100):
         assert not rest.update(float(second), NOBODY, second - 1.0, heard=False)
 
@@ -80,7 +80,7 @@ def test_the_engine_tells_when_it_last_heard_sound_and_when_the_vibration_has_fa
 
 
 def test_gathered_levels_are_those_of_the_frames() -> None:
-    gathered = Gathered(RATE_HZ)
+    gathered = BufferedLevelMeter(RATE_HZ)
     rng = np.random.default_rng(0)
     for count in [*rng.integers(1, 600, 2_000), 5_000]:
         gathered.add(np.full((count, 1), 0.5, np.float32))

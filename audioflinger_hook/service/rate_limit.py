@@ -14,7 +14,7 @@ KINDS_MAX = 100
 """What is said is of a few kinds; more than these are taken for one."""
 
 
-class Rationing:
+class RateLimit:
     """Says of each kind of message whether it may be said now, and how many before it were not.
 
     Times are seconds of any one clock. Not to be used from two threads at once. The memory used

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon import pairing
-from audioflinger_hook.daemon.alsa_output import AlsaOutput
+from audioflinger_hook.daemon import endpoints
 from audioflinger_hook.daemon.engine import Clocks
-from audioflinger_hook.daemon.order import Order
+from audioflinger_hook.daemon.outputs.card import CardOutput
+from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.sides import Fill
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.wake import Wake
@@ -56,7 +56,7 @@ class Rig:
         self.folder = folder
         self.cards = cards = Cards(folder / "asound")
 
-        class FileCard(AlsaOutput):
+        class FileCard(CardOutput):
             """A card that is a file."""
 
             def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -71,11 +71,11 @@ class Rig:
                 paced = Paced(fill, self._found.samplerate or RATE)
                 super().keep(connection, paced.fill, now_s)
 
-        monkeypatch.setattr(pairing, "AlsaOutput", FileCard)
+        monkeypatch.setattr(endpoints, "CardOutput", FileCard)
         source = sound(folder / "in.wav", noise(20 * RATE, 2), RATE)
         # without real-time priority: a file that takes all at once must not keep others waiting
         live = LiveSettings(realtime=False)
-        self.order = Order(
+        self.order = RunConfig(
             TapAddress("file", str(source)), DeviceAddress("hw", "DAC"), Settings(), live
         )
         self.wake = Wake()

@@ -25,7 +25,7 @@ LONGEST_WAIT_S = 0.5
 StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)
 
 
-class KeptStream(Generic[StreamT]):
+class ReconnectingStream(Generic[StreamT]):
     """One stream, its guard, and when to open it again. For the supervising thread alone.
 
     what: for reasons, as in "the output". lost, moved: what a stream counts as that stopped, or

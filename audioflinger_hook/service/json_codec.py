@@ -10,7 +10,7 @@ from enum import Enum
 from types import MappingProxyType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from audioflinger_hook.service.text import one_line
+from audioflinger_hook.service.one_line import one_line
 from device.errors import UsageError
 
 T = TypeVar("T")

@@ -21,7 +21,7 @@ pace the others."""
 
 
 @dataclass(frozen=True)
-class Order:
+class RunConfig:
     """Everything that was asked for.
 
     tap, device: where sound comes from and vibration goes; settings: how one is made of the
@@ -82,7 +82,7 @@ class Order:
 
 
 @dataclass(frozen=True)
-class Changes:
+class ConfigDiff:
     """What is another from one order to the next, by what it takes.
 
     level, volume, offset, priority: nothing is interrupted; volume is the device's own; the offset
@@ -107,7 +107,7 @@ class Changes:
     engine: bool = False
 
     @classmethod
-    def between(cls, old: Order, new: Order) -> Changes:
+    def between(cls, old: RunConfig, new: RunConfig) -> ConfigDiff:
         """Return what `new` changes of `old`."""
         before, after = old.settings, new.settings
         # The effect takes another level and other parameters while it runs, and nothing else; a
@@ -171,7 +171,7 @@ def _fixed(actuator: ActuatorSettings) -> tuple[str | None, ...]:
     return actuator.rig, actuator.damping, actuator.protection, actuator.exposure_cap
 
 
-def _what_is_heard(order: Order) -> tuple[object, ...]:
+def _what_is_heard(order: RunConfig) -> tuple[object, ...]:
     live = order.live
     apps = live.tap if order.tap.kind == "app" else ()
     return order.tap, apps, live.include, live.exclude

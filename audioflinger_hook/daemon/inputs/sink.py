@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 
-from audioflinger_hook.daemon.feed import Taker
-from audioflinger_hook.daemon.kept import KeptStream
+from audioflinger_hook.daemon.capture_queue import FrameReceiver
+from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
 from audioflinger_hook.service.state import Cause, StateKeeper
 from audioflinger_hook.sources import TapAddress
 from device.errors import LostError, NotFoundError
@@ -30,7 +30,7 @@ LISTENING_FRAMES = 4_096
 """A block while it only listens: 85 ms at 48 kHz, which is what sound then comes late by."""
 
 
-class LiveInput:
+class SinkInput:
     """Sound of one sink of the server: the default one, or one by name.
 
     taker: who gets its buffers, on PortAudio's thread. name: of the monitor that is captured,
@@ -48,7 +48,7 @@ class LiveInput:
         address: TapAddress,
         pcm: Pcm,
         states: StateKeeper,
-        taker: Taker,
+        taker: FrameReceiver,
         *,
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
@@ -63,10 +63,10 @@ class LiveInput:
         self._pcm = pcm
         self._states = states
         self._taker = taker
-        self._kept: KeptStream[CaptureStream] = KeptStream(
+        self._kept: ReconnectingStream[CaptureStream] = ReconnectingStream(
             "the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED
         )
-        self._ear: KeptStream[CaptureStream] = KeptStream(
+        self._ear: ReconnectingStream[CaptureStream] = ReconnectingStream(
             "the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED
         )
         self._found: Source | None = None

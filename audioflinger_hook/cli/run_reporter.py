@@ -8,12 +8,12 @@ from collections.abc import Callable
 
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.service.notify import Notifier
-from audioflinger_hook.service.rationing import Rationing
+from audioflinger_hook.service.rate_limit import RateLimit
 from audioflinger_hook.service.state import Note, StateReport
 from device.errors import CushionError
 
 
-class Teller:
+class RunReporter:
     """Says what is new, once. Held by the main thread; times are seconds of time.monotonic().
 
     notifier: systemd's side.
@@ -23,7 +23,7 @@ class Teller:
         self.notifier = Notifier()
         self._state = ""
         self._warnings: dict[str, str] = {}
-        self._rationing = Rationing()
+        self._rate_limit = RateLimit()
 
     def begin(self, tap: str, device: str) -> None:
         """Say what is tapped and where it plays, and that the start is over."""
@@ -39,7 +39,7 @@ class Teller:
         for note in notes:
             if news and note.text == report.reason:
                 continue  # the state says it
-            left_out = self._rationing.left_out(note.cause, now_s)
+            left_out = self._rate_limit.left_out(note.cause, now_s)
             if left_out is not None:
                 more = f" (and {left_out} more like it before)" if left_out else ""
                 self._say(f"{note.cause.value}: {note.text}{more}")

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping
 
 from audioflinger_hook.service.connection import ASK_STATUS
 from audioflinger_hook.service.folder import RuntimeFolder
+from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.socket import NAME, peer_uid
 from audioflinger_hook.service.status import Status
-from audioflinger_hook.service.text import one_line
 from device.errors import CushionError, InternalError, NotFoundError, UsageError
 
 ANSWER_BYTES_MAX = 1 << 20

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.daemon.device_volume import DeviceVolume, SetVolume
-from audioflinger_hook.daemon.kept import KeptStream
+from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Actuated, Fill
 from audioflinger_hook.daemon.wired import Wired
@@ -38,7 +38,7 @@ from device.usb.presence import PresenceWatch
 from device.usb.sysfs import ROOT
 
 
-class AlsaOutput:
+class CardOutput:
     """A sound card that is the haptic device. For the supervisor alone.
 
     It is opened as the card's own formats allow, and nobody else can play there meanwhile. No
@@ -81,7 +81,7 @@ class AlsaOutput:
         self._usb_root = usb_root
         self._presence: PresenceWatch | None = None
         self._target = target
-        self._kept: KeptStream[PlaybackStream] = KeptStream(
+        self._kept: ReconnectingStream[PlaybackStream] = ReconnectingStream(
             "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
         )
         self._mix: tuple[int, int] | None = None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from audioflinger_hook.daemon.engine import Engine
-from audioflinger_hook.daemon.kept import LONGEST_WAIT_S
+from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
@@ -55,7 +55,7 @@ class Applications:
         return ", ".join(names) or NOBODY
 
 
-class AppFeed:
+class ApplicationsFeed:
     """Buffers of several applications through one engine, mixed first.
 
     recording: takes the mix for what was delivered, since that is what the effect gets. priority:
@@ -99,7 +99,7 @@ class AppFeed:
             pass
 
 
-class AppInput:
+class ApplicationsInput:
     """Sound of the applications that some rules select. For the supervising thread alone.
 
     address: as the user wrote it. They may come and go: none at all is no failure. feed: what
@@ -109,7 +109,9 @@ class AppInput:
     needs_server = True
     ended = False
 
-    def __init__(self, address: str, rules: AppRules, states: StateKeeper, feed: AppFeed) -> None:
+    def __init__(
+        self, address: str, rules: AppRules, states: StateKeeper, feed: ApplicationsFeed
+    ) -> None:
         self._address = address
         self._rules = rules
         self._states = states

@@ -11,7 +11,7 @@ GATHERED_S = 0.06
 """How much is gathered at least: levels and the moment of the last sound are that late."""
 
 
-class Gathered:
+class BufferedLevelMeter:
     """The level of frames as they pass, gathered. One thread calls `add`; any may read `meter`.
 
     loudest: magnitude of the loudest sample gathered last; whole: whether the last `add` made

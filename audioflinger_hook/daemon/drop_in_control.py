@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from audioflinger_hook.daemon.kept import LONGEST_WAIT_S
+from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
 from audioflinger_hook.service.backoff import Backoff
 from device.errors import CushionError
 from device.server import DropIn, PulseConnection
 
 
-class StandIn:
+class DropInControl:
     """The virtual sink that applications play to, made when there is a server. For the supervisor.
 
     delay_s: by how much the sound is to come later, 0 or more; `lead` sets another.

@@ -13,7 +13,7 @@ AWAKE_S = 8.0
 """For so long at least it stays awake: an application may open its stream well before it plays."""
 
 
-class Rest:
+class IdlePolicy:
     """Whether to rest. Pure: time and what is heard come in. For the supervising thread.
 
     resting: the decision at present.

@@ -13,7 +13,7 @@ SLEPT_S = 0.5
 """The machine has slept if it did so for longer."""
 
 
-class Pauses:
+class StallDetector:
     """Notices pauses from one tick to the next. For the supervising thread alone.
 
     slept_s: see `Clocks`.

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from audioflinger_hook.daemon.alsa_output import AlsaOutput
-from audioflinger_hook.daemon.app_input import AppFeed, AppInput
+from audioflinger_hook.daemon.capture_queue import CaptureQueue, Feed
 from audioflinger_hook.daemon.device_volume import DeviceVolume
 from audioflinger_hook.daemon.engine import Clocks
-from audioflinger_hook.daemon.feed import Feed
-from audioflinger_hook.daemon.live_input import LiveInput
-from audioflinger_hook.daemon.live_output import LiveOutput
-from audioflinger_hook.daemon.order import Changes, Order
-from audioflinger_hook.daemon.paced_input import PacedInput
-from audioflinger_hook.daemon.paced_output import PacedOutput
+from audioflinger_hook.daemon.inputs.applications import ApplicationsFeed, ApplicationsInput
+from audioflinger_hook.daemon.inputs.paced import PacedInput
+from audioflinger_hook.daemon.inputs.sink import SinkInput
+from audioflinger_hook.daemon.outputs.card import CardOutput
+from audioflinger_hook.daemon.outputs.paced import PacedOutput
+from audioflinger_hook.daemon.outputs.sink import SinkOutput
 from audioflinger_hook.daemon.pacing import Pacer
-from audioflinger_hook.daemon.pulled import PulledFeed
+from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.sides import InputSide, OutputSide
 from audioflinger_hook.service.state import StateKeeper
 from device.errors import UsageError
@@ -23,7 +22,7 @@ from device.rig import rig_by_name
 from device.server import AudioPriority, PcmConfig
 
 
-class Sides:
+class Endpoints:
     """Both sides of an order. For the supervising thread alone.
 
     needs_server: whether one of them does; no server is asked for anything otherwise. feed: what
@@ -37,7 +36,7 @@ class Sides:
 
     def __init__(
         self,
-        order: Order,
+        order: RunConfig,
         clocks: Clocks,
         states: StateKeeper,
         priority: AudioPriority,
@@ -54,7 +53,7 @@ class Sides:
         if not order.device_is_live:
             chosen = order.settings
             self.output = PacedOutput(order.device, self._pacer, chosen, order.recording)
-        self.feed: Feed | AppFeed
+        self.feed: Feed | ApplicationsFeed
         self.input: InputSide
         if not order.tap_is_live:
             feed = self.feed = Feed(order.recording)
@@ -68,9 +67,9 @@ class Sides:
             if order.device_is_live:
                 self.output = self._live_output(order)
 
-    def _live_output(self, order: Order) -> LiveOutput | AlsaOutput:
+    def _live_output(self, order: RunConfig) -> SinkOutput | CardOutput:
         assert self._pcms is not None
-        kind = AlsaOutput if order.device_is_a_card else LiveOutput
+        kind = CardOutput if order.device_is_a_card else SinkOutput
         return kind(
             order.device,
             self._pcms.pcms["cushion_output"],
@@ -82,14 +81,14 @@ class Sides:
             actuators=order.settings.actuators,
         )
 
-    def _live_input(self, order: Order) -> LiveInput | AppInput:
+    def _live_input(self, order: RunConfig) -> SinkInput | ApplicationsInput:
         rules = order.rules
         if rules is not None:
-            apps = self.feed = AppFeed(order.recording, self._priority)
-            return AppInput(_address(order), rules, self._states, apps)
-        feed = self.feed = PulledFeed(order.recording)
+            apps = self.feed = ApplicationsFeed(order.recording, self._priority)
+            return ApplicationsInput(_address(order), rules, self._states, apps)
+        feed = self.feed = CaptureQueue(order.recording)
         assert self._pcms is not None
-        return LiveInput(
+        return SinkInput(
             order.tap,
             self._pcms.pcms["cushion_tap"],
             self._states,
@@ -99,7 +98,7 @@ class Sides:
             on_heard=self._on_heard,
         )
 
-    def refuse(self, old: Order, new: Order) -> None:
+    def refuse(self, old: RunConfig, new: RunConfig) -> None:
         """Raise UsageError if what runs cannot go over from one order to the other."""
         for what, before, after, live in (
             ("tap", old.tap, new.tap, old.tap_is_live and new.tap_is_live),
@@ -117,7 +116,7 @@ class Sides:
                 "anew"
             )
         paced = [old.tap] * (not old.tap_is_live) + [old.device] * (not old.device_is_live)
-        if paced and Changes.between(old, new).engine:
+        if paced and ConfigDiff.between(old, new).engine:
             raise UsageError(
                 "form, channels, effects_file, rig, damping, protection, and which actuators there "
                 f"are, stay as they are while {str(paced[0])!r} is in use; start it anew"
@@ -130,37 +129,37 @@ class Sides:
             )
         _ = new.rules
 
-    def lead_input(self, order: Order) -> bool:
+    def lead_input(self, order: RunConfig) -> bool:
         """Listen elsewhere; whether that takes another engine."""
         rules = order.rules
-        if isinstance(self.input, LiveInput) and rules is None:
+        if isinstance(self.input, SinkInput) and rules is None:
             self.input.lead(order.tap)
             return False
-        if isinstance(self.input, AppInput) and rules is not None:
+        if isinstance(self.input, ApplicationsInput) and rules is not None:
             self.input.lead(_address(order), rules)
             return False
         self.input.close()
         self.input = self._live_input(order)
         return True
 
-    def lead_output(self, order: Order) -> None:
+    def lead_output(self, order: RunConfig) -> None:
         """Play elsewhere; `suit` is to be called anew."""
-        kind = AlsaOutput if order.device_is_a_card else LiveOutput
-        if isinstance(self.output, AlsaOutput | LiveOutput) and isinstance(self.output, kind):
+        kind = CardOutput if order.device_is_a_card else SinkOutput
+        if isinstance(self.output, CardOutput | SinkOutput) and isinstance(self.output, kind):
             self.output.lead(order.device)
             return
         self.output.close()
         self.output = self._live_output(order)
 
-    def take(self, order: Order) -> None:
+    def take(self, order: RunConfig) -> None:
         """Open streams with so many frames a callback from now on; set the device's volume.
 
         And take what hangs at its channels.
         """
         for side in (self.input, self.output):
-            if isinstance(side, LiveInput | LiveOutput | AlsaOutput):
+            if isinstance(side, SinkInput | SinkOutput | CardOutput):
                 side.block_frames = order.live.block_frames
-        if isinstance(self.output, LiveOutput | AlsaOutput):
+        if isinstance(self.output, SinkOutput | CardOutput):
             self.output.volume.want(_volume_of(order))
         self.output.wire(order.settings.actuators)
 
@@ -179,7 +178,7 @@ class Sides:
         self.output.end(keep=keep)
 
 
-def _volume_of(order: Order) -> DeviceVolume:
+def _volume_of(order: RunConfig) -> DeviceVolume:
     settings = order.settings
     rigs = {actuator.rig or settings.rig for actuator in settings.actuators} or {settings.rig}
     # One volume for all channels: that of the rig which bears least.
@@ -187,7 +186,7 @@ def _volume_of(order: Order) -> DeviceVolume:
     return DeviceVolume(order.live.device_volume_db, limit_db)
 
 
-def _address(order: Order) -> str:
+def _address(order: RunConfig) -> str:
     """What the user asked to hear, for people."""
     live = order.live
     if order.tap.kind == "app":

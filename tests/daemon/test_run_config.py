@@ -10,7 +10,7 @@ import pytest
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.order import Changes, Order
+from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.sources import PushTap, TapAddress, TapClient
 from audioflinger_hook.transform import TransformParameters
 from device.address import DeviceAddress
@@ -20,49 +20,49 @@ from device.units import Float32Array
 
 RATE_HZ = 48_000
 BLOCK = 256
-ORDER = Order(TapAddress("default"), DeviceAddress("sink", "a"), Settings(), LiveSettings())
+ORDER = RunConfig(TapAddress("default"), DeviceAddress("sink", "a"), Settings(), LiveSettings())
 
 
 @pytest.mark.parametrize(
     ("order", "changed", "words"),
     [
-        (ORDER, Changes(), "nothing"),
-        (replace(ORDER, settings=Settings(gain_db=-3.0)), Changes(level=True), "the level"),
+        (ORDER, ConfigDiff(), "nothing"),
+        (replace(ORDER, settings=Settings(gain_db=-3.0)), ConfigDiff(level=True), "the level"),
         (
             replace(ORDER, settings=Settings(parameters=TransformParameters(partials_max=3))),
-            Changes(transform=True),
+            ConfigDiff(transform=True),
             "the transform, which begins anew",
         ),
         (
             replace(ORDER, settings=Settings(profile="game")),
-            Changes(transform=True),
+            ConfigDiff(transform=True),
             "the transform, which begins anew",
         ),
         (
             replace(ORDER, settings=Settings(form="reference", gain_db=-1.0)),
-            Changes(level=True, engine=True),
+            ConfigDiff(level=True, engine=True),
             "the level, the effects, so that everything begins anew",
         ),
-        (replace(ORDER, settings=Settings(channels="each")), Changes(engine=True), None),
-        (replace(ORDER, settings=Settings(effects_file=Path("x"))), Changes(engine=True), None),
-        (replace(ORDER, tap=TapAddress("sink", "b")), Changes(tap=True), "the tap"),
-        (replace(ORDER, device=DeviceAddress("sink", "b")), Changes(device=True), "the device"),
-        (replace(ORDER, live=LiveSettings(offset_ms=5.0)), Changes(offset=True), "the offset"),
+        (replace(ORDER, settings=Settings(channels="each")), ConfigDiff(engine=True), None),
+        (replace(ORDER, settings=Settings(effects_file=Path("x"))), ConfigDiff(engine=True), None),
+        (replace(ORDER, tap=TapAddress("sink", "b")), ConfigDiff(tap=True), "the tap"),
+        (replace(ORDER, device=DeviceAddress("sink", "b")), ConfigDiff(device=True), "the device"),
+        (replace(ORDER, live=LiveSettings(offset_ms=5.0)), ConfigDiff(offset=True), "the offset"),
         (
             replace(ORDER, live=LiveSettings(device_volume_db=-6.0)),
-            Changes(volume=True),
+            ConfigDiff(volume=True),
             "the device's volume",
         ),
-        (replace(ORDER, live=LiveSettings(block_frames=256)), Changes(blocks=True), None),
-        (replace(ORDER, live=LiveSettings(realtime=False)), Changes(priority=True), None),
+        (replace(ORDER, live=LiveSettings(block_frames=256)), ConfigDiff(blocks=True), None),
+        (replace(ORDER, live=LiveSettings(realtime=False)), ConfigDiff(priority=True), None),
     ],
 )
 def test_an_order_changes_what_is_another_in_it(
-    order: Order, changed: Changes, words: str | None
+    order: RunConfig, changed: ConfigDiff, words: str | None
 ) -> None:
-    found = Changes.between(ORDER, order)
+    found = ConfigDiff.between(ORDER, order)
     assert found == changed
-    assert found.any == (changed != Changes())
+    assert found.any == (changed != ConfigDiff())
     if words is not None:
         assert str(found) == words
 
@@ -71,42 +71,42 @@ LEFT = ActuatorSettings((0,), "left")
 RIGHT = ActuatorSettings((1,), "right")
 
 
-def with_actuators(*actuators: ActuatorSettings) -> Order:
+def with_actuators(*actuators: ActuatorSettings) -> RunConfig:
     return replace(ORDER, settings=Settings(actuators=actuators))
 
 
 @pytest.mark.parametrize(
     ("before", "after", "changed", "words"),
     [
-        ((LEFT,), (LEFT,), Changes(), "nothing"),
+        ((LEFT,), (LEFT,), ConfigDiff(), "nothing"),
         (
             (LEFT, RIGHT),
             (replace(LEFT, gain_db=-3.0, polarity="inverted", delay_ms=4.0, channels=(3,)), RIGHT),
-            Changes(actuators=True),
+            ConfigDiff(actuators=True),
             "the actuators",
         ),
         (
             (LEFT, RIGHT),
             (replace(LEFT, source="right"), replace(RIGHT, source="left")),
-            Changes(actuators=True),
+            ConfigDiff(actuators=True),
             None,
         ),
-        ((LEFT, RIGHT), (LEFT, replace(RIGHT, source="left")), Changes(engine=True), None),
-        ((LEFT,), (LEFT, RIGHT), Changes(engine=True), None),
-        ((), (LEFT,), Changes(engine=True), None),
-        ((LEFT,), (), Changes(engine=True), None),
-        ((LEFT,), (replace(LEFT, rig="consumer"),), Changes(engine=True), None),
-        ((LEFT,), (replace(LEFT, damping="auto", gain_db=-1.0),), Changes(engine=True), None),
-        ((LEFT,), (replace(LEFT, protection="on"),), Changes(engine=True), None),
+        ((LEFT, RIGHT), (LEFT, replace(RIGHT, source="left")), ConfigDiff(engine=True), None),
+        ((LEFT,), (LEFT, RIGHT), ConfigDiff(engine=True), None),
+        ((), (LEFT,), ConfigDiff(engine=True), None),
+        ((LEFT,), (), ConfigDiff(engine=True), None),
+        ((LEFT,), (replace(LEFT, rig="consumer"),), ConfigDiff(engine=True), None),
+        ((LEFT,), (replace(LEFT, damping="auto", gain_db=-1.0),), ConfigDiff(engine=True), None),
+        ((LEFT,), (replace(LEFT, protection="on"),), ConfigDiff(engine=True), None),
     ],
 )
 def test_actuators_follow_while_they_play_unless_others_are_to_be_there(
     before: tuple[ActuatorSettings, ...],
     after: tuple[ActuatorSettings, ...],
-    changed: Changes,
+    changed: ConfigDiff,
     words: str | None,
 ) -> None:
-    found = Changes.between(with_actuators(*before), with_actuators(*after))
+    found = ConfigDiff.between(with_actuators(*before), with_actuators(*after))
     assert found == changed
     if words is not None:
         assert str(found) == words

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from audioflinger_hook.cli.telling import Teller
-from audioflinger_hook.service.rationing import AT_ONCE, EVERY_S, KINDS_MAX, Rationing
+from audioflinger_hook.cli.run_reporter import RunReporter
+from audioflinger_hook.service.rate_limit import AT_ONCE, EVERY_S, KINDS_MAX, RateLimit
 from audioflinger_hook.service.state import NOTES_MAX, Cause, DaemonState, Note, StateKeeper
 from device.errors import UsageError
 
@@ -21,7 +21,7 @@ class Told:
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
         self.keeper = StateKeeper(0.0)
-        self.teller = Teller()
+        self.teller = RunReporter()
 
     def lines(self, now_s: float = 0.0, *warnings: str) -> list[str]:
         report = self.keeper.report(now_s)
@@ -134,7 +134,7 @@ def test_a_config_that_is_not_taken_is_told_at_every_attempt(told: Told) -> None
 
 
 def test_of_each_kind_some_are_allowed_at_once_and_then_one_now_and_then() -> None:
-    ration = Rationing(2, 10.0)
+    ration = RateLimit(2, 10.0)
     assert [ration.left_out("a", now_s) for now_s in (0.0, 0.0, 1.0, 2.0)] == [0, 0, None, None]
     assert ration.left_out("b", 2.0) == 0
     assert ration.left_out("a", 11.0) == 2
@@ -146,9 +146,9 @@ def test_of_each_kind_some_are_allowed_at_once_and_then_one_now_and_then() -> No
 
 
 def test_kinds_without_end_take_no_memory_without_end() -> None:
-    ration = Rationing()
+    ration = RateLimit()
     said = [ration.left_out(kind, 0.0) is not None for kind in range(10 * KINDS_MAX)]
     assert all(said[:KINDS_MAX])
     assert sum(said) <= KINDS_MAX + AT_ONCE
     with pytest.raises(ValueError, match="allowed"):
-        Rationing(0)
+        RateLimit(0)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from audioflinger_hook.daemon.alsa_output import AlsaOutput
+from audioflinger_hook.daemon.outputs.card import CardOutput
 from audioflinger_hook.mixer.pcm import PcmFormat, encode
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
@@ -43,7 +43,7 @@ class Rig:
         self.cards = Cards(folder / "asound")
         self.states = StateKeeper(0.0)
         self.blocks = 0
-        self.output = AlsaOutput(
+        self.output = CardOutput(
             DeviceAddress("hw", name),
             pcms.pcms["cushion_output"],
             self.states,

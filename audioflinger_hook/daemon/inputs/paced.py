@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from audioflinger_hook.daemon.capture_queue import Feed
 from audioflinger_hook.daemon.engine import Engine
-from audioflinger_hook.daemon.feed import Feed
 from audioflinger_hook.daemon.pacing import FrameTime, Pacer
 from audioflinger_hook.sources import FileTap, Tap, TapAddress, open_tap
 from device.clock import DelayState

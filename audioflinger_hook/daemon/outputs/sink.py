@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 
 from audioflinger_hook.daemon.device_volume import DeviceVolume, SetVolume
-from audioflinger_hook.daemon.kept import KeptStream
+from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Actuated, Fill
 from audioflinger_hook.daemon.wired import Wired
@@ -26,7 +26,7 @@ from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
 
-class LiveOutput:
+class SinkOutput:
     """A sink of the server that is the haptic device. For the supervisor alone.
 
     recording: takes what is sent. name: of the sink that is played to, None while none is.
@@ -57,7 +57,7 @@ class LiveOutput:
         self._address = address
         self._pcm = pcm
         self._recording = recording
-        self._kept: KeptStream[PlaybackStream] = KeptStream(
+        self._kept: ReconnectingStream[PlaybackStream] = ReconnectingStream(
             "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
         )
         self._found: Sink | None = None

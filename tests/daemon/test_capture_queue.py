@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from audioflinger_hook.daemon.capture_queue import UNASKED_S, CaptureQueue, Feed
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.feed import Feed
-from audioflinger_hook.daemon.pulled import UNASKED_S, PulledFeed
 from device.clock import DelayState
 from device.units import Float32Array
 
@@ -76,7 +75,7 @@ def lateness(blocks: int, jitter_s: float) -> Float32Array:
 def test_what_is_felt_is_the_same_and_comes_at_the_same_time(jitter_s: float) -> None:
     sound = music(6.0)
     late_s = lateness(len(sound) // BLOCK, jitter_s)
-    at_once, when_needed = Live(Feed()), Live(PulledFeed())
+    at_once, when_needed = Live(Feed()), Live(CaptureQueue())
     for live in (at_once, when_needed):
         live.run(sound, late_s)
     felt, expected = np.concatenate(when_needed.felt), np.concatenate(at_once.felt)
@@ -94,7 +93,7 @@ def test_what_is_felt_is_the_same_and_comes_at_the_same_time(jitter_s: float) ->
 
 def test_an_output_that_has_enough_lets_blocks_become_one_cycle() -> None:
     sound = music(4.0)
-    live = Live(PulledFeed())
+    live = Live(CaptureQueue())
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
     assert live.engine.delay_line.status.state is DelayState.LOCKED
     lengths = [len(part) for part in live.mixed[-40:]]
@@ -105,7 +104,7 @@ def test_an_output_that_has_enough_lets_blocks_become_one_cycle() -> None:
 
 def test_what_the_delay_line_has_is_read_at_once_and_that_is_not_taken_for_haste() -> None:
     sound = music(6.0)
-    live = Live(PulledFeed())
+    live = Live(CaptureQueue())
     reads: list[tuple[int, int]] = []
     read = live.engine.delay_line.read
 
@@ -125,7 +124,7 @@ def test_what_the_delay_line_has_is_read_at_once_and_that_is_not_taken_for_haste
 
 
 def test_what_was_read_ahead_of_a_gap_is_not_played_after_it() -> None:
-    live = Live(PulledFeed())
+    live = Live(CaptureQueue())
     sound = music(3.0)
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
     while not len(live.engine.read_ahead):
@@ -139,7 +138,7 @@ def test_what_was_read_ahead_of_a_gap_is_not_played_after_it() -> None:
 @given(st.lists(st.integers(1, 1_500), min_size=20, max_size=60))
 @settings(max_examples=30, deadline=None)
 def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes: list[int]) -> None:
-    live = Live(PulledFeed())
+    live = Live(CaptureQueue())
     sound = music(3.0)
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
     taken: list[Float32Array] = []
@@ -163,7 +162,7 @@ def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes: list[int
 
 def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle() -> None:
     sound = music(4.0)
-    live = Live(PulledFeed())
+    live = Live(CaptureQueue())
     live.engine.delay_line.offset_s = 0.5
     live.run(sound, lateness(len(sound) // BLOCK, 0.0))
     delivered = len(sound) // BLOCK * BLOCK
@@ -171,7 +170,7 @@ def test_long_delays_do_not_let_sound_wait_for_more_than_a_cycle() -> None:
 
 
 def test_without_an_output_sound_is_mixed_as_it_comes() -> None:
-    live = Live(PulledFeed())
+    live = Live(CaptureQueue())
     live.fill(0.0)
     sound = music(1.0)
     for block in range(100):
@@ -181,7 +180,7 @@ def test_without_an_output_sound_is_mixed_as_it_comes() -> None:
 
 
 def test_a_reopened_stream_of_another_format_is_not_mixed_with_what_waited() -> None:
-    feed = PulledFeed()
+    feed = CaptureQueue()
     live = Live(feed)
     live.fill(0.0)
     feed.push(np.full((BLOCK, 2), 0.5, np.float32), 0.001)
@@ -192,7 +191,7 @@ def test_a_reopened_stream_of_another_format_is_not_mixed_with_what_waited() -> 
 
 
 def test_a_stream_that_moves_mixes_first_what_came_before() -> None:
-    feed = PulledFeed()
+    feed = CaptureQueue()
     live = Live(feed)
     live.fill(0.0)
     feed.push(music(1.0)[:BLOCK], 0.001)
@@ -205,7 +204,7 @@ def test_two_threads_lose_nothing_and_keep_the_order() -> None:
     interval_s = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
     try:
-        feed = PulledFeed()
+        feed = CaptureQueue()
         live = Live(feed)
         blocks = 3_000
         ended = threading.Event()
@@ -232,7 +231,7 @@ def test_two_threads_lose_nothing_and_keep_the_order() -> None:
 
 def test_a_jump_takes_back_what_would_have_been_read_ahead() -> None:
     """The output loses 40 ms: what is read then, late, ends sooner than what was there before."""
-    live = Live(PulledFeed())
+    live = Live(CaptureQueue())
     sound = music(8.0)
     for block in range(len(sound) // BLOCK):
         now_s = (block + 1) * BLOCK_S
