@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.transform import HapticTransform
-from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform import FloatArray, Frames, HapticTransform
 from device.blocks import peak
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from audioflinger_hook.sources import FileTap, Tap
-from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.intake import mono, replace_unusable
+from audioflinger_hook.transform import FloatArray
+from audioflinger_hook.transform.input_stage import mono, replace_unusable
+from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.reference import ReferenceTransform
-from audioflinger_hook.transform.scaling import vibration_hz
+from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from device.errors import UsageError
 
 LONGEST_S = 1e9

@@ -13,6 +13,7 @@
 Pure: samples in, samples out; no clock, no I/O, no mixer.
 """
 
+from audioflinger_hook.transform.arrays import FloatArray, Frames, IntArray
 from audioflinger_hook.transform.haptic import Form, HapticTransform, Implementation
 from audioflinger_hook.transform.kernel import kernel_warning
 from audioflinger_hook.transform.parameters import CHOICES, LIMITS, TransformParameters
@@ -20,9 +21,12 @@ from audioflinger_hook.transform.parameters import CHOICES, LIMITS, TransformPar
 __all__ = [
     "CHOICES",
     "LIMITS",
+    "FloatArray",
     "Form",
+    "Frames",
     "HapticTransform",
     "Implementation",
+    "IntArray",
     "TransformParameters",
     "kernel_warning",
 ]

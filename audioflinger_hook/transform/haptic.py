@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Literal, Protocol
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform.channel_bank import ChannelBank
+from audioflinger_hook.transform.input_stage import Mixdown
 from audioflinger_hook.transform.kernel import KernelStream, kernel_warning
-from audioflinger_hook.transform.live import LiveTransform
-from audioflinger_hook.transform.mixdown import Mixdown
+from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.parameters import TransformParameters, check_format
-from audioflinger_hook.transform.reference import ReferenceTransform
-from audioflinger_hook.transform.voices import VoiceStream
+from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from device.errors import UsageError
 
 Form = Literal["live", "reference"]
@@ -113,7 +113,7 @@ class HapticTransform:
             return KernelStream(settings, channels, per_channel)
         voices = [self._voice() for _ in range(self.channels_out)]
         self._references = [voice for voice in voices if isinstance(voice, ReferenceTransform)]
-        return VoiceStream(voices, channels)
+        return ChannelBank(voices, channels)
 
     def _voice(self) -> LiveTransform | ReferenceTransform:
         """Return a new transform of one channel, in NumPy."""

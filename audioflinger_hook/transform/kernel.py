@@ -13,21 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.transform import (
-    follower,
-    fresh,
-    limiter,
-    loudness,
-    onsets,
-    oscillators,
-    partials,
-)
 from audioflinger_hook.transform.arrays import FloatArray, Frames
-from audioflinger_hook.transform.intake import MAGNITUDE_MAX, fitting
-from audioflinger_hook.transform.live import LiveTransform
-from audioflinger_hook.transform.scaling import slope
-from audioflinger_hook.transform.smoothing import TABLE_STEP_HZ
-from audioflinger_hook.transform.speech import speech_settings
+from audioflinger_hook.transform.input_stage import MAGNITUDE_MAX, fitting
+from audioflinger_hook.transform.live import loudness, onset_partials, onsets, partials, synthesis
+from audioflinger_hook.transform.live.speech import speech_settings
+from audioflinger_hook.transform.live.synthesis import TABLE_STEP_HZ
+from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.mapping import slope
 from device.extension import load
 
 _MadeOf = tuple[dict[str, Any], int, bool, tuple[int, int]]
@@ -54,7 +46,7 @@ class KernelStream:
     """One stream of the live form, (frames, channels) to (frames, channels or 1), compiled.
 
     form: the same for one channel in NumPy, whose settings it takes over. each: every channel is
-    transformed by itself instead of their mean. The vibration is that of `VoiceStream` within
+    transformed by itself instead of their mean. The vibration is that of `ChannelBank` within
     1e-6 of full scale, the counters and what any split changes (nothing) are the same. Memory is
     taken when it is made and not after. Held by one thread at a time.
 
@@ -154,7 +146,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "rest_ticks": onsets.REST_TICKS,
         "heard_ticks": onsets.HEARD_TICKS,
         "groups_max": onsets.GROUPS,
-        "fresh_max": onsets.FRESH_MAX,
+        "fresh_max": onsets.ONSET_PARTIALS_MAX,
         "hold_hops": form._tracker._hold_hops,
         "tick_s": form._fresh._tick_s,
         "short_scale": detector._scale,
@@ -166,8 +158,8 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "minor": onsets.MINOR,
         "risen_share": onsets.RISEN_SHARE,
         "apart_from": onsets.APART_FROM,
-        "worth": fresh.WORTH,
-        "birth_phase": fresh.BIRTH_PHASE,
+        "worth": onset_partials.WORTH,
+        "birth_phase": onset_partials.BIRTH_PHASE,
         "fresh_reach": partials.FRESH_REACH,
         "worth_holding": partials.WORTH_HOLDING,
         "tick_glide": tick_bank._glide,
@@ -176,7 +168,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "short_hz": detector.bin_hz,
         "band_edges": np.array(detector.edges, dtype=np.float64),
         "one_tone": np.array(onsets.ONE_TONE),
-        "rise_shares": np.array(fresh.RISE),
+        "rise_shares": np.array(onset_partials.RISE),
         "window_frames": grid.window_frames,
         "hop_frames": grid.hop_frames,
         "decimation": grid.decimation,
@@ -205,8 +197,8 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "scale_ratio": scale_ratio,
         "band_low_hz": parameters.band_low_hz,
         "bottom_hz": parameters.vibration_bottom_hz,
-        "ceiling": limiter.CEILING,
-        "knee": limiter.KNEE,
+        "ceiling": synthesis.CEILING,
+        "knee": synthesis.KNEE,
         "hop_s": grid.hop_s,
         "match_audio_hz": partials.MATCH_HZ_A_WINDOW / parameters.window_s,
         "match_ratio": partials.MATCH_RATIO,
@@ -216,7 +208,7 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
         "steady_ratio": partials.STEADY_RATIO,
         "steady_gain": partials.STEADY_GAIN,
         "gain_step_hz": TABLE_STEP_HZ,
-        "still": oscillators.STILL,
+        "still": synthesis.STILL,
         "window": spectrum._window,
         "band_b": form._bandpass._b,
         "band_a": form._bandpass._a,
@@ -236,22 +228,22 @@ def settings_of(form: LiveTransform) -> dict[str, Any]:
 
 def _following(form: LiveTransform) -> dict[str, Any]:
     """Return what the loudness follower adds, without a weight where there is none."""
-    one = follower.LoudnessFollower(form._parameters, form._grid.hop_s)
+    one = loudness.LoudnessFollower(form._parameters, form._grid.hop_s)
     return {
         "nothing": loudness.NOTHING,
         "programme_start": one.start_db,
         "programme_min": one.programme_min_db,
-        "programme_top": follower.PROGRAMME_TOP_DB,
+        "programme_top": loudness.PROGRAMME_TOP_DB,
         "programme_step": one.programme_step_db,
         "programme_rise": one.rise,
         "programme_fall": one.fall,
-        "far": follower.FAR_DB,
+        "far": loudness.FAR_DB,
         "release": one.release_db,
         "floor_min": one.floor_min_db,
         "floor_rise": one.floor_rise_db,
-        "floor_under": follower.FLOOR_UNDER_PROGRAMME_DB,
+        "floor_under": loudness.FLOOR_UNDER_PROGRAMME_DB,
         "gate": one.gate_db,
-        "gate_margin": follower.GATE_MARGIN,
+        "gate_margin": loudness.GATE_MARGIN,
         "target": one.target_db,
         "slope": one.slope,
         "gain_max": one.gain_max,

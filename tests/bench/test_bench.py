@@ -11,7 +11,7 @@ import pytest
 from scipy.fft import rfft
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import Principals
 from device.errors import UsageError
 from tests.support.bench_runs import LEAST

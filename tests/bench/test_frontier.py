@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from audioflinger_hook.transform import grid, smoothing
-from audioflinger_hook.transform.grid import LiveGrid
+from audioflinger_hook.transform import design
+from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.live import synthesis
 from tools.bench.sections import frontier
 from tools.bench.sections.frontier import COST, LAG, LEAK, PURITY, UNLIKE
 from tools.bench.sections.frontier_settings import (
@@ -22,11 +23,11 @@ from tools.bench.workbench import LIVE, SUBJECTS
 CONSTANTS = [
     (module, name)
     for module, name in (
-        (grid, "HOPS_A_WINDOW"),
-        (grid, "LOW_RATE_HZ"),
-        (smoothing, "ORDER"),
-        (smoothing, "RIPPLE_DB"),
-        (smoothing, "STOP_DB"),
+        (design, "HOPS_A_WINDOW"),
+        (design, "LOW_RATE_HZ"),
+        (synthesis, "ORDER"),
+        (synthesis, "RIPPLE_DB"),
+        (synthesis, "STOP_DB"),
     )
 ]
 

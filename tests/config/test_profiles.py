@@ -12,7 +12,7 @@ from audioflinger_hook.config.settings import CHOICES, Settings
 from audioflinger_hook.daemon.capture_settings import facts_of, settings_from
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.scaling import vibration_hz
+from audioflinger_hook.transform.mapping import vibration_hz
 from device.errors import UsageError
 from tests.support.commands import call, noise, refused, sound
 from tests.support.signals import (

@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.analysis import LiveAnalysis
-from audioflinger_hook.transform.bandpass import BandPass
+from audioflinger_hook.transform.arrays import strided_windows
+from audioflinger_hook.transform.input_stage import BandPass
+from audioflinger_hook.transform.live.analysis import LiveAnalysis
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
-from audioflinger_hook.transform.windows import strided_windows
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
     chirp,

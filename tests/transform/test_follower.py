@@ -11,8 +11,12 @@ from scipy.signal import freqz
 from audioflinger_hook.scenes.impacts import explosion
 from audioflinger_hook.scenes.speech import speech
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.follower import LoudnessFollower
-from audioflinger_hook.transform.loudness import bin_weights, k_weight, loudness_db
+from audioflinger_hook.transform.live.loudness import (
+    LoudnessFollower,
+    bin_weights,
+    k_weight,
+    loudness_db,
+)
 from audioflinger_hook.transform.spectrum import Spectrum
 from tests.support.signals import (
     columns,

@@ -7,9 +7,9 @@ import pytest
 
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.kernel import KernelStream
-from audioflinger_hook.transform.live import LiveTransform
-from audioflinger_hook.transform.voices import VoiceStream
+from audioflinger_hook.transform.live.transform import LiveTransform
 from tests.support.signals import burst, energy_above_db, envelope, thinned
 from tools.bench.measures.vibration import onset_lag_s
 from tools.bench.sections import onset_detection
@@ -24,7 +24,7 @@ each_way = pytest.mark.parametrize("way", ["compiled", "numpy"])
 def felt(sound: FloatArray, way: str, rate: int = RATE, onsets: bool = True) -> FloatArray:
     """Return the vibration of a mono sound, as late as it comes."""
     form = LiveTransform(PARAMETERS, rate, onsets=onsets)
-    stream = KernelStream(form, 1, False) if way == "compiled" else VoiceStream([form], 1)
+    stream = KernelStream(form, 1, False) if way == "compiled" else ChannelBank([form], 1)
     return stream.process(sound[:, None])[:, 0]
 
 
@@ -156,7 +156,7 @@ def test_streams_shorter_than_a_tick_or_of_single_frames_are_taken(way: str) -> 
         assert felt(0.5 * noise(frames), way).shape == (frames,)
     sound = burst(300.0, 0.0, 0.02, RATE, 0.5)[:2_000]
     form = LiveTransform(PARAMETERS, RATE)
-    stream = KernelStream(form, 1, False) if way == "compiled" else VoiceStream([form], 1)
+    stream = KernelStream(form, 1, False) if way == "compiled" else ChannelBank([form], 1)
     single = [stream.process(sound[at : at + 1, None]) for at in range(sound.size)]
     assert np.concatenate(single)[:, 0].tobytes() == felt(sound, way).tobytes()
 

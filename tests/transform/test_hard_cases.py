@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.bandpass import BandPass
-from audioflinger_hook.transform.grid import LiveGrid
+from audioflinger_hook.transform.arrays import strided_windows
+from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.input_stage import BandPass
 from audioflinger_hook.transform.kernel import KernelStream
-from audioflinger_hook.transform.live import LiveTransform
-from audioflinger_hook.transform.reference import ReferenceTransform
-from audioflinger_hook.transform.scaling import vibration_hz
-from audioflinger_hook.transform.windows import strided_windows
+from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.mapping import vibration_hz
+from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from tests.support.signals import (
     FORMS,
     SAMPLERATES,

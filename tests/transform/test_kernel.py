@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import mixdown
 from audioflinger_hook.transform import LIMITS, TransformParameters, kernel_warning
-from audioflinger_hook.transform.grid import LiveGrid
+from audioflinger_hook.transform.design import LiveGrid
 from device.errors import UsageError
 from tests.support.recordings import require_recordings
 from tests.support.signals import (

@@ -8,7 +8,7 @@ from scipy.fft import rfft
 
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.kernel import settings_of
-from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform.live.transform import LiveTransform
 from tests.support.signals import SAMPLERATES, identical, joined, silence, tone, white_noise
 from tools.bench.sections.scaling import resident_bytes
 

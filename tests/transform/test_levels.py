@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.levels import law_amplitudes
-from audioflinger_hook.transform.scaling import slope, vibration_hz
+from audioflinger_hook.transform.mapping import law_amplitudes, slope, vibration_hz
 from tests.support.signals import (
     WAYS,
     best_sinusoid,

@@ -9,9 +9,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.live import LiveTransform
-from audioflinger_hook.transform.reference import ReferenceTransform
-from audioflinger_hook.transform.scaling import vibration_hz
+from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.mapping import vibration_hz
+from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from audioflinger_hook.transform.spectrum import magnitude
 from tests.support.recordings import require_recordings
 from tests.support.signals import (

@@ -11,28 +11,22 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfilt
 
-from audioflinger_hook.transform import (
-    TransformParameters,
-    bandpass,
-    kernel_warning,
-    live,
-    partials,
-    reference,
-)
-from audioflinger_hook.transform.analysis import LiveAnalysis
-from audioflinger_hook.transform.bandpass import BandPass
-from audioflinger_hook.transform.grid import LiveGrid
-from audioflinger_hook.transform.intake import mono, replace_unusable
+from audioflinger_hook.transform import TransformParameters, input_stage, kernel_warning
+from audioflinger_hook.transform.arrays import strided_windows
+from audioflinger_hook.transform.channel_bank import ChannelBank
+from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.input_stage import BandPass, mono, replace_unusable
 from audioflinger_hook.transform.kernel import KernelStream
-from audioflinger_hook.transform.live import LiveTransform
-from audioflinger_hook.transform.oscillators import OscillatorBank
-from audioflinger_hook.transform.partials import Glides
+from audioflinger_hook.transform.live import partials
+from audioflinger_hook.transform.live import transform as live
+from audioflinger_hook.transform.live.analysis import LiveAnalysis
+from audioflinger_hook.transform.live.partials import Glides
+from audioflinger_hook.transform.live.synthesis import OscillatorBank, Smoother
+from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.principal import PrincipalFinder, parabola
-from audioflinger_hook.transform.scaling import vibration_hz
-from audioflinger_hook.transform.smoothing import Smoother
+from audioflinger_hook.transform.reference import transform as reference
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
-from audioflinger_hook.transform.voices import VoiceStream
-from audioflinger_hook.transform.windows import strided_windows
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
     WAYS,
@@ -74,7 +68,7 @@ each_way = pytest.mark.parametrize("way", ["numpy"] if kernel_warning() else ["c
 
 def vibration_of(form, sound, way):
     """Return all vibration of a sound by a live form as it stands, or by a kernel made of it."""
-    stream = KernelStream(form, 1, False) if way == "compiled" else VoiceStream([form], 1)
+    stream = KernelStream(form, 1, False) if way == "compiled" else ChannelBank([form], 1)
     return np.concatenate((stream.process(sound[:, None]), stream.finish()))[:, 0]
 
 
@@ -290,7 +284,7 @@ def test_one_recursion_rounds_almost_as_little_as_second_order_sections(samplera
 def test_the_guard_against_denormal_numbers_is_not_felt(monkeypatch):
     sound = joined(silence(0.2, 48_000), white_noise(0.5, 48_000), tone(300, 0.3, 48_000, 0.02))
     guarded = {form: played(sound, 48_000, form=form) for form in WAYS}
-    monkeypatch.setattr(bandpass, "DENORMAL_GUARD", 0.0)
+    monkeypatch.setattr(input_stage, "DENORMAL_GUARD", 0.0)
     for form in WAYS:
         assert np.abs(played(sound, 48_000, form=form) - guarded[form]).max() < 1e-12
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.fft import rfft
 
-from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform import FloatArray, Frames
 
 RFFT_FRAMES = 2048
 RFFT_CALLS = 100

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.co_energy import Energies, energies, linear_energies, stored_energy_j
 from device.rig.equations import EXCURSION, SPEED, Equations

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
-from audioflinger_hook.transform import HapticTransform, kernel_warning
-from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform import FloatArray, Frames, HapticTransform, kernel_warning
 from tools.bench.report import Missing, Section
 from tools.bench.sounds.signals import RECORDINGS_COMMAND, SAMPLERATE, Recording
 

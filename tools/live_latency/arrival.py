@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray, IntArray
+from audioflinger_hook.transform import FloatArray, IntArray
 
 WINDOW_S = 0.5
 """Of the arrivals in so long only the earliest counts."""

@@ -14,7 +14,7 @@ from scipy.fft import irfft, rfft
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import theilslopes
 
-from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform import FloatArray, Frames
 from tools.live_latency.arrival import ArrivalLine
 
 STEP_S = 0.001

@@ -18,8 +18,7 @@ import numpy as np
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.service.status import Status
-from audioflinger_hook.transform import HapticTransform
-from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform import FloatArray, Frames, HapticTransform
 from device.errors import LostError
 from tools.bench.machine import cpu_model
 from tools.bench.sections.live_latency import LiveRecord, Numbers

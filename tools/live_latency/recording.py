@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import Frames
+from audioflinger_hook.transform import Frames
 from device.errors import LostError, NotFoundError
 from tools.live_latency.arrival import ArrivalLine
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.transform import HapticTransform
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray, HapticTransform
 from device.drive.damping import Damper, Damping, choose_damping
 from device.rig import Rig
 from device.rig.instruments import InstrumentChain

@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from audioflinger_hook.figures import palette, panels
 from audioflinger_hook.figures.columns import column_times_s, envelope, spectrogram_db
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from tools.paper import layout
 from tools.paper.table import write_table
 from tools.paper.units import UnitSequence

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray, TransformParameters
+from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.principal import Principals
-from audioflinger_hook.transform.reference import ReferenceTransform
-from audioflinger_hook.transform.scaling import vibration_hz
+from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 
 PAPERS_UNIT = 39

@@ -57,9 +57,9 @@ static size_t analysed(Live *live, Voice *voice, double *strength)
     const Spectrum spectrum = {live->real, live->imaginary, 1};
     windowed(live, voice, live->windowed);
     fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
-    if (follower_is_on(s)) {
-        const double loudness_db = follower_loudness_db(s, live->real, live->imaginary);
-        *strength = follower_strength(s, &voice->follower, loudness_db);
+    if (loudness_is_on(s)) {
+        const double loudness_db = loudness_loudness_db(s, live->real, live->imaginary);
+        *strength = loudness_strength(s, &voice->follower, loudness_db);
         if (!(*strength > 0.0))
             return 0;
     }
@@ -101,8 +101,8 @@ static int levelled(Live *live, Voice *voice, double strength, size_t count)
     double total = 0.0;
     strengthen(live, count);
     double gain = 1.0;
-    if (follower_is_on(s) && count)
-        gain = follower_gain(s, &voice->follower, strength, live->amplitude, count);
+    if (loudness_is_on(s) && count)
+        gain = loudness_gain(s, &voice->follower, strength, live->amplitude, count);
     /* Before the law of level, so that what speech loses is not missing from the rest; after the
      * follower, which would turn the rest up. */
     if (s->speech_db > 0.0) {
@@ -160,14 +160,14 @@ static void end_hop(Live *live, Voice *voice)
     memmove(voice->peaks, voice->peaks + 1, (s->hops_in_window - 1) * sizeof(double));
     voice->peaks[s->hops_in_window - 1] = 0.0;
 
-    fresh_hand_over(s, voice->fresh, &voice->onsets, &voice->slots);
+    onset_partials_hand_over(s, voice->fresh, &voice->onsets, &voice->slots);
     size_t count = 0;
     double strength = 1.0;
     const int heard = loudest >= s->silence;
     if (heard)
         count = analysed(live, voice, &strength);
     else
-        follower_rest(s, &voice->follower);
+        loudness_rest(s, &voice->follower);
     if (s->speech_db > 0.0 && heard)
         speech_hear(s, voice->speech, live->real, live->imaginary, live->speech_space);
     else if (s->speech_db > 0.0)
@@ -214,11 +214,11 @@ static void advance(Live *live, Voice *voice)
     if (full)
         end_hop(live, voice);
     if (onset)
-        fresh_bear(s, voice->fresh, told, &voice->slots);
-    const int fresh = fresh_sounds(s, voice->fresh);
+        onset_partials_bear(s, voice->fresh, told, &voice->slots);
+    const int fresh = onset_partials_sounds(s, voice->fresh);
     if (fresh) {
         *voice->ringing = (double)s->ring_hops;
-        fresh_play(s, voice->fresh, told, &voice->slots, &live->fresh_glides);
+        onset_partials_play(s, voice->fresh, told, &voice->slots, &live->fresh_glides);
     }
     if (*voice->ringing > 0.0) {
         const double *hop = voice->hop + (full ? 0 : (live->tick + 1) * s->tick_steps);
@@ -240,10 +240,10 @@ static void collect(Live *live, Voice *voice, Sound sound, size_t frames, int si
     const Settings *s = &live->settings;
     double loudest;
     if (silent) {
-        loudest = intake_band_pass_silence(s, voice->band, live->mono, frames);
+        loudest = input_band_pass_silence(s, voice->band, live->mono, frames);
     } else {
-        live->replaced += intake_mono(s, sound, frames, live->mono);
-        loudest = intake_band_pass(s, voice->band, live->mono, frames);
+        live->replaced += input_mono(s, sound, frames, live->mono);
+        loudest = input_band_pass(s, voice->band, live->mono, frames);
     }
     double *of_hop = &voice->peaks[s->hops_in_window - 1];
     double *of_tick = &voice->onsets.peaks[s->short_ticks - 1];
@@ -273,7 +273,7 @@ static void deliver(const Voice *voice, size_t from, size_t frames, double *vibr
 /* Count the silence that these frames end with; return whether they are nothing else. */
 static int note_silence(Live *live, Sound sound, size_t frames)
 {
-    const size_t silent = intake_silent_last(sound, frames);
+    const size_t silent = input_silent_last(sound, frames);
     const size_t total = silent == frames ? live->silent + frames : silent;
     live->silent = total < live->settings.window_frames ? total : live->settings.window_frames;
     return silent == frames;
@@ -300,7 +300,7 @@ static size_t up_to_onset(Live *live, Sound sound, size_t frames)
         return frames;
     const size_t room = live->settings.tick_frames - live->filled;
     const size_t most = frames < room ? frames : room;
-    const size_t silent = intake_silent_first(sound, most);
+    const size_t silent = input_silent_first(sound, most);
     if (silent)
         return silent;
     if (asleep(live)) {

@@ -8,9 +8,9 @@
 
 #include "analysis.h"
 #include "fft.h"
-#include "follower.h"
-#include "fresh.h"
-#include "intake.h"
+#include "loudness.h"
+#include "onset_partials.h"
+#include "input_stage.h"
 #include "onsets.h"
 #include "settings.h"
 #include "speech.h"
@@ -25,9 +25,9 @@ typedef struct {
     double *played; /* the tick that is being delivered */
     double *hop;    /* of the partials, at the low rate, of which that is a part */
     Onsets onsets;
-    Fresh *fresh;
+    OnsetPartial *fresh;
     Slots slots;
-    Follower follower;
+    Loudness follower;
     Smoothing smoothing;
     double *ringing; /* hops that the low-pass still rings */
     Speech *speech;

@@ -8,7 +8,7 @@
 #include "space.h"
 
 #define SLOT_NUMBERS 11
-#define FRESH_NUMBERS (sizeof(Fresh) / sizeof(double))
+#define FRESH_NUMBERS (sizeof(OnsetPartial) / sizeof(double))
 #define GLIDE_NUMBERS 5
 #define FOUND_NUMBERS 4
 
@@ -51,7 +51,7 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
     voice->onsets.since = placed(next, 1);
     voice->onsets.newest = placed(next, 1);
     voice->onsets.peak = placed(next, 1);
-    voice->fresh = (Fresh *)placed(next, FRESH_NUMBERS * s->fresh_max);
+    voice->fresh = (OnsetPartial *)placed(next, FRESH_NUMBERS * s->fresh_max);
     double **of_slots[SLOT_NUMBERS] = {
         &voice->slots.hz,            &voice->slots.amplitude,  &voice->slots.phase,
         &voice->slots.alive,         &voice->slots.held_first, &voice->slots.held_last,
@@ -163,7 +163,7 @@ void live_reset(Live *live)
     live->silent = live->settings.window_frames; /* before the beginning there was nothing */
     for (size_t voice = 0; voice < live->voices_count; voice++) {
         onsets_reset(&live->settings, &live->voices[voice].onsets);
-        follower_reset(&live->settings, &live->voices[voice].follower);
+        loudness_reset(&live->settings, &live->voices[voice].follower);
     }
 }
 
@@ -196,7 +196,7 @@ static int voice_is_possible(const Settings *s, const Voice *voice)
     return alive <= s->partials_max + s->fresh_max &&
            is_count(*voice->onsets.since, 0.0, (double)(s->rest_ticks + s->heard_ticks)) &&
            *voice->ringing >= 0.0 && *voice->ringing <= (double)s->ring_hops &&
-           follower_is_possible(s, &voice->follower);
+           loudness_is_possible(s, &voice->follower);
 }
 
 int live_is_possible(const Live *live)

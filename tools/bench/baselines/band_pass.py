@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scipy.signal import butter
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from tools.bench.baselines.stages import Comparator, Filter
 
 BAND_HZ = (50.0, 250.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from tools.bench.baselines.hops import SineComparator
 
 BAND_HZ = (30.0, 600.0)

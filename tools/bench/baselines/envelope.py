@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import bilinear
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from tools.bench.baselines.stages import Comparator, Filter, high_pass, low_pass
 
 RESONANCE_HZ = 150.0

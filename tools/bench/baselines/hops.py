@@ -6,8 +6,8 @@ import numpy as np
 from scipy.fft import rfft
 from scipy.signal.windows import hann
 
-from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.windows import strided_windows
+from audioflinger_hook.transform import FloatArray
+from audioflinger_hook.transform.arrays import strided_windows
 from tools.bench.baselines.stages import Comparator
 
 POINTS_AT_48_KHZ = 1_024

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from tools.bench.baselines.hops import SineComparator
 
 RANGES_HZ = ((400.0, 1_000.0), (1_000.0, 3_600.0))

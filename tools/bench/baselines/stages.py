@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from audioflinger_hook.transform.arrays import FloatArray, Frames
-from audioflinger_hook.transform.intake import fitting, mono, replace_unusable
+from audioflinger_hook.transform import FloatArray, Frames
+from audioflinger_hook.transform.input_stage import fitting, mono, replace_unusable
 
 NYQUIST_MARGIN = 0.49
 """A low-pass from this share of the samplerate up has nothing to take away and is left out."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform import FloatArray, Frames
 from tools.bench.workbench import Stream, Subject
 
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal.windows import hann
 
-from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.windows import strided_windows
+from audioflinger_hook.transform import FloatArray
+from audioflinger_hook.transform.arrays import strided_windows
 
 DELAY_MAX_S = 0.1
 ENVELOPE_FRAME_S = 0.01

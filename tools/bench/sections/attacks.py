@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from audioflinger_hook.config.profiles import parameters_of
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from tools.bench.measures.similarity import level_db
 from tools.bench.report import Must, Row, Section
 from tools.bench.sections.levels import Way

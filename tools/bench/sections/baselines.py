@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray, TransformParameters
 from tools.bench import baselines as comparators
 from tools.bench.baselines import COMMAND
 from tools.bench.baselines.watched import ComparatorFailed, watched

@@ -16,7 +16,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from device.drive.damping import Damper, FlatInverse, inverse_damping
 from device.drive.damping.large_bursts import driven_by, intended
 from device.rig import PAPER

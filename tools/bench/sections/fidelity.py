@@ -7,11 +7,10 @@ from statistics import median
 
 import numpy as np
 
-from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.arrays import FloatArray, Frames
-from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform import FloatArray, Frames, TransformParameters
+from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import PrincipalFinder
-from audioflinger_hook.transform.reference import ReferenceTransform
+from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tools.bench.measures.vibration import (
     Agreement,

@@ -15,9 +15,8 @@ import numpy as np
 from scipy.fft import fft
 from scipy.signal.windows import hamming
 
-from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform import FloatArray, TransformParameters
+from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tools.bench.report import Must, Row, Section

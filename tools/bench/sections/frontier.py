@@ -11,10 +11,9 @@ from typing import Literal
 import numpy as np
 from scipy.signal import hilbert
 
-from audioflinger_hook.transform import TransformParameters, kernel_warning
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray, TransformParameters, kernel_warning
+from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.principal import PrincipalFinder
-from audioflinger_hook.transform.scaling import vibration_hz
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tools.bench.cost import interleaved
 from tools.bench.measures.vibration import energy_above_db, onset_lag_s, sine_fit

@@ -1,7 +1,7 @@
 """Settings of the live form, each changed from outside and alone: see `frontier`.
 
 The transform carries no switches. The kernel takes all of its numbers from a `LiveTransform`,
-whose own come from `TransformParameters` and from the constants of `grid` and `smoothing`.
+whose own come from `TransformParameters` and from the constants of `design` and `synthesis`.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from types import ModuleType
 
 from scipy.fft import next_fast_len
 
-from audioflinger_hook.transform import TransformParameters, grid, kernel_warning, smoothing
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray, TransformParameters, design, kernel_warning
+from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.haptic import Stream
 from audioflinger_hook.transform.kernel import KernelStream
-from audioflinger_hook.transform.live import LiveTransform
-from audioflinger_hook.transform.voices import VoiceStream
+from audioflinger_hook.transform.live import synthesis
+from audioflinger_hook.transform.live.transform import LiveTransform
 from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import Subject
 
@@ -31,7 +31,7 @@ KERNEL_PADDING = 2.0
 class Setting:
     """One change of the live form: its knob, its name in the table, and what is changed.
 
-    parameters: of `TransformParameters`; constants: of `grid` and `smoothing`; padding: NFFT over
+    parameters: of `TransformParameters`; constants: of `design` and `synthesis`; padding: NFFT over
     the window's length. onsets: whether what begins is born at once.
     """
 
@@ -101,7 +101,7 @@ class Setup:
     def _stream(self, channels: int) -> Stream:
         if self.compiled:
             return KernelStream(self.made, channels, each=False)
-        return VoiceStream([self.form()], channels)
+        return ChannelBank([self.form()], channels)
 
     def vibration(self, sound: FloatArray | Stereo) -> FloatArray:
         """Return the vibration of a sound, (frames,)."""
@@ -110,11 +110,11 @@ class Setup:
 
 @contextmanager
 def constants_changed(changed: Mapping[str, float | int]) -> Iterator[None]:
-    """Change constants of `grid` and `smoothing` for as long as a transform is being made."""
+    """Change constants of `design` and `synthesis` for as long as a transform is being made."""
     kept: list[tuple[ModuleType, str, float | int]] = []
     try:
         for name, value in changed.items():
-            (home,) = (module for module in (grid, smoothing) if hasattr(module, name))
+            (home,) = (module for module in (design, synthesis) if hasattr(module, name))
             kept.append((home, name, getattr(home, name)))
             setattr(home, name, value)
         yield

@@ -16,8 +16,7 @@ from audioflinger_hook.scenes.demo import DEMO_TRACKS
 from audioflinger_hook.scenes.engine import engine
 from audioflinger_hook.scenes.impacts import explosion
 from audioflinger_hook.scenes.speech import speech as spoken_scene
-from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
 from tools.bench.measures.similarity import level_db
 from tools.bench.report import Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, Recording, speech

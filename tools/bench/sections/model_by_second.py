@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.amplifier import Amplifier
 from device.rig.dac import Dac

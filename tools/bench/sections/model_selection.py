@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from scipy.signal import butter, sosfilt
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.actuator import Motion
 from device.rig.error_estimate import FLOOR

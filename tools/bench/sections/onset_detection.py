@@ -12,10 +12,9 @@ from math import gcd
 import numpy as np
 from scipy.signal import resample_poly
 
-from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.live import LiveTransform
-from audioflinger_hook.transform.onsets import REST_TICKS
+from audioflinger_hook.transform import FloatArray, TransformParameters
+from audioflinger_hook.transform.live.onsets import REST_TICKS
+from audioflinger_hook.transform.live.transform import LiveTransform
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import (
     SAMPLERATE,

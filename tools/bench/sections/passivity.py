@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.co_energy import Energies, energies, stored_energy_j
 from device.rig.equations import Equations

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
-from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.scaling import vibration_hz
+from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
+from audioflinger_hook.transform.mapping import vibration_hz
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.twin import Twin
 from tools.bench.cost import interleaved

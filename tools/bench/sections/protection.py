@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.signal import sosfreqz
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from device.drive.damping import Damper, choose_damping
 from device.drive.exposure import ExposureMeter, wk_response, wk_sections
 from device.drive.processing import BlockProcessor

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from scipy.signal import lsim
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER, ActuatorParameters
 from device.rig.actuator import LinearActuator
 from device.rig.linear_system import Quantity

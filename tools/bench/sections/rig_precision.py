@@ -12,7 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator, Motion
 from device.rig.co_energy import Energies, energies

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.ladder import Ladder
 from device.rig.rungs import Rung

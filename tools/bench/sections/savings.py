@@ -12,15 +12,14 @@ from functools import partial
 
 import numpy as np
 
-from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.analysis import LiveAnalysis, window_tables
-from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.live import LiveTransform
-from audioflinger_hook.transform.oscillators import OscillatorBank
-from audioflinger_hook.transform.partials import Glides
+from audioflinger_hook.transform import FloatArray, TransformParameters
+from audioflinger_hook.transform.arrays import strided_windows
+from audioflinger_hook.transform.live.analysis import LiveAnalysis, window_tables
+from audioflinger_hook.transform.live.partials import Glides
+from audioflinger_hook.transform.live.synthesis import OscillatorBank
+from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import Principals
 from audioflinger_hook.transform.spectrum import Spectrum
-from audioflinger_hook.transform.windows import strided_windows
 from tools.bench.cost import Timings, interleaved
 from tools.bench.report import Missing, Must, Row, Section
 from tools.bench.sounds.signals import (

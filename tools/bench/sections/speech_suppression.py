@@ -8,11 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.live import LiveTransform
+from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
+from audioflinger_hook.transform.live.speech import SpeechSuppressor
+from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.spectrum import ComplexArray
-from audioflinger_hook.transform.speech import SpeechSuppressor
 from tools.bench.measures.similarity import level_db
 from tools.bench.report import Missing, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, Recording

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray, TransformParameters
+from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.reference import ReferenceTransform
-from audioflinger_hook.transform.scaling import vibration_hz
 from tools.bench.measures.vibration import SineFit, sine_fit
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, tone

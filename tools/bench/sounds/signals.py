@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 import audioflinger_hook
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import mixdown
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 
 SAMPLERATE = 48_000
 """Rate of every scene and every signal that does not say otherwise, in Hz."""

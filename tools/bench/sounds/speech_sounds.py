@@ -14,7 +14,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import resample_poly
 
 from audioflinger_hook.scenes import Scene, demo_scene
-from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform import FloatArray
 from tools.bench.sounds.signals import SAMPLERATE, Recording, chord, tone
 
 CHOSEN_ON, OTHER_HALF = "chosen on", "other half"

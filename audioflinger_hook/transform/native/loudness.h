@@ -1,42 +1,42 @@
 /* The loudness follower of one voice: a loudness each hop in, the strength of its vibration out. */
 
-#ifndef CUSHION_FOLLOWER_H
-#define CUSHION_FOLLOWER_H
+#ifndef CUSHION_LOUDNESS_H
+#define CUSHION_LOUDNESS_H
 
 #include "settings.h"
 
 /* All of it is state, in dB of loudness but for the gain: the factor on the last amplitudes. */
 typedef struct {
     double *programme, *floor, *loud, *gain;
-} Follower;
+} Loudness;
 
 /* Numbers in it. */
 #define FOLLOWER_NUMBERS 4
 
 /* Whether loudness is followed at all. */
-int follower_is_on(const Settings *settings);
+int loudness_is_on(const Settings *settings);
 
 /* Return to what is taken for granted before a stream. */
-void follower_reset(const Settings *settings, Follower *follower);
+void loudness_reset(const Settings *settings, Loudness *follower);
 
 /* Take note of a hop without any sound. */
-void follower_rest(const Settings *settings, Follower *follower);
+void loudness_rest(const Settings *settings, Loudness *follower);
 
 /* The loudness in dB of a spectrum of `bins`. */
-double follower_loudness_db(const Settings *settings, const double *real, const double *imaginary);
+double loudness_loudness_db(const Settings *settings, const double *real, const double *imaginary);
 
 /* Return how strong the next hop vibrates, the root of its partials' sum of squares; 0 where the
  * gate is closed. */
-double follower_strength(const Settings *settings, Follower *follower, double loudness_db);
+double loudness_strength(const Settings *settings, Loudness *follower, double loudness_db);
 
 /* The factor on the amplitudes of what begins with this level, a tone's amplitude. */
-double follower_onset_gain(const Settings *settings, const Follower *follower, double level);
+double loudness_onset_gain(const Settings *settings, const Loudness *follower, double level);
 
 /* Return, and keep, the factor that gives the amplitudes of a hop, 1 or more, their strength. */
-double follower_gain(const Settings *settings, Follower *follower, double strength,
+double loudness_gain(const Settings *settings, Loudness *follower, double strength,
                      const double *amplitude, size_t count);
 
 /* Whether the numbers are such as a follower can have. */
-int follower_is_possible(const Settings *settings, const Follower *follower);
+int loudness_is_possible(const Settings *settings, const Loudness *follower);
 
 #endif

@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames
-from audioflinger_hook.transform.follower import LoudnessFollower
-from audioflinger_hook.transform.intake import fitting, mono, replace_unusable
+from audioflinger_hook.transform.input_stage import fitting, mono, replace_unusable
+from audioflinger_hook.transform.live.loudness import LoudnessFollower
 
 
 class MonoTransform(Protocol):
@@ -57,7 +57,7 @@ class MonoTransform(Protocol):
         ...
 
 
-class VoiceStream:
+class ChannelBank:
     """Every channel through a voice of its own, or with one voice their mean.
 
     channels: of the sound. Counts as it goes: `delivered_frames`, `replaced_samples` that were

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.transform.onsets import FRESH_MAX, HEARD_TICKS, OnsetDetector
-from audioflinger_hook.transform.partials import WORTH_HOLDING, Glides, Held, PartialTracker
-from audioflinger_hook.transform.smoothing import Smoother
+from audioflinger_hook.transform.live.onsets import HEARD_TICKS, ONSET_PARTIALS_MAX, OnsetDetector
+from audioflinger_hook.transform.live.partials import WORTH_HOLDING, Glides, Held, PartialTracker
+from audioflinger_hook.transform.live.synthesis import Smoother
 
 RISE = (0.4, 1.0)
 """Share of its amplitude that a fresh partial reaches in its first tick, and in its second."""
@@ -27,7 +27,7 @@ BIRTH_PHASE = 0.75
 
 
 @dataclass
-class _Fresh:
+class _OnsetPartial:
     group: tuple[int, int]
     hz: float
     phase: float
@@ -38,8 +38,8 @@ class _Fresh:
     age: int
 
 
-class FreshPartials:
-    """At most `FRESH_MAX` partials at a time, tick by tick. Held by one thread at a time."""
+class OnsetPartials:
+    """At most `ONSET_PARTIALS_MAX` partials, tick by tick. Held by one thread at a time."""
 
     delay_ticks = len(RISE) - sum(RISE) + 0.5 * RISE[-1]
     """How late an amplitude follows on average, in ticks: each glides from share to share."""
@@ -58,12 +58,12 @@ class FreshPartials:
         self._smoother = smoother
         self._tick_s = tick_s
         self._ceiling = ceiling
-        self.slots = FRESH_MAX
+        self.slots = ONSET_PARTIALS_MAX
         self.reset()
 
     def reset(self) -> None:
         """Return to none."""
-        self._sounding: list[_Fresh | None] = [None] * self.slots
+        self._sounding: list[_OnsetPartial | None] = [None] * self.slots
 
     @property
     def idle(self) -> bool:
@@ -93,7 +93,9 @@ class FreshPartials:
             free = [slot for slot, one in enumerate(self._sounding) if one is None]
             if not free:
                 break
-            self._sounding[free[0]] = _Fresh(group, hz, BIRTH_PHASE, 0.0, lacking, base, weight, 0)
+            self._sounding[free[0]] = _OnsetPartial(
+                group, hz, BIRTH_PHASE, 0.0, lacking, base, weight, 0
+            )
         for one in young:
             one.age = HEARD_TICKS
 

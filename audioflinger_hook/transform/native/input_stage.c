@@ -1,7 +1,7 @@
 /* What arrives, made safe: unusable samples become 0 and are counted, channels become one, and the
  * band of the analysis is all that is left. */
 
-#include "intake.h"
+#include "input_stage.h"
 
 #include "common.h"
 #include "filter.h"
@@ -60,7 +60,7 @@ static int few_are_silent(Sound sound, size_t first)
     return are_zeros(at, FEW_FRAMES * (size_t)sound.frame_bytes, signs);
 }
 
-size_t intake_silent_first(Sound sound, size_t frames)
+size_t input_silent_first(Sound sound, size_t frames)
 {
     size_t silent = 0;
     if (is_dense(sound))
@@ -71,7 +71,7 @@ size_t intake_silent_first(Sound sound, size_t frames)
     return silent;
 }
 
-size_t intake_silent_last(Sound sound, size_t frames)
+size_t input_silent_last(Sound sound, size_t frames)
 {
     size_t sounding = frames;
     if (!frames || !is_silent(sound, frames - 1))
@@ -131,7 +131,7 @@ static int is_usable_stereo(Sound sound, size_t frames, double limit)
            !unusable_floats((const float *)sound.at, 2 * frames, as_float);
 }
 
-size_t intake_mono(const Settings *settings, Sound sound, size_t frames, double *mono)
+size_t input_mono(const Settings *settings, Sound sound, size_t frames, double *mono)
 {
     const double limit = settings->magnitude_max;
     const ptrdiff_t frame = sound.frame_bytes, channel = sound.channel_bytes;
@@ -159,7 +159,7 @@ INLINED double band_passed(const Settings *settings, double *state, size_t order
     return loudest;
 }
 
-double intake_band_pass(const Settings *settings, double *state, double *mono, size_t frames)
+double input_band_pass(const Settings *settings, double *state, double *mono, size_t frames)
 {
     const size_t order = settings->band_b.length - 1;
     if (order == 4)
@@ -169,16 +169,16 @@ double intake_band_pass(const Settings *settings, double *state, double *mono, s
     return band_passed(settings, state, order, mono, frames);
 }
 
-double intake_band_pass_silence(const Settings *settings, double *state, double *mono,
+double input_band_pass_silence(const Settings *settings, double *state, double *mono,
                                 size_t frames)
 {
     const size_t bytes = (settings->band_b.length - 1) * sizeof(double);
     double before[ORDER_MAX];
     memcpy(before, state, bytes);
     memset(mono, 0, frames * sizeof(double));
-    const double first = intake_band_pass(settings, state, mono, 1);
+    const double first = input_band_pass(settings, state, mono, 1);
     if (memcmp(before, state, bytes) != 0)
-        return larger(intake_band_pass(settings, state, mono + 1, frames - 1), first);
+        return larger(input_band_pass(settings, state, mono + 1, frames - 1), first);
     /* It has come to rest, in 0.4 s of silence: every frame leaves it as the first has. */
     for (size_t frame = 1; frame < frames; frame++)
         mono[frame] = mono[0];

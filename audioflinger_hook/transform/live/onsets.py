@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import next_fast_len, rfft
 
-from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.grid import LiveGrid
+from audioflinger_hook.transform.arrays import FloatArray, strided_windows
+from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.scaling import vibration_hz
-from audioflinger_hook.transform.windows import strided_windows
 
 OLD_SIDE_S, NEW_SIDE_S = 0.004, 0.001
 """The window rises for so long and falls for so long: what is newest counts at once."""
@@ -58,7 +57,7 @@ weaker is not felt."""
 GROUPS = 4
 """Groups of bands that an onset gives birth in at most ..."""
 
-FRESH_MAX = 2 * GROUPS
+ONSET_PARTIALS_MAX = 2 * GROUPS
 """... and partials that are fresh at a time."""
 
 MINOR = 0.01

@@ -1,13 +1,13 @@
-/* Fresh partials: born of an onset, on their own until the analysis knows what has begun. The
+/* OnsetPartial partials: born of an onset, on their own until the analysis knows what has begun. The
  * operations are those of `fresh.py`, in the same order. */
 
-#include "fresh.h"
+#include "onset_partials.h"
 
 #include "common.h"
 #include "scaling.h"
 #include "synthesis.h"
 
-int fresh_sounds(const Settings *settings, const Fresh *fresh)
+int onset_partials_sounds(const Settings *settings, const OnsetPartial *fresh)
 {
     for (size_t slot = 0; slot < settings->fresh_max; slot++)
         if (fresh[slot].sounds != 0.0)
@@ -15,7 +15,7 @@ int fresh_sounds(const Settings *settings, const Fresh *fresh)
     return 0;
 }
 
-static Group group_of(const Fresh *one)
+static Group group_of(const OnsetPartial *one)
 {
     const Group group = {(size_t)one->first_band, (size_t)one->last_band};
     return group;
@@ -31,8 +31,8 @@ static Begun begun(const Settings *settings, Heard heard, Group group)
     const Told told = onsets_told(settings, heard.onsets, group);
     const double level = onsets_level(heard.onsets);
     double gain = 1.0;
-    if (follower_is_on(settings))
-        gain = follower_onset_gain(settings, heard.follower, level);
+    if (loudness_is_on(settings))
+        gain = loudness_onset_gain(settings, heard.follower, level);
     if (settings->speech_db > 0.0)
         gain *= speech_coarse_gain(settings, heard.speech, heard_hz(settings, told.hz));
     const double amplitude = told.weight * level * gain * smoothing_gain(settings, told.hz);
@@ -40,7 +40,7 @@ static Begun begun(const Settings *settings, Heard heard, Group group)
 }
 
 /* What all sums of amplitudes leave under the ceiling. */
-static double room(const Settings *settings, const Fresh *fresh, const Slots *slots)
+static double room(const Settings *settings, const OnsetPartial *fresh, const Slots *slots)
 {
     double taken = 0.0;
     for (size_t slot = 0; slot < settings->fresh_max; slot++)
@@ -48,7 +48,7 @@ static double room(const Settings *settings, const Fresh *fresh, const Slots *sl
     return larger(0.0, settings->ceiling - (tracking_loudest_sum(settings, slots) + taken));
 }
 
-static double sounding_near(const Settings *settings, const Fresh *fresh, double hz)
+static double sounding_near(const Settings *settings, const OnsetPartial *fresh, double hz)
 {
     const double near_hz = tracking_near_hz(settings, hz);
     double base = 0.0;
@@ -59,7 +59,7 @@ static double sounding_near(const Settings *settings, const Fresh *fresh, double
 }
 
 /* Return the first slot of a young one, or the count where there is none. */
-static size_t young_one(const Settings *s, const Fresh *fresh, const int *young)
+static size_t young_one(const Settings *s, const OnsetPartial *fresh, const int *young)
 {
     size_t slot = 0;
     while (slot < s->fresh_max && !(fresh[slot].sounds != 0.0 && young[slot]))
@@ -67,7 +67,7 @@ static size_t young_one(const Settings *s, const Fresh *fresh, const int *young)
     return slot;
 }
 
-static size_t free_one(const Settings *s, const Fresh *fresh)
+static size_t free_one(const Settings *s, const OnsetPartial *fresh)
 {
     size_t slot = 0;
     while (slot < s->fresh_max && fresh[slot].sounds != 0.0)
@@ -75,7 +75,7 @@ static size_t free_one(const Settings *s, const Fresh *fresh)
     return slot;
 }
 
-void fresh_bear(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots)
+void onset_partials_bear(const Settings *s, OnsetPartial *fresh, Heard heard, const Slots *slots)
 {
     Group groups[FRESH_MAX];
     int young[FRESH_MAX];
@@ -100,7 +100,7 @@ void fresh_bear(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots
             slot = free_one(s, fresh);
             if (slot == s->fresh_max)
                 break;
-            fresh[slot] = (Fresh){.sounds = 1.0, .hz = found.hz, .phase = s->birth_phase};
+            fresh[slot] = (OnsetPartial){.sounds = 1.0, .hz = found.hz, .phase = s->birth_phase};
         }
         fresh[slot].first_band = (double)groups[which].first;
         fresh[slot].last_band = (double)groups[which].last;
@@ -113,11 +113,11 @@ void fresh_bear(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots
             fresh[slot].age = (double)s->heard_ticks;
 }
 
-void fresh_play(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots,
+void onset_partials_play(const Settings *s, OnsetPartial *fresh, Heard heard, const Slots *slots,
                 Glides *glides)
 {
     for (size_t slot = 0; slot < s->fresh_max; slot++) {
-        Fresh *one = &fresh[slot];
+        OnsetPartial *one = &fresh[slot];
         if (one->sounds == 0.0) {
             glides->start_amplitude[slot] = glides->end_amplitude[slot] = 0.0;
             continue;
@@ -150,10 +150,10 @@ void fresh_play(const Settings *s, Fresh *fresh, Heard heard, const Slots *slots
     }
 }
 
-void fresh_hand_over(const Settings *s, Fresh *fresh, const Onsets *onsets, Slots *slots)
+void onset_partials_hand_over(const Settings *s, OnsetPartial *fresh, const Onsets *onsets, Slots *slots)
 {
     for (size_t slot = 0; slot < s->fresh_max; slot++) {
-        Fresh *one = &fresh[slot];
+        OnsetPartial *one = &fresh[slot];
         if (one->sounds == 0.0 || one->age < (double)s->heard_ticks)
             continue;
         const Held held = {one->goal + one->base, one->weight,

@@ -6,25 +6,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from audioflinger_hook.transform.analysis import LiveAnalysis
-from audioflinger_hook.transform.arrays import FloatArray, IntArray
-from audioflinger_hook.transform.bandpass import BandPass
-from audioflinger_hook.transform.follower import LoudnessFollower
-from audioflinger_hook.transform.fresh import FreshPartials
-from audioflinger_hook.transform.grid import LiveGrid
-from audioflinger_hook.transform.levels import law_amplitudes, left_by_law
-from audioflinger_hook.transform.limiter import CEILING, below_full_scale, limited_amplitudes
-from audioflinger_hook.transform.loudness import bin_weights, loudness_db
-from audioflinger_hook.transform.onsets import FRESH_MAX, OnsetDetector, Ticks
-from audioflinger_hook.transform.oscillators import OscillatorBank
+from audioflinger_hook.transform.arrays import FloatArray, IntArray, strided_windows
+from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.input_stage import BandPass
+from audioflinger_hook.transform.live.analysis import LiveAnalysis
+from audioflinger_hook.transform.live.loudness import LoudnessFollower, bin_weights, loudness_db
+from audioflinger_hook.transform.live.onset_partials import OnsetPartials
+from audioflinger_hook.transform.live.onsets import ONSET_PARTIALS_MAX, OnsetDetector, Ticks
+from audioflinger_hook.transform.live.partials import Glides, PartialTracker
+from audioflinger_hook.transform.live.speech import SpeechSuppressor
+from audioflinger_hook.transform.live.synthesis import (
+    CEILING,
+    OscillatorBank,
+    Smoother,
+    below_full_scale,
+    limited_amplitudes,
+)
+from audioflinger_hook.transform.mapping import heard_hz, law_amplitudes, left_by_law, vibration_hz
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.partials import Glides, PartialTracker
 from audioflinger_hook.transform.principal import Principals
-from audioflinger_hook.transform.scaling import heard_hz, vibration_hz
-from audioflinger_hook.transform.smoothing import Smoother
 from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum
-from audioflinger_hook.transform.speech import SpeechSuppressor
-from audioflinger_hook.transform.windows import strided_windows
 
 TICKS_AT_ONCE = 256
 """Ticks computed in one batch: bounds the memory of a block of any length."""
@@ -86,7 +87,7 @@ class LiveTransform:
             self.follower = LoudnessFollower(parameters, self._grid.hop_s)
             self._loudness_weights = bin_weights(self._spectrum, bins)
         self._bandpass = BandPass(parameters, samplerate)
-        self._tracker = PartialTracker(parameters, FRESH_MAX, self._grid.hop_s)
+        self._tracker = PartialTracker(parameters, ONSET_PARTIALS_MAX, self._grid.hop_s)
         self._speech = None
         if parameters.speech_suppression_db > 0.0:
             self._speech = SpeechSuppressor(
@@ -100,7 +101,7 @@ class LiveTransform:
         tick_s = self._grid.tick_frames / samplerate
         self._onsets = onsets
         self._detector = OnsetDetector(parameters, self._grid)
-        self._fresh = FreshPartials(
+        self._fresh = OnsetPartials(
             self._detector, self._smoother, tick_s, CEILING, self._onset_gain
         )
         self._tick_bank = OscillatorBank(self._grid.tick_steps, tick_s, attack=1.0)

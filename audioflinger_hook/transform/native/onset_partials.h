@@ -1,9 +1,9 @@
-/* Fresh partials: born of an onset, on their own until the analysis knows what has begun. */
+/* OnsetPartial partials: born of an onset, on their own until the analysis knows what has begun. */
 
-#ifndef CUSHION_FRESH_H
-#define CUSHION_FRESH_H
+#ifndef CUSHION_ONSET_PARTIALS_H
+#define CUSHION_ONSET_PARTIALS_H
 
-#include "follower.h"
+#include "loudness.h"
 #include "onsets.h"
 #include "settings.h"
 #include "speech.h"
@@ -18,26 +18,26 @@ typedef struct {
     double base; /* amplitude that sounds there without it */
     double weight; /* what the law was taken to leave it of the level */
     double age;    /* ticks */
-} Fresh;
+} OnsetPartial;
 
 /* By what they are told. */
 typedef struct {
     const Onsets *onsets;
-    const Follower *follower;
+    const Loudness *follower;
     const Speech *speech;
 } Heard;
 
 /* Whether any sounds. */
-int fresh_sounds(const Settings *settings, const Fresh *fresh);
+int onset_partials_sounds(const Settings *settings, const OnsetPartial *fresh);
 
 /* Let what was heard begin begin. */
-void fresh_bear(const Settings *settings, Fresh *fresh, Heard heard, const Slots *slots);
+void onset_partials_bear(const Settings *settings, OnsetPartial *fresh, Heard heard, const Slots *slots);
 
 /* Write one tick of glides, fresh_max slots; while more is told of the onset, follow that. */
-void fresh_play(const Settings *settings, Fresh *fresh, Heard heard, const Slots *slots,
+void onset_partials_play(const Settings *settings, OnsetPartial *fresh, Heard heard, const Slots *slots,
                 Glides *glides);
 
 /* Let those that are told as well as they can be go over to the tracker. */
-void fresh_hand_over(const Settings *settings, Fresh *fresh, const Onsets *onsets, Slots *slots);
+void onset_partials_hand_over(const Settings *settings, OnsetPartial *fresh, const Onsets *onsets, Slots *slots);
 
 #endif

@@ -1,7 +1,7 @@
 /* What arrives, made safe, mixed and band-passed. */
 
-#ifndef CUSHION_INTAKE_H
-#define CUSHION_INTAKE_H
+#ifndef CUSHION_INPUT_STAGE_H
+#define CUSHION_INPUT_STAGE_H
 
 #include <stddef.h>
 
@@ -16,21 +16,21 @@ typedef struct {
 } Sound;
 
 /* How many of so many frames, from the first on, are exactly 0 in all their channels. */
-size_t intake_silent_first(Sound sound, size_t frames);
+size_t input_silent_first(Sound sound, size_t frames);
 
 /* The same from the last on backwards. */
-size_t intake_silent_last(Sound sound, size_t frames);
+size_t input_silent_last(Sound sound, size_t frames);
 
 /* Write the mean of the channels of so many frames; return how many samples were unusable and count
  * as 0: not finite, or above magnitude_max. */
-size_t intake_mono(const Settings *settings, Sound sound, size_t frames, double *mono);
+size_t input_mono(const Settings *settings, Sound sound, size_t frames, double *mono);
 
 /* Band-pass so many frames in place; return the largest magnitude among them. state: as many as the
  * filter's order. */
-double intake_band_pass(const Settings *settings, double *state, double *mono, size_t frames);
+double input_band_pass(const Settings *settings, double *state, double *mono, size_t frames);
 
 /* The same of so many frames of silence, one at least. */
-double intake_band_pass_silence(const Settings *settings, double *state, double *mono,
+double input_band_pass_silence(const Settings *settings, double *state, double *mono,
                                 size_t frames);
 
 #endif

@@ -11,13 +11,12 @@ from itertools import pairwise
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.bandpass import BandPass
-from audioflinger_hook.transform.levels import law_amplitudes
+from audioflinger_hook.transform.input_stage import BandPass
+from audioflinger_hook.transform.mapping import law_amplitudes, vibration_hz
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
-from audioflinger_hook.transform.scaling import vibration_hz
+from audioflinger_hook.transform.reference.superposition import Superposition
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
-from audioflinger_hook.transform.superposition import Superposition
 from device.errors import InternalError
 
 UNITS_AT_ONCE = 8

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, IntArray
+from audioflinger_hook.transform.mapping import heard_hz, slope
 from audioflinger_hook.transform.parameters import TransformParameters
-from audioflinger_hook.transform.scaling import heard_hz, slope
 
 MATCH_HZ_A_WINDOW = 2.0
 """A partial may move by the window's main lobe's half-width, 2/T in audio Hz, in one hop ..."""

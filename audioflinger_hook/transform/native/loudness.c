@@ -1,23 +1,23 @@
 /* The loudness follower of one voice. The operations are those of `follower.py` and `loudness.py`;
  * only the bins' sum is in another order. */
 
-#include "follower.h"
+#include "loudness.h"
 
 #include "common.h"
 
 /* Sums of the bins that go on side by side, for registers of any width. */
 #define LANES 8
 
-int follower_is_on(const Settings *settings) { return settings->loudness_weights.length != 0; }
+int loudness_is_on(const Settings *settings) { return settings->loudness_weights.length != 0; }
 
-void follower_reset(const Settings *settings, Follower *follower)
+void loudness_reset(const Settings *settings, Loudness *follower)
 {
     *follower->programme = settings->programme_start;
     *follower->gain = 1.0;
-    follower_rest(settings, follower);
+    loudness_rest(settings, follower);
 }
 
-void follower_rest(const Settings *settings, Follower *follower)
+void loudness_rest(const Settings *settings, Loudness *follower)
 {
     *follower->floor = *follower->loud = settings->floor_min;
 }
@@ -40,7 +40,7 @@ WIDE static double weighed(const double *restrict weights, const double *restric
     return total;
 }
 
-double follower_loudness_db(const Settings *settings, const double *real, const double *imaginary)
+double loudness_loudness_db(const Settings *settings, const double *real, const double *imaginary)
 {
     const Table weights = settings->loudness_weights;
     const double energy = weighed(weights.at, real, imaginary, weights.length);
@@ -53,7 +53,7 @@ static double within(double number, double low, double high)
 }
 
 /* How far the soft gate is open, 0 to 1. */
-static double opened(const Settings *s, const Follower *follower, double loudness_db)
+static double opened(const Settings *s, const Loudness *follower, double loudness_db)
 {
     const double under = smaller(*follower->floor, *follower->programme - s->floor_under);
     const double over = smaller(1.0, (loudness_db - larger(s->floor_min, under)) / s->gate);
@@ -66,7 +66,7 @@ static double felt(const Settings *s, double above, double turned_down)
     return pow(10.0, (s->target + s->slope * above + turned_down) / 20.0);
 }
 
-double follower_strength(const Settings *s, Follower *follower, double loudness_db)
+double loudness_strength(const Settings *s, Loudness *follower, double loudness_db)
 {
     const double floor = smaller(*follower->floor + s->floor_rise, loudness_db);
     *follower->floor = larger(s->floor_min, floor);
@@ -85,7 +85,7 @@ double follower_strength(const Settings *s, Follower *follower, double loudness_
     return gate * felt(s, above, loudness_db - *follower->loud);
 }
 
-double follower_onset_gain(const Settings *s, const Follower *follower, double level)
+double loudness_onset_gain(const Settings *s, const Loudness *follower, double level)
 {
     if (!(level > 0.0))
         return 0.0;
@@ -95,7 +95,7 @@ double follower_onset_gain(const Settings *s, const Follower *follower, double l
     return smaller(s->gain_max, opened(s, follower, loudness_db) * strength / level);
 }
 
-double follower_gain(const Settings *s, Follower *follower, double strength,
+double loudness_gain(const Settings *s, Loudness *follower, double strength,
                      const double *amplitude, size_t count)
 {
     double power = 0.0;
@@ -105,7 +105,7 @@ double follower_gain(const Settings *s, Follower *follower, double strength,
     return *follower->gain;
 }
 
-int follower_is_possible(const Settings *s, const Follower *follower)
+int loudness_is_possible(const Settings *s, const Loudness *follower)
 {
     return *follower->programme >= s->programme_min && *follower->programme <= s->programme_top &&
            *follower->floor >= s->floor_min && *follower->loud >= s->floor_min &&
