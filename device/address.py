@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from device.alsa.cards import split
+from device.alsa.cards import parse_card_address
 from device.errors import NotFoundError, UsageError
 from device.server.identity import find_sink
 from device.server.snapshot import ServerSnapshot, Sink
@@ -95,7 +95,7 @@ def parse_device(text: str) -> DeviceAddress:
                 "digits for VID and PID each and a port such as 1-2 or 1-2.3"
             ) from None
     if kind == "hw" and name.strip():
-        split(name)
+        parse_card_address(name)
     for known in KINDS:
         if kind == known != "twin" and name.strip():
             return DeviceAddress(known, name)

@@ -6,12 +6,12 @@ import math
 
 from device.errors import UsageError
 
-LOUDEST_DB = 0.0
+MAX_VOLUME_DB = 0.0
 """Above it a device amplifies what is full scale already; nothing here ever sets more."""
 
 
-def allowed_db(
-    wanted_db: float, lowest_db: float, what: str, limit_db: float = LOUDEST_DB
+def limit_volume_db(
+    wanted_db: float, lowest_db: float, what: str, limit_db: float = MAX_VOLUME_DB
 ) -> float:
     """Return a level in dB that is neither above `wanted_db`, limit_db nor 0 dB. Any thread.
 
@@ -22,7 +22,7 @@ def allowed_db(
     UsageError
         wanted_db is no number, or even the lowest level is above the limit.
     """
-    most_db = min(LOUDEST_DB, limit_db)
+    most_db = min(MAX_VOLUME_DB, limit_db)
     if math.isnan(wanted_db):
         raise UsageError(f"volume {wanted_db} dB is no number; choose one up to {most_db:g}")
     if lowest_db > most_db:

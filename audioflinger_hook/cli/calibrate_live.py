@@ -7,18 +7,18 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 
+from audioflinger_hook.cli.measurement_streams import (
+    INPUT,
+    OUTPUT,
+    MeasurementStreams,
+    StreamEndpoint,
+)
 from audioflinger_hook.cli.terminal import warn
 from device.address import DeviceAddress
-from device.alsa import (
-    Choice,
-    choose,
-    find_capture,
-    find_playback,
-    offers_of,
-    refusal,
-    usb_capture_stream,
-    usb_stream,
-)
+from device.alsa import choose_setup, find_capture, find_playback
+from device.alsa.negotiation import CardSetup, list_offers
+from device.alsa.usb_stream import read_usb_capture_stream, read_usb_stream
+from device.alsa.use import why_blocked
 from device.errors import NotFoundError, UsageError
 from device.identification.bench import LARGEST_SHARE, at_share
 from device.identification.calibration import Calibration, calibrate
@@ -27,16 +27,10 @@ from device.identification.live.laboratory import Devices, LiveLaboratory
 from device.identification.output_error import Estimate
 from device.identification.sweep import Sweep
 from device.rig import Rig
-from device.server import (
-    PcmConfig,
-    PulseConnection,
-    ServerSnapshot,
-    find_source,
-    is_ours,
-    quiet_libraries,
-)
-from device.server.measuring import INPUT, OUTPUT, Measuring, Way
-from device.stream.targets import CardDevice, ServerDevice
+from device.server import PulseConnection, ServerSnapshot
+from device.server.identity import find_source, is_cushion_stream
+from device.stream import PcmConfig, filter_stderr
+from device.stream.pcms import CardDevice, ServerDevice
 
 USUAL_LEVEL, MOST_LEVEL = 0.05, 0.25
 """Of full scale, unless asked for, and unless --loud is."""
@@ -98,7 +92,7 @@ def calibrate_live(
     weighed = None if mass is None or reach is None else Estimate(mass, mass - reach, mass + reach)
     source = options.input
     with ExitStack() as stack:
-        quiet_libraries()
+        filter_stderr()
         pcms = PcmConfig(OUTPUT, INPUT)
         stack.callback(pcms.close)
         connection = None
@@ -116,7 +110,7 @@ def calibrate_live(
         inputs = replace(
             inputs, names=(*inputs.names, *[UNUSED] * (heard.channels - len(inputs.names)))
         )
-        transport = Measuring(pcms, output, heard, rate, connection)
+        transport = MeasurementStreams(pcms, output, heard, rate, connection)
         laboratory = LiveLaboratory(transport, inputs, channel - 1, rig.amplifier)
         found = calibrate(
             laboratory,
@@ -175,31 +169,33 @@ def levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
     return sweep
 
 
-def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Way, int]:
+def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[StreamEndpoint, int]:
     """Where the sweep goes, and at which rate."""
     if device.kind == "hw":
         playback = find_playback(device.name)
-        if refused := refusal(playback):
+        if refused := why_blocked(playback):
             raise NotFoundError(refused)
-        choice: Choice = choose(offers_of(usb_stream(playback)), RATE_HZ, 1)
+        choice: CardSetup = choose_setup(list_offers(read_usb_stream(playback)), RATE_HZ, 1)
         card = CardDevice(playback.card.number, playback.device)
-        return Way(card, str(playback), choice.channels, choice.sample_format), choice.samplerate
+        return StreamEndpoint(
+            card, str(playback), choice.channels, choice.sample_format
+        ), choice.samplerate
     assert snapshot is not None
     sink = device.sink(snapshot)
     others = [
-        "cushion run" if is_ours(stream) else stream.application or "another program"
+        "cushion run" if is_cushion_stream(stream) else stream.application or "another program"
         for stream in snapshot.sink_inputs
-        if stream.place_name == sink.name and not stream.corked
+        if stream.device_name == sink.name and not stream.corked
     ]
     if others:
         what = ", ".join(others)
         raise UsageError(f"something else plays to {sink.name!r} ({what}); end it first")
-    return Way(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
+    return StreamEndpoint(ServerDevice(sink.name), sink.name, sink.channels), RATE_HZ
 
 
 def _input(
-    source: str, snapshot: ServerSnapshot | None, needed: int, output: Way, rate: int
-) -> tuple[Way, int]:
+    source: str, snapshot: ServerSnapshot | None, needed: int, output: StreamEndpoint, rate: int
+) -> tuple[StreamEndpoint, int]:
     """What hears it, and the rate of both."""
     kind, _, name = source.partition(":")
     if kind == "source":
@@ -225,18 +221,18 @@ def _input(
                 f"would mix before they are heard ({plain or 'no such number'} it leaves alone); "
                 "name the card itself, as hw:CARD, or another profile of it"
             )
-        return Way(ServerDevice(found.name), found.name, found.channels), rate
+        return StreamEndpoint(ServerDevice(found.name), found.name, found.channels), rate
     capture = find_capture(name)
-    if refused := refusal(capture):
+    if refused := why_blocked(capture):
         raise NotFoundError(refused)
-    choice = choose(offers_of(usb_capture_stream(capture)), rate, needed, needed)
+    choice = choose_setup(list_offers(read_usb_capture_stream(capture)), rate, needed, needed)
     if choice.samplerate != rate and not output.guarded:
         raise UsageError(
             f"{output.name} plays at {rate} Hz and {capture} records at {choice.samplerate} Hz; "
             "name the sound server's sink or source for one of them"
         )
     card = CardDevice(capture.card.number, capture.device)
-    return Way(card, str(capture), choice.channels), choice.samplerate
+    return StreamEndpoint(card, str(capture), choice.channels), choice.samplerate
 
 
 def _enough(source: str, needed: int, there: int) -> None:

@@ -12,7 +12,7 @@ from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
 from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.sources import TapAddress
-from device.server import quiet_libraries
+from device.stream import filter_stderr
 
 
 def record(
@@ -23,7 +23,7 @@ def record(
     What is there when somebody ends it is kept.
     """
     if not debug:
-        quiet_libraries()
+        filter_stderr()
     with Wake() as wake, Signals(wake) as signals:
         live = LiveCapture(address, wake, time.monotonic())
         try:

@@ -12,19 +12,14 @@ from rich.table import Table
 
 from audioflinger_hook.cli.mixer import mixer_of, volume_now
 from audioflinger_hook.cli.terminal import LineConsole, warn
-from device.alsa import (
-    PROC,
-    Playback,
-    UsbFormat,
-    all_cards,
-    find_playback,
-    playbacks,
-    refusal,
-    usb_stream,
-)
+from device.alsa import find_playback, list_cards
+from device.alsa.cards import PROC, PlaybackDevice, list_playbacks
+from device.alsa.usb_stream import UsbFormat, read_usb_stream
+from device.alsa.use import why_blocked
 from device.errors import CushionError, NotFoundError
-from device.server import PulseConnection, ServerSnapshot, identity_of, quiet_libraries
-from device.server.identity import is_own
+from device.server import PulseConnection, ServerSnapshot
+from device.server.identity import identity_of, is_own_stream
+from device.stream import filter_stderr
 from device.usb import Found, UsbAudioDevice, find_devices, identify
 from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
 from device.usb.mapping import hw_names, sinks_of
@@ -32,7 +27,7 @@ from device.usb.mapping import hw_names, sinks_of
 
 def run(options: argparse.Namespace) -> int:
     """List what is there; without a sound server or a USB bus say so, and end well."""
-    quiet_libraries()
+    filter_stderr()
     snapshot = None
     try:
         connection = PulseConnection()
@@ -48,7 +43,7 @@ def run(options: argparse.Namespace) -> int:
         warn(str(usb.reason))
     document = _server(snapshot) | {
         "usb": [_usb(device, usb, snapshot) for device in usb.devices],
-        "cards": [_card(playback) for card in all_cards() for playback in playbacks(card)],
+        "cards": [_card(playback) for card in list_cards() for playback in list_playbacks(card)],
     }
     if options.json:
         print(json.dumps(document, indent=2))
@@ -109,7 +104,7 @@ def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int
             playback = find_playback(name.removeprefix("hw:"), root)
         except NotFoundError:
             continue  # it went meanwhile
-        stream = usb_stream(playback)
+        stream = read_usb_stream(playback)
         for each in stream.formats if stream else ():
             found[each.interface, each.altsetting] = each
     return found
@@ -129,8 +124,8 @@ def _samplerates(
     return list(offered.rates.single)
 
 
-def _card(playback: Playback) -> dict[str, Any]:
-    busy = refusal(playback)
+def _card(playback: PlaybackDevice) -> dict[str, Any]:
+    busy = why_blocked(playback)
     return {
         "device": f"hw:{playback.card.id or playback.card.number},{playback.device}",
         "number": playback.card.number,
@@ -174,7 +169,7 @@ def _document(snapshot: ServerSnapshot) -> dict[str, Any]:
                 "paused": stream.corked,
             }
             for stream in snapshot.sink_inputs
-            if not is_own(stream)
+            if not is_own_stream(stream)
         ],
     }
 

@@ -30,14 +30,15 @@ from audioflinger_hook.service.watchdog import Watchdog, watchdog_period_s
 from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress, parse_device
 from device.errors import LostError, NotFoundError, UsageError
-from device.server import PulseConnection, quiet_libraries
+from device.server import PulseConnection
+from device.stream import filter_stderr
 
 
 def run(options: argparse.Namespace) -> int:
     """Run until `--seconds` of sound are over, the sound ends or somebody ends it."""
     order = _order(options)
     if not options.debug:
-        quiet_libraries()
+        filter_stderr()
     holder = Holder(os.getpid(), datetime.now().isoformat(" ", "seconds"), str(order.device))
     clocks = Clocks(time.monotonic, time.thread_time, _slept_s)
     with (
@@ -52,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
             recording = RunRecording(options.record, order.settings, *addresses)
             order = dataclasses.replace(order, recording=recording)
         supervisor = Supervisor(order, clocks, wake)
-        signals.on_spinning = supervisor.priority.give_back
+        signals.on_spinning = supervisor.priority.revoke
 
         def follow_config(now_s: float) -> str:
             """Read the config again, and return what it changed."""

@@ -10,15 +10,10 @@ import numpy as np
 
 from device.address import parse_device
 from device.errors import LostError, NotFoundError, UsageError
-from device.server import (
-    Hold,
-    PcmConfig,
-    PlaybackStream,
-    PulseConnection,
-    Refuge,
-    StreamGuard,
-    quiet_libraries,
-)
+from device.server import FallbackSink, PulseConnection, StreamGuard
+from device.server.guard import Hold
+from device.stream import PcmConfig, PlaybackStream, filter_stderr
+from device.stream.pcms import ServerDevice
 from device.units import Float32Array
 
 FADE_S = 0.1
@@ -56,15 +51,15 @@ def run(options: argparse.Namespace) -> int:
     device = parse_device(options.device)
     if device.kind not in ("sink", "usb"):
         raise NotFoundError(f"device {str(device)!r}: it takes a sink; see `cushion devices`")
-    quiet_libraries()
+    filter_stderr()
     pcms = PcmConfig("cushion_output")
     try:
         connection = PulseConnection()
         try:
             sink = device.sink(connection.latest)
-            refuge = Refuge(connection)
+            refuge = FallbackSink(connection)
             pcm = pcms.pcms["cushion_output"]
-            pcm.lead(sink.name)
+            pcm.target = ServerDevice(sink.name)
             tone = Tone(options.hz, options.level, options.seconds, sink.samplerate)
             stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
             guard = StreamGuard(connection, stream, sink.name)

@@ -19,7 +19,7 @@ from audioflinger_hook.daemon.sides import InputSide, OutputSide
 from audioflinger_hook.service.state import StateKeeper
 from device.errors import UsageError
 from device.rig import rig_by_name
-from device.server import AudioPriority, PcmConfig
+from device.stream import AudioPriority, PcmConfig
 
 
 class Endpoints:

@@ -16,7 +16,7 @@ from audioflinger_hook.pipeline.step import Chain
 from audioflinger_hook.service.buffer_times import BufferClock
 from audioflinger_hook.sources import Client
 from device.clock import DelayLine
-from device.clock.timing import STALLED_S
+from device.clock.frame_clock import STALLED_S
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 

@@ -9,7 +9,8 @@ from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import PushTap, TapAddress
 from device.errors import LostError, NotFoundError
-from device.server import PcmConfig, PulseConnection
+from device.server import PulseConnection
+from device.stream import PcmConfig
 from device.units import Float32Array
 
 TICK_S = 0.05

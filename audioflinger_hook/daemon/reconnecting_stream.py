@@ -8,7 +8,9 @@ from typing import Generic, TypeVar
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.errors import CushionError
-from device.server import CaptureStream, Hold, PlaybackStream, PulseConnection, StreamGuard
+from device.server import PulseConnection, StreamGuard
+from device.server.guard import Hold
+from device.stream import CaptureStream, PlaybackStream
 
 SETTLES_S = 1.0
 """How long a stream may take from its opening until the server shows it where it belongs."""
@@ -105,4 +107,4 @@ class ReconnectingStream(Generic[StreamT]):
 
 def _is_misplaced(guard: StreamGuard, now_s: float) -> bool:
     """Whether its stream will not come back to its place by itself."""
-    return guard.astray_s(now_s) > (GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S)
+    return guard.misplaced_s(now_s) > (GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S)

@@ -17,8 +17,9 @@ from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError
-from device.server import AudioPriority, PulseConnection, Refuge, ServerSnapshot
-from device.server.latency import tap_latency_s
+from device.server import FallbackSink, PulseConnection, ServerSnapshot
+from device.server.snapshot import tap_latency_s
+from device.stream import AudioPriority
 from device.units import Float32Array
 
 TICK_S = 0.1
@@ -59,7 +60,7 @@ class Supervisor:
         self._sides = Endpoints(order, clocks, self.states, self.priority, wake.ring)
         self._stand_in = _stand_in_of(order)
         self._connection: PulseConnection | None = None
-        self._refuge: Refuge | None = None
+        self._refuge: FallbackSink | None = None
         self._server_backoff = Backoff(longest_s=LONGEST_WAIT_S)
         self._rest = IdlePolicy(now_s)
         self._found: tuple[Place | None, Place | None] = (None, None)
@@ -233,7 +234,7 @@ class Supervisor:
         self._order = order
         self._sides.take(order)
         if changes.priority:
-            self.priority.want(order.live.realtime)
+            self.priority.set_wanted(order.live.realtime)
         begins_anew = changes.engine
         if changes.tap:
             begins_anew |= self._sides.lead_input(order)
@@ -290,7 +291,7 @@ class Supervisor:
             return None
         try:
             self._connection = connection = PulseConnection(Nudge(self._wake))
-            self._refuge = Refuge(connection)
+            self._refuge = FallbackSink(connection)
         except CushionError as error:
             self._server_backoff.failed(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, str(error))

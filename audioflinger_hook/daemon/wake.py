@@ -7,7 +7,8 @@ import select
 from types import TracebackType
 
 from device.errors import LostError
-from device.server import Listener, ServerSnapshot
+from device.server import ServerSnapshot
+from device.server.snapshot import Listener
 
 
 class Wake:

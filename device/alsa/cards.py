@@ -47,11 +47,11 @@ class Card:
     @property
     def usb_id(self) -> str | None:
         """VID:PID in hexadecimal digits, None if it is no USB card."""
-        return read(self.folder / "usbid").strip().lower() or None
+        return read_text(self.folder / "usbid").strip().lower() or None
 
 
 @dataclass(frozen=True)
-class Playback:
+class PlaybackDevice:
     """One of a card's devices that play. device: its number, mostly 0."""
 
     card: Card
@@ -67,10 +67,10 @@ class Playback:
         return self.card.folder / f"pcm{self.device}p"
 
 
-def all_cards(root: Path = PROC) -> tuple[Card, ...]:
+def list_cards(root: Path = PROC) -> tuple[Card, ...]:
     """Every card by its number; none where there is no such folder. Any thread."""
     found = []
-    lines = read(root / "cards").splitlines()
+    lines = read_text(root / "cards").splitlines()
     for line, after in zip_longest(lines, lines[1:], fillvalue=""):
         if match := _CARD.match(line):
             number, card_id, driver, name = match.groups()
@@ -78,15 +78,15 @@ def all_cards(root: Path = PROC) -> tuple[Card, ...]:
     return tuple(sorted(found, key=lambda card: card.number))
 
 
-def playbacks(card: Card) -> tuple[Playback, ...]:
+def list_playbacks(card: Card) -> tuple[PlaybackDevice, ...]:
     """The devices of a card that play, by their number. Any thread."""
-    return tuple(Playback(card, *one) for one in devices_of(card, "p"))
+    return tuple(PlaybackDevice(card, *one) for one in devices_of(card, "p"))
 
 
 def devices_of(card: Card, way: str) -> list[tuple[int, str]]:
     """(number, name) of a card's devices, in order; way: "p" of those that play, "c" record."""
     return sorted(
-        (int(folder.name[3:-1]), fields_of(folder / "info").get("name", ""))
+        (int(folder.name[3:-1]), read_fields(folder / "info").get("name", ""))
         for folder in card.folder.glob(f"pcm*{way}")
         if folder.name[3:-1].isdecimal()
     )
@@ -100,7 +100,7 @@ def find_card(name: str, root: Path = PROC) -> Card:
     NotFoundError
         There is none; the nearest ids are offered.
     """
-    cards = all_cards(root)
+    cards = list_cards(root)
     for card in cards:
         if name in (card.id, str(card.number)):
             return card
@@ -112,7 +112,7 @@ def find_card(name: str, root: Path = PROC) -> Card:
     )
 
 
-def find_playback(name: str, root: Path = PROC) -> Playback:
+def find_playback(name: str, root: Path = PROC) -> PlaybackDevice:
     """What `hw:` stands before: CARD or CARD,DEVICE, as ALSA writes them too. Any thread.
 
     CARD is a number or an id; without DEVICE it is the card's first one that plays.
@@ -124,9 +124,9 @@ def find_playback(name: str, root: Path = PROC) -> Playback:
     NotFoundError
         There is no such card, or it does not play.
     """
-    match = split(name)
+    match = parse_card_address(name)
     card = find_card(match["card"], root)
-    found = playbacks(card)
+    found = list_playbacks(card)
     if not found:
         raise NotFoundError(f"the sound card {card} has nothing that plays; name another one")
     if match["device"] is None:
@@ -140,7 +140,7 @@ def find_playback(name: str, root: Path = PROC) -> Playback:
     )
 
 
-def split(name: str) -> re.Match[str]:
+def parse_card_address(name: str) -> re.Match[str]:
     """The groups `card` and `device`, None if it is left out, of what `hw:` stands before.
 
     Any thread. UsageError: it is written otherwise; nothing is looked up.
@@ -154,7 +154,7 @@ def split(name: str) -> re.Match[str]:
     return match
 
 
-def read(path: Path) -> str:
+def read_text(path: Path) -> str:
     """The text of a file of the kernel's, empty if it is not there. Any thread."""
     try:
         return path.read_text(errors="replace")
@@ -162,7 +162,44 @@ def read(path: Path) -> str:
         return ""
 
 
-def fields_of(path: Path) -> dict[str, str]:
+def read_fields(path: Path) -> dict[str, str]:
     """The lines "name: text" of a file, by name; empty if it is not there. Any thread."""
-    lines = (line.partition(":") for line in read(path).splitlines())
+    lines = (line.partition(":") for line in read_text(path).splitlines())
     return {name.strip(): text.strip() for name, colon, text in lines if colon}
+
+
+@dataclass(frozen=True)
+class CaptureDevice(PlaybackDevice):
+    """One of a card's devices that record."""
+
+    @property
+    def folder(self) -> Path:
+        """What the kernel tells of this device."""
+        return self.card.folder / f"pcm{self.device}c"
+
+
+def list_captures(card: Card) -> tuple[CaptureDevice, ...]:
+    """The devices of a card that record, by their number. Any thread."""
+    return tuple(CaptureDevice(card, *one) for one in devices_of(card, "c"))
+
+
+def find_capture(name: str, root: Path = PROC) -> CaptureDevice:
+    """What `hw:` stands before, as an input: CARD or CARD,DEVICE. Any thread.
+
+    Raises
+    ------
+    UsageError
+        The name is written otherwise.
+    NotFoundError
+        There is no such card, or it does not record.
+    """
+    match = parse_card_address(name)
+    card = find_card(match["card"], root)
+    found = list_captures(card)
+    wanted = None if match["device"] is None else int(match["device"])
+    for capture in found:
+        if wanted in (None, capture.device):
+            return capture
+    there = ", ".join(f"{one} ({one.name})" for one in found) or "nothing"
+    what = "anything" if wanted is None else f"a device {wanted}"
+    raise NotFoundError(f"the sound card {card} has not {what} that records; there is {there}")

@@ -52,7 +52,7 @@ class Decibels:
         return steps[place - 1] if place else None
 
 
-def decibels_of(words: Sequence[int], lowest: int, highest: int) -> Decibels | None:
+def parse_decibels(words: Sequence[int], lowest: int, highest: int) -> Decibels | None:
     """Return what a driver's table says of steps from lowest to highest; None if it says nothing.
 
     words: unsigned, of 32 bits each. What is no such table, or contradicts itself, says nothing.

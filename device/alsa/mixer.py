@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 
-from device.alsa.decibels import Decibels, decibels_of
+from device.alsa.decibels import Decibels, parse_decibels
 from device.alsa.use import DEVICES
 from device.errors import NotFoundError, UsageError
-from device.volume_limit import LOUDEST_DB, allowed_db
+from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 
 _VOLUME, _SWITCH = "Playback Volume", "Playback Switch"
 _MIXER = 2
@@ -161,7 +161,7 @@ class CardMixer:
         return tuple(map(volume.decibels.level, self._steps(volume)))
 
     def set_volume_db(
-        self, volume: MixerVolume, wanted_db: float, limit_db: float = LOUDEST_DB
+        self, volume: MixerVolume, wanted_db: float, limit_db: float = MAX_VOLUME_DB
     ) -> float:
         """Set all channels to the next level that is not above wanted_db, limit_db nor 0 dB.
 
@@ -179,7 +179,7 @@ class CardMixer:
                 f"the driver of sound card {self._card} does not say what the steps of "
                 f"{volume.name!r} are in dB; set it by ear, with alsamixer"
             )
-        most_db = allowed_db(wanted_db, decibels.lowest_db, repr(volume.name), limit_db)
+        most_db = limit_volume_db(wanted_db, decibels.lowest_db, repr(volume.name), limit_db)
         step = decibels.step_at_most(most_db)
         step = decibels.lowest if step is None else step
         self._set(volume, step)
@@ -235,7 +235,7 @@ class CardMixer:
         if info.type == _INTEGER and name.endswith(_VOLUME):
             steps = info.of.steps
             words = self._table(number) if info.access & _HAS_TABLE else []
-            decibels = decibels_of(words, steps.lowest, steps.highest)
+            decibels = parse_decibels(words, steps.lowest, steps.highest)
             volumes.append(MixerVolume(name, info.count, decibels, number))
 
     def _table(self, number: int) -> list[int]:
@@ -276,3 +276,39 @@ class CardMixer:
         if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EBADF):
             return NotFoundError(f"{what} is not there; plug the card in, see `cushion devices`")
         return NotFoundError(f"{what} does not answer ({error.strerror}); plug the card in again")
+
+
+def set_card_volume(
+    card: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB, devices: Path = DEVICES
+) -> tuple[float, ...]:
+    """Set all a card plays to wanted_db and lift its mutes; return the level of each volume in dB.
+
+    Nothing becomes louder than wanted_db, limit_db or 0 dB: steps are rounded down, and of volumes
+    that lie behind one another each is set. The volumes first, so that nothing is heard louder for
+    a moment. card: ALSA's number. devices: the folder of device files. Any thread.
+
+    Raises
+    ------
+    NotFoundError
+        The card is not there, or has neither volume nor mute.
+    UsageError
+        wanted_db is no number, or of a volume nobody knows what its steps are in dB, or it cannot
+        be set so low; it stays as it is, all others are set, and mutes are not lifted.
+    """
+    with CardMixer(card, devices) as mixer:
+        if not mixer.volumes and not mixer.switches:
+            raise NotFoundError(
+                f"sound card {card} has no volume of its own; set the level with gain_db, or at "
+                "the amplifier"
+            )
+        levels_db, failures = [], []
+        for volume in mixer.volumes:
+            try:
+                levels_db.append(mixer.set_volume_db(volume, wanted_db, limit_db))
+            except UsageError as error:
+                failures.append(str(error))
+        if failures:
+            raise UsageError("; ".join(failures))
+        for switch in mixer.switches:
+            mixer.set_muted(switch, False)
+    return tuple(levels_db)

@@ -9,7 +9,7 @@ from device.alsa.usb_stream import Rates, UsbStream
 from device.errors import NotFoundError
 from device.stream.sample_format import SampleFormat
 
-LEAST_HZ, MOST_HZ = 44_100, 192_000
+MIN_HZ, MAX_HZ = 44_100, 192_000
 """Rates that are played at. Below, vibration of every kind would pass, but hardly a card is."""
 
 CHANNELS_MAX = 32
@@ -39,7 +39,7 @@ class Offer:
 
 
 @dataclass(frozen=True)
-class Choice:
+class CardSetup:
     """How a card is opened. samplerate: Hz."""
 
     sample_format: SampleFormat
@@ -52,7 +52,7 @@ UNKNOWN = (Offer((SampleFormat.S32, SampleFormat.S16), 2, Rates((44_100, 48_000)
 """
 
 
-def offers_of(stream: UsbStream | None) -> tuple[Offer, ...]:
+def list_offers(stream: UsbStream | None) -> tuple[Offer, ...]:
     """What a card offers by its stream file, `UNKNOWN` for None."""
     if stream is None:
         return UNKNOWN
@@ -67,13 +67,13 @@ def offers_of(stream: UsbStream | None) -> tuple[Offer, ...]:
     )
 
 
-def choose(
+def choose_setup(
     offers: Sequence[Offer],
     samplerate: int,
     actuators: int,
     least_channels: int | None = None,
     without: Container[SampleFormat] = (),
-) -> Choice:
+) -> CardSetup:
     """The setting that suits best: by rate, then by channels, then by resolution.
 
     samplerate: of the mix, Hz. Best is just that; then its smallest multiple, then the next one
@@ -88,7 +88,7 @@ def choose(
         Nothing suits; says what there is.
     """
     wished = max(actuators, 2 if least_channels is None else least_channels)
-    found: list[tuple[tuple[int, ...], Choice]] = []
+    found: list[tuple[tuple[int, ...], CardSetup]] = []
     for offer in offers:
         formats = [one for one in offer.formats if one not in without]
         if not actuators <= offer.channels <= CHANNELS_MAX or not formats:
@@ -103,21 +103,21 @@ def choose(
                     -bits,
                     PREFERRED.index(one),
                 )
-                found.append((rank, Choice(one, rate, offer.channels)))
+                found.append((rank, CardSetup(one, rate, offer.channels)))
     if not found:
         there = "; ".join(map(str, offers)) or "nothing"
         raise NotFoundError(
-            f"the card cannot be opened with {actuators} to {CHANNELS_MAX} channels at {LEAST_HZ} "
-            f"to {MOST_HZ} Hz in {', '.join(one.value for one in PREFERRED)}; it offers {there}"
+            f"the card cannot be opened with {actuators} to {CHANNELS_MAX} channels at {MIN_HZ} "
+            f"to {MAX_HZ} Hz in {', '.join(one.value for one in PREFERRED)}; it offers {there}"
         )
     return min(found, key=lambda ranked: ranked[0])[1]
 
 
 def _rates_to_try(rates: Rates, samplerate: int) -> list[int]:
     """Every rate that may turn out the best."""
-    multiples = range(samplerate, MOST_HZ + 1, samplerate)
+    multiples = range(samplerate, MAX_HZ + 1, samplerate)
     candidates = {*rates.single, *multiples, *_USUAL_HZ, rates.least, rates.most}
-    return [rate for rate in candidates if rate in rates and LEAST_HZ <= rate <= MOST_HZ]
+    return [rate for rate in candidates if rate in rates and MIN_HZ <= rate <= MAX_HZ]
 
 
 def _rate_rank(rate: int, samplerate: int) -> tuple[int, int]:

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from device.alsa.cards import Playback, read
+from device.alsa.cards import CaptureDevice, PlaybackDevice, read_text
 
 _NUMBER = re.compile(r"\d+")
 _FIXED_POINT = re.compile(r"\(0x([0-9a-f]+)\.([0-9a-f]{4})\)")
@@ -69,10 +69,16 @@ class UsbStream:
     feedback_format: str = ""
 
 
-def usb_stream(playback: Playback) -> UsbStream | None:
+def read_usb_stream(playback: PlaybackDevice) -> UsbStream | None:
     """What is told of this device, None if it is not a USB card's. Any thread."""
-    text = read(playback.card.folder / f"stream{playback.device}")
+    text = read_text(playback.card.folder / f"stream{playback.device}")
     return parse_usb_stream(text) if text else None
+
+
+def read_usb_capture_stream(capture: CaptureDevice) -> UsbStream | None:
+    """What a USB card offers to record, None if it is none. Any thread."""
+    text = read_text(capture.card.folder / f"stream{capture.device}")
+    return parse_usb_stream(text, "Capture:") if text else None
 
 
 def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from device.alsa.cards import Playback, fields_of, read
+from device.alsa.cards import PlaybackDevice, read_fields, read_text
 
 DEVICES = Path("/dev/snd")
 
@@ -46,14 +46,14 @@ class Owner:
         return f"{self.name or 'another program'} (process {self.process})"
 
 
-def hw_params(playback: Playback) -> tuple[HwParams, ...]:
+def read_hw_params(playback: PlaybackDevice) -> tuple[HwParams, ...]:
     """How the device was opened, once for everybody who plays there; mostly one. Any thread.
 
     None while it is closed; what is not understood is left out.
     """
     opened = []
     for folder in _substreams(playback):
-        found = fields_of(folder / "hw_params")
+        found = read_fields(folder / "hw_params")
         with suppress(KeyError, ValueError, IndexError):
             opened.append(
                 HwParams(
@@ -67,23 +67,23 @@ def hw_params(playback: Playback) -> tuple[HwParams, ...]:
     return tuple(opened)
 
 
-def owner(playback: Playback, processes: Path = Path("/proc")) -> Owner | None:
+def find_owner(playback: PlaybackDevice, processes: Path = Path("/proc")) -> Owner | None:
     """Who plays there, None while it is free for us. Any thread."""
     first = None
     for folder in _substreams(playback):
         status = folder / "status"
-        if read(status).strip() in (_CLOSED, ""):
+        if read_text(status).strip() in (_CLOSED, ""):
             return None
-        digits = fields_of(status).get("owner_pid", "")
+        digits = read_fields(status).get("owner_pid", "")
         if first is None and digits.isdecimal():
             thread = processes / digits
-            process = fields_of(thread / "status").get("Tgid", digits)
-            first = Owner(int(process), read(processes / process / "comm").strip())
+            process = read_fields(thread / "status").get("Tgid", digits)
+            first = Owner(int(process), read_text(processes / process / "comm").strip())
     return first
 
 
-def refusal(
-    playback: Playback, devices: Path = DEVICES, processes: Path = Path("/proc")
+def why_blocked(
+    playback: PlaybackDevice, devices: Path = DEVICES, processes: Path = Path("/proc")
 ) -> str | None:
     """Why it cannot be opened now, and what to do, one line; None if nothing speaks against it.
 
@@ -95,7 +95,7 @@ def refusal(
             f"this user may not open {playback} ({node}); log in at the machine itself, or join "
             "the group audio"
         )
-    user = owner(playback, processes)
+    user = find_owner(playback, processes)
     if user is None:
         return None
     return (
@@ -104,5 +104,5 @@ def refusal(
     )
 
 
-def _substreams(playback: Playback) -> list[Path]:
+def _substreams(playback: PlaybackDevice) -> list[Path]:
     return sorted(playback.folder.glob("sub*"))

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from device.clock.crossing import Written
+from device.clock.frame_clock import STALLED_S, ClockReading
 from device.clock.ring import NewestFrames
+from device.clock.shared_state import Written
 from device.clock.stream_timing import StreamTiming
-from device.clock.timing import STALLED_S, ClockReading
 from device.units import Float32Array, FloatArray
 
 

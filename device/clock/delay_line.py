@@ -6,15 +6,12 @@ import math
 from collections.abc import Sequence
 
 from device.clock.arrivals import Arrivals
-from device.clock.crossing import Flush, Written
-from device.clock.lateness import LEAST_S
+from device.clock.delay_control import RateLoop, TargetDelay
+from device.clock.frame_clock import ClockReading
 from device.clock.playhead import Playhead
-from device.clock.rate_loop import RateLoop
 from device.clock.ring import NewestFrames
-from device.clock.status import DelayState, DelayStatus
-from device.clock.stream_timing import StreamTiming
-from device.clock.target import TargetDelay
-from device.clock.timing import ClockReading
+from device.clock.shared_state import DelayState, DelayStatus, Flush, Written
+from device.clock.stream_timing import LEAST_S, StreamTiming
 from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray, check_channels
 

@@ -1,74 +1,37 @@
-"""The one room for the connection to the sound server; taps and outputs both go through it.
+"""Control of PulseAudio and PipeWire: what the server holds, and what is changed there.
 
-    pcms.py       names that PortAudio knows, led to sinks, monitors and cards (targets.py)
-    portaudio.py  the one PyAudio instance; opening and closing within a time limit
-    streams.py    CaptureStream, PlaybackStream: a block a callback
-    pulse.py      PulseConnection: what the server holds (snapshot.py) and what changes (events.py)
-    identity.py   sinks by exact name, monitors, our own streams, real devices
-    measuring.py  two streams for one measurement, which end it on anything unexpected
-    guard.py      a stream is where it belongs, or silent
-    applications.py  which applications are captured by themselves, before the mix
-    app_captures.py  AppCaptures opens an AppCapture (app_capture.py) for each
-    pulse_thread.py  their connection and thread; libpulse.py: the library that they call
-    drop_in.py    DropIn: the sound passes a virtual sink, which the server forwards
-                  (forwarding.py, default_sink.py, guests.py)
-    priority.py   real-time priority for the callbacks' threads
-    folders.py    where the private ALSA configuration lies, and what others left behind
-    quiet.py      what the libraries print; foreign_thread.py: what Python holds for callbacks
+| module | contents |
+| --- | --- |
+| `snapshot` | sinks, sources and streams at one moment; events and their listener |
+| `identity` | sinks and monitors by exact name; our own streams; device identities |
+| `pulse` | `PulseConnection`: snapshots, events, moves, volumes and modules |
+| `defaults_check` | detects a connection to PipeWire that reports outdated defaults |
+| `guard` | `StreamGuard`, `FallbackSink`: streams sound on their own device only |
+| `drop_in` | `DropIn`: applications play to a virtual sink that the server forwards |
+| `forwarding` | the virtual sink and its loopback, as the server reports them |
+| `moved_streams` | the default sink and the streams that drop-in mode moves |
+| `app_rules` | `AppRules`: which applications are captured before the mix |
+| `app_captures` | `AppCaptures`: opens one capture per application |
+| `app_capture` | `AppCapture`: the frames of one application |
+| `pulse_thread` | the connection and thread that all application captures share |
+| `libpulse` | the functions of libpulse that record a stream |
 
-pulsectl and PyAudio are loaded when they are first needed: both need libraries of the system.
+pulsectl is loaded by the first connection: it needs a library of the system.
 """
 
-from device.server.app_capture import AppCapture, Ended
 from device.server.app_captures import AppCaptures
-from device.server.applications import AppRules
+from device.server.app_rules import AppRules
 from device.server.drop_in import DropIn
-from device.server.events import Event, Listener, backoff_s
-from device.server.guard import Hold, Refuge, StreamGuard
-from device.server.identity import (
-    default_monitor,
-    find_monitor,
-    find_sink,
-    find_source,
-    identity_of,
-    is_ours,
-    monitor_of,
-)
+from device.server.guard import FallbackSink, StreamGuard
 from device.server.pulse import PulseConnection
-from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
-from device.stream.pcms import Pcm, PcmConfig
-from device.stream.priority import AudioPriority
-from device.stream.stderr_filter import quiet_libraries
-from device.stream.streams import CaptureStream, PlaybackStream
+from device.server.snapshot import ServerSnapshot
 
 __all__ = [
-    "AppCapture",
     "AppCaptures",
     "AppRules",
-    "AudioPriority",
-    "CaptureStream",
     "DropIn",
-    "Ended",
-    "Event",
-    "Hold",
-    "Listener",
-    "Pcm",
-    "PcmConfig",
-    "PlaybackStream",
+    "FallbackSink",
     "PulseConnection",
-    "Refuge",
     "ServerSnapshot",
-    "Sink",
-    "Source",
-    "Stream",
     "StreamGuard",
-    "backoff_s",
-    "default_monitor",
-    "find_monitor",
-    "find_sink",
-    "find_source",
-    "identity_of",
-    "is_ours",
-    "monitor_of",
-    "quiet_libraries",
 ]

@@ -27,7 +27,7 @@ from device.stream.streams import OnFrames
 _ERROR_NAMES = 16
 
 
-class Ended(StrEnum):
+class EndReason(StrEnum):
     """Why a capture has ended."""
 
     GONE = "the application's stream has ended"
@@ -69,7 +69,7 @@ class AppCapture:
         self.frames = 0
         self.xruns = 0
         self.errors: dict[str, int] = {}
-        self.ended: Ended | None = None
+        self.ended: EndReason | None = None
         self._on_frames = on_frames
         self._close = close
         self._handle: Any = None
@@ -95,7 +95,7 @@ class AppCapture:
         Once it returns True, on_frames is not called any more.
         """
         if self.ended is None:
-            self.ended = Ended.CLOSED
+            self.ended = EndReason.CLOSED
         return self._close(self)
 
     # -------------------------------------------------------------- on the connection's thread

@@ -14,7 +14,7 @@ from typing import Any
 
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import libpulse
-from device.server.app_capture import AppCapture, Ended
+from device.server.app_capture import AppCapture, EndReason
 from device.server.pulse_thread import Playing, PulseThread
 from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME, ROLE, TAG
 from device.stream.streams import OnFrames, check_format
@@ -122,18 +122,18 @@ class AppCaptures(PulseThread):
         for capture in tuple(self._captures):
             if capture._failed and capture.ended is None:
                 plays = self._playing(capture.stream_index) is not None
-                capture.ended = Ended.TAKEN if plays else Ended.GONE
+                capture.ended = EndReason.TAKEN if plays else EndReason.GONE
             if capture.ended is not None:
                 self._give_up(capture)
 
     def _on_removed(self, stream_index: int) -> None:
         for capture in self._captures:
             if capture.stream_index == stream_index and capture.ended is None:
-                capture.ended = Ended.GONE
+                capture.ended = EndReason.GONE
 
     def _on_end(self) -> None:
         for capture in tuple(self._captures):
-            capture.ended = capture.ended or (Ended.LOST if self.lost else Ended.CLOSED)
+            capture.ended = capture.ended or (EndReason.LOST if self.lost else EndReason.CLOSED)
             self._give_up(capture)
         while self._leaving:
             self._library.stream_unref(self._leaving.pop())
@@ -209,7 +209,7 @@ class AppCaptures(PulseThread):
     def _give_up(self, capture: AppCapture) -> None:
         if capture in self._captures:
             self._captures.remove(capture)
-        capture.ended = capture.ended or Ended.CLOSED
+        capture.ended = capture.ended or EndReason.CLOSED
         self._leave(capture)
 
     def _leave(self, capture: AppCapture) -> None:

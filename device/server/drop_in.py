@@ -12,24 +12,22 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from device.errors import LostError, NotFoundError, UsageError
-from device.server.default_sink import TAKES_S, DefaultSink
-from device.server.events import Listener
 from device.server.forwarding import (
     SINK,
     Loopback,
     Route,
-    is_ours,
+    is_cushion_sink,
     loopback_arguments,
     loopbacks,
     our_sink,
     real_sinks,
+    round_delay_ms,
     sink_arguments,
-    whole_ms,
 )
-from device.server.guests import Guests, none_here
 from device.server.identity import find_sink
+from device.server.moved_streams import TAKES_S, DefaultSink, Guests, none_here
 from device.server.pulse import PulseConnection
-from device.server.snapshot import ServerSnapshot
+from device.server.snapshot import Listener, ServerSnapshot
 
 _APPEARS_S = 1.5
 """How long a sink or loopback may take from its loading until it is there; 20 ms is usual."""
@@ -84,7 +82,9 @@ class DropIn(Listener):
         self._refusal = ""
         self._connection = connection
         self._haptic_sink = haptic_sink
-        self._delay_ms = whole_ms(left.delay_ms / 1e3 if left and delay_s is None else delay_s)
+        self._delay_ms = round_delay_ms(
+            left.delay_ms / 1e3 if left and delay_s is None else delay_s
+        )
         self._target, self._restore = self._first_route(snapshot, target, left)
         self._targets: list[str] = []  # forwarded to so far, the latest last
         self._circular: set[str] = set()  # sinks that play to ours themselves
@@ -115,7 +115,7 @@ class DropIn(Listener):
 
     @delay_s.setter
     def delay_s(self, delay_s: float) -> None:
-        self._delay_ms = whole_ms(delay_s)
+        self._delay_ms = round_delay_ms(delay_s)
         self._wake.set()
 
     @property
@@ -321,7 +321,7 @@ class DropIn(Listener):
     ) -> tuple[str, str]:
         """The target and the default sink to restore."""
         sink = our_sink(snapshot)
-        if sink is not None and not is_ours(sink):
+        if sink is not None and not is_cushion_sink(sink):
             raise NotFoundError(f"there is a sink {SINK!r} that is not ours; rename or remove it")
         default = snapshot.default_sink
         names = real_sinks(snapshot, self._haptic_sink)

@@ -10,9 +10,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from device.errors import UsageError
-from device.server.identity import identity_of, is_own
+from device.server.identity import identity_of, is_own_stream
 from device.server.snapshot import ServerSnapshot, Sink, Stream
-from device.stream.pcms import APPLICATION_ID, REFUGE, ROLE
+from device.stream.pcms import APPLICATION_ID, FALLBACK_SINK, ROLE
 
 SINK = "cushion"
 """Name of the virtual sink."""
@@ -20,10 +20,10 @@ SINK = "cushion"
 DESCRIPTION = "Haptic Cushion"
 """What sound settings show for it."""
 
-LEAST_DELAY_S = 0.02
+MIN_DELAY_S = 0.02
 """What both servers keep up without a gap; they count the devices' own latency in."""
 
-LONGEST_DELAY_S = 0.5
+MAX_DELAY_S = 0.5
 
 _MARK = "cushion.drop_in"
 _TARGET = "cushion.target"
@@ -52,18 +52,18 @@ class Loopback:
     complete: bool
 
 
-def whole_ms(delay_s: float | None) -> int:
-    """A delay as servers take it, in ms: at least LEAST_DELAY_S, which None stands for, too.
+def round_delay_ms(delay_s: float | None) -> int:
+    """A delay as servers take it, in ms: at least MIN_DELAY_S, which None stands for, too.
 
     Raises
     ------
     UsageError
-        It is negative or above LONGEST_DELAY_S.
+        It is negative or above MAX_DELAY_S.
     """
-    delay_s = LEAST_DELAY_S if delay_s is None else delay_s
-    if not 0.0 <= delay_s <= LONGEST_DELAY_S:
-        raise UsageError(f"delay_s={delay_s!r} is not possible; 0 to {LONGEST_DELAY_S} s are")
-    return round(1e3 * max(delay_s, LEAST_DELAY_S))
+    delay_s = MIN_DELAY_S if delay_s is None else delay_s
+    if not 0.0 <= delay_s <= MAX_DELAY_S:
+        raise UsageError(f"delay_s={delay_s!r} is not possible; 0 to {MAX_DELAY_S} s are")
+    return round(1e3 * max(delay_s, MIN_DELAY_S))
 
 
 def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
@@ -75,7 +75,7 @@ def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
         if target is None or stream.module is None:
             continue
         tap = taps.pop(stream.module, None)
-        complete = stream.place_name == target and tap is not None and _taps_us(snapshot, tap)
+        complete = stream.device_name == target and tap is not None and _taps_us(snapshot, tap)
         found.append(Loopback(stream.module, _route(stream.properties), complete))
     found += [
         Loopback(module, _route(tap.properties), False)
@@ -90,7 +90,7 @@ def our_sink(snapshot: ServerSnapshot) -> Sink | None:
     return next((sink for sink in snapshot.sinks if sink.name == SINK), None)
 
 
-def is_ours(sink: Sink) -> bool:
+def is_cushion_sink(sink: Sink) -> bool:
     """Whether a sink of our name was made by us."""
     return _MARK in sink.properties and sink.module is not None
 
@@ -101,29 +101,30 @@ def is_application(stream: Stream) -> bool:
         _TARGET in stream.properties
         or stream.role == ROLE
         or stream.properties.get("application.id") == APPLICATION_ID
-        or is_own(stream)
+        or is_own_stream(stream)
     )
 
 
 def real_sinks(snapshot: ServerSnapshot, haptic_sink: str | None) -> list[str]:
     """The names of all sinks that may be forwarded to, sound cards first."""
-    sinks = [sink for sink in snapshot.sinks if sink.name not in (SINK, REFUGE, haptic_sink)]
+    sinks = [sink for sink in snapshot.sinks if sink.name not in (SINK, FALLBACK_SINK, haptic_sink)]
     return [sink.name for sink in sorted(sinks, key=lambda sink: not identity_of(sink).bus)]
 
 
-def reached(snapshot: ServerSnapshot, target: str) -> set[str]:
+def reachable_sinks(snapshot: ServerSnapshot, target: str) -> set[str]:
     """The target, and the sinks that its sound comes to by other virtual sinks and loopbacks."""
     names = {target}
     while more := {
-        stream.place_name
+        stream.device_name
         for stream in snapshot.sink_inputs
-        if stream.place_name not in (*names, SINK, "") and carries(snapshot, stream, names)
+        if stream.device_name not in (*names, SINK, "")
+        and carries_sound_of(snapshot, stream, names)
     }:
         names |= more
     return names
 
 
-def carries(snapshot: ServerSnapshot, stream: Stream, sinks: Collection[str]) -> bool:
+def carries_sound_of(snapshot: ServerSnapshot, stream: Stream, sinks: Collection[str]) -> bool:
     """Whether a playing stream is a module's that carries the sound of one of these sinks."""
     if any(sink.name in sinks and _belong_together(sink, stream) for sink in snapshot.sinks):
         return True

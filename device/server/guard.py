@@ -18,11 +18,10 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from device.errors import LostError, NotFoundError
-from device.server.events import Event, Listener
-from device.server.identity import tagged
+from device.server.identity import find_tagged
 from device.server.pulse import PulseConnection
-from device.server.snapshot import ServerSnapshot, Sink
-from device.stream.pcms import REFUGE, ROLE
+from device.server.snapshot import Event, Listener, ServerSnapshot, Sink
+from device.stream.pcms import FALLBACK_SINK, ROLE
 from device.stream.streams import CaptureStream, PlaybackStream
 
 
@@ -52,7 +51,7 @@ class Hold(Enum):
 
 
 @dataclass(frozen=True)
-class Place:
+class StreamPlacement:
     """What is known of one stream; a value, changed by `after_...`, judged by `hold`.
 
     tag: the stream's; name: of the device where it belongs, which is a sink if it plays, else a
@@ -84,7 +83,7 @@ class Place:
             return Hold.ELSEWHERE
         return Hold.UNSETTLED if self.unsettled else Hold.FREE
 
-    def after_event(self, event: Event) -> Place:
+    def after_event(self, event: Event) -> StreamPlacement:
         """What is known once this event has come, before anything was asked."""
         stream, device = ("sink_input", "sink") if self.plays else ("source_output", "source")
         gone = event.kind == "remove"
@@ -107,7 +106,7 @@ class Place:
         new = event.kind == "new" and event.facility == mine and self.stream is None
         return new or self.unsettled == event.number
 
-    def after_snapshot(self, snapshot: ServerSnapshot) -> Place:
+    def after_snapshot(self, snapshot: ServerSnapshot) -> StreamPlacement:
         """What is known once everything was asked for; older snapshots than events are left."""
         if snapshot.events < self.unsettled:
             return self
@@ -121,7 +120,7 @@ class Place:
                 if source.monitor_of or self.any_source
             }
         )
-        stream = tagged(streams, self.tag)
+        stream = find_tagged(streams, self.tag)
         return replace(
             self,
             connected=True,
@@ -131,7 +130,7 @@ class Place:
             unsettled=0,
         )
 
-    def after_loss(self) -> Place:
+    def after_loss(self) -> StreamPlacement:
         """What is known once the server is gone."""
         return replace(self, connected=False, stream=None, device=None, on=None)
 
@@ -143,7 +142,7 @@ class StreamGuard(Listener):
     of any source where any_source is True, for measuring.
     It sets `stream.audible` from the moment it is made, and is the only one that may. on_hold:
     called with every change of the decision, by the connection's thread (or by the one that makes
-    the guard or calls `lead`); it must return at once. Any thread but the connection's makes,
+    the guard or calls `retarget`); it must return at once. Any thread but the connection's makes,
     leads and releases it; any thread may read `hold`, the decision at present, and `astray_s`.
     """
 
@@ -162,13 +161,13 @@ class StreamGuard(Listener):
         self._lock = threading.Lock()
         self._released = False
         plays = isinstance(stream, PlaybackStream)
-        self._place = Place(stream.tag, device_name, plays, any_source=any_source)
+        self._place = StreamPlacement(stream.tag, device_name, plays, any_source=any_source)
         self.hold = self._place.hold
         self._misplaced_at_s: float | None = None
         self._judge(lambda place: place)
         connection.add(self)
 
-    def astray_s(self, now_s: float) -> float:
+    def misplaced_s(self, now_s: float) -> float:
         """For how long the stream has been misplaced without a break; 0 if it is not.
 
         now_s: time.monotonic().
@@ -176,7 +175,7 @@ class StreamGuard(Listener):
         began_s = self._misplaced_at_s
         return 0.0 if began_s is None else max(0.0, now_s - began_s)
 
-    def lead(self, device_name: str) -> None:
+    def retarget(self, device_name: str) -> None:
         """From now on the stream belongs elsewhere; call this, then let the server move it."""
         self._judge(lambda place: replace(place, name=device_name, device=None))
         self._connection.snapshot()
@@ -202,7 +201,7 @@ class StreamGuard(Listener):
         """Silence: nobody would tell any more."""
         self._judge(lambda place: place.after_loss())
 
-    def _judge(self, change: Callable[[Place], Place]) -> None:
+    def _judge(self, change: Callable[[StreamPlacement], StreamPlacement]) -> None:
         with self._lock:
             before, self._place = self.hold, change(self._place)
             self.hold = self._place.hold
@@ -216,7 +215,7 @@ class StreamGuard(Listener):
             self._on_hold(self.hold)
 
 
-class Refuge:
+class FallbackSink:
     """The silent sink that PulseAudio moves our stream to when its own sink vanishes.
 
     Make it before the playback stream is opened, close it after that is closed. active: whether
@@ -241,11 +240,11 @@ class Refuge:
         try:
             if "module-intended-roles" not in connection.modules().values():
                 self._modules.append(connection.load_module("module-intended-roles"))
-            left = _sink_named(snapshot, REFUGE)
+            left = _sink_named(snapshot, FALLBACK_SINK)
             self._modules.append(
                 left.module
                 if left is not None and left.module is not None
-                else connection.load_module("module-null-sink", _REFUGE_ARGUMENTS)
+                else connection.load_module("module-null-sink", _FALLBACK_ARGUMENTS)
             )
             self.active = True
         except NotFoundError as error:
@@ -262,8 +261,8 @@ class Refuge:
                 self._connection.unload_module(self._modules.pop())
 
 
-_REFUGE_ARGUMENTS = (
-    f"sink_name={REFUGE}",
+_FALLBACK_ARGUMENTS = (
+    f"sink_name={FALLBACK_SINK}",
     f'sink_properties="device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"',
 )
 

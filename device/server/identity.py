@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from device.errors import NotFoundError, UsageError
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
-from device.stream.pcms import REFUGE, TAG
+from device.stream.pcms import FALLBACK_SINK, TAG
 from device.suggest import no_such
 
 
@@ -28,7 +28,7 @@ def find_sink(snapshot: ServerSnapshot, name: str) -> Sink:
     for sink in snapshot.sinks:
         if sink.name == name:
             return sink
-    names = (sink.name for sink in snapshot.sinks if sink.name != REFUGE)
+    names = (sink.name for sink in snapshot.sinks if sink.name != FALLBACK_SINK)
     raise NotFoundError(_no_such("sink", name, names))
 
 
@@ -107,7 +107,7 @@ def default_monitor(snapshot: ServerSnapshot, haptic_sink: str | None = None) ->
     return monitor_of(snapshot, name)
 
 
-def is_own(stream: Stream, process_id: int | None = None) -> bool:
+def is_own_stream(stream: Stream, process_id: int | None = None) -> bool:
     """Whether a stream is of this process (or the given one), on this machine."""
     host = stream.properties.get("application.process.host", "")
     if host not in ("", socket.gethostname()):
@@ -115,12 +115,12 @@ def is_own(stream: Stream, process_id: int | None = None) -> bool:
     return stream.process_id == (os.getpid() if process_id is None else process_id)
 
 
-def is_ours(stream: Stream) -> bool:
+def is_cushion_stream(stream: Stream) -> bool:
     """Whether a stream is one of a daemon like this one, in whatever process."""
     return TAG in stream.properties
 
 
-def tagged(streams: Iterable[Stream], tag: str) -> Stream | None:
+def find_tagged(streams: Iterable[Stream], tag: str) -> Stream | None:
     """Our own stream that was opened with this tag, None if it is not (or no longer) there."""
     for stream in streams:
         if stream.properties.get(TAG) == tag:

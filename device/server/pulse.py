@@ -19,10 +19,16 @@ from contextlib import suppress
 from typing import Any, TypeVar
 
 from device.errors import CushionError, InternalError, LostError, NotFoundError
-from device.server.events import DEFAULT_SETTLES_S, Event, Listener
-from device.server.second_opinion import Defaults, SecondOpinion
-from device.server.snapshot import ServerSnapshot, keep_samplerates, take_snapshot
-from device.volume_limit import allowed_db
+from device.server.defaults_check import Defaults, DefaultsCheck
+from device.server.snapshot import (
+    DEFAULT_SETTLES_S,
+    Event,
+    Listener,
+    ServerSnapshot,
+    keep_samplerates,
+    take_snapshot,
+)
+from device.volume_limit import limit_volume_db
 
 ANSWER_LIMIT_S = 2.0
 """How long a server may take for one answer; then it counts as lost."""
@@ -63,8 +69,8 @@ class PulseConnection:
         self._due_s: float | None = None
         self._default_due_s: float | None = None
         self._default_seen = self._default_told = ""
-        self._opinion = SecondOpinion(server, self._disagreed)
-        self.renewals = 0
+        self._opinion = DefaultsCheck(server, self._disagreed)
+        self.reconnects = 0
         self.lost: LostError | None = None
         ready: Future[ServerSnapshot] = Future()
         self._thread = threading.Thread(target=self._run, args=(ready,), name="pulse", daemon=True)
@@ -109,7 +115,7 @@ class PulseConnection:
         The server's scale: 60 log10 of its own number, 1.0 at 0 dB (its `pa_sw_volume_from_dB`).
         Raises UsageError where wanted_db is no number.
         """
-        volume = 10.0 ** (allowed_db(wanted_db, -math.inf, name) / 60.0)
+        volume = 10.0 ** (limit_volume_db(wanted_db, -math.inf, name) / 60.0)
 
         def work(pulse: Any) -> None:
             sink = pulse.get_sink_by_name(name)
@@ -286,7 +292,7 @@ class PulseConnection:
 
     def _renew(self, known: Defaults) -> None:
         if Defaults.of(self._refresh()) == known:
-            self.renewals += 1
+            self.reconnects += 1
             self._pulse.close()
             self._connect()
             self._refresh()

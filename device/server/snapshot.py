@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from device.errors import LostError
+
 NOWHERE = 0xFFFF_FFFF
 """The index that servers give for "none"."""
 
@@ -57,7 +59,7 @@ class Source:
 class Stream:
     """A stream of an application: a sink input (it plays) or a source output (it records).
 
-    place: the index of its sink or source, None while it has none; place_name: the name, "" if
+    place: the index of its sink or source, None while it has none; device_name: the name, "" if
     that is unknown. application, binary, role, media: "" where the application does not say.
     process_id: None where it does not say. corked: paused by the application. module: index of the
     module that made it, None for an application's.
@@ -65,7 +67,7 @@ class Stream:
 
     index: int
     place: int | None
-    place_name: str
+    device_name: str
     application: str
     binary: str
     role: str
@@ -188,7 +190,7 @@ def _stream(item: Any, place: int, names: Mapping[int, str]) -> Stream:
     return Stream(
         index=item.index,
         place=_known(place),
-        place_name=names.get(place, ""),
+        device_name=names.get(place, ""),
         application=properties.get("application.name", ""),
         binary=properties.get("application.process.binary", ""),
         role=properties.get("media.role", ""),
@@ -204,3 +206,68 @@ def _stream(item: Any, place: int, names: Mapping[int, str]) -> Stream:
 
 def _known(index: int) -> int | None:
     return None if index == NOWHERE else index
+
+
+DEFAULT_SETTLES_S = 0.2
+"""How long the default sink must have stayed the same until that is told."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something of the server changed; number: counts the events of this connection, from 1.
+
+    facility: "sink", "source", "sink_input", "source_output", "server" and others; kind: "new",
+    "change" or "remove"; index: which one.
+    """
+
+    facility: str
+    kind: str
+    index: int
+    number: int
+
+
+class Listener:
+    """What a `PulseConnection` tells; all methods do nothing here.
+
+    The connection's own thread calls them: they must return at once, ask nothing of the
+    connection, and not raise.
+    """
+
+    def on_event(self, event: Event) -> bool:
+        """An event has come, this moment: nothing but its numbers is known yet.
+
+        True asks for a snapshot at once; else one follows when the next ones have been gathered.
+        """
+        return False
+
+    def on_snapshot(self, snapshot: ServerSnapshot) -> None:
+        """Everything was asked for again, after events."""
+
+    def on_default_sink(self, name: str) -> None:
+        """The default sink is another one, and has stayed it for DEFAULT_SETTLES_S; "": none."""
+
+    def on_lost(self, error: LostError) -> None:
+        """The server is gone: the last that this connection tells."""
+
+
+def backoff_s(attempt: int) -> float:
+    """How long to wait before attempt 1, 2, 3 ... of connecting again: 0.1 s, doubling to 2 s."""
+    return float(min(0.1 * 2 ** min(max(attempt - 1, 0), 10), 2.0))
+
+
+_BLOCKS = {"PulseAudio": (0.0, 1.0), "PipeWire": (1.0, 2.0)}
+"""Kind of server to blocks in the tap and in the output.
+
+PipeWire hands over what it mixed one cycle ago, and takes from a queue of two blocks. PulseAudio
+mixes ahead, and asks once one of two blocks is left.
+"""
+
+
+def tap_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) -> float:
+    """Seconds from a frame's mixing until a capture of such blocks can have it. Any thread."""
+    return _BLOCKS.get(snapshot.kind, (0.0, 0.0))[0] * block_frames / samplerate
+
+
+def output_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) -> float:
+    """Seconds from a playback's asking for a frame until it is mixed. Any thread."""
+    return _BLOCKS.get(snapshot.kind, (0.0, 0.0))[1] * block_frames / samplerate

@@ -1,1 +1,30 @@
-"""Audio streams through PortAudio, on a sound server or straight on a card."""
+"""Audio streams through PortAudio, on a sound server or directly on a card.
+
+| module | contents |
+| --- | --- |
+| `streams` | `CaptureStream`, `PlaybackStream`: one block per callback |
+| `portaudio` | the one PyAudio instance; opens and closes streams within a time limit |
+| `pcms` | `PcmConfig`: named ALSA devices, and the sinks, monitors and cards they open |
+| `private_dir` | the directory of the private ALSA configuration |
+| `sample_format` | `SampleFormat`, and the encoder from float frames to integers |
+| `priority` | `AudioPriority`: real-time priority for callback threads |
+| `gil_state` | keeps Python's state of a callback thread between callbacks |
+| `stderr_filter` | hides what C libraries print |
+
+PyAudio is loaded by the first opening: it needs a library of the system.
+"""
+
+from device.stream.pcms import PcmConfig
+from device.stream.priority import AudioPriority
+from device.stream.sample_format import SampleFormat
+from device.stream.stderr_filter import filter_stderr
+from device.stream.streams import CaptureStream, PlaybackStream
+
+__all__ = [
+    "AudioPriority",
+    "CaptureStream",
+    "PcmConfig",
+    "PlaybackStream",
+    "SampleFormat",
+    "filter_stderr",
+]

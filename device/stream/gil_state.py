@@ -23,7 +23,7 @@ _release.argtypes = [ctypes.c_int]
 _release.restype = None
 
 
-class ForeignThread:
+class GilState:
     """The thread of one stream's callbacks, as long as that runs.
 
     `hold` and `let_go` are called by that thread, inside a callback. A stream that stops between

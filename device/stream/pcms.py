@@ -15,11 +15,12 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from device.errors import InternalError, UsageError
-from device.stream.private_dir import OwnFolder
-from device.stream.targets import Nowhere, ServerDevice, Target
+from device.stream.private_dir import PrivateDir
 
 ROLE = "haptic"
 """media.role of all our streams; the server's other programs have no such role."""
@@ -30,7 +31,7 @@ APPLICATION_ID = "haptic-cushion"
 APPLICATION_NAME = "Haptic Cushion"
 """What mixers show for our streams."""
 
-REFUGE = "cushion_refuge"
+FALLBACK_SINK = "cushion_refuge"
 """Name of the silent sink that stands by for our output: see `guard`."""
 
 TAG = "cushion.stream"
@@ -49,18 +50,6 @@ class Pcm:
         self.config = config
         self.name = name
         self.target: Target = Nowhere()
-
-    def lead(self, device: str, server: str | None = None) -> None:
-        """Let the next opening lead to a sink or source, by the server's name for it.
-
-        The name is not looked up: see `identity`. Streams that are open stay where they are.
-        Raises UsageError as `ServerDevice` does.
-        """
-        self.target = ServerDevice(device, server)
-
-    def lead_to(self, target: Target) -> None:
-        """Let the next opening lead there. Streams that are open stay where they are."""
-        self.target = target
 
     def __repr__(self) -> str:
         return f"Pcm({self.name} -> {self.target})"
@@ -89,7 +78,7 @@ class PcmConfig:
         if wrong or len(set(names)) != len(names) or not names:
             raise InternalError(f"PCMs cannot be called {', '.join(names)}: one word each")
         self.pcms: Mapping[str, Pcm] = {name: Pcm(self, name) for name in names}
-        self._folder = OwnFolder(folder)
+        self._folder = PrivateDir(folder)
         self._version = 0
         self._before = {
             name: os.environ.get(name)
@@ -157,3 +146,96 @@ def _properties(tag: str, output: bool) -> str:
     """
     ending = " node.dont-reconnect=true" if output else ""
     return f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}{ending}"
+
+
+class Target(Protocol):
+    """Where one opening of a PCM leads; `str()` of it is its name for people."""
+
+    @property
+    def definition(self) -> str:
+        """What stands between the braces of `pcm.NAME { }`."""
+        ...
+
+    @property
+    def trouble(self) -> str:
+        """What may be wrong if it cannot be opened, and what to do."""
+        ...
+
+
+@dataclass(frozen=True)
+class Nowhere:
+    """Nothing is played there, and nothing recorded."""
+
+    definition = "type null"
+    trouble = "nobody has said where it leads"
+
+    def __str__(self) -> str:
+        return "nowhere"
+
+
+@dataclass(frozen=True)
+class ServerDevice:
+    """A sink or source of the sound server, by the server's name for it.
+
+    server: its address, None for the usual one.
+
+    Raises
+    ------
+    UsageError
+        The name is empty.
+    """
+
+    device: str
+    server: str | None = None
+
+    trouble = (
+        "the sound server does not answer or has no such device; "
+        "`cushion devices` lists what it has"
+    )
+
+    def __post_init__(self) -> None:
+        if not self.device:
+            raise UsageError('the name of a device cannot be ""; give a sink\'s name')
+
+    def __str__(self) -> str:
+        return self.device
+
+    @property
+    def definition(self) -> str:
+        """ALSA's plugin for sound servers."""
+        server = f" server {_quoted(self.server)}" if self.server else ""
+        return f"type pulse device {_quoted(self.device)}{server}"
+
+
+@dataclass(frozen=True)
+class CardDevice:
+    """A sound card itself, by the numbers of card and device.
+
+    No plugin stands in between: rate, format and channels are the card's own, or it does not open.
+    """
+
+    card: int
+    device: int = 0
+
+    trouble = (
+        "the card was pulled out, something else plays there, or it has no such format, rate or "
+        "channels; /proc/asound/cards lists what there is"
+    )
+
+    def __str__(self) -> str:
+        return f"hw:{self.card},{self.device}"
+
+    @property
+    def definition(self) -> str:
+        """ALSA's way to the kernel."""
+        return f"type hw card {self.card} device {self.device}"
+
+
+def _quoted(text: str) -> str:
+    """Text as ALSA reads it from a configuration, whatever is in it.
+
+    PipeWire lets anything be a sink's name, and the default sink is not ours to choose.
+    """
+    octal = (f"\\{byte:03o}" for byte in text.encode("utf-8", "surrogateescape"))
+    plain = text.isascii() and text.isprintable() and not set(text) & set('"\\')
+    return f'"{text if plain else "".join(octal)}"'

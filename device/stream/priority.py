@@ -48,9 +48,9 @@ class AudioPriority:
             f"busy machine; put `{_user()} - rtprio {2 * PRIORITY}` into "
             "/etc/security/limits.d/cushion.conf and log in again, or set realtime = false"
         )
-        self.want(wanted)
+        self.set_wanted(wanted)
 
-    def want(self, wanted: bool) -> None:
+    def set_wanted(self, wanted: bool) -> None:
         """Let threads from now on ask, or none, and those that have it give it back.
 
         For the main thread.
@@ -71,7 +71,7 @@ class AudioPriority:
         if not (_real_time() or _nicer()):
             self.warning = self._advice
 
-    def give_back(self) -> None:
+    def revoke(self) -> None:
         """Let no thread have it any more: one has taken too much. A signal handler may call it."""
         self.wanted = False
         self._return()

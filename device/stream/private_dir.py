@@ -21,7 +21,7 @@ _ATTEMPTS = 10
 _OPEN = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
-class OwnFolder:
+class PrivateDir:
     """A new folder that nobody else may enter, held until `close`.
 
     inside: where it is made, itself made if missing; None for $XDG_RUNTIME_DIR/cushion, or where
@@ -35,7 +35,7 @@ class OwnFolder:
     """
 
     def __init__(self, inside: Path | None = None) -> None:
-        place = inside or runtime_folder() or Path(tempfile.gettempdir())
+        place = inside or runtime_dir() or Path(tempfile.gettempdir())
         try:
             place.mkdir(mode=0o700, parents=True, exist_ok=True)
             sweep(place)
@@ -54,7 +54,7 @@ class OwnFolder:
             self._held = -1
 
 
-def runtime_folder() -> Path | None:
+def runtime_dir() -> Path | None:
     """Return $XDG_RUNTIME_DIR/cushion, made if missing; None where it is not ours alone.
 
     ALSA takes blanks and colons in the path of a configuration for the beginning of another one:

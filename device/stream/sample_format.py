@@ -2,7 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from device.blocks import emptied, peak
+from device.rounding import whole_steps
+from device.units import Float32Array
 
 
 class SampleFormat(Enum):
@@ -36,3 +45,90 @@ _BYTES = {
     SampleFormat.S24_3: 3,
     SampleFormat.S32: 4,
 }
+
+
+class Encoder:
+    """Bytes of float frames, block after block, and what these bytes stand for.
+
+    Integers: round(clip(x 2^n, -2^n, 2^n - 1)) with n = 15, 23, 31, half away from zero, without
+    dither; what is not a number becomes 0. Floats are passed on bit for bit.
+
+    sample_format: of the bytes. channels: of a frame. block_frames: of most blocks: another length
+    makes the scratch arrays anew, the usual one allocates the result alone. One thread at a time.
+    """
+
+    def __init__(self, sample_format: SampleFormat, channels: int, block_frames: int) -> None:
+        self.sample_format = sample_format
+        self.channels = channels
+        self._is_float = sample_format is SampleFormat.FLOAT32
+        self._make(block_frames)
+        self._stored = b""
+
+    def _make(self, frames: int) -> None:
+        shape = (frames, self.channels)
+        self._bytes_per_frame = self.channels * self.sample_format.bytes_per_sample
+        self._silence = bytes(frames * self._bytes_per_frame)
+        if self._is_float:
+            return
+        self._steps, self._rest = np.zeros(shape), np.zeros(shape)
+        self._unknown = np.zeros(shape, np.bool_)
+        self._words = np.zeros(shape, "<i4")
+        self._items = _items(self.sample_format, shape)
+
+    def encode(self, frames: Float32Array) -> bytes:
+        """The bytes of `frames`, (frames, channels) float32, full scale ±1."""
+        if self._is_float:
+            self._stored = frames.tobytes()
+            return self._stored
+        if len(frames) != len(self._steps):
+            self._make(len(frames))
+        whole_steps(frames, self.sample_format.full_scale, self._steps, self._rest, self._unknown)
+        if self.sample_format is SampleFormat.S24_3:
+            np.copyto(self._words, self._steps, casting="unsafe")
+            triples = self._words.view(np.uint8).reshape(*self._words.shape, 4)[..., :3]
+            np.copyto(self._items, triples)
+        else:
+            np.copyto(self._items, self._steps, casting="unsafe")
+        return self._items.tobytes()
+
+    def take(self, frames: Float32Array) -> bytes | None:
+        """As `encode`, and `frames`, which are contiguous, become 0.
+
+        None, and nothing has changed, where a sample is not finite.
+        """
+        if self._is_float:
+            stored = emptied(frames)
+            if stored is not None:
+                self._stored = stored
+            return stored
+        if not math.isfinite(peak(frames)):
+            return None
+        stored = self.encode(frames)
+        frames.fill(0.0)
+        return stored
+
+    def silence(self, frames: int) -> bytes:
+        """The bytes of so many frames of silence."""
+        length = frames * self._bytes_per_frame
+        return self._silence if len(self._silence) == length else bytes(length)
+
+    def encoded(self) -> Float32Array:
+        """What the bytes of the last `encode` stand for: float32 frames, read only, to be kept.
+
+        They would be encoded as the same bytes again. The last step of 32 bits has no float32 of
+        its own and stands as 1.0.
+        """
+        if self._is_float:
+            return np.frombuffer(self._stored, np.float32).reshape(-1, self.channels)
+        frames = np.empty(self._steps.shape, np.float32)
+        # a power of two, in float64: only the store can round
+        np.multiply(self._steps, 1.0 / self.sample_format.full_scale, out=frames, casting="unsafe")
+        frames.setflags(write=False)
+        return frames
+
+
+def _items(sample_format: SampleFormat, shape: tuple[int, int]) -> NDArray[Any]:
+    """An array that lies in memory as the bytes of `shape` frames and channels do."""
+    if sample_format is SampleFormat.S24_3:
+        return np.zeros((*shape, 3), np.uint8)
+    return np.zeros(shape, {SampleFormat.S16: "<i2", SampleFormat.S32: "<i4"}[sample_format])

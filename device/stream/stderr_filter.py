@@ -17,7 +17,7 @@ _terminal: int | None = None
 """The libraries' own stream while it is replaced."""
 
 
-def quiet_libraries() -> bool:
+def filter_stderr() -> bool:
     """Keep C libraries from printing; whether that can be done here (it takes the GNU C library).
 
     From now on, for the whole process; a second call changes nothing. What is lost with the noise
@@ -40,7 +40,7 @@ def quiet_libraries() -> bool:
         return _terminal is not None
 
 
-def loud_libraries() -> None:
+def restore_stderr() -> None:
     """Let C libraries print again. Any thread may call it; it raises nothing.
 
     The replaced stream stays open: a thread of a library may be about to write to it.

@@ -18,13 +18,11 @@ from typing import Any
 import numpy as np
 
 from device.errors import UsageError
-from device.stream.conversion import Encoder
-from device.stream.gil_state import LET_GO_LIMIT_S, ForeignThread
-from device.stream.pcms import Pcm
+from device.stream.gil_state import LET_GO_LIMIT_S, GilState
+from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES, OpenStream, close_stream, open_stream
 from device.stream.priority import AudioPriority
-from device.stream.sample_format import SampleFormat
-from device.stream.targets import ServerDevice
+from device.stream.sample_format import Encoder, SampleFormat
 from device.units import Float32Array
 
 LOST_AFTER_S = 0.5
@@ -82,7 +80,7 @@ class _Stream:
         self.xruns = 0
         self.errors: dict[str, int] = {}
         self._closing = False
-        self._thread = ForeignThread()
+        self._thread = GilState()
         self._close_lock = threading.Lock()
         self._on_server = isinstance(pcm.target, ServerDevice)
         self._output = output

@@ -24,7 +24,7 @@ from device.usb.errors import NoUsbDeviceError, UsbAccessError
 from device.usb.pyusb_access import open_device, read_descriptors
 from device.usb.requests import Request, VolumeRange
 from device.usb.sysfs import UsbAudioDevice
-from device.volume_limit import LOUDEST_DB
+from device.volume_limit import MAX_VOLUME_DB
 
 TIMEOUT_MS = 500
 """Of one request: devices answer within some ms, or never."""
@@ -102,13 +102,15 @@ class UsbControl:
         )
         return requests.volume_range(lowest, highest, step)
 
-    def set_volume_db(self, channel: int, wanted_db: float, limit_db: float = LOUDEST_DB) -> float:
+    def set_volume_db(
+        self, channel: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB
+    ) -> float:
         """Set a volume, never above 0 dB nor limit_db; return what it was set to."""
-        allowed_db = -math.inf
+        limit_volume_db = -math.inf
         if wanted_db != -math.inf:
-            allowed_db = self.volume_range(channel).allowed(wanted_db, limit_db)
-        self._set_units(channel, requests.volume_units(allowed_db))
-        return allowed_db
+            limit_volume_db = self.volume_range(channel).allowed(wanted_db, limit_db)
+        self._set_units(channel, requests.volume_units(limit_volume_db))
+        return limit_volume_db
 
     def muted(self, channel: int) -> bool:
         """Return whether a channel is muted."""
@@ -152,7 +154,7 @@ class UsbControl:
         """Set all that differs from a state to it. What was too loud is not made so again."""
         now = self.state()
         for channel, units in set(state.volumes) - set(now.volumes):
-            loudest = requests.volume_units(LOUDEST_DB)
+            loudest = requests.volume_units(MAX_VOLUME_DB)
             self._set_units(channel, min(units, loudest))
         for channel, muted in set(state.mutes) - set(now.mutes):
             self.set_muted(channel, muted)

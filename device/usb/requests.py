@@ -14,7 +14,7 @@ from typing import Literal
 from device.errors import UsageError
 from device.usb.descriptors import VOLUME_UNITS_PER_DB, FeatureControl, PlaybackFormat, RateRange
 from device.usb.errors import UsbAccessError
-from device.volume_limit import LOUDEST_DB, allowed_db
+from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 
 What = Literal["now", "range", "lowest", "highest", "step"]
 
@@ -52,7 +52,7 @@ class VolumeRange:
     highest_db: float
     step_db: float
 
-    def allowed(self, wanted_db: float, limit_db: float = LOUDEST_DB) -> float:
+    def allowed(self, wanted_db: float, limit_db: float = MAX_VOLUME_DB) -> float:
         """Return the value to set, in dB: the next that is neither above `wanted_db` nor a limit.
 
         What is below the range becomes its lowest value.
@@ -62,7 +62,7 @@ class VolumeRange:
         UsageError
             wanted_db is no number, or even the lowest value is above the limit.
         """
-        most_db = allowed_db(wanted_db, self.lowest_db, "the device", limit_db)
+        most_db = limit_volume_db(wanted_db, self.lowest_db, "the device", limit_db)
         highest_db = min(most_db, self.highest_db)
         steps = math.floor((highest_db - self.lowest_db) / self.step_db + 1e-9)
         return self.lowest_db + max(0, steps) * self.step_db

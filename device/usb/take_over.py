@@ -17,7 +17,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from device.alsa import find_playback, owner
+from device.alsa import find_playback
+from device.alsa.use import find_owner
 from device.errors import NotFoundError
 from device.usb.control import ControlState, UsbControl, held_by, playback_of
 from device.usb.errors import UsbAccessError
@@ -100,7 +101,7 @@ def _refuse_busy(device: UsbAudioDevice, root: Path) -> None:
     for card in device.cards:
         for number in card.playback:
             try:
-                user = owner(find_playback(f"{card.number},{number}", root / "proc/asound"))
+                user = find_owner(find_playback(f"{card.number},{number}", root / "proc/asound"))
             except NotFoundError:
                 continue  # it went meanwhile
             if user is not None:

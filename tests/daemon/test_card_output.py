@@ -19,8 +19,7 @@ from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
 from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
-from device.stream.pcms import PcmConfig
-from device.stream.targets import CardDevice, Target
+from device.stream.pcms import CardDevice, PcmConfig, Target
 from device.units import Float32Array
 from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, Cards

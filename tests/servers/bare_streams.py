@@ -15,7 +15,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
-from device.server import CaptureStream, PcmConfig, PlaybackStream, quiet_libraries
+from device.stream import CaptureStream, PcmConfig, PlaybackStream, filter_stderr
+from device.stream.pcms import ServerDevice
 from device.units import Float32Array
 from tests.servers.listening import RATE_HZ
 from tools.live_latency.pauses import Pause
@@ -50,15 +51,15 @@ def main(
     sink_server: str | None = None,
 ) -> None:
     """Open both, say so, and tell of gaps."""
-    quiet_libraries()
+    filter_stderr()
     config = PcmConfig("bare_tap", "bare_output")
     captured, played = Late(CAPTURE_LATE_S), Late(PLAYBACK_LATE_S)
-    config.pcms["bare_output"].lead(sink, sink_server)
+    config.pcms["bare_output"].target = ServerDevice(sink, sink_server)
     playback = PlaybackStream(
         config.pcms["bare_output"], RATE_HZ, 2, played, block_frames=block_frames
     )
     playback.audible = True
-    config.pcms["bare_tap"].lead(tap, tap_server)
+    config.pcms["bare_tap"].target = ServerDevice(tap, tap_server)
     capture = CaptureStream(
         config.pcms["bare_tap"], RATE_HZ, 2, captured, block_frames=block_frames
     )

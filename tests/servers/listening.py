@@ -14,8 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from device.errors import LostError
-from device.server.events import Event, Listener
-from device.server.snapshot import ServerSnapshot
+from device.server.snapshot import Event, Listener, ServerSnapshot
 from device.units import Float32Array
 from tools.sound_server import SoundServer
 

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 
 from device.errors import InternalError, LostError, NotFoundError, UsageError
-from device.server.app_capture import AppCapture, Ended
+from device.server.app_capture import AppCapture, EndReason
 from device.server.app_captures import AppCaptures
-from device.server.applications import AppRules
-from device.server.guard import Refuge
-from device.server.identity import is_own, tagged
+from device.server.app_rules import AppRules
+from device.server.guard import FallbackSink
+from device.server.identity import find_tagged, is_own_stream
 from device.server.pulse import ANSWER_LIMIT_S, PulseConnection
 from device.server.snapshot import Stream
 from device.stream.pcms import APPLICATION_NAME, ROLE
@@ -131,7 +131,7 @@ def stream_of(connection: PulseConnection, process_id: int) -> Stream:
     return stream
 
 
-def ended(capture: AppCapture) -> Ended:
+def ended(capture: AppCapture) -> EndReason:
     reason = wait_for(lambda: capture.ended, "the end of the capture", 1.0)
     assert reason is not None
     return reason
@@ -153,7 +153,7 @@ def test_two_applications_come_apart(server: SoundServer, apps: AppCaptures) -> 
             assert capture.errors == {}
             assert capture.frames >= capture.callbacks > 0
             assert capture.close()
-            assert capture.ended is Ended.CLOSED
+            assert capture.ended is EndReason.CLOSED
 
 
 def test_samples_come_bit_for_bit(
@@ -233,10 +233,10 @@ def test_the_end_of_the_application_ends_its_capture_and_no_other(
         stays = apps.open(other.index, RATE_HZ, 2, second)
         last(first)
         one.end()
-        assert ended(capture) is Ended.GONE
+        assert ended(capture) is EndReason.GONE
         assert capture.is_lost(time.monotonic())
         assert capture.close()
-        assert capture.ended is Ended.GONE
+        assert capture.ended is EndReason.GONE
         assert steady(second, 720) == pytest.approx(LEVEL, rel=0.01)
         assert stays.ended is None
         with pytest.raises(NotFoundError, match="ended just now"):
@@ -253,7 +253,7 @@ def test_a_moved_application_is_captured_on_or_its_capture_ends(
         last(collector)
         server.pactl("move-sink-input", str(player.index), "speakers")
         if server.kind == "pulse":
-            assert ended(capture) is Ended.TAKEN
+            assert ended(capture) is EndReason.TAKEN
             capture = apps.open(player.index, RATE_HZ, 2, collector)
         assert steady(collector, 440) == pytest.approx(LEVEL, rel=0.01)
         server.remove("desktop")
@@ -268,7 +268,7 @@ def test_a_server_that_dies_ends_all_captures(server: SoundServer, apps: AppCapt
         wait_for(lambda: all(capture.callbacks for capture in captures), "frames")
         killed_s = time.monotonic()
         server.kill()
-        assert [ended(capture) for capture in captures] == [Ended.LOST, Ended.LOST]
+        assert [ended(capture) for capture in captures] == [EndReason.LOST, EndReason.LOST]
         print(f"{server.kind}: noticed after {time.monotonic() - killed_s:.3f} s")
         assert apps.lost is not None
         with pytest.raises(LostError, match="was lost"):
@@ -294,7 +294,7 @@ def test_a_server_that_hangs_counts_as_lost(server: SoundServer, apps: AppCaptur
             apps.open(player.index, RATE_HZ, 2, Collector())
         assert time.monotonic() - asked_s < 2 * ANSWER_LIMIT_S + 0.5
         wait_for(lambda: capture.ended, "the end of the capture", ANSWER_LIMIT_S + 3.0)
-        assert capture.ended is Ended.LOST
+        assert capture.ended is EndReason.LOST
         with pytest.raises(LostError):
             AppCaptures()
         server.resume()
@@ -376,12 +376,12 @@ def test_a_microphone_is_never_captured(
         with tone(server, 440) as player:
             capture(player.index)
             last(collector)
-            own = tagged(connection.snapshot().source_outputs, captures[-1].tag)
+            own = find_tagged(connection.snapshot().source_outputs, captures[-1].tag)
             assert own is not None
             with pytest.raises(ServerError):
                 server.pactl("move-source-output", str(own.index), "microphone")
             last(collector)
-        assert ended(captures[-1]) is Ended.GONE
+        assert ended(captures[-1]) is EndReason.GONE
         for _ in range(6):  # it ends while its capture is being opened
             with tone(server, 440) as player:
                 end = threading.Timer(moments.uniform(0.0, 0.05), player.end)
@@ -404,14 +404,14 @@ def test_a_microphone_is_never_captured(
 def test_our_captures_are_known_and_not_captured_themselves(
     server: SoundServer, apps: AppCaptures, connection: PulseConnection
 ) -> None:
-    refuge = Refuge(connection)
+    refuge = FallbackSink(connection)
     server.add_sink("virtual")
     server.pactl("load-module", "module-loopback", "source=virtual.monitor", "sink=desktop")
     with tone(server, 440, "virtual") as player, tone(server, 720, "haptic"):
         capture = apps.open(player.index, RATE_HZ, 2, Collector())
-        own = tagged(connection.snapshot().source_outputs, capture.tag)
+        own = find_tagged(connection.snapshot().source_outputs, capture.tag)
         assert own is not None
-        assert is_own(own)
+        assert is_own_stream(own)
         assert (own.application, own.role) == (APPLICATION_NAME, ROLE)
         wait_for(lambda: len(connection.snapshot().sink_inputs) == 3, "the loopback")
         found = AppRules().select(connection.latest, "haptic")
@@ -456,7 +456,7 @@ def test_opening_and_closing_leaves_nothing_behind(
         wait_for(lambda: held()[0] == 10, "the end of half of them")
         assert apps.close()
         assert apps.close()
-        assert all(capture.ended is Ended.CLOSED for capture in captures)
+        assert all(capture.ended is EndReason.CLOSED for capture in captures)
 
     with tone(server, 440) as player:
         cycle()

@@ -22,9 +22,9 @@ from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
-from device.clock.status import DelayState, DelayStatus
-from device.server import CaptureStream, PcmConfig, PlaybackStream
-from device.stream import portaudio
+from device.clock.shared_state import DelayState, DelayStatus
+from device.stream import CaptureStream, PcmConfig, PlaybackStream, portaudio
+from device.stream.pcms import ServerDevice
 from tests.servers.bare_streams import bare_streams
 from tests.servers.listening import RATE_HZ, playing, wait_for
 from tools.live_latency.lag import swelling_tone
@@ -137,13 +137,13 @@ def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
 
     streams: list[CaptureStream | PlaybackStream] = []
     try:
-        config.pcms["cushion_output"].lead("haptic", felt.address)
+        config.pcms["cushion_output"].target = ServerDevice("haptic", felt.address)
         playback = PlaybackStream(
             config.pcms["cushion_output"], RATE_HZ, 2, engine.fill, block_frames=blocks
         )
         streams.append(playback)
         playback.audible = True
-        config.pcms["cushion_tap"].lead("desktop.monitor", heard.address)
+        config.pcms["cushion_tap"].target = ServerDevice("desktop.monitor", heard.address)
         streams.append(
             CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, feed.push, block_frames=blocks)
         )

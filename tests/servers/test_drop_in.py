@@ -18,10 +18,10 @@ from device.errors import NotFoundError, UsageError
 from device.server.drop_in import DropIn
 from device.server.forwarding import SINK
 from device.server.guard import Hold, StreamGuard
-from device.server.identity import find_sink, tagged
+from device.server.identity import find_sink, find_tagged
 from device.server.pulse import PulseConnection
 from device.server.snapshot import Stream
-from device.stream.pcms import PcmConfig
+from device.stream.pcms import PcmConfig, ServerDevice
 from device.stream.streams import PlaybackStream
 from device.units import Float32Array
 from tests.servers.daemons import ROOT, modules_of, tone
@@ -86,7 +86,7 @@ def still_recordings(server: SoundServer) -> None:
 def places(connection: PulseConnection) -> dict[str, str]:
     """Where each playing program is, by its process id."""
     streams = connection.snapshot().sink_inputs
-    return {str(stream.process_id): stream.place_name for stream in streams}
+    return {str(stream.process_id): stream.device_name for stream in streams}
 
 
 def everything(server: SoundServer, connection: PulseConnection) -> object:
@@ -343,7 +343,7 @@ def test_the_default_sink_that_a_user_chooses_becomes_the_target(
 def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(
     server: SoundServer, connection: PulseConnection, pcms: PcmConfig
 ) -> None:
-    pcms.pcms["cushion_output"].lead("haptic")
+    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
     stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
     guard = StreamGuard(connection, stream, "haptic")
     wait_for(lambda: guard.hold is Hold.FREE, "our stream")
@@ -357,8 +357,8 @@ def test_the_haptic_sink_is_no_target_and_our_own_stream_stays_on_it(
         wait_for(lambda: guard.hold is Hold.FREE, "our stream")  # PulseAudio had moved it
 
     def is_home() -> bool:
-        ours = tagged(connection.snapshot().sink_inputs, stream.tag)
-        return ours is not None and ours.place_name == "haptic"
+        ours = find_tagged(connection.snapshot().sink_inputs, stream.tag)
+        return ours is not None and ours.device_name == "haptic"
 
     wait_for(is_home, "our stream on its sink")
     stream.close()
@@ -465,11 +465,11 @@ def test_a_virtual_sink_that_is_forwarded_to_brings_nothing_back(
         playing(server, DEFAULT, tone(440.0, 60.0)),
         recording(server, f"{SINK}.monitor", tmp_path / "near", stays=True) as near,
     ):
-        wait_for(lambda: outlet().place_name == "desktop", "the virtual sink's sound")
+        wait_for(lambda: outlet().device_name == "desktop", "the virtual sink's sound")
         assert drop_in.target_name == "virtual", drop_in.reason
         with suppress(NotFoundError):  # PipeWire binds it to its master
             connection.move_sink_input(outlet().index, find_sink(connection.latest, SINK).index)
-        wait_for(lambda: outlet().place_name == "desktop", "the virtual sink's sound")
+        wait_for(lambda: outlet().device_name == "desktop", "the virtual sink's sound")
         again = len(near())
         wait_for(lambda: len(near()) > again + 2 * RATE_HZ, "two seconds")
         level = level_db(near()[-RATE_HZ // 2 :]) - level_db(tone(440.0, 1.0))

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from device.server.guard import Hold, Refuge, StreamGuard
-from device.server.identity import monitor_of, tagged
+from device.server.guard import FallbackSink, Hold, StreamGuard
+from device.server.identity import find_tagged, monitor_of
 from device.server.pulse import PulseConnection
-from device.stream.pcms import REFUGE, PcmConfig
+from device.stream.pcms import FALLBACK_SINK, PcmConfig, ServerDevice
 from device.stream.streams import CaptureStream, PlaybackStream
 from tests.servers.listening import RATE_HZ, Collector, noise, playing, recording, steady, wait_for
 from tools.sound_server import SoundServer
@@ -22,7 +22,7 @@ TRIALS = 5
 def guarded(
     pcms: PcmConfig, connection: PulseConnection, holds: list[Hold]
 ) -> tuple[PlaybackStream, StreamGuard]:
-    pcms.pcms["cushion_output"].lead("haptic")
+    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
     stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
     return stream, StreamGuard(connection, stream, "haptic", holds.append)
 
@@ -30,7 +30,7 @@ def guarded(
 def test_not_one_sample_is_heard_elsewhere_when_the_haptic_sink_vanishes(
     server: SoundServer, pcms: PcmConfig, connection: PulseConnection, tmp_path: Path
 ) -> None:
-    refuge = Refuge(connection)
+    refuge = FallbackSink(connection)
     assert refuge.active == (server.kind == "pulse")
 
     def trial(folder: Path) -> None:
@@ -56,7 +56,7 @@ def test_not_one_sample_is_heard_elsewhere_when_the_haptic_sink_vanishes(
         trial(tmp_path / str(number))
         server.add_sink("haptic")  # with its sink back it is opened anew
     refuge.close()
-    assert REFUGE not in server.names("sinks")
+    assert FALLBACK_SINK not in server.names("sinks")
 
 
 def test_a_stream_that_is_moved_is_silenced_and_freed_when_it_is_back(
@@ -118,13 +118,13 @@ def test_a_lost_server_means_silence(
 def test_a_refuge_left_over_is_taken_over(server: SoundServer, connection: PulseConnection) -> None:
     if server.kind == "pipewire":
         pytest.skip("PipeWire needs no refuge")
-    first = Refuge(connection)
-    second = Refuge(connection)
+    first = FallbackSink(connection)
+    second = FallbackSink(connection)
     assert first.active
     assert second.active
-    assert server.names("sinks").count(REFUGE) == 1
+    assert server.names("sinks").count(FALLBACK_SINK) == 1
     second.close()
-    assert REFUGE not in server.names("sinks")
+    assert FALLBACK_SINK not in server.names("sinks")
     first.close()
 
 
@@ -137,7 +137,7 @@ def test_not_one_sample_of_a_microphone_is_tapped_when_the_tapped_sink_vanishes(
 
     def trial() -> None:
         collector = Collector()
-        pcms.pcms["cushion_tap"].lead("desktop.monitor")
+        pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
         stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
         guard = StreamGuard(connection, stream, "desktop.monitor")
         with playing(server, "desktop", quiet), playing(server, "microphone-room", loud):
@@ -147,7 +147,7 @@ def test_not_one_sample_of_a_microphone_is_tapped_when_the_tapped_sink_vanishes(
             wait_for(lambda: guard.hold.misplaced, "the guard", 1.0)
             until_s = time.monotonic() + 0.5
             wait_for(lambda: time.monotonic() > until_s, "half a second")
-            places = {output.place_name for output in connection.snapshot().source_outputs}
+            places = {output.device_name for output in connection.snapshot().source_outputs}
             print(f"{server.kind}: the server moved the tap to {places}")
         stream.close()
         guard.release()
@@ -164,18 +164,18 @@ def test_a_tap_is_led_to_another_monitor(
 ) -> None:
     server.add_sink("speakers")
     collector = Collector()
-    pcms.pcms["cushion_tap"].lead("desktop.monitor")
+    pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
     stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector, audible=False)
     guard = StreamGuard(connection, stream, "desktop.monitor")
     wait_for(lambda: guard.hold is Hold.FREE, "freedom")
     snapshot = connection.snapshot()
-    ours = tagged(snapshot.source_outputs, stream.tag)
+    ours = find_tagged(snapshot.source_outputs, stream.tag)
     assert ours is not None
     with playing(server, "speakers", noise(10.0)):
         wait_for(lambda: connection.snapshot().sink_inputs, "the player")
         assert not collector.frames().any()
         moved_s = time.monotonic()
-        guard.lead("speakers.monitor")
+        guard.retarget("speakers.monitor")
         assert guard.hold is Hold.ELSEWHERE
         connection.move_source_output(ours.index, monitor_of(snapshot, "speakers").index)
         wait_for(lambda: collector.frames()[-256:].any(), "the other sink's sound", 3.0)
@@ -189,7 +189,7 @@ def test_a_microphone_frees_no_guard(
 ) -> None:
     server.add_microphone("microphone")
     collector = Collector()
-    pcms.pcms["cushion_tap"].lead("microphone")
+    pcms.pcms["cushion_tap"].target = ServerDevice("microphone")
     stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector, audible=False)
     guard = StreamGuard(connection, stream, "microphone")
     with playing(server, "microphone-room", noise(5.0)):

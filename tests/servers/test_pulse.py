@@ -10,19 +10,18 @@ from pathlib import Path
 import pytest
 
 from device.errors import InternalError, LostError, NotFoundError, UsageError
-from device.server import second_opinion
-from device.server.events import Event, Listener
+from device.server import defaults_check
 from device.server.identity import (
     default_monitor,
     find_monitor,
     find_sink,
-    is_own,
+    find_tagged,
+    is_own_stream,
     monitor_of,
-    tagged,
 )
 from device.server.pulse import ANSWER_LIMIT_S, PulseConnection
-from device.server.snapshot import ServerSnapshot
-from device.stream.pcms import APPLICATION_NAME, ROLE, PcmConfig
+from device.server.snapshot import Event, Listener, ServerSnapshot
+from device.stream.pcms import APPLICATION_NAME, ROLE, PcmConfig, ServerDevice
 from device.stream.streams import CaptureStream, PlaybackStream
 from tests.servers.listening import RATE_HZ, Collector, Notes, noise, playing, steady, wait_for
 from tools.sound_server import SoundServer
@@ -48,35 +47,36 @@ def test_applications_are_listed_with_process_binary_and_role(
 ) -> None:
     with playing(server, "desktop", noise(5.0)) as process_id:
         wait_for(
-            lambda: any(item.place_name for item in connection.snapshot().sink_inputs), "the player"
+            lambda: any(item.device_name for item in connection.snapshot().sink_inputs),
+            "the player",
         )
         (stream,) = connection.latest.sink_inputs
         assert stream.application == "Player"
         assert stream.binary == "pacat"
         assert stream.role == "music"
         assert stream.process_id == process_id
-        assert stream.place_name == "desktop"
-        assert not is_own(stream)
+        assert stream.device_name == "desktop"
+        assert not is_own_stream(stream)
     wait_for(lambda: not connection.latest.sink_inputs, "the end of the stream")
 
 
 def test_our_own_streams_are_known_by_process_and_tag(
     server: SoundServer, pcms: PcmConfig, connection: PulseConnection
 ) -> None:
-    pcms.pcms["cushion_tap"].lead("desktop.monitor")
-    pcms.pcms["cushion_output"].lead("haptic")
+    pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
+    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
     capture = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, Collector())
     playback = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
     snapshot = connection.snapshot()
-    plays = tagged(snapshot.sink_inputs, playback.tag)
-    records = tagged(snapshot.source_outputs, capture.tag)
+    plays = find_tagged(snapshot.sink_inputs, playback.tag)
+    records = find_tagged(snapshot.source_outputs, capture.tag)
     assert plays is not None
     assert records is not None
-    assert is_own(plays)
-    assert is_own(records)
-    assert (plays.application, plays.role, plays.place_name) == (APPLICATION_NAME, ROLE, "haptic")
-    assert records.place_name == "desktop.monitor"
-    assert tagged(snapshot.sink_inputs, capture.tag) is None
+    assert is_own_stream(plays)
+    assert is_own_stream(records)
+    assert (plays.application, plays.role, plays.device_name) == (APPLICATION_NAME, ROLE, "haptic")
+    assert records.device_name == "desktop.monitor"
+    assert find_tagged(snapshot.sink_inputs, capture.tag) is None
     assert capture.close()
     assert playback.close()
     wait_for(lambda: not connection.latest.sink_inputs, "the end of the stream")
@@ -117,12 +117,14 @@ def test_a_microphone_is_never_tapped(
         find_monitor(snapshot, "desktop.monito")
     source = default_monitor(snapshot)
     assert find_monitor(snapshot, source.name) == source
-    pcms.pcms["cushion_tap"].lead(source.name)
+    pcms.pcms["cushion_tap"].target = ServerDevice(source.name)
     stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, Collector())
     wait_for(lambda: stream.callbacks > 5, "callbacks")
 
     places = {
-        output.place_name for output in connection.snapshot().source_outputs if is_own(output)
+        output.device_name
+        for output in connection.snapshot().source_outputs
+        if is_own_stream(output)
     }
     assert places == {"desktop.monitor"}
     assert stream.close()
@@ -133,11 +135,11 @@ def test_a_connection_that_is_told_another_default_than_others_is_made_anew(
 ) -> None:
     if server.kind != "pipewire":
         pytest.skip("only PipeWire tells one connection this and another one that")
-    told = second_opinion.Defaults("speakers", "desktop.monitor")
-    monkeypatch.setattr(second_opinion, "defaults_now", lambda server: told)
+    told = defaults_check.Defaults("speakers", "desktop.monitor")
+    monkeypatch.setattr(defaults_check, "fetch_defaults", lambda server: told)
     connection = PulseConnection(notes)
     try:
-        wait_for(lambda: connection.renewals == 1, "another connection")
+        wait_for(lambda: connection.reconnects == 1, "another connection")
         server.add_sink("speakers")
         server.choose_default("speakers")
         wait_for(lambda: connection.latest.default_sink == "speakers", "the new default sink")
@@ -150,19 +152,21 @@ def test_a_connection_that_is_told_another_default_than_others_is_made_anew(
 def test_what_another_connection_says_of_the_default_devices_is_so(server: SoundServer) -> None:
     server.add_sink("speakers")
     server.choose_default("speakers")
-    wait_for(lambda: (now := second_opinion.defaults_now()) and now.sink == "speakers", "the sink")
-    assert second_opinion.defaults_now("unix:/nowhere") is None
+    wait_for(
+        lambda: (now := defaults_check.fetch_defaults()) and now.sink == "speakers", "the sink"
+    )
+    assert defaults_check.fetch_defaults("unix:/nowhere") is None
 
 
 def test_a_tap_is_moved_to_another_monitor(
     server: SoundServer, pcms: PcmConfig, connection: PulseConnection
 ) -> None:
     server.add_sink("speakers")
-    pcms.pcms["cushion_tap"].lead("desktop.monitor")
+    pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
     collector = Collector()
     stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
     snapshot = connection.snapshot()
-    ours = tagged(snapshot.source_outputs, stream.tag)
+    ours = find_tagged(snapshot.source_outputs, stream.tag)
     assert ours is not None
     with playing(server, "speakers", noise(10.0)):
         wait_for(lambda: connection.snapshot().sink_inputs, "the player")
@@ -177,9 +181,9 @@ def test_a_tap_is_moved_to_another_monitor(
 def test_streams_are_muted_and_set_and_modules_loaded(
     server: SoundServer, pcms: PcmConfig, connection: PulseConnection
 ) -> None:
-    pcms.pcms["cushion_output"].lead("haptic")
+    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
     stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
-    ours = tagged(connection.snapshot().sink_inputs, stream.tag)
+    ours = find_tagged(connection.snapshot().sink_inputs, stream.tag)
     assert ours is not None
     connection.set_sink_input_volume(ours.index, 0.5)
     connection.mute_sink_input(ours.index, True)

@@ -10,22 +10,27 @@ from pathlib import Path
 import pytest
 
 from device.errors import NotFoundError, UsageError
-from device.server.events import Event, backoff_s
 from device.server.forwarding import (
     SINK,
     Route,
-    carries,
+    carries_sound_of,
     loopback_arguments,
     loopbacks,
-    reached,
+    reachable_sinks,
     real_sinks,
-    whole_ms,
+    round_delay_ms,
 )
-from device.server.guard import Hold, Place
-from device.server.identity import default_monitor, find_sink, find_source, identity_of, is_own
-from device.server.snapshot import ServerSnapshot, Sink, Source, Stream, _kind
-from device.stream.pcms import REFUGE, TAG, PcmConfig
-from device.stream.stderr_filter import loud_libraries, quiet_libraries
+from device.server.guard import Hold, StreamPlacement
+from device.server.identity import (
+    default_monitor,
+    find_sink,
+    find_source,
+    identity_of,
+    is_own_stream,
+)
+from device.server.snapshot import Event, ServerSnapshot, Sink, Source, Stream, _kind, backoff_s
+from device.stream.pcms import FALLBACK_SINK, TAG, PcmConfig, ServerDevice
+from device.stream.stderr_filter import filter_stderr, restore_stderr
 
 
 def sink(index: int, name: str, **properties: str) -> Sink:
@@ -42,7 +47,7 @@ def snapshot(*streams: Stream, events: int = 0, haptic: bool = True) -> ServerSn
     return ServerSnapshot("PulseAudio", "16.1", "desktop", "", sinks, sources, streams, (), events)
 
 
-PLACE = Place("mine", "haptic")
+PLACE = StreamPlacement("mine", "haptic")
 HOME = PLACE.after_snapshot(snapshot(playback(7, 2), events=3))
 
 
@@ -65,7 +70,7 @@ HOME = PLACE.after_snapshot(snapshot(playback(7, 2), events=3))
         (HOME.after_loss().after_snapshot(snapshot(playback(7, 2))), Hold.FREE),
     ],
 )
-def test_vibration_is_felt_only_where_it_is_known_to_be(place: Place, hold: Hold) -> None:
+def test_vibration_is_felt_only_where_it_is_known_to_be(place: StreamPlacement, hold: Hold) -> None:
     assert place.hold is hold
     assert hold.audible == (hold is Hold.FREE)
 
@@ -75,7 +80,7 @@ def test_an_input_that_is_no_monitor_is_heard_for_measuring_alone() -> None:
     heard = (playback(7, 4),)
     there = ServerSnapshot("PulseAudio", "", "", "", (), sources, (), heard, 0)
     for any_source, hold in ((False, Hold.NO_DEVICE), (True, Hold.FREE)):
-        place = Place("mine", "line-in", plays=False, any_source=any_source)
+        place = StreamPlacement("mine", "line-in", plays=False, any_source=any_source)
         assert place.after_snapshot(there).hold is hold
     assert find_source(there, "line-in").index == 4
     with pytest.raises(NotFoundError, match="line-in"):
@@ -97,7 +102,7 @@ def test_a_name_that_is_not_there_offers_what_is() -> None:
         find_sink(snapshot(), "haptik")
     with pytest.raises(NotFoundError, match=r"there are 'desktop', 'haptic'$"):
         find_sink(snapshot(), "qqqq")
-    sinks = (sink(1, "desktop"), sink(2, REFUGE))  # ours, and for nobody else
+    sinks = (sink(1, "desktop"), sink(2, FALLBACK_SINK))  # ours, and for nobody else
     with pytest.raises(NotFoundError, match=r"there are 'desktop'$"):
         find_sink(ServerSnapshot("PulseAudio", "16.1", "", "", sinks, (), (), (), 0), "qqqq")
     nothing = ServerSnapshot("PipeWire", "1", "", "", (), (), (), (), 0)
@@ -131,9 +136,9 @@ def test_a_device_keeps_its_identity() -> None:
 
 def test_a_stream_of_another_machine_with_our_process_id_is_not_ours() -> None:
     stream = Stream(1, 1, "", "", "", "", "", os.getpid(), False, False, {})
-    assert is_own(stream)
+    assert is_own_stream(stream)
     there = {"application.process.host": "another-machine"}
-    assert not is_own(Stream(1, 1, "", "", "", "", "", os.getpid(), False, False, there))
+    assert not is_own_stream(Stream(1, 1, "", "", "", "", "", os.getpid(), False, False, there))
 
 
 def test_the_kind_of_a_server_is_in_its_name() -> None:
@@ -155,7 +160,7 @@ def test_a_configuration_leads_where_it_should_and_restores_the_environment(
     first = os.environ["ALSA_CONFIG_PATH"]
     assert "PULSE_LATENCY_MSEC" not in os.environ
     assert "pcm.one { type null }" in Path(first).read_text()
-    config.pcms["one"].lead("haptic", "unix:/run/x")
+    config.pcms["one"].target = ServerDevice("haptic", "unix:/run/x")
     with config.opening(config.pcms["one"], "tag-1", output=True):
         path = os.environ["ALSA_CONFIG_PATH"]
         assert path != first
@@ -171,17 +176,17 @@ def test_a_configuration_leads_where_it_should_and_restores_the_environment(
 
 
 def test_quietening_leaves_python_its_voice() -> None:
-    if not quiet_libraries():
+    if not filter_stderr():
         pytest.skip("needs the GNU C library")
-    assert quiet_libraries()
-    loud_libraries()
+    assert filter_stderr()
+    restore_stderr()
     program = (
         "import ctypes, os, sys\n"
-        "from device.stream.stderr_filter import loud_libraries, quiet_libraries\n"
+        "from device.stream.stderr_filter import restore_stderr, filter_stderr\n"
         "libc = ctypes.CDLL(None)\n"
-        "quiet_libraries(); libc.perror(b'library')\n"
+        "filter_stderr(); libc.perror(b'library')\n"
         "os.write(2, b'ours\\n'); print('also ours', file=sys.stderr, flush=True)\n"
-        "loud_libraries(); libc.perror(b'again')\n"
+        "restore_stderr(); libc.perror(b'again')\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", program],
@@ -215,16 +220,16 @@ def test_sound_cards_are_forwarded_to_first_and_nothing_of_ours_ever() -> None:
         sink(2, "card", **{"device.bus": "pci"}),
         sink(3, "haptic", **{"device.bus": "usb"}),
         sink(4, SINK),
-        sink(5, REFUGE),
+        sink(5, FALLBACK_SINK),
     )
     there = ServerSnapshot("PulseAudio", "16.1", SINK, "", sinks, (), (), (), 0)
     assert real_sinks(there, "haptic") == ["card", "virtual"]
     assert real_sinks(there, None) == ["card", "haptic", "virtual"]
 
 
-def made(index: int, place: int, place_name: str, module: int, **properties: str) -> Stream:
+def made(index: int, place: int, device_name: str, module: int, **properties: str) -> Stream:
     names = ("", "", "", "")
-    return Stream(index, place, place_name, *names, None, False, False, properties, module)
+    return Stream(index, place, device_name, *names, None, False, False, properties, module)
 
 
 def test_what_a_sink_s_sound_comes_to_is_found_through_modules() -> None:
@@ -237,10 +242,10 @@ def test_what_a_sink_s_sound_comes_to_is_found_through_modules() -> None:
     there = ServerSnapshot(
         "PulseAudio", "", SINK, "", sinks, sources, (first, back, other), taps, 0
     )
-    assert reached(there, "first") == {"first", "second"}
-    assert reached(there, "second") == {"second"}
-    assert carries(there, back, {"first", "second"})
-    assert not carries(there, other, {"first", "second"})
+    assert reachable_sinks(there, "first") == {"first", "second"}
+    assert reachable_sinks(there, "second") == {"second"}
+    assert carries_sound_of(there, back, {"first", "second"})
+    assert not carries_sound_of(there, other, {"first", "second"})
 
 
 def test_a_loopback_tells_its_route_and_whether_it_is_complete() -> None:
@@ -268,7 +273,7 @@ def test_a_route_that_no_module_could_take_is_refused() -> None:
     with pytest.raises(UsageError, match="quotes"):
         loopback_arguments(snapshot(), Route("it's", "desktop", 20), sink(4, SINK))
     with pytest.raises(UsageError, match=r"delay_s=-1\.0"):
-        whole_ms(-1.0)
+        round_delay_ms(-1.0)
     with pytest.raises(UsageError, match="delay_s=nan"):
-        whole_ms(float("nan"))
-    assert [whole_ms(delay_s) for delay_s in (None, 0.0, 0.0754, 0.5)] == [20, 20, 75, 500]
+        round_delay_ms(float("nan"))
+    assert [round_delay_ms(delay_s) for delay_s in (None, 0.0, 0.0754, 0.5)] == [20, 20, 75, 500]

@@ -16,7 +16,7 @@ import pytest
 
 from device.errors import LostError, UsageError
 from device.stream import portaudio
-from device.stream.pcms import PcmConfig
+from device.stream.pcms import PcmConfig, ServerDevice
 from device.stream.streams import LOST_AFTER_S, CaptureStream, PlaybackStream
 from device.units import Float32Array
 from tests.servers.listening import (
@@ -37,12 +37,12 @@ ATTEMPTS = 3
 
 
 def tap(pcms: PcmConfig, collector: Collector, source: str = "desktop.monitor") -> CaptureStream:
-    pcms.pcms["cushion_tap"].lead(source)
+    pcms.pcms["cushion_tap"].target = ServerDevice(source)
     return CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
 
 
 def output(pcms: PcmConfig, sink: str = "haptic") -> PlaybackStream:
-    pcms.pcms["cushion_output"].lead(sink)
+    pcms.pcms["cushion_output"].target = ServerDevice(sink)
     stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
     stream.audible = True
     return stream
@@ -86,7 +86,7 @@ def test_a_stream_is_silent_until_it_is_let_be_heard(
     server: SoundServer, pcms: PcmConfig, tmp_path: Path
 ) -> None:
     with recording(server, "haptic.monitor", tmp_path / "haptic") as felt:
-        pcms.pcms["cushion_output"].lead("haptic")
+        pcms.pcms["cushion_output"].target = ServerDevice("haptic")
         stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
         wait_for(lambda: stream.callbacks > 100, "callbacks")
         assert not felt().any()
@@ -112,8 +112,8 @@ def test_what_goes_wrong_in_a_callback_is_counted_and_becomes_silence(
         raise RuntimeError("no")
 
     stream_blocks = {"n": 0, "dirty": 0}
-    pcms.pcms["cushion_output"].lead("haptic")
-    pcms.pcms["cushion_tap"].lead("desktop.monitor")
+    pcms.pcms["cushion_output"].target = ServerDevice("haptic")
+    pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
     with recording(server, "haptic.monitor", tmp_path / "haptic") as felt:
         stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, fill)
         capture = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, on_frames)
@@ -244,7 +244,7 @@ def test_a_sink_is_played_to_and_tapped_whatever_it_is_called(
     server.pactl("load-module", "module-null-sink", name, "norewinds=1", "format=float32le")
     (sink,) = wait_for(lambda: set(server.names("sinks")) - known, "the sink")
     collector = Collector()
-    pcms.pcms["cushion_tap"].lead(f"{sink}.monitor")
+    pcms.pcms["cushion_tap"].target = ServerDevice(f"{sink}.monitor")
     heard = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, collector)
     played = output(pcms, sink)
     wait_for(lambda: collector.frames().any(), "sound")
@@ -254,7 +254,7 @@ def test_a_sink_is_played_to_and_tapped_whatever_it_is_called(
 
 def test_what_cannot_be_opened_is_refused(server: SoundServer, pcms: PcmConfig) -> None:
     with pytest.raises(UsageError, match="cannot be"):
-        pcms.pcms["cushion_tap"].lead("")
+        pcms.pcms["cushion_tap"].target = ServerDevice("")
     with pytest.raises(UsageError, match="samplerate=12"):
         CaptureStream(pcms.pcms["cushion_tap"], 12, 2, Collector())
     with pytest.raises(UsageError, match="channels=0"):
@@ -322,7 +322,7 @@ def test_python_meets_a_stream_s_thread_once_and_forgets_it_at_the_end(
 
     def all_forgotten() -> bool:
         before = thread_states()
-        pcms.pcms["cushion_tap"].lead("desktop.monitor")
+        pcms.pcms["cushion_tap"].target = ServerDevice("desktop.monitor")
         met.clear()
         stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, 2, note)
         wait_for(lambda: stream.callbacks > 100, "callbacks")
@@ -339,10 +339,11 @@ def test_libraries_print_nothing_and_we_do(server: SoundServer) -> None:
     program = """
 import os, sys
 from device.errors import LostError
-from device.server import PcmConfig, PlaybackStream, quiet_libraries
-quiet_libraries()
+from device.stream import PcmConfig, PlaybackStream, filter_stderr
+from device.stream.pcms import ServerDevice
+filter_stderr()
 pcms = PcmConfig("out")
-pcms.pcms["out"].lead("nowhere", server="unix:/nowhere")
+pcms.pcms["out"].target = ServerDevice("nowhere", server="unix:/nowhere")
 try:
     PlaybackStream(pcms.pcms["out"], 48000, 2, lambda out, now_s: None)
 except LostError as error:

@@ -14,17 +14,11 @@ from audioflinger_hook.service.state import Cause, StateKeeper
 from audioflinger_hook.sources import VoicesClient
 from audioflinger_hook.sources.applications import Voice
 from device.errors import CushionError, LostError, NotFoundError
-from device.server import (
-    AppCapture,
-    AppCaptures,
-    AppRules,
-    AudioPriority,
-    PulseConnection,
-    ServerSnapshot,
-)
-from device.server.app_capture import Ended
-from device.server.applications import name_of
+from device.server import AppCaptures, AppRules, PulseConnection, ServerSnapshot
+from device.server.app_capture import AppCapture, EndReason
+from device.server.app_rules import app_name
 from device.server.snapshot import Stream
+from device.stream import AudioPriority
 from device.units import Float32Array
 
 CAPTURES_MAX = 32
@@ -51,7 +45,7 @@ class Applications:
     @property
     def name(self) -> str:
         """The applications' names."""
-        names = dict.fromkeys(name_of(stream) for stream in self.streams)
+        names = dict.fromkeys(app_name(stream) for stream in self.streams)
         return ", ".join(names) or NOBODY
 
 
@@ -215,7 +209,7 @@ class ApplicationsInput:
     def _follow(self, captures: AppCaptures, now_s: float) -> None:
         wanted = {stream.index: stream for stream in self._found.streams}
         for index, (capture, _) in tuple(self._open.items()):
-            if capture.ended is Ended.TAKEN:
+            if capture.ended is EndReason.TAKEN:
                 self._states.recover(Cause.TAP_MOVED, now_s, str(capture.ended))
             if capture.ended is not None or index not in wanted:
                 self._end(index)
@@ -226,7 +220,7 @@ class ApplicationsInput:
     def _begin(self, captures: AppCaptures, stream: Stream) -> None:
         voices = self._feed.voices
         assert voices is not None
-        voice = voices.add(name_of(stream) or f"stream {stream.index}")
+        voice = voices.add(app_name(stream) or f"stream {stream.index}")
         try:
             capture = captures.open(
                 stream.index, voices.samplerate, voices.channels, partial(self._feed.push, voice)

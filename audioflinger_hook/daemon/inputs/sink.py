@@ -10,19 +10,12 @@ from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
 from audioflinger_hook.service.state import Cause, StateKeeper
 from audioflinger_hook.sources import TapAddress
 from device.errors import LostError, NotFoundError
-from device.server import (
-    AudioPriority,
-    CaptureStream,
-    Pcm,
-    PulseConnection,
-    ServerSnapshot,
-    Source,
-    default_monitor,
-    is_ours,
-    monitor_of,
-)
-from device.server.forwarding import reached
-from device.server.identity import tagged
+from device.server import PulseConnection, ServerSnapshot
+from device.server.forwarding import reachable_sinks
+from device.server.identity import default_monitor, find_tagged, is_cushion_stream, monitor_of
+from device.server.snapshot import Source
+from device.stream import AudioPriority, CaptureStream
+from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
@@ -121,7 +114,7 @@ class SinkInput:
                     f"the tap {str(self)!r} is the sink that the vibration goes to, which would "
                     "feed back; tap another sink"
                 )
-        if device is not None and source.monitor_of in reached(snapshot, device):
+        if device is not None and source.monitor_of in reachable_sinks(snapshot, device):
             raise NotFoundError(
                 f"the server leads what {device!r} plays on to {source.monitor_of!r}, and a tap "
                 "there would feed back; tap another sink, or take that connection away"
@@ -137,7 +130,7 @@ class SinkInput:
         return frozenset(
             stream.index
             for stream in snapshot.sink_inputs
-            if stream.place_name == sink and not stream.corked and not is_ours(stream)
+            if stream.device_name == sink and not stream.corked and not is_cushion_stream(stream)
         )
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
@@ -156,7 +149,7 @@ class SinkInput:
                 self._ear.close()
         self._ear.check(now_s)
         with suppress(LostError, NotFoundError):  # the next look at the server tells
-            self._pcm.lead(source.name)
+            self._pcm.target = ServerDevice(source.name)
             self._source = source
             self._ear.open(lambda: self._ear_at(source), connection, source.name, now_s)
         return heard
@@ -177,7 +170,7 @@ class SinkInput:
                 kept.check(now_s)
         self._asked = False
         if kept.stream is None:
-            self._pcm.lead(source.name)
+            self._pcm.target = ServerDevice(source.name)
             if self._taker.opened(source.samplerate, source.channels):
                 self._states.count(
                     Cause.FORMAT_CHANGED,
@@ -229,14 +222,14 @@ class SinkInput:
         assert guard is not None
         if not self._asked:
             self._states.count(Cause.DEFAULT_CHANGED, f"the tap goes on from {source.name}")
-        served = tagged(connection.latest.source_outputs, stream.tag)
+        served = find_tagged(connection.latest.source_outputs, stream.tag)
         if served is None or (source.samplerate, source.channels) != (
             stream.samplerate,
             stream.channels,
         ):
             self._kept.close()
             return
-        guard.lead(source.name)
+        guard.retarget(source.name)
         self._taker.moved()
         connection.move_source_output(served.index, source.index)
         self._source = source

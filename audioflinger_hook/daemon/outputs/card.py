@@ -14,24 +14,18 @@ from audioflinger_hook.daemon.sides import Actuated, Fill
 from audioflinger_hook.daemon.wired import Wired
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
-from device.alsa import (
-    PROC,
-    Choice,
-    Playback,
-    choose,
-    find_playback,
-    hw_params,
-    offers_of,
-    refusal,
-    set_card_volume,
-    usb_stream,
-)
+from device.alsa import choose_setup, find_playback, set_card_volume
+from device.alsa.cards import PROC, PlaybackDevice
+from device.alsa.negotiation import CardSetup, list_offers
+from device.alsa.usb_stream import read_usb_stream
+from device.alsa.use import read_hw_params, why_blocked
 from device.drive import ChannelMap, channels_needed, wiring_of
 from device.errors import CushionError, LostError, NotFoundError, UsageError
-from device.server import AudioPriority, Pcm, PlaybackStream, PulseConnection, ServerSnapshot
+from device.server import PulseConnection, ServerSnapshot
+from device.stream import AudioPriority, PlaybackStream
+from device.stream.pcms import CardDevice, Pcm, Target
 from device.stream.portaudio import BLOCK_FRAMES
 from device.stream.sample_format import SampleFormat
-from device.stream.targets import CardDevice, Target
 from device.units import Float32Array
 from device.usb import UsbIdentity, find_one
 from device.usb.presence import PresenceWatch
@@ -177,7 +171,7 @@ class CardOutput:
         choice = place.choice
         if kept.stream is not None or choice is None:
             return  # what was located before the mix was known will be located again
-        self._pcm.lead_to(self._target(place.playback.card.number, place.playback.device))
+        self._pcm.target = self._target(place.playback.card.number, place.playback.device)
         try:
             if kept.open(lambda: self._stream(place, choice, fill), None, place.name, now_s):
                 self._playing = place
@@ -197,7 +191,7 @@ class CardOutput:
         if self._presence is not None:
             self._presence.close()
 
-    def _sought(self) -> Playback:
+    def _sought(self) -> PlaybackDevice:
         if self._address.kind != "usb":
             return find_playback(self._address.name, self._root)
         if self._presence is None:
@@ -212,22 +206,22 @@ class CardOutput:
             "says that it is"
         )
 
-    def _place(self, playback: Playback) -> _Place:
-        refused = refusal(playback)
+    def _place(self, playback: PlaybackDevice) -> _Place:
+        refused = why_blocked(playback)
         if refused is not None:
             raise NotFoundError(refused)
         choice = self._choice(playback, self._wired.actuators)
         return _Place(playback, choice if self._mix else None)
 
-    def _choice(self, playback: Playback, actuators: Actuated) -> Choice:
+    def _choice(self, playback: PlaybackDevice, actuators: Actuated) -> CardSetup:
         """Return how the card suits, or NotFoundError; before the mix is known, for any mix."""
         samplerate, channels = self._mix or (48_000, 1)
         if actuators:
             wiring = wiring_of(actuators)
             channels = max(len(actuators), channels_needed(wiring))
         try:
-            offers = offers_of(usb_stream(playback))
-            choice = choose(offers, samplerate, channels, without=self._lacking)
+            offers = list_offers(read_usb_stream(playback))
+            choice = choose_setup(offers, samplerate, channels, without=self._lacking)
             if actuators:
                 ChannelMap.of(wiring, choice.channels, device=str(playback))
         except (NotFoundError, UsageError) as error:
@@ -238,7 +232,7 @@ class CardOutput:
             raise NotFoundError(f"{playback}: {error}{advice if actuators else ''}") from None
         return choice
 
-    def _stream(self, place: _Place, choice: Choice, fill: Fill) -> PlaybackStream:
+    def _stream(self, place: _Place, choice: CardSetup, fill: Fill) -> PlaybackStream:
         self.volume.set(_set_volume_of(place.playback))
         recording = self._recording
         assert self._mix is not None
@@ -265,9 +259,9 @@ class CardOutput:
             sample_format=choice.sample_format,
         )
 
-    def _look_at(self, playback: Playback, choice: Choice) -> None:
+    def _look_at(self, playback: PlaybackDevice, choice: CardSetup) -> None:
         """See how the card was opened in truth: PortAudio would convert without a word."""
-        opened = hw_params(playback)
+        opened = read_hw_params(playback)
         wanted = choice.sample_format.value
         if opened and all(one.format != wanted for one in opened):
             self._lacking.add(choice.sample_format)
@@ -283,8 +277,8 @@ class CardOutput:
 class _Place:
     """A card, and how it is to be opened; choice: None until the mix is known."""
 
-    playback: Playback
-    choice: Choice | None
+    playback: PlaybackDevice
+    choice: CardSetup | None
 
     @property
     def name(self) -> str:
@@ -299,7 +293,7 @@ class _Place:
         return self.choice.channels if self.choice else 0
 
 
-def _set_volume_of(playback: Playback) -> SetVolume:
+def _set_volume_of(playback: PlaybackDevice) -> SetVolume:
     def set_volume(wanted_db: float) -> None:
         set_card_volume(playback.card.number, wanted_db)
 

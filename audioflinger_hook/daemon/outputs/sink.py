@@ -13,15 +13,10 @@ from audioflinger_hook.service.state import Cause, StateKeeper
 from device.address import DeviceAddress
 from device.drive.channel_positions import map_on
 from device.errors import NotFoundError, UsageError
-from device.server import (
-    AudioPriority,
-    Pcm,
-    PlaybackStream,
-    PulseConnection,
-    ServerSnapshot,
-    Sink,
-)
-from device.server.latency import output_latency_s
+from device.server import PulseConnection, ServerSnapshot
+from device.server.snapshot import Sink, output_latency_s
+from device.stream import AudioPriority, PlaybackStream
+from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
@@ -152,7 +147,7 @@ class SinkOutput:
         if kept.stream is not None:
             self.volume.follow(set_volume)
         if kept.stream is None:
-            self._pcm.lead(sink.name)
+            self._pcm.target = ServerDevice(sink.name)
             kept.open(
                 lambda: self._playback(sink, fill, set_volume),
                 connection,

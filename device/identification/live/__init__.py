@@ -2,7 +2,7 @@
 
     excitation.py -> exchange.py (callbacks) -> two_clocks.py -> laboratory.py -> calibration.py
                        |        `- channels.py: what each input is, in physical units
-                       `- a Transport: device/server/measuring.py, or a simulated one
+                       `- a Transport: cli/measurement_streams.py, or a simulated one
 
 Nothing here opens a device or reads a clock.
 """

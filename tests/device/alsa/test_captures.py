@@ -6,7 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from device.alsa import choose, find_capture, offers_of, refusal, usb_capture_stream
+from device.alsa import choose_setup, find_capture
+from device.alsa.negotiation import list_offers
+from device.alsa.usb_stream import read_usb_capture_stream
+from device.alsa.use import why_blocked
 from device.errors import NotFoundError, UsageError
 from tests.support.sound_cards import Cards
 
@@ -48,17 +51,17 @@ def test_an_input_is_found_by_its_cards_name_and_opened_as_it_offers(cards: Card
     capture = find_capture("Interface", cards.root)
     assert str(capture) == "hw:Interface,0"
     assert capture.folder.name == "pcm0c"
-    assert refusal(capture) is None
-    stream = usb_capture_stream(capture)
+    assert why_blocked(capture) is None
+    stream = read_usb_capture_stream(capture)
     assert stream is not None
-    choice = choose(offers_of(stream), 48_000, 3, 3)
+    choice = choose_setup(list_offers(stream), 48_000, 3, 3)
     assert (choice.channels, choice.samplerate) == (4, 48_000)
 
 
 def test_who_records_there_is_told(cards: Cards, tmp_path: Path) -> None:
     status = cards.root / "card1" / "pcm0c" / "sub0" / "status"
     status.write_text("state: RUNNING\nowner_pid   : 77\n")
-    told = refusal(find_capture("1", cards.root), tmp_path, tmp_path)
+    told = why_blocked(find_capture("1", cards.root), tmp_path, tmp_path)
     assert told is not None
     assert "hw:Interface,0 is in use" in told
 

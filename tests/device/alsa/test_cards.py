@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.alsa.cards import all_cards, find_card, find_playback, playbacks
-from device.alsa.usb_stream import Rates, UsbFormat, parse_usb_stream, usb_stream
-from device.alsa.use import HwParams, Owner, hw_params, owner, refusal
+from device.alsa.cards import find_card, find_playback, list_cards, list_playbacks
+from device.alsa.usb_stream import Rates, UsbFormat, parse_usb_stream, read_usb_stream
+from device.alsa.use import HwParams, Owner, find_owner, read_hw_params, why_blocked
 from device.errors import NotFoundError, UsageError
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, RUNNING, Cards
 
@@ -25,16 +25,16 @@ def cards(tmp_path: Path) -> Cards:
 
 
 def test_every_card_is_listed_with_what_it_is(cards: Cards) -> None:
-    first, second = all_cards(cards.root)
+    first, second = list_cards(cards.root)
     assert (first.number, first.id, first.driver, first.usb_id) == (0, "PCH", "HDA-Intel", None)
     assert (second.number, second.id, second.usb_id) == (31, "DAC", "1234:00ab")
     assert (second.name, second.long_name) == ("DAC card", "Maker DAC at somewhere")
-    assert [str(one) for one in playbacks(first)] == ["hw:PCH,0", "hw:PCH,3"]
-    assert playbacks(first)[1].name == "output 3"
+    assert [str(one) for one in list_playbacks(first)] == ["hw:PCH,0", "hw:PCH,3"]
+    assert list_playbacks(first)[1].name == "output 3"
 
 
 def test_a_machine_without_cards_has_none(tmp_path: Path) -> None:
-    assert all_cards(tmp_path / "none") == all_cards(Cards(tmp_path / "empty").root) == ()
+    assert list_cards(tmp_path / "none") == list_cards(Cards(tmp_path / "empty").root) == ()
     with pytest.raises(NotFoundError, match="there is none at all: connect one"):
         find_card("0", tmp_path)
 
@@ -112,8 +112,8 @@ def test_a_card_that_plays_tells_its_own_clock() -> None:
 
 
 def test_only_usb_cards_have_such_a_stream(cards: Cards) -> None:
-    assert usb_stream(find_playback("PCH", cards.root)) is None
-    found = usb_stream(find_playback("DAC", cards.root))
+    assert read_usb_stream(find_playback("PCH", cards.root)) is None
+    found = read_usb_stream(find_playback("DAC", cards.root))
     assert found is not None
     assert len(found.formats) == 3
 
@@ -132,14 +132,14 @@ def test_no_text_is_too_strange_to_be_read(lines: list[str]) -> None:
 
 def test_a_free_card_has_no_owner_and_a_taken_one_is_refused(cards: Cards, tmp_path: Path) -> None:
     playback = find_playback("DAC", cards.root)
-    assert owner(playback) is None
-    assert refusal(playback, tmp_path) is None
+    assert find_owner(playback) is None
+    assert why_blocked(playback, tmp_path) is None
     cards.use(31, os.getpid())
-    found = owner(playback)
+    found = find_owner(playback)
     assert found is not None
     assert found.process == os.getpid()
     assert found.name
-    assert f"hw:DAC,0 is in use by {found}" in (refusal(playback, tmp_path) or "")
+    assert f"hw:DAC,0 is in use by {found}" in (why_blocked(playback, tmp_path) or "")
 
 
 def test_the_owner_of_a_card_is_the_process_of_the_thread_that_opened_it(
@@ -151,9 +151,9 @@ def test_the_owner_of_a_card_is_the_process_of_the_thread_that_opened_it(
     (tmp_path / "40" / "comm").write_text("player\n")
     cards.use(31, 41)
     playback = find_playback("DAC", cards.root)
-    assert owner(playback, tmp_path) == Owner(40, "player")
+    assert find_owner(playback, tmp_path) == Owner(40, "player")
     cards.use(31, 42)  # a thread that has ended since
-    assert str(owner(playback, tmp_path)) == "another program (process 42)"
+    assert str(find_owner(playback, tmp_path)) == "another program (process 42)"
 
 
 def test_a_card_with_a_free_substream_is_free(cards: Cards) -> None:
@@ -161,7 +161,7 @@ def test_a_card_with_a_free_substream_is_free(cards: Cards) -> None:
     other.mkdir()
     (other / "status").write_text("closed\n")
     cards.use(31, 1)
-    assert owner(find_playback("DAC", cards.root)) is None
+    assert find_owner(find_playback("DAC", cards.root)) is None
 
 
 def test_a_device_file_that_may_not_be_opened_is_told(
@@ -169,18 +169,18 @@ def test_a_device_file_that_may_not_be_opened_is_told(
 ) -> None:
     (tmp_path / "pcmC31D0p").touch()
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    refused = refusal(find_playback("DAC", cards.root), tmp_path) or ""
+    refused = why_blocked(find_playback("DAC", cards.root), tmp_path) or ""
     assert "this user may not open hw:DAC,0" in refused
     assert "join the group audio" in refused
 
 
 def test_an_open_card_tells_how_it_was_opened(cards: Cards) -> None:
     playback = find_playback("DAC", cards.root)
-    assert hw_params(playback) == ()
+    assert read_hw_params(playback) == ()
     path = cards.root / "card31/pcm0p/sub0/hw_params"
     path.write_text(HW_PARAMS.format("S32_LE", 2, 48_000))
-    (found,) = hw_params(playback)
+    (found,) = read_hw_params(playback)
     assert found == HwParams("S32_LE", 48_000, 2, 256, 1024)
     assert found.delay_s == pytest.approx(0.016)
     path.write_text("format: S32_LE\nrate:\n")
-    assert hw_params(playback) == ()
+    assert read_hw_params(playback) == ()

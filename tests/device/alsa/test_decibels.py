@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.alsa.decibels import Decibels, decibels_of
+from device.alsa.decibels import Decibels, parse_decibels
 from device.alsa.mixer import CardMixer
 from device.errors import NotFoundError
 
@@ -23,7 +23,7 @@ def table(kind: int, *words: int) -> list[int]:
 
 
 def known(words: list[int], lowest: int = 0, highest: int = 100) -> Decibels:
-    decibels = decibels_of(words, lowest, highest)
+    decibels = parse_decibels(words, lowest, highest)
     assert decibels is not None
     return decibels
 
@@ -82,14 +82,14 @@ def test_a_table_in_a_container_is_found_behind_what_is_none() -> None:
 def test_what_is_no_table_or_contradicts_itself_says_nothing(
     words: list[int], lowest: int, highest: int
 ) -> None:
-    assert decibels_of(words, lowest, highest) is None
+    assert parse_decibels(words, lowest, highest) is None
 
 
 def test_a_table_that_holds_itself_ends() -> None:
     words = table(BOUNDS, -6_400, 0)
     for _ in range(100):
         words = table(CONTAINER, *words)
-    assert decibels_of(words, 0, 100) is None
+    assert parse_decibels(words, 0, 100) is None
 
 
 @given(
@@ -98,7 +98,7 @@ def test_a_table_that_holds_itself_ends() -> None:
     st.integers(0, 1 << 20),
 )
 def test_any_words_give_levels_or_nothing(words: list[int], lowest: int, steps: int) -> None:
-    decibels = decibels_of(words, lowest, lowest + steps)
+    decibels = parse_decibels(words, lowest, lowest + steps)
     if decibels is not None:
         assert decibels.lowest_db <= decibels.highest_db
 

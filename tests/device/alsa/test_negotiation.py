@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.alsa.negotiation import LEAST_HZ, MOST_HZ, PREFERRED, Choice, Offer, choose, offers_of
+from device.alsa.negotiation import (
+    MAX_HZ,
+    MIN_HZ,
+    PREFERRED,
+    CardSetup,
+    Offer,
+    choose_setup,
+    list_offers,
+)
 from device.alsa.usb_stream import Rates, parse_usb_stream
 from device.errors import NotFoundError
 from device.stream.sample_format import SampleFormat
@@ -48,7 +56,7 @@ offers = st.builds(
     ],
 )
 def test_the_rate_is_that_of_the_mix_or_the_next_best(there: Rates, mix: int, chosen: int) -> None:
-    assert choose([Offer((S32,), 2, there)], mix, 1) == Choice(S32, chosen, 2)
+    assert choose_setup([Offer((S32,), 2, there)], mix, 1) == CardSetup(S32, chosen, 2)
 
 
 @pytest.mark.parametrize(
@@ -63,7 +71,7 @@ def test_the_rate_is_that_of_the_mix_or_the_next_best(there: Rates, mix: int, ch
     ],
 )
 def test_the_format_is_the_one_of_the_highest_real_resolution(there, chosen) -> None:
-    assert choose(there, 48_000, 1).sample_format is chosen
+    assert choose_setup(there, 48_000, 1).sample_format is chosen
 
 
 @pytest.mark.parametrize(
@@ -80,29 +88,36 @@ def test_there_are_as_many_channels_as_actuators_and_few_more(
     there, actuators, least, chosen
 ) -> None:
     some = [Offer((S32,), channels, USUAL) for channels in there]
-    assert choose(some, 48_000, actuators, least).channels == chosen
+    assert choose_setup(some, 48_000, actuators, least).channels == chosen
 
 
 def test_the_rate_comes_before_the_resolution() -> None:
     some = [Offer((S16,), 2, Rates((48_000,)), 16), Offer((S32,), 2, Rates((96_000,)), 32)]
-    assert choose(some, 48_000, 1) == Choice(S16, 48_000, 2)
+    assert choose_setup(some, 48_000, 1) == CardSetup(S16, 48_000, 2)
 
 
 def test_a_format_that_turned_out_not_to_be_there_is_not_taken_again() -> None:
-    some = offers_of(None)
-    assert choose(some, 48_000, 1) == Choice(S32, 48_000, 2)
-    assert choose(some, 48_000, 1, without={S32}) == Choice(S16, 48_000, 2)
+    some = list_offers(None)
+    assert choose_setup(some, 48_000, 1) == CardSetup(S32, 48_000, 2)
+    assert choose_setup(some, 48_000, 1, without={S32}) == CardSetup(S16, 48_000, 2)
 
 
 def test_what_usb_cards_tell_is_what_they_offer() -> None:
-    assert choose(offers_of(parse_usb_stream(ASYNC)), 48_000, 2) == Choice(S32, 48_000, 2)
-    assert choose(offers_of(parse_usb_stream(ADAPTIVE)), 48_000, 2) == Choice(S24, 48_000, 8)
+    assert choose_setup(list_offers(parse_usb_stream(ASYNC)), 48_000, 2) == CardSetup(
+        S32, 48_000, 2
+    )
+    assert choose_setup(list_offers(parse_usb_stream(ADAPTIVE)), 48_000, 2) == CardSetup(
+        S24, 48_000, 8
+    )
 
 
 @pytest.mark.parametrize(
     ("some", "words"),
     [
-        (offers_of(parse_usb_stream(ADAPTIVE)), "S24_3LE/S16_LE with 8 channels at 8000 to 96000"),
+        (
+            list_offers(parse_usb_stream(ADAPTIVE)),
+            "S24_3LE/S16_LE with 8 channels at 8000 to 96000",
+        ),
         ([Offer((), 9, USUAL)], "no format that is played with 9 channels at 44100, 48000, 96000"),
         ([Offer((S16,), 9, Rates((8_000,)))], "S16_LE with 9 channels at 8000 Hz"),
         ([], "it offers nothing"),
@@ -112,24 +127,24 @@ def test_what_cannot_be_is_refused_with_what_there_is(some, words) -> None:
     with pytest.raises(
         NotFoundError, match="cannot be opened with 9 to 32 channels at 44100 to"
     ) as error:
-        choose(some, 48_000, 9)
+        choose_setup(some, 48_000, 9)
     assert words in str(error.value)
 
 
 @given(st.lists(offers, max_size=4), st.integers(4_000, 200_000), st.integers(1, 4))
 def test_a_choice_is_always_something_that_the_card_has(some, mix, actuators) -> None:
     try:
-        chosen = choose(some, mix, actuators)
+        chosen = choose_setup(some, mix, actuators)
     except NotFoundError:
         assert not any(
             offer.formats
             and offer.channels >= actuators
             and offer.rates.single
-            and any(LEAST_HZ <= rate <= MOST_HZ for rate in offer.rates.single)
+            and any(MIN_HZ <= rate <= MAX_HZ for rate in offer.rates.single)
             for offer in some
         )
         return
-    assert LEAST_HZ <= chosen.samplerate <= MOST_HZ
+    assert MIN_HZ <= chosen.samplerate <= MAX_HZ
     assert chosen.channels >= actuators
     assert any(
         chosen.sample_format in offer.formats
@@ -140,4 +155,4 @@ def test_a_choice_is_always_something_that_the_card_has(some, mix, actuators) ->
     has_the_mix = any(
         mix in offer.rates and offer.formats and offer.channels >= actuators for offer in some
     )
-    assert not has_the_mix or not LEAST_HZ <= mix <= MOST_HZ or chosen.samplerate == mix
+    assert not has_the_mix or not MIN_HZ <= mix <= MAX_HZ or chosen.samplerate == mix

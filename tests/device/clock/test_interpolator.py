@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device import blocks
-from device.clock.declick import Joint
 from device.clock.interpolator import CubicReader
+from device.clock.playhead import Joint
 from device.clock.ring import NewestFrames
 from tests.support.signals import tone
 

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.clock.rate_loop import MAX_DEVIATION, WIDE_FOR_S, RateLoop
-from device.clock.target import SLEW, TargetDelay
+from device.clock.delay_control import MAX_DEVIATION, SLEW, WIDE_FOR_S, RateLoop, TargetDelay
 
 SAMPLERATE = 48_000
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.clock.lateness import LEAST_S, Lateness
-from device.clock.timing import STRANDED_S, FrameClock
+from device.clock.frame_clock import STRANDED_S, FrameClock
+from device.clock.stream_timing import LEAST_S, Lateness
 from tests.support.clocks import Side
 
 

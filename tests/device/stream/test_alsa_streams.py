@@ -12,10 +12,9 @@ import pytest
 from audioflinger_hook.mixer.pcm import PcmFormat, decode
 from audioflinger_hook.mixer.pcm import encode as mixer_encode
 from device.errors import LostError
-from device.stream.pcms import PcmConfig
+from device.stream.pcms import CardDevice, PcmConfig, ServerDevice
 from device.stream.sample_format import SampleFormat
 from device.stream.streams import PlaybackStream
-from device.stream.targets import CardDevice, ServerDevice
 from device.units import Float32Array
 from tests.support.alsa_files import BLOCK_S, ToFile, portaudio_with, until
 
@@ -57,7 +56,7 @@ def test_every_byte_arrives_as_it_was_encoded(
     pcms: PcmConfig, tmp_path: Path, sample_format: SampleFormat, channels: int
 ) -> None:
     player, pcm = Player(), pcms.pcms["cushion_card"]
-    pcm.lead_to(ToFile(tmp_path / "card.raw"))
+    pcm.target = ToFile(tmp_path / "card.raw")
     stream = PlaybackStream(
         pcm, RATE, channels, player.fill, player.on_sent, sample_format=sample_format
     )
@@ -84,7 +83,7 @@ def test_nothing_but_silence_goes_out_until_the_stream_is_audible(
     pcms: PcmConfig, tmp_path: Path
 ) -> None:
     player, pcm = Player(), pcms.pcms["cushion_card"]
-    pcm.lead_to(ToFile(tmp_path / "card.raw"))
+    pcm.target = ToFile(tmp_path / "card.raw")
     stream = PlaybackStream(
         pcm, RATE, 2, player.fill, player.on_sent, sample_format=SampleFormat.S24_3
     )
@@ -99,7 +98,7 @@ def test_a_card_that_is_not_there_is_an_error_that_says_what_may_be_wrong(
     pcms: PcmConfig,
 ) -> None:
     pcm = pcms.pcms["cushion_card"]
-    pcm.lead_to(CardDevice(31, 2))
+    pcm.target = CardDevice(31, 2)
     with pytest.raises(LostError, match="cannot open hw:31,2 for playback") as error:
         PlaybackStream(pcm, RATE, 2, lambda *_: None, sample_format=SampleFormat.S16)
     assert "2 channels at 48000 Hz in S16_LE" in str(error.value)
@@ -112,7 +111,7 @@ def test_a_name_is_led_to_another_card_without_a_new_list_of_devices(
     pcm = pcms.pcms["cushion_card"]
     for name in ("first", "second"):
         player = Player()
-        pcm.lead_to(ToFile(tmp_path / name))
+        pcm.target = ToFile(tmp_path / name)
         stream = PlaybackStream(pcm, RATE, 2, player.fill, sample_format=SampleFormat.S16)
         stream.audible = True
         until(lambda: len(player.given) > 8)  # noqa: B023

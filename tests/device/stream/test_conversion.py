@@ -12,8 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from audioflinger_hook.mixer.pcm import PcmFormat, decode
 from audioflinger_hook.mixer.pcm import encode as mixer_encode
-from device.stream.conversion import Encoder
-from device.stream.sample_format import SampleFormat
+from device.stream.sample_format import Encoder, SampleFormat
 
 INTEGERS = {
     SampleFormat.S16: PcmFormat.I16,

@@ -128,7 +128,7 @@ def audio():
         hashlib.pbkdf2_hmac("sha256", b"a", b"b", 200_000)
 with Wake() as wake, Signals(wake) as signals:
     priority = AudioPriority()
-    signals.on_spinning = priority.give_back
+    signals.on_spinning = priority.revoke
     thread = threading.Thread(target=audio)
     thread.start()
     spinning.wait()
@@ -136,7 +136,7 @@ with Wake() as wake, Signals(wake) as signals:
     while not priority.warning and time.monotonic() < deadline_s:
         time.sleep(0.01)
     print(os.sched_getscheduler(thread.native_id), priority.wanted, priority.warning)
-    priority.want(True)
+    priority.set_wanted(True)
     print(priority.warning == "")
     over = True
     thread.join()

@@ -14,7 +14,7 @@ import pytest
 
 from device.errors import UsageError
 from device.stream.pcms import PcmConfig
-from device.stream.private_dir import PREFIX, OwnFolder, runtime_folder, sweep
+from device.stream.private_dir import PREFIX, PrivateDir, runtime_dir, sweep
 from tests.support.recordings import ROOT
 
 HOLDER = """
@@ -62,8 +62,8 @@ def test_where_there_is_no_such_folder_the_temporary_one_serves(
     spare = tmp_path / "spare"
     spare.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(spare))
-    assert runtime_folder() is None
-    folder = OwnFolder()
+    assert runtime_dir() is None
+    folder = PrivateDir()
     assert folder.path.parent == spare
     folder.close()
     assert inside(spare) == []
@@ -95,7 +95,7 @@ def test_what_killed_processes_left_is_swept_and_what_is_in_use_is_not(tmp_path:
             assert len([name for name in names if (place / name).is_dir()]) == 2  # with the link
             assert {"daemon.lock", f"{PREFIX}file", f"{PREFIX}link"} < set(names)
             assert sweep(place) == 0
-            folder = OwnFolder(place)
+            folder = PrivateDir(place)
             assert len(inside(place)) == len(names) + 1
             folder.close()
             assert inside(place) == names
@@ -108,4 +108,4 @@ def test_what_killed_processes_left_is_swept_and_what_is_in_use_is_not(tmp_path:
 def test_a_folder_that_cannot_be_made_is_an_error_of_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(UsageError, match="set XDG_RUNTIME_DIR or TMPDIR"):
-        OwnFolder(tmp_path / "file")
+        PrivateDir(tmp_path / "file")

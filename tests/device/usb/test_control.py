@@ -169,11 +169,11 @@ def test_whatever_a_device_offers_no_step_is_above_what_is_allowed(
     packed = (struct.pack("<h", units) for units in (lowest, highest, step))
     offered = requests.volume_range(*packed)
     try:
-        allowed_db = offered.allowed(wanted_db, limit_db)
+        limit_volume_db = offered.allowed(wanted_db, limit_db)
     except UsageError:
         assert offered.lowest_db > min(0.0, limit_db)
         return
-    units = requests.volume_units(allowed_db)
+    units = requests.volume_units(limit_volume_db)
     assert units <= 256 * min(0.0, limit_db) + 1e-6
     assert lowest <= units <= highest
     assert units <= 256 * wanted_db + 1e-6 or units == lowest

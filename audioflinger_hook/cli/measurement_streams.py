@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from device.errors import CushionError, InternalError, LostError
-from device.server.guard import Refuge, StreamGuard
+from device.server.guard import FallbackSink, StreamGuard
 from device.server.pulse import PulseConnection
-from device.stream.pcms import PcmConfig
+from device.stream.pcms import PcmConfig, ServerDevice, Target
 from device.stream.sample_format import SampleFormat
 from device.stream.streams import CaptureStream, PlaybackStream
-from device.stream.targets import ServerDevice, Target
 from device.units import Float32Array
 
 OUTPUT, INPUT = "cushion_output", "cushion_input"
@@ -32,7 +31,7 @@ BLOCK_FRAMES = 1024
 _LOOK_S = 0.02
 
 
-class Measured(Protocol):
+class MeasuredExchange(Protocol):
     """What is measured, from the streams' side; see `device.identification.live.exchange`."""
 
     @property
@@ -62,7 +61,7 @@ class Measured(Protocol):
 
 
 @dataclass(frozen=True)
-class Way:
+class StreamEndpoint:
     """Where one stream leads. name: the server's or the card's; channels: as it is opened."""
 
     target: Target
@@ -76,7 +75,7 @@ class Way:
         return isinstance(self.target, ServerDevice)
 
 
-class Measuring:
+class MeasurementStreams:
     """A `Transport` of real devices. One thread uses it.
 
     pcms: with PCMs OUTPUT and INPUT; samplerate: Hz, of both; connection: to the sound server,
@@ -86,8 +85,8 @@ class Measuring:
     def __init__(
         self,
         pcms: PcmConfig,
-        output: Way,
-        source: Way,
+        output: StreamEndpoint,
+        source: StreamEndpoint,
         samplerate: int,
         connection: PulseConnection | None,
     ) -> None:
@@ -100,7 +99,7 @@ class Measuring:
         """Rate of both streams, Hz."""
         return self._samplerate
 
-    def run(self, exchange: Measured) -> None:
+    def run(self, exchange: MeasuredExchange) -> None:
         """Both streams until the measurement has ended; what ended it is left with it.
 
         Raises
@@ -111,9 +110,9 @@ class Measuring:
         with ExitStack() as stack:
             # last of all: whatever leaves this, Ctrl+C too, leaves silence
             if self._output.guarded and self._connection is not None:
-                stack.callback(Refuge(self._connection).close)
+                stack.callback(FallbackSink(self._connection).close)
             outward = self._pcms.pcms[OUTPUT]
-            outward.lead_to(self._output.target)
+            outward.target = self._output.target
             playback = PlaybackStream(
                 outward,
                 self._samplerate,
@@ -124,7 +123,7 @@ class Measuring:
             )
             stack.callback(playback.close)
             inward = self._pcms.pcms[INPUT]
-            inward.lead_to(self._source.target)
+            inward.target = self._source.target
             capture = CaptureStream(
                 inward,
                 self._samplerate,
@@ -161,7 +160,7 @@ class _Watch:
         self._guards = guards
         self._names = names
 
-    def settle(self, exchange: Measured) -> None:
+    def settle(self, exchange: MeasuredExchange) -> None:
         """Begin once both run where they belong; LostError if that takes too long."""
         limit_s = time.monotonic() + SETTLE_S
         while not (
@@ -178,7 +177,7 @@ class _Watch:
         self._before = self._counts()
         exchange.begin()
 
-    def until_the_end(self, exchange: Measured) -> None:
+    def until_the_end(self, exchange: MeasuredExchange) -> None:
         """Wait for the end, or bring it about."""
         while not exchange.wait(_LOOK_S):
             error = self._wrong(time.monotonic())

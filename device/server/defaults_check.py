@@ -40,7 +40,7 @@ class Defaults(NamedTuple):
         return cls(snapshot.default_sink, snapshot.default_source)
 
 
-class SecondOpinion:
+class DefaultsCheck:
     """Asks now and then whether a connection is told what others are told, if it is PipeWire's.
 
     server: its address, None for the usual one. disagreed: called on a thread of its own with what
@@ -68,14 +68,14 @@ class SecondOpinion:
         known = Defaults.of(snapshot)
 
         def ask() -> None:
-            if agreed_defaults(self._server, known) is not None:
+            if confirm_defaults(self._server, known) is not None:
                 self._not_before_s = time.monotonic() + RENEW_AGAIN_S
                 self._disagreed(known)
 
         threading.Thread(target=ask, name="second-opinion", daemon=True).start()
 
 
-def defaults_now(server: str | None = None) -> Defaults | None:
+def fetch_defaults(server: str | None = None) -> Defaults | None:
     """What a connection made for it is told; None where there is no answer in time.
 
     server: its address, None for the usual one. Any thread; it waits ANSWER_LIMIT_S at most for
@@ -112,13 +112,13 @@ def defaults_now(server: str | None = None) -> Defaults | None:
             pulse.close()
 
 
-def agreed_defaults(server: str | None, known: Defaults) -> Defaults | None:
+def confirm_defaults(server: str | None, known: Defaults) -> Defaults | None:
     """What two connections, one after the other, say other than `known`; None where they do not.
 
     Any thread; it waits for both.
     """
-    first = defaults_now(server)
+    first = fetch_defaults(server)
     if first is None or first == known:
         return None
     time.sleep(AGAIN_S)
-    return first if defaults_now(server) == first else None
+    return first if fetch_defaults(server) == first else None

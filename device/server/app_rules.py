@@ -20,7 +20,7 @@ from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 from device.errors import UsageError
-from device.server.identity import is_own
+from device.server.identity import is_own_stream
 from device.server.snapshot import ServerSnapshot, Stream
 from device.stream.pcms import APPLICATION_ID, ROLE, TAG
 
@@ -112,22 +112,22 @@ class AppRules:
             stream
             for stream in _of_applications(snapshot)
             if stream.place is not None
-            and (haptic_sink is None or stream.place_name != haptic_sink)
+            and (haptic_sink is None or stream.device_name != haptic_sink)
             and (not self.include or any(rule.matches(stream) for rule in self.include))
             and not any(rule.matches(stream) for rule in self.exclude)
         )
 
 
-def nearest(text: str, snapshot: ServerSnapshot) -> tuple[str, ...]:
+def suggest_apps(text: str, snapshot: ServerSnapshot) -> tuple[str, ...]:
     """Up to three names of applications that play now and resemble a rule; all if none does.
 
     text: the rule, with or without its kind. For an error message.
     """
-    names = {name_of(stream) for stream in _of_applications(snapshot)} - {""}
+    names = {app_name(stream) for stream in _of_applications(snapshot)} - {""}
     known = {name.casefold(): name for name in sorted(names)}
     for stream in _of_applications(snapshot):
-        if stream.binary and name_of(stream):
-            known.setdefault(stream.binary.casefold(), name_of(stream))
+        if stream.binary and app_name(stream):
+            known.setdefault(stream.binary.casefold(), app_name(stream))
     kind, _, rest = text.casefold().partition(":")
     wanted = (rest if kind in _KINDS else text.casefold()).strip()
     close = get_close_matches(wanted, known, n=3, cutoff=0.5)
@@ -135,7 +135,7 @@ def nearest(text: str, snapshot: ServerSnapshot) -> tuple[str, ...]:
     return tuple(found) or tuple(sorted(names))
 
 
-def name_of(stream: Stream) -> str:
+def app_name(stream: Stream) -> str:
     """What a stream's application is called: by its name, else its binary, else what it plays."""
     return stream.application or stream.binary or stream.media
 
@@ -153,7 +153,7 @@ def _is_ours(stream: Stream) -> bool:
         stream.role == ROLE
         or TAG in stream.properties
         or stream.properties.get("application.id") == APPLICATION_ID
-        or is_own(stream)
+        or is_own_stream(stream)
     )
 
 
