@@ -12,10 +12,10 @@ from audioflinger_hook.cli.calibrate_report import document, table
 from audioflinger_hook.cli.terminal import warn
 from device.address import parse_device
 from device.errors import UsageError
-from device.identification.bench import USUAL_SHARE, Bench
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.laboratory import Devices
 from device.identification.rig_values import write_rig
+from device.identification.simulated_laboratory import USUAL_SHARE, SimulatedLaboratory
 from device.identification.sweep import Sweep
 from device.rig import Rig, rig_by_name
 
@@ -35,9 +35,9 @@ def run(options: argparse.Namespace) -> int:
 
     devices = None
     if device.kind == "twin":
-        bench = Bench(rig, seat=options.seat)
+        bench = SimulatedLaboratory(rig, seat=options.seat)
         share = USUAL_SHARE if options.share is None else options.share
-        found = calibrate(bench, rig, bench.level(sweep, share), tell)
+        found = calibrate(bench, rig, bench.sweep_at_excursion(sweep, share), tell)
     else:
         from audioflinger_hook.cli.calibrate_live import calibrate_live
 

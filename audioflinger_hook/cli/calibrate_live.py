@@ -20,11 +20,11 @@ from device.alsa.negotiation import CardSetup, list_offers
 from device.alsa.usb_stream import read_usb_capture_stream, read_usb_stream
 from device.alsa.use import why_blocked
 from device.errors import NotFoundError, UsageError
-from device.identification.bench import LARGEST_SHARE, at_share
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.channels import UNUSED, Inputs
 from device.identification.live.laboratory import Devices, LiveLaboratory
 from device.identification.output_error import Estimate
+from device.identification.simulated_laboratory import LARGEST_SHARE, sweep_at_excursion
 from device.identification.sweep import Sweep
 from device.rig import Rig
 from device.server import PulseConnection, ServerSnapshot
@@ -159,7 +159,7 @@ def levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
     sweep = replace(sweep, level=level)
     if set(_HAS_TO_BE_KNOWN) & set(rig.assumed()):
         return sweep
-    allowed = at_share(rig, sweep, LARGEST_SHARE)
+    allowed = sweep_at_excursion(rig, sweep, LARGEST_SHARE)
     if allowed.level < level:
         warn(
             f"level {level:g} would move more than {LARGEST_SHARE} Xmax of rig {rig.name!r}; "

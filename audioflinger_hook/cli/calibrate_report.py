@@ -8,7 +8,7 @@ from device.identification.acceleration import Mode
 from device.identification.calibration import Calibration
 from device.identification.live.laboratory import Devices
 from device.identification.output_error import Estimate
-from device.identification.quality import LOW_COHERENCE, Quality
+from device.identification.transfer import LOW_COHERENCE, Quality
 from device.rig import Rig
 
 

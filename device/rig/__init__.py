@@ -2,15 +2,15 @@
 
     dac.py -> amplifier.py -> actuator.py -> instruments.py
     `---- twin.py ----'       |- linear_system.py
-                              ladder.py, report.py          rig.py describes all: rig_file.py
+                              adaptive.py, report.py          rig.py describes all: rig_file.py
                               |- choice.py, hand_over.py    reads paper.toml, consumer.toml or
-                              |- node_grid.py, rungs.py     another, within limits.py and without
+                              |- node_grid.py, levels.py     another, within limits.py and without
                               |  collocation.py             contradictions.py
                               |  passive_step.py
                               `- equations.py, co_energy.py, shapes.py, thermal.py
 
-The linear actuator is one class; whoever needs more of its physics takes the ladder, which adds to
-it what a tolerance asks for: from shapes.py, through energies, to equations and their solutions.
+The linear actuator is one class; whoever needs more of its physics takes the adaptive one, which
+adds what a tolerance asks for: from shapes.py, through energies, to equations and their solutions.
 
 Here only the descriptions are imported: the stages need SciPy, which takes half a second to load,
 and whoever wants a name or an error should not wait for it.

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.errors import UsageError
-from device.rig.band import Band
+from device.rig.electronics import Band
 from device.rig.parameters import (
     AccelerometerParameters,
     ConditioningParameters,

@@ -1,4 +1,4 @@
-"""Where the nodes of the non-linear rungs lie between samples, and back from nodes to samples.
+"""Where the nodes of the non-linear levels lie between samples, and back from nodes to samples.
 
 The nodes come at about 6 kHz whatever the sample rate: every so many samples, with the middles on
 samples too, at double that rate as well (for the end stops). Where samples are too far apart for
@@ -43,7 +43,7 @@ class NodeGrid:
         return np.asarray(before[:, None] + (volts - before)[:, None] * shares).reshape(-1)
 
 
-def with_straight_lines(volts: FloatArray) -> FloatArray:
+def compensate_interpolation(volts: FloatArray) -> FloatArray:
     """(frames,) whose straight lines come as close to a smooth signal as curves through it would.
 
     Straight lines through the samples of a sinusoid lose (w T)^2 / 12 of it, 7e-5 at 220 Hz and

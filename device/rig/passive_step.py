@@ -1,4 +1,4 @@
-"""The rung that never fails: one sample at a time, passive whatever the step.
+"""The level that never fails: one sample at a time, passive whatever the step.
 
 The energy H(y, u, lambda) = V(y) + m u^2 / 2 + (lambda - Phi(y))^2 / 2 L(y) is differenced, not
 differentiated (discrete gradient, Itoh and Abe 1988, averaged over both orders, so of second
@@ -38,9 +38,9 @@ class _Tried(NamedTuple):
 class PassiveStepper:
     """An actuator that goes from sample to sample. One thread calls it.
 
-    state: y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat. surplus_j: of
-    the last step, energy that came in and was neither stored nor turned into heat: rounding;
-    worst_share: the largest so far, of the energy stored before or after its step or let in.
+    state: y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat. energy_error_j:
+    of the last step, energy that came in and was neither stored nor turned into heat: rounding;
+    worst_energy_error: the largest so far, as a share of the energy handled.
     bisected: steps so far that the secant method left to bisection.
     """
 
@@ -61,8 +61,8 @@ class PassiveStepper:
     def reset(self) -> None:
         """Come to rest."""
         self.state = [0.0, 0.0, 0.0, 0.0, 0.0]
-        self.surplus_j = 0.0
-        self.worst_share = 0.0
+        self.energy_error_j = 0.0
+        self.worst_energy_error = 0.0
         self.bisected = 0
         self._energy_j = 0.0
 
@@ -118,10 +118,12 @@ class PassiveStepper:
         heat_w += self._frame_damping * mean * mean
         self._energy_j = self.energy_j()
         let_in_j = h * volt * current
-        self.surplus_j = let_in_j - h * heat_w - (self._energy_j - before_j)
-        if self.surplus_j:
+        self.energy_error_j = let_in_j - h * heat_w - (self._energy_j - before_j)
+        if self.energy_error_j:
             handled_j = max(before_j, self._energy_j, abs(let_in_j))
-            self.worst_share = max(self.worst_share, abs(self.surplus_j) / handled_j)
+            self.worst_energy_error = max(
+                self.worst_energy_error, abs(self.energy_error_j) / handled_j
+            )
 
     def _solve(self, volt: float, free: float) -> tuple[float, "_Tried"]:
         """The excursion's change over the step, and what comes of it."""

@@ -9,7 +9,7 @@ from dataclasses import replace
 from device.rig import ActuatorParameters
 
 
-def detuned(p: ActuatorParameters, share: float) -> ActuatorParameters:
+def detune(p: ActuatorParameters, share: float) -> ActuatorParameters:
     """The actuator with f0 (1 + share) by another stiffness; mass and friction as they are.
 
     share: above -1; -0.1 is 10 % lower.
@@ -18,7 +18,7 @@ def detuned(p: ActuatorParameters, share: float) -> ActuatorParameters:
     return replace(p, resonance_hz=p.resonance_hz * factor, q_mechanical=p.q_mechanical * factor)
 
 
-def stiffened(
+def stiffen(
     p: ActuatorParameters, stiffness_rise: float, force_factor_loss: float
 ) -> ActuatorParameters:
     """The linear actuator that swings as a non-linear one does at Xmax (describing function).

@@ -1,6 +1,6 @@
-"""Second by second: which rung a run through the ladder used, what it cost, and its true error.
+"""What each second of a run used: the models, their cost and the true error.
 
-for second in by_seconds(Ladder(PAPER, 48_000), volts, clock=time.thread_time, dearest=true):
+for second in report_seconds(actuator, volts, clock=time.thread_time, reference=finer):
     print(second.second, second.shares, second.cost_s, second.error)
 """
 
@@ -10,11 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from device.rig.actuator import Motion
-from device.rig.block_report import BlockReport
-from device.rig.error_estimate import FLOOR
-from device.rig.ladder import Ladder
+from device.rig.adaptive_actuator import AdaptiveActuator, BlockReport
+from device.rig.model_levels import ModelLevel
+from device.rig.model_selection import FLOOR
 from device.rig.parameters import ActuatorParameters
-from device.rig.rungs import Rung
 from device.units import FloatArray
 
 _COMPARED = ("displacement_m", "acceleration_m_s2")
@@ -22,54 +21,85 @@ _COMPARED = ("displacement_m", "acceleration_m_s2")
 
 @dataclass(frozen=True)
 class SecondReport:
-    """One second of a run, the last one maybe shorter.
+    """One second of a run; the last one may be shorter.
 
-    second: from 0 on; frames; shares: of its time by rung, together 1, 0 for rungs it did not use;
-    excursion_peak_m: at nodes; estimate: the largest of its blocks' errors as the ladder foretold
-    it; error: the largest true one, None without a dearest rung; both as shares of a block's peak.
-    cost_s: by the caller's clock, None without one.
+    Attributes
+    ----------
+    second, frames : int
+        Its number from 0, and its length.
+    shares : dict[ModelLevel, float]
+        The share of its time per model level; the sum is 1.
+    excursion_peak_m : float
+        The largest excursion at nodes.
+    estimate : float
+        The largest predicted error of its blocks, as a share of the block's peak.
+    error : float | None
+        The largest true error, None without a reference.
+    cost_s : float | None
+        The time it took by the caller's clock, None without one.
     """
 
     second: int
     frames: int
-    shares: dict[Rung, float]
+    shares: dict[ModelLevel, float]
     excursion_peak_m: float
     estimate: float
     error: float | None
     cost_s: float | None
 
 
-def by_seconds(
-    ladder: Ladder,
+def report_seconds(
+    actuator: AdaptiveActuator,
     volts: FloatArray,
     *,
     clock: Callable[[], float] | None = None,
-    dearest: Ladder | None = None,
+    reference: AdaptiveActuator | None = None,
 ) -> list[SecondReport]:
-    """What each second of (frames,) volts takes a ladder, from rest.
+    """Run an actuator from rest, one second at a time, and report each second.
 
-    The ladder is moved a second at a time. clock: what is read before and after, in s: CPU time of
-    the thread, say. dearest: what the truth is, as a rule a ladder with Rung.NONLINEAR and finer
-    nodes; it is moved by the same volts, and its time does not count. Both are reset first.
+    Parameters
+    ----------
+    actuator : AdaptiveActuator
+        It is reset first.
+    volts : FloatArray
+        The drive, (frames,).
+    clock : Callable[[], float] | None
+        Read before and after each second, in s: the thread's CPU time, say.
+    reference : AdaptiveActuator | None
+        What counts as true, usually ModelLevel.NONLINEAR with finer nodes. It is reset first, and
+        its time does not count.
     """
-    ladder.reset()
-    if dearest:
-        dearest.reset()
+    actuator.reset()
+    if reference:
+        reference.reset()
     seconds = []
-    length = max(1, round(ladder.samplerate))
+    length = max(1, round(actuator.samplerate))
     for second, first in enumerate(range(0, len(volts), length)):
         part = volts[first : first + length]
-        settled = sum(ladder.frames_by_rung.values())
+        settled = sum(actuator.frames_by_level.values())
         before_s = clock() if clock else 0.0
-        motion = ladder.move(part)
+        motion = actuator.move(part)
         cost_s = clock() - before_s if clock else None
-        new = [block for block in ladder.reports if block.frame >= settled]
+        new = [block for block in actuator.reports if block.frame >= settled]
         error = None
-        if dearest:
-            true = dearest.move(part)
-            errors = block_errors(new, first, motion, true, ladder.rig.actuator)
+        if reference:
+            errors = block_errors(new, first, motion, reference.move(part), actuator.rig.actuator)
             error = float(errors.max(initial=0.0))
-        seconds.append(_second(second, len(part), new, error, cost_s))
+        used = dict.fromkeys(ModelLevel, 0)
+        for block in new:
+            used[block.level] += block.frames
+        reported = max(1, sum(used.values()))
+        seconds.append(
+            SecondReport(
+                second,
+                len(part),
+                {level: share / reported for level, share in used.items()},
+                max((block.excursion_peak_m for block in new), default=0.0),
+                max((block.estimate for block in new), default=0.0),
+                error,
+                cost_s,
+            )
+        )
     return seconds
 
 
@@ -80,11 +110,21 @@ def block_errors(
     true: Motion,
     actuator: ActuatorParameters,
 ) -> FloatArray:
-    """The true error of each block, (blocks,): the larger one of excursion and acceleration.
+    """Return the true error of each block, (blocks,): the larger of excursion and acceleration.
 
-    motion, true: what was computed and what is true from frame `start` on, with both quantities;
-    what they have of a block counts. An error is the largest difference over the block's true
-    peak, or over that of a hundredth of Xmax where it moves less.
+    An error is the largest difference as a share of the block's true peak, or of the peak at 1 %
+    of Xmax where the block moves less.
+
+    Parameters
+    ----------
+    blocks : Sequence[BlockReport]
+        The blocks to compare; only their frames inside the motions count.
+    start : int
+        The first frame of both motions.
+    motion, true : Motion
+        The computed and the true motion, with excursion and acceleration.
+    actuator : ActuatorParameters
+        For Xmax and the resonance.
     """
     floor_m = FLOOR * actuator.x_max_m
     floors = dict(zip(_COMPARED, (floor_m, floor_m * actuator.resonance_rad_s**2), strict=True))
@@ -97,25 +137,3 @@ def block_errors(
             peak = max(float(np.abs(expected).max(initial=0.0)), floor)
             errors[index] = max(errors[index], float(error) / peak)
     return errors
-
-
-def _second(
-    second: int,
-    frames: int,
-    blocks: Sequence[BlockReport],
-    error: float | None,
-    cost_s: float | None,
-) -> SecondReport:
-    used = dict.fromkeys(Rung, 0)
-    for block in blocks:
-        used[block.rung] += block.frames
-    reported = max(1, sum(used.values()))
-    return SecondReport(
-        second,
-        frames,
-        {rung: share / reported for rung, share in used.items()},
-        max((block.excursion_peak_m for block in blocks), default=0.0),
-        max((block.estimate for block in blocks), default=0.0),
-        error,
-        cost_s,
-    )

@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 from device.errors import UsageError
-from device.rig.contradictions import contradictions
 from device.rig.parameters import (
     AccelerometerParameters,
     ActuatorParameters,
@@ -34,7 +33,7 @@ from device.rig.parameters import (
     Stage,
     ThermalParameters,
 )
-from device.rig.rig import SOURCE_KINDS, Rig, Source
+from device.rig.rig import SOURCE_KINDS, Rig, Source, contradictions
 
 SUFFIX = ".toml"
 SHIPPED = ("paper", "consumer")

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.signal import sosfilt, ss2zpk, zpk2sos
 
+from device.rig.actuator import first_order_hold
 from device.rig.co_energy import linear_energies
 from device.rig.equations import FLUX, FRAME_SPEED, Equations
-from device.rig.linear_system import first_order_hold
 from device.rig.parameters import ActuatorParameters, SeatParameters
 from device.units import FloatArray
 

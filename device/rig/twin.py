@@ -5,10 +5,9 @@ import numpy as np
 from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig.actuator import LinearActuator
-from device.rig.amplifier import Amplifier
-from device.rig.dac import Dac
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.electronics import Amplifier, Dac
 from device.rig.instruments import AccelerometerChain
-from device.rig.ladder import Ladder
 from device.rig.rig import Rig
 from device.units import Float32Array, FloatArray, check_channels
 
@@ -18,8 +17,8 @@ class Twin:
 
     samplerate: Hz, 1000 or more; channels: 1 or more; recorder: takes the acceleration that the
     instruments show, at the same rate and channels, 1.0 for ACCELERATION_FULL_SCALE_M_S2; the
-    twin closes or aborts it. tolerance: None for linear actuators, else what `Ladder` may be off
-    by, block by block; then temperature: coils warm up.
+    twin closes or aborts it. tolerance: None for linear actuators, else that of
+    `AdaptiveActuator`, block by block; then temperature: coils warm up.
 
     One thread calls the methods; any thread may read these while it does:
 
@@ -27,7 +26,7 @@ class Twin:
     peak_acceleration_m_s2, peak_displacement_m, peak_current_a: largest magnitude of any channel
     since the start or `reset`. overcurrent_samples: where the current is beyond the amplifier's
     limit; a real one would limit it, or switch off. actuators: one a channel, of `LinearActuator`
-    or `Ladder`, for their reports.
+    or `AdaptiveActuator`, for their reports.
 
     Raises
     ------
@@ -64,10 +63,10 @@ class Twin:
         self._dac = Dac(rig.dac)
         self._amplifier = Amplifier(rig.amplifier, samplerate)
         source = rig.amplifier.source_impedance_ohm
-        self.actuators: list[LinearActuator | Ladder] = [
+        self.actuators: list[LinearActuator | AdaptiveActuator] = [
             LinearActuator(rig.actuator, samplerate, source)
             if tolerance is None
-            else Ladder(rig, samplerate, tolerance, temperature=temperature)
+            else AdaptiveActuator(rig, samplerate, tolerance, temperature=temperature)
             for _ in range(channels)
         ]
         self._instruments = AccelerometerChain()
@@ -110,7 +109,7 @@ class Twin:
         if self._closed:
             raise InternalError("the twin is closed: nothing can be written to it")
         check_channels(vibration, self._channels)
-        # Channels as rows: each actuator then reads and writes one stretch of memory.
+        # Channels as rows: each actuator then reads and writes one segment of memory.
         volts = np.ascontiguousarray(self._amplifier.drive(self._dac.volts(vibration)).T)
         acceleration = np.empty(volts.shape)
         limit_a = self.rig.amplifier.current_limit_a

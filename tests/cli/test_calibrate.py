@@ -10,8 +10,8 @@ import pytest
 from audioflinger_hook.cli.calibrate_live import levelled
 from device.errors import UsageError
 from device.identification import IdentificationError
-from device.identification.bench import Bench
 from device.identification.calibration import STEPS, calibrate
+from device.identification.simulated_laboratory import SimulatedLaboratory
 from device.identification.sweep import Sweep
 from device.rig import PAPER, read_rig
 from tests.support.commands import call, noise, sound
@@ -25,7 +25,12 @@ class Tampered:
     """A bench whose recordings of one response are changed; it counts the sweeps."""
 
     def __init__(self, name, change):
-        self.bench, self.name, self.change, self.levels = Bench(PAPER), name, change, []
+        self.bench, self.name, self.change, self.levels = (
+            SimulatedLaboratory(PAPER),
+            name,
+            change,
+            [],
+        )
 
     def measure(self, sweep, pairs):
         self.levels.append(sweep.level)
@@ -39,7 +44,7 @@ class Tampered:
 
 def refused(laboratory):
     with pytest.raises(IdentificationError) as caught:
-        calibrate(laboratory, PAPER, Bench(PAPER).level(SHORT))
+        calibrate(laboratory, PAPER, SimulatedLaboratory(PAPER).sweep_at_excursion(SHORT))
     return str(caught.value)
 
 
@@ -151,7 +156,7 @@ def test_clipping_at_the_lowest_level_is_the_last_that_is_played():
 
 
 def test_a_response_that_does_not_grow_with_the_level_ends_it():
-    lowest = STEPS[0] * Bench(PAPER).level(SHORT).level
+    lowest = STEPS[0] * SimulatedLaboratory(PAPER).sweep_at_excursion(SHORT).level
     laboratory = Tampered("acceleration", lambda a, level: a * lowest / level)
     message = refused(laboratory)
     assert "acceleration grew by 1 where the level grew by 2" in message
@@ -160,7 +165,7 @@ def test_a_response_that_does_not_grow_with_the_level_ends_it():
 
 def test_levels_rise_to_the_wanted_one():
     laboratory = Tampered("nothing", lambda a, _: a)
-    sweep = Bench(PAPER).level(SHORT)
+    sweep = SimulatedLaboratory(PAPER).sweep_at_excursion(SHORT)
     found = calibrate(laboratory, PAPER, sweep)
     assert laboratory.levels == [step * sweep.level for step in STEPS]
     assert laboratory.levels == sorted(laboratory.levels)
@@ -170,4 +175,8 @@ def test_levels_rise_to_the_wanted_one():
 def test_a_rig_that_moves_further_than_it_says_is_refused():
     small = replace(PAPER, actuator=replace(PAPER.actuator, x_max_m=2e-4))
     with pytest.raises(IdentificationError, match="moves more than it says"):
-        calibrate(Bench(PAPER), small, Bench(PAPER).level(SHORT, 0.05))
+        calibrate(
+            SimulatedLaboratory(PAPER),
+            small,
+            SimulatedLaboratory(PAPER).sweep_at_excursion(SHORT, 0.05),
+        )

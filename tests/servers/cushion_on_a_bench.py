@@ -15,8 +15,7 @@ import numpy as np
 
 from device.rig import rig_by_name
 from device.rig.actuator import LinearActuator
-from device.rig.amplifier import Amplifier
-from device.rig.dac import Dac
+from device.rig.electronics import Amplifier, Dac
 
 RATE_HZ = 48_000
 FRAMES = 480

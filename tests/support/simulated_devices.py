@@ -3,8 +3,7 @@
 import numpy as np
 
 from device.rig.actuator import LinearActuator
-from device.rig.amplifier import Amplifier
-from device.rig.dac import Dac
+from device.rig.electronics import Amplifier, Dac
 
 BLOCK = 256
 RATE = 48_000

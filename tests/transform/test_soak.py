@@ -2,7 +2,7 @@
 
 import pytest
 
-from device.rig.rungs import Rung
+from device.rig.model_levels import ModelLevel
 from tools.bench.measures.random_rigs import RIGS, SHARES
 from tools.bench.rig_soak import SAMPLES, STEPPED_SAMPLES, soak_energy
 from tools.bench.sections.identification import soak_identification
@@ -34,11 +34,11 @@ def test_a_tone_is_as_loud_and_as_pure_after_a_million_hops_as_at_first() -> Non
 
 
 @pytest.mark.soak
-@pytest.mark.parametrize("rung", [Rung.LINEAR, Rung.NONLINEAR, Rung.STEPPED])
-def test_over_a_hundred_million_samples_no_energy_creeps_up(rung: Rung) -> None:
-    record = kept(soak_energy(rung))
+@pytest.mark.parametrize("level", [ModelLevel.LINEAR, ModelLevel.NONLINEAR, ModelLevel.STEPPED])
+def test_over_a_hundred_million_samples_no_energy_creeps_up(level: ModelLevel) -> None:
+    record = kept(soak_energy(level))
     assert record.samples is not None
-    assert record.samples >= (STEPPED_SAMPLES if rung is Rung.STEPPED else SAMPLES)
+    assert record.samples >= (STEPPED_SAMPLES if level is ModelLevel.STEPPED else SAMPLES)
     assert record.passed, record
 
 

@@ -97,7 +97,7 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("comparators", comparison.comparison, 3.0),
     ("level", levels.level, 3.0),
     ("profiles", profile_measures.profiles, 3.0),
-    ("simulated rig", rig.linear_rung, 2.0),
+    ("simulated rig", rig.linear_model, 2.0),
     ("rungs of the rig", precision.work_and_precision, 5.0),
     ("ladder of the rig", rungs.ladder_of_rungs, 3.0),
     ("ladder by second", rungs_by_second.rungs_by_second, 1.0),

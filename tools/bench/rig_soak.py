@@ -10,12 +10,12 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
+from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import Energies, energies, linear_energies, stored_energy_j
 from device.rig.equations import EXCURSION, SPEED, Equations
-from device.rig.ladder import Ladder
+from device.rig.model_levels import ModelLevel
 from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
-from device.rig.rungs import Rung
 from tools.bench.machine import cpu_model
 from tools.bench.report import Must
 from tools.bench.soak_record import SoakRecord, now
@@ -42,22 +42,22 @@ Energy = Callable[[FloatArray], FloatArray]
 """Moves on by some volts, (frames,), and gives the stored energy at each sample, J."""
 
 
-def soak_energy(rung: Rung, samples: int | None = None) -> SoakRecord:
+def soak_energy(rung: ModelLevel, samples: int | None = None) -> SoakRecord:
     """What becomes of the energy of one rung over so many samples; None: as the soak asks for.
 
     A bounded random drive of ten seconds in a loop, again and again: after the first loop each
     must reach the same largest energy. Then the drive stops, and the energy only falls.
     """
-    wanted = samples or (STEPPED_SAMPLES if rung is Rung.STEPPED else SAMPLES)
+    wanted = samples or (STEPPED_SAMPLES if rung is ModelLevel.STEPPED else SAMPLES)
     volts = steady_drive(min(LOOP_S, wanted / SAMPLERATE))
-    stepper = _stepper() if rung is Rung.STEPPED else None
+    stepper = _stepper() if rung is ModelLevel.STEPPED else None
     moved = _by_steps(stepper) if stepper else _by_ladder(rung)
     start_s = time.process_time()
     loops = SETTLED_LOOPS + -(-wanted // len(volts))
     peaks_j = np.array([moved(volts).max() for _ in range(loops)])[SETTLED_LOOPS:]
     creep = float(np.abs(peaks_j / peaks_j[0] - 1.0).max())
     rise = _largest_rise(moved(np.zeros(round(STILL_S * SAMPLERATE))), rung)
-    worst = stepper.worst_share if stepper else None
+    worst = stepper.worst_energy_error if stepper else None
     return SoakRecord(
         what=f"{rung} rung",
         date=now(),
@@ -84,22 +84,22 @@ def steady_drive(duration_s: float) -> FloatArray:
     return np.asarray(LEVEL_V * noise / np.sqrt(np.mean(noise * noise)))
 
 
-def _largest_rise(stored_j: FloatArray, rung: Rung) -> float:
+def _largest_rise(stored_j: FloatArray, rung: ModelLevel) -> float:
     """After a drive's end, from node to node: the largest rise, of the energy before it.
 
     Between its nodes the non-linear rung gives curves through them, which have no energy to keep.
     Until the first node the voltage still falls to 0.
     """
-    spacing = NodeGrid(SAMPLERATE).spacing if rung is Rung.NONLINEAR else 1
+    spacing = NodeGrid(SAMPLERATE).spacing if rung is ModelLevel.NONLINEAR else 1
     nodes_j = stored_j[spacing - 1 :: spacing]
     before, after = nodes_j[:-1], nodes_j[1:]
     moving = before > STILL * nodes_j[0]
     return max(0.0, float((after[moving] / before[moving]).max() - 1.0))
 
 
-def _by_ladder(rung: Rung) -> Energy:
+def _by_ladder(rung: ModelLevel) -> Energy:
     e = _energies(rung)
-    ladder = Ladder(PAPER, SAMPLERATE, rung=rung)
+    ladder = AdaptiveActuator(PAPER, SAMPLERATE, level=rung)
 
     def moved(volts: FloatArray) -> FloatArray:
         motion = ladder.move(volts, ("displacement_m", "velocity_m_s", "current_a"))
@@ -123,12 +123,14 @@ def _by_steps(stepper: PassiveStepper) -> Energy:
 
 
 def _stepper() -> PassiveStepper:
-    return PassiveStepper(Equations(PAPER.actuator, _energies(Rung.STEPPED)), 1.0 / SAMPLERATE)
+    return PassiveStepper(
+        Equations(PAPER.actuator, _energies(ModelLevel.STEPPED)), 1.0 / SAMPLERATE
+    )
 
 
-def _energies(rung: Rung) -> Energies:
+def _energies(rung: ModelLevel) -> Energies:
     p = PAPER.actuator
-    return linear_energies(p) if rung is Rung.LINEAR else energies(p, PAPER.large_signal)
+    return linear_energies(p) if rung is ModelLevel.LINEAR else energies(p, PAPER.large_signal)
 
 
 def _kinetic_j(speed_m_s: FloatArray) -> FloatArray:

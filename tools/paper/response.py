@@ -16,10 +16,9 @@ from scipy.signal import chirp
 from audioflinger_hook.transform import FloatArray
 from device.errors import InternalError
 from device.rig import Rig
-from device.rig.amplifier import Amplifier
-from device.rig.dac import Dac
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.electronics import Amplifier, Dac
 from device.rig.instruments import Daq, InstrumentChain
-from device.rig.ladder import Ladder
 
 SAMPLERATE = 48_000
 SWEEP_HZ = (1.0, 500.0)
@@ -79,7 +78,7 @@ def measure_response(rig: Rig) -> Response:
         Something clipped.
     """
     dac, amplifier = Dac(rig.dac), Amplifier(rig.amplifier, SAMPLERATE)
-    actuator = Ladder(rig, SAMPLERATE, _TOLERANCE)
+    actuator = AdaptiveActuator(rig, SAMPLERATE, _TOLERANCE)
     instruments = InstrumentChain(rig, SAMPLERATE, _SEED)
     if rig.daq is None:
         raise InternalError(f"rig {rig.name!r} has instruments without a DAQ")

@@ -11,7 +11,7 @@ import numpy as np
 
 from device.errors import UsageError
 from device.rig import ActuatorParameters
-from device.rig.linear_system import state_space
+from device.rig.actuator import state_space
 from device.units import FloatArray
 
 

@@ -1,4 +1,4 @@
-"""What a burst leaves behind at any level: the definitions of residual.py on the non-linear rung.
+"""What a burst leaves behind at any level: the definitions of residual.py on the non-linear level.
 
 The level is the excursion that is intended: the largest one within the burst that the linear rig,
 as believed, would reach with the drive. The rig itself may reach another one, since it stiffens
@@ -24,19 +24,19 @@ from device.drive.damping.residual import (
 from device.errors import UsageError
 from device.rig import Rig
 from device.rig.actuator import LinearActuator
-from device.rig.ladder import Ladder
-from device.rig.perturbed_rigs import detuned
-from device.rig.rungs import Rung
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import ModelLevel
+from device.rig.perturbed_rigs import detune
 from device.units import FloatArray
 
 CURRENT_DRIVE_OHM = 1e4
-"""As in residual.py, but no higher: there L / R gets so short that the rung would have to go step
+"""As in residual.py, but no higher: there L / R gets so short that the level would have to go step
 by step, at twenty times the cost. The actuator's own 3.3 ohm count for 3e-4."""
 
 
 @dataclass(frozen=True)
 class LargeBurst:
-    """One burst on the non-linear rung: its response and the largest excursion it reached, m."""
+    """One burst on the non-linear level: its response and the largest excursion it reached, m."""
 
     response: BurstResponse
     excursion_m: float
@@ -45,7 +45,7 @@ class LargeBurst:
 def large_burst_response(
     rig: Rig, damping: Damping, excursion_m: float, *, flat: bool = False, detuning: float = 0.0
 ) -> LargeBurst:
-    """A burst of 50 ms at the f0 that is believed, on the non-linear rung; some 10 ms of CPU.
+    """A burst of 50 ms at the f0 that is believed, on the non-linear level; some 10 ms of CPU.
 
     rig: as believed, whose amplifier is replaced by one with the damping's source impedance; its
     band and its limits are left out. excursion_m: intended, above 0. flat: whether the drive goes
@@ -61,13 +61,13 @@ def large_burst_response(
         raise UsageError(f"excursion_m={excursion_m!r} of a burst must be above 0; correct it")
     believed = driven_by(rig, damping.source_impedance_ohm)
     source = damping.source_impedance_ohm
-    true = replace(believed, actuator=detuned(rig.actuator, detuning))
+    true = replace(believed, actuator=detune(rig.actuator, detuning))
     watched_s = BURST_S + max(decay_s(true.actuator, source), BURST_S) + damping.latency_s
     burst = sine_burst(round(watched_s * SAMPLERATE), BURST_S, rig.actuator.resonance_hz)
     drive = intended(believed, damping, burst, excursion_m)
     if flat:
         drive = FlatInverse(believed, SAMPLERATE).process(drive)
-    motion = Ladder(true, SAMPLERATE, rung=Rung.NONLINEAR).move(
+    motion = AdaptiveActuator(true, SAMPLERATE, level=ModelLevel.NONLINEAR).move(
         drive, ("displacement_m", "acceleration_m_s2", "current_a")
     )
     volts = drive - source * motion.current_a

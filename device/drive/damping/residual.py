@@ -20,7 +20,7 @@ from device.drive.damping.damper import Damper
 from device.drive.damping.design import Damping, no_damping
 from device.rig import ActuatorParameters
 from device.rig.actuator import LinearActuator
-from device.rig.perturbed_rigs import detuned
+from device.rig.perturbed_rigs import detune
 from device.units import FloatArray, amplitude_to_db
 
 BURST_S = 0.05
@@ -76,7 +76,7 @@ def burst_response(
     p: as believed; detuning: share of f0 by which it truly is another one. frequency_hz: of the
     burst, f0 as believed by default.
     """
-    true = detuned(p, detuning)
+    true = detune(p, detuning)
     frequency_hz = frequency_hz or p.resonance_hz
     longest_s = decay_s(true, damping.source_impedance_ohm)
     frames = round((burst_s + max(longest_s, burst_s) + damping.latency_s) * SAMPLERATE)

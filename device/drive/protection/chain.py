@@ -13,8 +13,8 @@ import numpy as np
 from scipy.signal import sosfilt
 
 from device.rig import ActuatorParameters, AmplifierParameters
-from device.rig.band import Band
-from device.rig.linear_system import first_order_hold, state_space
+from device.rig.actuator import first_order_hold, state_space
+from device.rig.electronics import Band
 from device.units import FloatArray
 
 ACTUATOR_STATES = 3

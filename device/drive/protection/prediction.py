@@ -14,8 +14,7 @@ from scipy.signal import sosfilt
 
 from device.drive.protection.chain import Chain, rings
 from device.rig import ActuatorParameters
-from device.rig.actuator import LinearActuator
-from device.rig.linear_system import Quantity
+from device.rig.actuator import LinearActuator, Quantity
 from device.units import FloatArray
 
 _WATCHED_HZ = 12_000.0

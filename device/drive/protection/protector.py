@@ -12,7 +12,7 @@ from device.drive.protection.status import ProtectionStatus
 from device.drive.protection.thermal import CoilTemperature, gain_for_power
 from device.errors import InternalError, UsageError
 from device.rig import ActuatorParameters, Rig
-from device.rig.perturbed_rigs import detuned, stiffened
+from device.rig.perturbed_rigs import detune, stiffen
 from device.units import Block, FloatArray, check_channels, finite_or_zero
 
 BLOCK_S = 0.002
@@ -316,11 +316,11 @@ class Protector:
 def _models(p: ActuatorParameters, limits: Limits) -> list[ActuatorParameters]:
     """The stack: the actuator as believed, detuned, and as it is when it swings far."""
     shares = dict.fromkeys(share * limits.detuning for share in _STACK)
-    models = [detuned(p, share) for share in shares]
+    models = [detune(p, share) for share in shares]
     if limits.stiffness_rise or limits.force_factor_loss:
         far = dict.fromkeys([0.0, limits.detuning])
         models += [
-            stiffened(detuned(p, share), limits.stiffness_rise, limits.force_factor_loss)
+            stiffen(detune(p, share), limits.stiffness_rise, limits.force_factor_loss)
             for share in far
         ]
     return models

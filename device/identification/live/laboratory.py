@@ -9,7 +9,6 @@ import numpy as np
 from device.errors import UsageError
 from device.identification.live.channels import DRIVE, Inputs
 from device.identification.live.exchange import Exchange
-from device.identification.live.excitation import Excitation
 from device.identification.live.two_clocks import (
     Drift,
     DropoutError,
@@ -18,8 +17,8 @@ from device.identification.live.two_clocks import (
     on_played_clock,
 )
 from device.identification.recording import IdentificationError, Recording
-from device.identification.sweep import Sweep
-from device.rig.band import Band
+from device.identification.sweep import Excitation, Sweep
+from device.rig.electronics import Band
 from device.rig.parameters import AmplifierParameters
 from device.units import FloatArray
 

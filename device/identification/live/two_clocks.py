@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from device.identification.live.excitation import Excitation
 from device.identification.recording import IdentificationError
+from device.identification.sweep import Excitation
 from device.units import FloatArray
 
 MOST_DRIFT_PPM = 200.0

@@ -26,7 +26,7 @@ from device.drive.damping.residual import CURRENT_DRIVE_OHM
 from device.errors import InternalError, UsageError
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator
-from device.rig.perturbed_rigs import detuned
+from device.rig.perturbed_rigs import detune
 
 ACTUATOR = PAPER.actuator
 STRONG = replace(ACTUATOR, force_factor_n_per_a=16.0)
@@ -257,7 +257,7 @@ def test_the_makeup_gives_a_burst_as_strong_as_without_damping():
 
 
 def test_a_detuned_rig_has_the_same_mass_and_friction():
-    rig = detuned(ACTUATOR, -0.1)
+    rig = detune(ACTUATOR, -0.1)
     assert rig.resonance_hz == pytest.approx(81.0)
     assert rig.moving_mass_kg == ACTUATOR.moving_mass_kg
     assert rig.damping_n_s_per_m == pytest.approx(ACTUATOR.damping_n_s_per_m, rel=1e-12)

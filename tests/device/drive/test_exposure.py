@@ -15,8 +15,8 @@ from device.drive.exposure.dose import ACTION_A8_M_S2, DAY_S, LIMIT_A8_M_S2, LIM
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import SEAT_ACCELERATION, LinearActuator
-from device.rig.ladder import Ladder
-from device.rig.rungs import Rung
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import ModelLevel
 from device.rig.seat import SeatMotion
 
 RATES = [8_000, 11_025, 16_000, 22_050, 32_000, 44_100, 48_000, 96_000, 192_000]
@@ -224,16 +224,16 @@ def test_at_48_khz_it_is_as_good_as_computing_at_the_full_rate():
 
 @pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
 @pytest.mark.parametrize("samplerate", [6_000, 7_350, 48_000])
-def test_the_seat_moves_as_that_of_the_ladders_linear_rung(rig, samplerate):
+def test_the_seat_moves_as_that_of_the_adaptive_actuator_linear_model(rig, samplerate):
     noise = np.random.default_rng(4).standard_normal(samplerate // 2)
     volts = sosfilt(butter(4, 300.0, fs=samplerate, output="sos"), noise)
     source = rig.amplifier.source_impedance_ohm
     motion = SeatMotion(rig.actuator, rig.seat, samplerate, source, 2)
     both = volts[:, None].repeat(2, axis=1)
     got = np.concatenate([motion.move(part)[:, 1] for part in np.split(both, [100, 1_000])])
-    ladder = Ladder(rig, samplerate, rung=Rung.LINEAR, seat=True)
-    expected = ladder.move(volts, (SEAT_ACCELERATION,)).seat_acceleration_m_s2
-    # The ladder has what the seat adds from nodes at 6 kHz.
+    adaptive = AdaptiveActuator(rig, samplerate, level=ModelLevel.LINEAR, seat=True)
+    expected = adaptive.move(volts, (SEAT_ACCELERATION,)).seat_acceleration_m_s2
+    # The adaptive has what the seat adds from nodes at 6 kHz.
     assert np.abs(got - expected).max() < 1e-4 * np.abs(expected).max()
 
 

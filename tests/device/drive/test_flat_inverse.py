@@ -18,8 +18,8 @@ from device.drive.damping import (
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.actuator import LinearActuator
-from device.rig.ladder import Ladder
-from device.rig.rungs import Rung
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import ModelLevel
 
 RATE = 48_000
 X_MAX = PAPER.actuator.x_max_m
@@ -54,15 +54,17 @@ def error(got, wanted):
 def test_the_rig_moves_as_the_linear_one_with_any_tones_to_beyond_xmax(ratios, level, rig):
     # Far above its resonance it would take hundreds of volts, and the motion would not be stable.
     volts, wanted = scaled(rig, bumps([r * rig.actuator.resonance_hz for r in ratios]), level)
-    got = Ladder(rig, RATE, rung=Rung.NONLINEAR).move(FlatInverse(rig, RATE).process(volts))
-    # Between samples the voltage is a straight line, and the rung's nodes are at 6 kHz: 1e-4.
+    got = AdaptiveActuator(rig, RATE, level=ModelLevel.NONLINEAR).move(
+        FlatInverse(rig, RATE).process(volts)
+    )
+    # Between samples the voltage is a straight line, and the level's nodes are at 6 kHz: 1e-4.
     assert error(got.acceleration_m_s2, wanted.acceleration_m_s2) < 1e-3
     assert error(got.displacement_m, wanted.displacement_m) < 1e-3
 
 
 def test_without_it_the_same_rig_is_far_from_that_motion():
     volts, wanted = scaled(PAPER, bumps([90.0]), 1.0)
-    got = Ladder(PAPER, RATE, rung=Rung.NONLINEAR).move(volts)
+    got = AdaptiveActuator(PAPER, RATE, level=ModelLevel.NONLINEAR).move(volts)
     assert error(got.acceleration_m_s2, wanted.acceleration_m_s2) > 0.3
 
 
@@ -70,7 +72,7 @@ def test_the_third_harmonic_of_a_low_tone_is_gone():
     volts, _ = scaled(PAPER, bumps([30.0], 0.5), 0.9)
     shown = []
     for drive in (volts, FlatInverse(PAPER, RATE).process(volts)):
-        a = Ladder(PAPER, RATE, rung=Rung.NONLINEAR).move(drive).acceleration_m_s2
+        a = AdaptiveActuator(PAPER, RATE, level=ModelLevel.NONLINEAR).move(drive).acceleration_m_s2
         spectrum = np.abs(np.fft.rfft(a * np.hanning(len(a))))
         shown.append(spectrum[45] / spectrum[15])  # bins of 2 Hz: 90 and 30 Hz
     assert shown[0] > 0.05
@@ -100,7 +102,7 @@ def test_damping_holds_at_xmax_where_the_inverse_alone_does_not():
 
 
 @pytest.mark.parametrize("level", [0.05, 0.1])
-def test_at_a_low_level_the_limits_hold_on_the_non_linear_rung_with_and_without_it(level):
+def test_at_a_low_level_the_limits_hold_on_the_non_linear_model_with_and_without_it(level):
     for flat in (False, True):
         for detuning, must_db in ((0.0, -11.0), (-0.1, -7.0), (0.1, -7.0)):
             burst = large_burst_response(PAPER, CHOSEN, level * X_MAX, flat=flat, detuning=detuning)

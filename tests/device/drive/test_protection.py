@@ -20,10 +20,10 @@ from device.drive.protection import (
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER, Rig, ThermalParameters
 from device.rig.actuator import LinearActuator
-from device.rig.amplifier import Amplifier
-from device.rig.ladder import Ladder
-from device.rig.perturbed_rigs import detuned, stiffened
-from device.rig.rungs import Rung
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.electronics import Amplifier
+from device.rig.model_levels import ModelLevel
+from device.rig.perturbed_rigs import detune, stiffen
 from device.rig.thermal import COPPER_PER_K
 from device.rig.twin import Twin
 
@@ -62,7 +62,7 @@ def excursions(rig, drive, samplerate=RATE, detunings=DETUNINGS):
     source = rig.amplifier.source_impedance_ohm
     return [
         np.abs(
-            LinearActuator(detuned(rig.actuator, share), samplerate, source)
+            LinearActuator(detune(rig.actuator, share), samplerate, source)
             .move(volts, ("displacement_m",))
             .displacement_m
         ).max()
@@ -172,7 +172,7 @@ def reached_on_the_twin(rig, out, detunings=DETUNINGS):
     """The largest |x| over Xmax of the whole twin, from the DAC on, for each detuned actuator."""
     shares = []
     for share in detunings:
-        twin = Twin(replace(rig, actuator=detuned(rig.actuator, share)), RATE, 1)
+        twin = Twin(replace(rig, actuator=detune(rig.actuator, share)), RATE, 1)
         twin.write(out[:, None])
         assert twin.clipped_samples == 0
         shares.append(twin.peak_displacement_m / rig.actuator.x_max_m)
@@ -230,7 +230,7 @@ def test_what_once_had_an_answer_has_one_a_block_later(samplerate):
     assert protector.status().infeasible_blocks == 0
 
 
-# ------------------------------------------------------------------------- the non-linear rung
+# ------------------------------------------------------------------------- the non-linear level
 
 
 STRONGER = [1.0, 1.5, 2.5, 4.0]
@@ -283,34 +283,34 @@ SEARCHED = [
 ]  # fmt: skip
 
 
-def largest_on_the_non_linear_rung(rig, numbers):
-    """|x| over Xmax of the non-linear rung, protected, for a drive and a rig by numbers."""
+def largest_on_the_non_linear_model(rig, numbers):
+    """|x| over Xmax of the non-linear level, protected, for a drive and a rig by numbers."""
     *drive, stronger, detuning = numbers
     strong, protector = strong_amplifier(rig, STRONGER[int(stronger)])
     silence = np.zeros(protector.latency_frames + RATE // 20)
     wave = searched_drive(rig.actuator.resonance_hz, *drive)
     out = protector.process(np.concatenate([wave, silence])[:, None])[:, 0]
-    true = replace(strong, actuator=detuned(rig.actuator, detuning))
-    ladder = Ladder(true, RATE, rung=Rung.NONLINEAR)
-    x = ladder.move(volts_of(strong, out), ("displacement_m",)).displacement_m
+    true = replace(strong, actuator=detune(rig.actuator, detuning))
+    adaptive = AdaptiveActuator(true, RATE, level=ModelLevel.NONLINEAR)
+    x = adaptive.move(volts_of(strong, out), ("displacement_m",)).displacement_m
     return float(np.abs(x).max()) / rig.actuator.x_max_m
 
 
 @settings(max_examples=25)
 @given(st.tuples(*(st.floats(low, high) for low, high in SEARCHED)))
-def test_few_drives_on_the_non_linear_rung_stay_under_a_tenth_more_than_xmax(numbers):
+def test_few_drives_on_the_non_linear_model_stay_under_a_tenth_more_than_xmax(numbers):
     for rig in (PAPER, CONSUMER):
-        assert largest_on_the_non_linear_rung(rig, numbers) <= 1.10
+        assert largest_on_the_non_linear_model(rig, numbers) <= 1.10
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
-def test_no_drive_that_an_optimiser_finds_takes_the_non_linear_rung_a_tenth_beyond_xmax(rig):
+def test_no_drive_that_an_optimiser_finds_takes_the_non_linear_model_a_tenth_beyond_xmax(rig):
     tries, worst, found = 0, 0.0, []
 
     def reached(numbers):
         nonlocal tries, worst, found
-        largest = largest_on_the_non_linear_rung(rig, numbers.tolist())
+        largest = largest_on_the_non_linear_model(rig, numbers.tolist())
         tries += 1
         if largest > worst:
             worst, found = largest, numbers.tolist()
@@ -392,7 +392,7 @@ def test_a_rig_that_stiffens_stays_under_a_tenth_more_than_its_limit():
 
 
 def test_far_from_rest_a_stiffening_actuator_is_a_stiffer_one_with_less_force():
-    far = stiffened(ACTUATOR, 0.5, 0.25)
+    far = stiffen(ACTUATOR, 0.5, 0.25)
     assert far.stiffness_n_per_m == pytest.approx(1.375 * ACTUATOR.stiffness_n_per_m)
     assert far.damping_n_s_per_m == pytest.approx(ACTUATOR.damping_n_s_per_m)
     assert far.force_factor_n_per_a == pytest.approx(0.9375 * ACTUATOR.force_factor_n_per_a)
@@ -459,7 +459,7 @@ def test_the_current_stays_under_its_limit(shape):
     drive = tone(150.0, 0.3, shape=shape)
     protector, out = protect(LOUD, drive, limits=limits)
     for share in (-0.1, -0.05, 0.0, 0.05, 0.1):
-        actuator = LinearActuator(detuned(LOUD.actuator, share), RATE)
+        actuator = LinearActuator(detune(LOUD.actuator, share), RATE)
         current_a = np.abs(actuator.move(volts_of(LOUD, out), ("current_a",)).current_a).max()
         assert current_a <= 3.0 * (1 + 1e-6)
         assert current_a > 2.0 or share

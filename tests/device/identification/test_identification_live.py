@@ -11,13 +11,12 @@ from device.identification import IdentificationError
 from device.identification.calibration import STEPS, calibrate
 from device.identification.live.channels import Inputs
 from device.identification.live.exchange import Exchange
-from device.identification.live.excitation import Excitation
 from device.identification.live.laboratory import MOST_TRIES, LiveLaboratory
 from device.identification.live.two_clocks import find_delay, find_drift, on_played_clock
 from device.identification.output_error import Estimate
 from device.identification.recording import Recording
 from device.identification.rig_values import write_rig
-from device.identification.sweep import Sweep
+from device.identification.sweep import Excitation, Sweep
 from device.rig import CONSUMER, PAPER, read_rig
 from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
 from tools.bench.measures.random_rigs import truth

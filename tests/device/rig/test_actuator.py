@@ -12,8 +12,7 @@ from scipy.signal import StateSpace, lsim
 
 from device.errors import UsageError
 from device.rig import PAPER
-from device.rig.actuator import LinearActuator
-from device.rig.linear_system import QUANTITIES
+from device.rig.actuator import QUANTITIES, LinearActuator
 
 ACTUATOR = PAPER.actuator
 UNDAMPED = {"q_mechanical": 1_000.0, "force_factor_n_per_a": 0.5}  # Qts stays near 1000

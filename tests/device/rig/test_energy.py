@@ -153,7 +153,7 @@ def test_every_passive_step_balances_its_energy_whatever_the_drive(case, sampler
     for volt in volts:
         states = stepper.move(np.array([volt]), before)
         through_j = abs(0.5 * (before + volt) * states[5, 0]) / samplerate
-        assert abs(stepper.surplus_j) <= 1e-10 * max(stepper.energy_j(), before_j, through_j)
+        assert abs(stepper.energy_error_j) <= 1e-10 * max(stepper.energy_j(), before_j, through_j)
         before, before_j = volt, stepper.energy_j()
         assert np.isfinite(states).all()
 
@@ -167,7 +167,7 @@ def test_every_passive_step_balances_its_energy_whatever_the_drive(case, sampler
 def test_the_passive_step_never_fails(volts, case, samplerate):
     stepper = PassiveStepper(equations_of(CASES[case]), 1.0 / samplerate)
     assert np.isfinite(stepper.move(np.array(volts), 0.0)).all()
-    assert math.isfinite(stepper.surplus_j)
+    assert math.isfinite(stepper.energy_error_j)
 
 
 def test_without_a_voltage_the_energy_of_passive_steps_never_grows():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from device.rig import PAPER
-from device.rig.ladder import Ladder
-from device.rig.rungs import Rung
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import ModelLevel
 from tools.bench import rig_soak
 from tools.bench.measures.random_rigs import Found
 from tools.bench.rig_soak import soak_energy, steady_drive
@@ -15,21 +15,23 @@ from tools.bench.soak_record import SoakRecord, keep_record
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
 
-SAMPLES = {Rung.LINEAR: 2_000_000, Rung.NONLINEAR: 1_000_000, Rung.STEPPED: 8_000}
+SAMPLES = {ModelLevel.LINEAR: 2_000_000, ModelLevel.NONLINEAR: 1_000_000, ModelLevel.STEPPED: 8_000}
 
 
-@pytest.mark.parametrize("rung", SAMPLES)
-def test_the_largest_energy_of_a_steady_drive_stays_and_falls_when_it_stops(rung):
-    record = soak_energy(rung, SAMPLES[rung])
+@pytest.mark.parametrize("level", SAMPLES)
+def test_the_largest_energy_of_a_steady_drive_stays_and_falls_when_it_stops(level):
+    record = soak_energy(level, SAMPLES[level])
     assert record.samples is not None
-    assert record.samples >= SAMPLES[rung]
+    assert record.samples >= SAMPLES[level]
     assert record.passed, record
-    assert (record.energy_from_nowhere is not None) == (rung is Rung.STEPPED)
+    assert (record.energy_from_nowhere is not None) == (level is ModelLevel.STEPPED)
 
 
 def test_the_drive_is_loud_enough_to_be_non_linear_and_goes_on_in_a_loop():
     volts = steady_drive(10.0)
-    motion = Ladder(PAPER, SAMPLERATE, rung=Rung.NONLINEAR).move(volts, ("displacement_m",))
+    motion = AdaptiveActuator(PAPER, SAMPLERATE, level=ModelLevel.NONLINEAR).move(
+        volts, ("displacement_m",)
+    )
     large = PAPER.large_signal
     assert large
     reached_m = np.abs(motion.displacement_m).max()
@@ -38,11 +40,11 @@ def test_the_drive_is_loud_enough_to_be_non_linear_and_goes_on_in_a_loop():
     assert abs(volts[0] - volts[-1]) <= np.abs(np.diff(volts)).max()
 
 
-def test_a_rung_that_gains_a_millionth_in_each_loop_is_found_out(monkeypatch):
+def test_a_model_that_gains_a_millionth_in_each_loop_is_found_out(monkeypatch):
     moves = 0
 
-    def creeping(rung):
-        moved = by_ladder(rung)
+    def creeping(level):
+        moved = by_ladder(level)
 
         def louder(volts):
             nonlocal moves
@@ -53,7 +55,7 @@ def test_a_rung_that_gains_a_millionth_in_each_loop_is_found_out(monkeypatch):
 
     by_ladder = rig_soak._by_ladder
     monkeypatch.setattr(rig_soak, "_by_ladder", creeping)
-    record = soak_energy(Rung.LINEAR, 3_000_000)
+    record = soak_energy(ModelLevel.LINEAR, 3_000_000)
     assert record.energy_creep is not None
     assert record.energy_creep > 1e-6
     assert not record.passed
@@ -61,13 +63,13 @@ def test_a_rung_that_gains_a_millionth_in_each_loop_is_found_out(monkeypatch):
 
 def test_energy_that_rises_after_the_drive_is_found_out_while_there_is_any():
     falling = np.exp(-0.01 * np.arange(6_000))
-    assert rig_soak._largest_rise(falling, Rung.LINEAR) == 0.0
+    assert rig_soak._largest_rise(falling, ModelLevel.LINEAR) == 0.0
     risen = falling.copy()
     risen[1_000] = falling[999] * 1.001
-    assert rig_soak._largest_rise(risen, Rung.LINEAR) == pytest.approx(1e-3)
+    assert rig_soak._largest_rise(risen, ModelLevel.LINEAR) == pytest.approx(1e-3)
     dead = falling.copy()
     dead[5_000] *= 2.0  # 2e-22 of what it was
-    assert rig_soak._largest_rise(dead, Rung.LINEAR) == 0.0
+    assert rig_soak._largest_rise(dead, ModelLevel.LINEAR) == 0.0
 
 
 def test_a_soak_of_the_identification_says_how_many_rigs_and_how_far_off():
@@ -90,7 +92,7 @@ def test_each_section_shows_the_records_of_its_kind_alone(monkeypatch, tmp_path)
     path = tmp_path / "soak.json"
     monkeypatch.setattr(soak_report, "record_path", lambda: path)
     for what, fields in (
-        ("a rung", {"samples": 100_000_000, "energy_creep": 2e-6, "energy_rise": 0.0}),
+        ("a level", {"samples": 100_000_000, "energy_creep": 2e-6, "energy_rise": 0.0}),
         ("sweeps", {"rigs": 200, "f0_error_percent": 0.3, "f0_held_percent": 97.5}),
         ("a tone", {"hops": 1_000_000}),
     ):
@@ -105,5 +107,5 @@ def test_each_section_shows_the_records_of_its_kind_alone(monkeypatch, tmp_path)
         )
     )
     assert [row.name for row in live.rows] == ["a tone"]
-    assert {row.name: row.met for row in rig.rows if "creep" in row.column} == {"a rung": False}
+    assert {row.name: row.met for row in rig.rows if "creep" in row.column} == {"a level": False}
     assert [row.value for row in identified.rows] == [200.0, 0.3, 97.5]

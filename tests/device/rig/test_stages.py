@@ -1,4 +1,4 @@
-"""The amplifier's band, the instruments, and the twin on the ladder."""
+"""The amplifier's band, the instruments, and the twin on the adaptive."""
 
 import math
 from dataclasses import replace
@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER
-from device.rig.amplifier import Amplifier
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.electronics import Amplifier
 from device.rig.instruments import InstrumentChain
-from device.rig.ladder import Ladder
 from device.rig.twin import Twin
 
 FS = 48_000
@@ -97,14 +97,14 @@ def test_instruments_that_are_not_there_or_too_slow_are_refused():
 # ------------------------------------------------------------------------------------------ twin
 
 
-def test_a_twin_with_a_tolerance_moves_as_its_ladder_does():
+def test_a_twin_with_a_tolerance_moves_as_its_adaptive_actuator_does():
     vibration = np.column_stack([0.9 * sine(90.0, 0.2), 0.2 * sine(60.0, 0.2)])
     twin = Twin(PAPER, FS, 2, tolerance=1e-3)
     twin.write(vibration)
     linear = Twin(PAPER, FS, 2)
     linear.write(vibration)
     volts = Amplifier(PAPER.amplifier, FS).drive(np.round(vibration * 2**23) / 2**23)
-    expected = Ladder(PAPER, FS, 1e-3).move(np.ascontiguousarray(volts[:, 0]))
+    expected = AdaptiveActuator(PAPER, FS, 1e-3).move(np.ascontiguousarray(volts[:, 0]))
     assert np.array_equal(twin.acceleration_m_s2[:, 0], expected.acceleration_m_s2)
     difference = np.abs(twin.acceleration_m_s2 - linear.acceleration_m_s2).max(axis=0)
     # Louder, the linear twin is further off.

@@ -13,8 +13,7 @@ from device.errors import InternalError, UsageError, WriteError
 from device.output import VibrationOutput
 from device.rig import PAPER, AmplifierParameters, DacParameters
 from device.rig.actuator import LinearActuator
-from device.rig.amplifier import Amplifier
-from device.rig.dac import Dac
+from device.rig.electronics import Amplifier, Dac
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2, AccelerometerChain
 from device.rig.twin import Twin
 from device.wav_output import WavOutput

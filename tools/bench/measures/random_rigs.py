@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from device.identification.acceleration import Mode, identify_mode
-from device.identification.bench import Bench
 from device.identification.output_error import Estimate
+from device.identification.simulated_laboratory import SimulatedLaboratory
 from device.identification.sweep import Sweep
 from device.rig import PAPER, ActuatorParameters, LargeSignalParameters, Rig, SeatParameters
 from tools.bench.report import Must
@@ -93,15 +93,15 @@ def truth(rig: Rig, seat: bool, *, coil_open: bool = False) -> Truth:
     return Truth(abs(mode) / math.tau, abs(mode) / (-2.0 * mode.real))
 
 
-def sweep_of(rig: Rig, share: float, bench: Bench) -> Sweep:
+def sweep_of(rig: Rig, share: float, bench: SimulatedLaboratory) -> Sweep:
     """15 to 400 Hz, moving that share of Xmax."""
-    return bench.level(Sweep(low_hz=15.0, high_hz=400.0, duration_s=SWEEP_S), share)
+    return bench.sweep_at_excursion(Sweep(low_hz=15.0, high_hz=400.0, duration_s=SWEEP_S), share)
 
 
 def identified(seed: int, share: float) -> tuple[Mode, Truth]:
     """The mode of a random rig from one noisy sweep of its non-linear twin, and the true one."""
     rig, seat = random_rig(seed)
-    bench = Bench(rig, seat=seat, snr_db=SNR_DB, seed=seed)
+    bench = SimulatedLaboratory(rig, seat=seat, snr_db=SNR_DB, seed=seed)
     recording = bench.measure(sweep_of(rig, share, bench), [("voltage", "acceleration")])[0]
     return identify_mode(recording, rig.actuator.x_max_m), truth(rig, seat)
 

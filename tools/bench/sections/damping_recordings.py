@@ -21,9 +21,9 @@ from device.drive.damping import Damper, FlatInverse, inverse_damping
 from device.drive.damping.large_bursts import driven_by, intended
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator
-from device.rig.ladder import Ladder
-from device.rig.perturbed_rigs import detuned
-from device.rig.rungs import Rung
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import ModelLevel
+from device.rig.perturbed_rigs import detune
 from device.units import amplitude_to_db
 from tools.bench.report import Row, Section
 from tools.bench.sections.damping_levels import Way, ways
@@ -127,12 +127,12 @@ def _errors_db(way: Way, level: float, felt: list[Felt]) -> FloatArray:
 def _error_db(way: Way, level: float, felt: Felt, detuning: float) -> float:
     excursion_m = level * PAPER.actuator.x_max_m
     believed = driven_by(PAPER, way.damping.source_impedance_ohm)
-    true = replace(believed, actuator=detuned(PAPER.actuator, detuning))
+    true = replace(believed, actuator=detune(PAPER.actuator, detuning))
     rate = felt.samplerate
     drive = intended(believed, way.damping, felt.vibration, excursion_m, rate)
     if way.flat:
         drive = FlatInverse(believed, rate).process(drive)
-    ladder = Ladder(true, rate, rung=Rung.NONLINEAR)
+    ladder = AdaptiveActuator(true, rate, level=ModelLevel.NONLINEAR)
     got = ladder.move(drive, ("acceleration_m_s2",)).acceleration_m_s2
     return error_db(got, felt.wanted_m_s2)
 

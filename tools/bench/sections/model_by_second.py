@@ -9,11 +9,10 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
-from device.rig.amplifier import Amplifier
-from device.rig.dac import Dac
-from device.rig.ladder import Ladder
-from device.rig.report import SecondReport, by_seconds
-from device.rig.rungs import Rung
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.electronics import Amplifier, Dac
+from device.rig.model_levels import ModelLevel
+from device.rig.report import SecondReport, report_seconds
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, looped, speech
 from tools.bench.workbench import LIVE, Workbench
@@ -45,11 +44,13 @@ def rungs_by_second(bench: Workbench) -> Section:
         return Section(title, explanation, (), (missing,))
     whole = looped(sound, PART_S * len(parts))
     volts = _volts(bench.subject(LIVE).vibration(whole, SAMPLERATE))
-    seconds = by_seconds(
-        Ladder(PAPER, SAMPLERATE, TOLERANCE),
+    seconds = report_seconds(
+        AdaptiveActuator(PAPER, SAMPLERATE, TOLERANCE),
         volts,
         clock=time.thread_time,
-        dearest=Ladder(PAPER, SAMPLERATE, rung=Rung.NONLINEAR, nodes_hz=TRUE_NODES_HZ),
+        reference=AdaptiveActuator(
+            PAPER, SAMPLERATE, level=ModelLevel.NONLINEAR, nodes_hz=TRUE_NODES_HZ
+        ),
     )
     rows = []
     for told in seconds:
@@ -73,7 +74,7 @@ def _volts(vibration: FloatArray) -> FloatArray:
 def _rows(name: str, told: SecondReport) -> list[Row]:
     rows = [
         Row(name, 100.0 * told.shares[rung], "%", f"{rung}")
-        for rung in (Rung.LINEAR, Rung.CORRECTED, Rung.NONLINEAR)
+        for rung in (ModelLevel.LINEAR, ModelLevel.CORRECTED, ModelLevel.NONLINEAR)
     ]
     reached = 100.0 * told.excursion_peak_m / PAPER.actuator.x_max_m
     rows.append(Row(name, reached, "%", "peak, of Xmax"))

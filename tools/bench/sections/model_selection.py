@@ -11,10 +11,10 @@ from scipy.signal import butter, sosfilt
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.actuator import Motion
-from device.rig.error_estimate import FLOOR
-from device.rig.ladder import Ladder
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import ModelLevel
+from device.rig.model_selection import FLOOR
 from device.rig.report import block_errors
-from device.rig.rungs import Rung
 from tools.bench.cost import Timings, interleaved, thread_seconds
 from tools.bench.report import Must, Row, Section
 from tools.bench.sections.passivity import passive_rows
@@ -35,13 +35,17 @@ REPEATS = 3
 
 
 def ladder_of_rungs(bench: Workbench) -> Section:
-    """Rungs used, cost and true error at several tolerances; clicks; energy from nowhere."""
+    """ModelLevels used, cost and true error at several tolerances; clicks; energy from nowhere."""
     duration_s = bench.effort.rig_s
     volts = bursts(duration_s)
-    true = Ladder(PAPER, SAMPLERATE, rung=Rung.NONLINEAR, nodes_hz=24_000.0).move(volts)
-    ladders = [Ladder(PAPER, SAMPLERATE, tolerance) for tolerance in TOLERANCES]
-    patient = [Ladder(PAPER, SAMPLERATE, tolerance, early=False) for tolerance in TOLERANCES]
-    whole = Ladder(PAPER, SAMPLERATE, rung=Rung.NONLINEAR)
+    true = AdaptiveActuator(PAPER, SAMPLERATE, level=ModelLevel.NONLINEAR, nodes_hz=24_000.0).move(
+        volts
+    )
+    ladders = [AdaptiveActuator(PAPER, SAMPLERATE, tolerance) for tolerance in TOLERANCES]
+    patient = [
+        AdaptiveActuator(PAPER, SAMPLERATE, tolerance, early=False) for tolerance in TOLERANCES
+    ]
+    whole = AdaptiveActuator(PAPER, SAMPLERATE, level=ModelLevel.NONLINEAR)
     # What a block costs can be told from fewer blocks than how far the worst is off.
     timed_s = min(duration_s, bench.effort.rig_timed_s)
     timed = volts[: round(timed_s * SAMPLERATE)]
@@ -57,9 +61,9 @@ def ladder_of_rungs(bench: Workbench) -> Section:
         unit = f"of {shares.size}"
         rows.append(Row("blocks beyond the tolerance", beyond, unit, column, NO_BLOCK))
         rows.append(Row("worst block, of the tolerance", float(shares.max()), "", column))
-        frames = sum(ladder.frames_by_rung.values())
-        for rung in (Rung.LINEAR, Rung.CORRECTED, Rung.NONLINEAR):
-            share = 100.0 * ladder.frames_by_rung[rung] / frames
+        frames = sum(ladder.frames_by_level.values())
+        for rung in (ModelLevel.LINEAR, ModelLevel.CORRECTED, ModelLevel.NONLINEAR):
+            share = 100.0 * ladder.frames_by_level[rung] / frames
             rows.append(Row(f"{rung}, share of the time", share, "%", column))
         cost_ms = 1e3 * timing.median_s / timed_s
         rows.append(Row("a second of signal", cost_ms, "ms", column))
@@ -109,12 +113,12 @@ def _times(one: Timings, other: Timings) -> float:
     return float(np.median(np.array(one.seconds) / np.array(other.seconds)))
 
 
-def _afresh(ladder: Ladder, volts: FloatArray) -> None:
+def _afresh(ladder: AdaptiveActuator, volts: FloatArray) -> None:
     ladder.reset()
     ladder.move(volts)
 
 
-def shares_of_tolerance(ladder: Ladder, volts: FloatArray, true: Motion) -> FloatArray:
+def shares_of_tolerance(ladder: AdaptiveActuator, volts: FloatArray, true: Motion) -> FloatArray:
     """Each block's true error as a share of the tolerance, (blocks,), from rest."""
     ladder.reset()
     motion = ladder.move(volts)
@@ -127,7 +131,7 @@ def _clicks_db(tolerance: float) -> float:
     times = np.arange(round(1.6 * SAMPLERATE)) / SAMPLERATE
     envelope = 0.4 + 3.0 * np.sin(math.pi * times / 1.6) ** 2
     volts = envelope * (np.sin(math.tau * 46.6 * times) + np.sin(math.tau * 92.0 * times))
-    motion = Ladder(PAPER, SAMPLERATE, tolerance).move(volts).acceleration_m_s2
+    motion = AdaptiveActuator(PAPER, SAMPLERATE, tolerance).move(volts).acceleration_m_s2
     high = butter(8, FADED_ABOVE_HZ, "high", fs=SAMPLERATE, output="sos")
     left = sosfilt(high, motion)[2_000:-2_000]
     return 20.0 * math.log10(float(np.abs(left).max() / np.abs(motion).max()))
@@ -136,6 +140,6 @@ def _clicks_db(tolerance: float) -> float:
 def _stepped_rows() -> list[Row]:
     """What the step by step rung costs."""
     volts = bursts(4 * BURST_S)[: round(STEPPED_S * SAMPLERATE)] + 5.0
-    ladder = Ladder(PAPER, SAMPLERATE, rung=Rung.STEPPED)
+    ladder = AdaptiveActuator(PAPER, SAMPLERATE, level=ModelLevel.STEPPED)
     cost = thread_seconds(partial(_afresh, ladder, volts)) / STEPPED_S
     return [Row("step by step, a second of signal", 1e3 * cost, "ms", "all non-linear")]

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
+from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import Energies, energies, stored_energy_j
 from device.rig.equations import Equations
-from device.rig.ladder import Ladder
+from device.rig.model_levels import ModelLevel
 from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
-from device.rig.rungs import Rung
 from tools.bench.report import Row
 from tools.bench.rig_soak import PASSIVE_DEFAULT, PASSIVE_FALLBACK
 from tools.bench.sections.rig_precision import LEVEL_V, drive
@@ -37,7 +37,7 @@ def passive_rows() -> list[Row]:
     stepper.move(NOISE_V * np.random.default_rng(12).standard_normal(STEPS), 0.0)
     return [
         Row(f"non-linear, {NAME}", default, "", COLUMN, PASSIVE_DEFAULT),
-        Row(f"step by step, {NAME}", stepper.worst_share, "", COLUMN, PASSIVE_FALLBACK),
+        Row(f"step by step, {NAME}", stepper.worst_energy_error, "", COLUMN, PASSIVE_FALLBACK),
     ]
 
 
@@ -54,7 +54,7 @@ def worst_step(volts: FloatArray) -> float:
         np.arange(len(volts) + 1),
         np.concatenate([[0.0], volts]),
     )
-    motion = Ladder(PAPER, samplerate, rung=Rung.NONLINEAR).move(lines)
+    motion = AdaptiveActuator(PAPER, samplerate, level=ModelLevel.NONLINEAR).move(lines)
     x, w, i = motion.displacement_m, motion.velocity_m_s, motion.current_a
     stored_j = stored_energy_j(e, x, i) + 0.5 * p.moving_mass_kg * w * w
     let_in_w = lines * i

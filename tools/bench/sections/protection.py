@@ -17,10 +17,10 @@ from device.drive.protection import Protector
 from device.drive.protection.protector import BLOCK_S
 from device.rig import PAPER, Rig
 from device.rig.actuator import LinearActuator
-from device.rig.amplifier import Amplifier
-from device.rig.ladder import Ladder
-from device.rig.perturbed_rigs import detuned
-from device.rig.rungs import Rung
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.electronics import Amplifier
+from device.rig.model_levels import ModelLevel
+from device.rig.perturbed_rigs import detune
 from device.units import amplitude_to_db
 from tools.bench.cost import in_ffts, interleaved
 from tools.bench.report import Must, Row, Section
@@ -165,7 +165,7 @@ def _excursions(drive: FloatArray, detunings: tuple[float, ...], rig: Rig = LOUD
     """Return the largest |x| of rigs that are detuned so, as a share of Xmax."""
     volts, source = _volts(drive, rig), rig.amplifier.source_impedance_ohm
     moved = (
-        LinearActuator(detuned(rig.actuator, share), SAMPLERATE, source).move(
+        LinearActuator(detune(rig.actuator, share), SAMPLERATE, source).move(
             volts, ("displacement_m",)
         )
         for share in detunings
@@ -177,8 +177,10 @@ def _non_linear(drive: FloatArray, rig: Rig = LOUD) -> float:
     """Return the largest |x| of the non-linear rung over f0 and ±10 %, as a share of Xmax."""
     volts, largest = _volts(drive, rig), 0.0
     for share in ENDS:
-        true = replace(rig, actuator=detuned(rig.actuator, share))
-        motion = Ladder(true, SAMPLERATE, rung=Rung.NONLINEAR).move(volts, ("displacement_m",))
+        true = replace(rig, actuator=detune(rig.actuator, share))
+        motion = AdaptiveActuator(true, SAMPLERATE, level=ModelLevel.NONLINEAR).move(
+            volts, ("displacement_m",)
+        )
         largest = max(largest, float(np.abs(motion.displacement_m).max()))
     return largest / rig.actuator.x_max_m
 

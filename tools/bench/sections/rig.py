@@ -9,8 +9,7 @@ from scipy.signal import lsim
 
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER, ActuatorParameters
-from device.rig.actuator import LinearActuator
-from device.rig.linear_system import Quantity
+from device.rig.actuator import LinearActuator, Quantity
 from device.rig.twin import Twin
 from tools.bench.cost import in_ffts, interleaved
 from tools.bench.report import Must, Row, Section
@@ -35,7 +34,7 @@ QUANTITIES: tuple[tuple[Quantity, str], ...] = (
 )
 
 
-def linear_rung(bench: Workbench) -> Section:
+def linear_model(bench: Workbench) -> Section:
     """Speed and error of the linear electro-mechanical rung of the rig."""
     duration_s = bench.effort.rig_s
     volts = drive(duration_s)

@@ -15,10 +15,10 @@ from scipy.signal import lsim
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator, Motion
+from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import Energies, energies
-from device.rig.ladder import Ladder
-from device.rig.node_grid import with_straight_lines
-from device.rig.rungs import Rung
+from device.rig.model_levels import ModelLevel
+from device.rig.node_grid import compensate_interpolation
 from tools.bench.cost import in_ffts, interleaved, thread_seconds
 from tools.bench.report import Must, Row, Section, number
 from tools.bench.sections.rig import DRIVE_HZ, state_space
@@ -159,9 +159,13 @@ def _nonlinear_points(
     Of each the least of its repeats: what else the host does only ever adds to it.
     """
     volts = drive(LEVEL_V, duration_s)
-    ladders = {hz: Ladder(PAPER, SAMPLERATE, rung=Rung.NONLINEAR, nodes_hz=hz) for hz in NODES_HZ}
+    ladders = {
+        hz: AdaptiveActuator(PAPER, SAMPLERATE, level=ModelLevel.NONLINEAR, nodes_hz=hz)
+        for hz in NODES_HZ
+    }
     errors = [
-        _error(ladder.move(with_straight_lines(volts)), expected) for ladder in ladders.values()
+        _error(ladder.move(compensate_interpolation(volts)), expected)
+        for ladder in ladders.values()
     ]
     asked = [
         (method, tolerance)
@@ -192,15 +196,15 @@ def _nonlinear_points(
 
 def _other_points(duration_s: float, expected: FloatArray) -> dict[str, Point]:
     """The other rungs, and lsim, on the drive that they are too simple or too slow for."""
-    volts = with_straight_lines(drive(LEVEL_V, duration_s))
+    volts = compensate_interpolation(drive(LEVEL_V, duration_s))
     short = volts[: round(SOLVED_S * SAMPLERATE)]
     points = {}
     for rung, driven in (
-        (Rung.LINEAR, volts),
-        (Rung.CORRECTED, volts),
-        (Rung.STEPPED, short),
+        (ModelLevel.LINEAR, volts),
+        (ModelLevel.CORRECTED, volts),
+        (ModelLevel.STEPPED, short),
     ):
-        ladder = Ladder(PAPER, SAMPLERATE, rung=rung)
+        ladder = AdaptiveActuator(PAPER, SAMPLERATE, level=rung)
         error = _error(ladder.move(driven), expected)
         (timing,) = interleaved([partial(_afresh, ladder, driven)], 1 if driven is short else 5)
         points[f"{rung} rung"] = Point(timing.median_s * SAMPLERATE / len(driven), error)
@@ -214,14 +218,14 @@ def _other_points(duration_s: float, expected: FloatArray) -> dict[str, Point]:
     return points
 
 
-def _afresh(actuator: Ladder | LinearActuator, volts: FloatArray) -> None:
+def _afresh(actuator: AdaptiveActuator | LinearActuator, volts: FloatArray) -> None:
     actuator.reset()
     actuator.move(volts)
 
 
-def _afresh_smoothly(ladder: Ladder, volts: FloatArray) -> None:
+def _afresh_smoothly(ladder: AdaptiveActuator, volts: FloatArray) -> None:
     ladder.reset()
-    ladder.move(with_straight_lines(volts), STATES)
+    ladder.move(compensate_interpolation(volts), STATES)
 
 
 def _linear_rows(duration_s: float, repeats: int) -> list[Row]:
@@ -235,7 +239,7 @@ def _linear_rows(duration_s: float, repeats: int) -> list[Row]:
     full, acceleration = states[:, 0], states @ rate[1]
     actuator = LinearActuator(p, SAMPLERATE)
     mechanical = LinearActuator(replace(p, inductance_h=1e-9), SAMPLERATE)
-    ladder = Ladder(replace(PAPER, large_signal=None), SAMPLERATE, 1e-3)
+    ladder = AdaptiveActuator(replace(PAPER, large_signal=None), SAMPLERATE, 1e-3)
     works = [
         partial(_afresh, actuator, volts),
         partial(_afresh, ladder, volts),

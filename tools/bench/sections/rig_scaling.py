@@ -9,8 +9,8 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
-from device.rig.ladder import Ladder
-from device.rig.rungs import Rung
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import ModelLevel
 from tools.bench.cost import interleaved
 from tools.bench.measures.vibration import growth_exponent
 from tools.bench.report import Row, Section, number
@@ -26,7 +26,7 @@ REPEATS = 3
 TOLERANCE = 1e-2
 LEVEL_V = 10.0
 
-RUNGS = (Rung.LINEAR, Rung.NONLINEAR, None)
+RUNGS = (ModelLevel.LINEAR, ModelLevel.NONLINEAR, None)
 """None: the ladder at its tolerance."""
 DURATION, NUMBER = "duration: exponent", "number of actuators: exponent"
 
@@ -88,15 +88,17 @@ def _exponent(sizes: tuple[int, ...] | list[float], costs: list[float]) -> float
     return growth_exponent([float(size) for size in sizes], costs)
 
 
-def _work(rung: Rung | None, samplerate: int, duration_s: float, actuators: int) -> partial[None]:
+def _work(
+    rung: ModelLevel | None, samplerate: int, duration_s: float, actuators: int
+) -> partial[None]:
     times = np.arange(round(samplerate * duration_s)) / samplerate
     swell = 0.2 + 0.8 * np.sin(math.pi * times / duration_s) ** 2
     volts = LEVEL_V * swell * np.sin(math.tau * 60.0 * times)
-    ladders = [Ladder(PAPER, samplerate, TOLERANCE, rung=rung) for _ in range(actuators)]
+    ladders = [AdaptiveActuator(PAPER, samplerate, TOLERANCE, level=rung) for _ in range(actuators)]
     return partial(_move_all, ladders, volts)
 
 
-def _move_all(ladders: list[Ladder], volts: FloatArray) -> None:
+def _move_all(ladders: list[AdaptiveActuator], volts: FloatArray) -> None:
     for ladder in ladders:
         ladder.reset()
         ladder.move(volts)

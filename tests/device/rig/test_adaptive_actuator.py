@@ -1,4 +1,4 @@
-"""The rungs against reference solutions, and the ladder that chooses among them."""
+"""The levels against reference solutions, and the adaptive that chooses among them."""
 
 import math
 from dataclasses import replace
@@ -14,12 +14,11 @@ from scipy.signal import butter, sosfilt
 
 from device.errors import UsageError
 from device.rig import PAPER
-from device.rig.actuator import LinearActuator
+from device.rig.actuator import QUANTITIES, LinearActuator
+from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import energies, linear_energies, stored_energy_j
-from device.rig.hand_over import fade
-from device.rig.ladder import Ladder
-from device.rig.linear_system import QUANTITIES
-from device.rig.rungs import Rung
+from device.rig.model_levels import ModelLevel
+from device.rig.segment import crossfade
 from device.rig.thermal import COPPER_PER_K, Temperatures
 
 FS = 48_000
@@ -44,7 +43,7 @@ def times_of(samplerate, duration_s):
 def reference(level_v, samplerate, seat=False, duration_s=0.04):
     """Columns as QUANTITIES and the seat's acceleration: solve_ivp at 1e-12, true sinusoids.
 
-    Written from the energies and the equations of motion in plain states, apart from the rungs.
+    Written from the energies and the equations of motion in plain states, apart from the levels.
     """
     p, e = PAPER.actuator, energies(PAPER.actuator, LARGE)
     m, c = p.moving_mass_kg, p.damping_n_s_per_m
@@ -85,23 +84,23 @@ def errors(got, expected):
 # 192 kHz: straight lines lose (pi f / fs)^2 / 3, 4e-6 at 220 Hz. Then there are the fourth order
 # of the nodes (1e-6) and, for current and acceleration, parabolas between them (3e-5 at 6 kHz).
 @pytest.mark.parametrize("level_v", [2.0, 7.0])
-def test_the_non_linear_rung_solves_the_equations(level_v):
+def test_the_non_linear_model_solves_the_equations(level_v):
     expected = reference(level_v, 192_000)[:4]
     volts = tones(level_v, times_of(192_000, 0.04))
-    got = columns(Ladder(PAPER, 192_000, rung=Rung.NONLINEAR).move(volts))
+    got = columns(AdaptiveActuator(PAPER, 192_000, level=ModelLevel.NONLINEAR).move(volts))
     displacement, velocity, current, acceleration = errors(got, expected)
     assert displacement < 1e-5
     assert velocity < 2e-5
     assert current < 1e-4
     assert acceleration < 1e-4
-    # It is worth it: the linear rung is far off at these levels.
-    linear = columns(Ladder(PAPER, 192_000, rung=Rung.LINEAR).move(volts))
+    # It is worth it: the linear level is far off at these levels.
+    linear = columns(AdaptiveActuator(PAPER, 192_000, level=ModelLevel.LINEAR).move(volts))
     assert errors(linear, expected)[0] > 0.02
 
 
-def test_at_48_khz_the_non_linear_rung_keeps_a_ten_thousandth_below_the_stops():
+def test_at_48_khz_the_non_linear_model_keeps_a_ten_thousandth_below_the_stops():
     volts = tones(7.0, times_of(FS, 0.04))
-    got = columns(Ladder(PAPER, FS, rung=Rung.NONLINEAR).move(volts))
+    got = columns(AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR).move(volts))
     expected = reference(7.0, FS)[:4]
     assert 0.5 * PAPER.actuator.x_max_m < np.abs(expected[0]).max()
     assert np.abs(expected[0]).max() < LARGE.stop_m
@@ -109,22 +108,22 @@ def test_at_48_khz_the_non_linear_rung_keeps_a_ten_thousandth_below_the_stops():
     assert errors(got, expected).max() < 1e-4
 
 
-def test_on_the_seat_the_rungs_solve_the_equations_of_both_masses():
+def test_on_the_seat_the_models_solve_the_equations_of_both_masses():
     expected = reference(5.0, 192_000, seat=True)
     volts = tones(5.0, times_of(192_000, 0.04))
-    ladder = Ladder(PAPER, 192_000, rung=Rung.NONLINEAR, seat=True)
-    got = columns(ladder.move(volts, (*QUANTITIES, SEAT)), (*QUANTITIES, SEAT))
+    adaptive = AdaptiveActuator(PAPER, 192_000, level=ModelLevel.NONLINEAR, seat=True)
+    got = columns(adaptive.move(volts, (*QUANTITIES, SEAT)), (*QUANTITIES, SEAT))
     assert errors(got, expected).max() < 1e-4
-    stepped = Ladder(PAPER, 192_000, rung=Rung.STEPPED, seat=True)
+    stepped = AdaptiveActuator(PAPER, 192_000, level=ModelLevel.STEPPED, seat=True)
     got = columns(stepped.move(volts, (*QUANTITIES, SEAT)), (*QUANTITIES, SEAT))
     # Second order: (w / fs)^2 / 12 and its like, grown by a resonance.
     assert errors(got, expected).max() < 1e-3
 
 
-def test_the_step_by_step_rung_solves_the_same_equations():
+def test_the_step_by_step_model_solves_the_same_equations():
     expected = reference(7.0, 192_000)[:4]
     volts = tones(7.0, times_of(192_000, 0.04))
-    got = columns(Ladder(PAPER, 192_000, rung=Rung.STEPPED).move(volts))
+    got = columns(AdaptiveActuator(PAPER, 192_000, level=ModelLevel.STEPPED).move(volts))
     assert errors(got, expected).max() < 1e-3
 
 
@@ -133,10 +132,10 @@ def test_one_correction_leaves_an_error_of_second_order():
     left = []
     for level_v in (0.1, 0.2, 0.4):
         volts = tones(level_v, times_of(FS, 0.1))
-        true = Ladder(PAPER, FS, rung=Rung.NONLINEAR).move(volts).displacement_m
+        true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR).move(volts).displacement_m
         by_rung = [
-            np.abs(Ladder(PAPER, FS, rung=rung).move(volts).displacement_m - true).max()
-            for rung in (Rung.LINEAR, Rung.CORRECTED)
+            np.abs(AdaptiveActuator(PAPER, FS, level=level).move(volts).displacement_m - true).max()
+            for level in (ModelLevel.LINEAR, ModelLevel.CORRECTED)
         ]
         left.append(np.array(by_rung) / np.abs(true).max())
     once, corrected = np.array(left).T
@@ -144,16 +143,16 @@ def test_one_correction_leaves_an_error_of_second_order():
     assert corrected[2] / corrected[0] > 2.5 * (once[2] / once[0]) / 2
 
 
-def test_the_linear_rung_of_a_rig_without_large_signal_is_the_whole_truth():
+def test_the_linear_model_of_a_rig_without_large_signal_is_the_whole_truth():
     rig = replace(PAPER, large_signal=None)
     volts = tones(7.0, times_of(FS, 0.1))
     exact = columns(LinearActuator(PAPER.actuator, FS).move(volts))
-    for rung in (Rung.LINEAR, Rung.CORRECTED, Rung.NONLINEAR):
-        got = columns(Ladder(rig, FS, rung=rung).move(volts))
+    for level in (ModelLevel.LINEAR, ModelLevel.CORRECTED, ModelLevel.NONLINEAR):
+        got = columns(AdaptiveActuator(rig, FS, level=level).move(volts))
         assert errors(got, exact).max() < 1e-12
-    ladder = Ladder(rig, FS, 1e-9)
-    assert np.array_equal(columns(ladder.move(volts)), exact)
-    assert ladder.frames_by_rung[Rung.LINEAR] > 4_000
+    adaptive = AdaptiveActuator(rig, FS, 1e-9)
+    assert np.array_equal(columns(adaptive.move(volts)), exact)
+    assert adaptive.frames_by_level[ModelLevel.LINEAR] > 4_000
 
 
 @pytest.mark.parametrize("frequency_hz", [1_000.0, 5_000.0, 11_910.0, 12_090.0])
@@ -161,8 +160,8 @@ def test_content_above_the_nodes_does_not_come_back_as_vibration(frequency_hz):
     times = times_of(FS, 0.15)
     volts = 6.0 * np.sin(math.tau * 90.0 * times)
     volts += 6.0 * np.sin(math.tau * frequency_hz * times)
-    true = Ladder(PAPER, FS, rung=Rung.NONLINEAR, nodes_hz=48_000.0).move(volts)
-    got = Ladder(PAPER, FS, rung=Rung.NONLINEAR).move(volts)
+    true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, nodes_hz=48_000.0).move(volts)
+    got = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR).move(volts)
     error = np.abs(got.displacement_m - true.displacement_m).max()
     assert error < 1e-4 * np.abs(true.displacement_m).max()
 
@@ -195,32 +194,32 @@ def surplus_of(volts, motion_of, e, fine):
     stored_j += p.moving_mass_kg * motion.velocity_m_s**2 / 2
     last = (frames - 2) * fine
     simpson_w = power_w[:last:2] + 4 * power_w[1:last:2] + power_w[2 : last + 1 : 2]
-    surplus_j = simpson_w.sum() / (3 * FS * fine) - (stored_j[last] - stored_j[0])
-    return surplus_j, np.abs(lines * motion.current_a).sum() / (FS * fine)
+    energy_error_j = simpson_w.sum() / (3 * FS * fine) - (stored_j[last] - stored_j[0])
+    return energy_error_j, np.abs(lines * motion.current_a).sum() / (FS * fine)
 
 
 # The last of the levels goes into the stops.
 @pytest.mark.parametrize("level_v", [5.0, 20.0, 60.0])
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_the_non_linear_rung_is_passive_on_random_drives(level_v, seed):
-    surplus_j, through_j = surplus_of(
+def test_the_non_linear_model_is_passive_on_random_drives(level_v, seed):
+    energy_error_j, through_j = surplus_of(
         band_noise(level_v, FS, 0.25, seed),
-        lambda samplerate: Ladder(PAPER, samplerate, rung=Rung.NONLINEAR),
+        lambda samplerate: AdaptiveActuator(PAPER, samplerate, level=ModelLevel.NONLINEAR),
         energies(PAPER.actuator, LARGE),
         4,
     )
-    assert abs(surplus_j) <= 1e-6 * through_j
+    assert abs(energy_error_j) <= 1e-6 * through_j
 
 
-def test_the_linear_rung_is_passive_on_random_drives():
+def test_the_linear_model_is_passive_on_random_drives():
     volts = np.random.default_rng(6).standard_normal(1_000)
-    surplus_j, through_j = surplus_of(
+    energy_error_j, through_j = surplus_of(
         volts,
         lambda samplerate: LinearActuator(PAPER.actuator, samplerate),
         linear_energies(PAPER.actuator),
         32,
     )
-    assert abs(surplus_j) <= 1e-6 * through_j
+    assert abs(energy_error_j) <= 1e-6 * through_j
 
 
 # ------------------------------------------------------------------------------------ hard cases
@@ -254,35 +253,35 @@ def hard_drive(frames):
 
 @pytest.mark.parametrize("samplerate", [1_000, 3_000, 8_000, 44_100, 192_000])
 @pytest.mark.parametrize("case", HARD)
-@pytest.mark.parametrize("rung", [None, Rung.NONLINEAR])
+@pytest.mark.parametrize("level", [None, ModelLevel.NONLINEAR])
 def test_full_scale_steps_noise_and_nan_never_give_anything_but_finite_motion(
-    case, samplerate, rung
+    case, samplerate, level
 ):
-    ladder = Ladder(hard_rig(case), samplerate, rung=rung)
-    motion = columns(ladder.move(hard_drive(samplerate // 10)))
+    adaptive = AdaptiveActuator(hard_rig(case), samplerate, level=level)
+    motion = columns(adaptive.move(hard_drive(samplerate // 10)))
     assert np.isfinite(motion).all()
-    assert ladder.replaced_samples == 2
+    assert adaptive.replaced_samples == 2
     # Finite means bounded as well: even these stops give way by less than their own distance.
     assert np.abs(motion[0]).max() < 3 * LARGE.stop_m
 
 
 @pytest.mark.parametrize("samplerate", [1_000, 48_000, 192_000])
 @pytest.mark.parametrize("case", HARD)
-@pytest.mark.parametrize("rung", [Rung.LINEAR, Rung.CORRECTED, Rung.STEPPED])
-def test_every_other_rung_asked_for_stays_finite_there_too(case, samplerate, rung):
-    ladder = Ladder(hard_rig(case), samplerate, rung=rung, seat=True)
+@pytest.mark.parametrize("level", [ModelLevel.LINEAR, ModelLevel.CORRECTED, ModelLevel.STEPPED])
+def test_every_other_model_asked_for_stays_finite_there_too(case, samplerate, level):
+    adaptive = AdaptiveActuator(hard_rig(case), samplerate, level=level, seat=True)
     frames = 48 * samplerate // 1_000
-    assert np.isfinite(columns(ladder.move(hard_drive(frames), (*QUANTITIES, SEAT)))).all()
-    assert ladder.replaced_samples == 2
-    assert np.isfinite(columns(ladder.move(np.zeros(frames), (*QUANTITIES, SEAT)))).all()
+    assert np.isfinite(columns(adaptive.move(hard_drive(frames), (*QUANTITIES, SEAT)))).all()
+    assert adaptive.replaced_samples == 2
+    assert np.isfinite(columns(adaptive.move(np.zeros(frames), (*QUANTITIES, SEAT)))).all()
 
 
 def test_the_end_stops_are_reached_and_hold_at_every_rate():
     reached = []
     for samplerate in (1_000, 6_000, 48_000, 192_000):
         volts = 60.0 * np.sin(math.tau * 80.0 * times_of(samplerate, 0.1))
-        ladder = Ladder(PAPER, samplerate, rung=Rung.NONLINEAR)
-        reached.append(np.abs(ladder.move(volts).displacement_m).max())
+        adaptive = AdaptiveActuator(PAPER, samplerate, level=ModelLevel.NONLINEAR)
+        reached.append(np.abs(adaptive.move(volts).displacement_m).max())
     assert min(reached) > LARGE.stop_m
     # Straight lines between samples at 1 kHz miss (2 pi 80 / 1000)^2 / 12 of the drive, 2 %.
     assert np.ptp(reached) < 0.03 * max(reached)
@@ -296,29 +295,29 @@ def test_the_end_stops_are_reached_and_hold_at_every_rate():
     st.floats(1_000, 192_000),
     st.sampled_from(sorted(HARD)),
 )
-def test_whatever_comes_in_the_ladder_gives_finite_motion(volts, samplerate, case):
-    motion = columns(Ladder(hard_rig(case), samplerate).move(np.array(volts)))
+def test_whatever_comes_in_the_adaptive_actuator_gives_finite_motion(volts, samplerate, case):
+    motion = columns(AdaptiveActuator(hard_rig(case), samplerate).move(np.array(volts)))
     assert motion.shape == (4, len(volts))
     assert np.isfinite(motion).all()
 
 
 def test_what_does_not_converge_is_stepped_and_counted():
-    ladder = Ladder(hard_rig("hard stops"), 1_000, rung=Rung.NONLINEAR)
-    ladder.move(200.0 * np.random.default_rng(8).standard_normal(300))
-    assert ladder.stepped_frames > 0
-    assert np.isfinite(columns(ladder.move(np.zeros(10)))).all()
+    adaptive = AdaptiveActuator(hard_rig("hard stops"), 1_000, level=ModelLevel.NONLINEAR)
+    adaptive.move(200.0 * np.random.default_rng(8).standard_normal(300))
+    assert adaptive.stepped_frames > 0
+    assert np.isfinite(columns(adaptive.move(np.zeros(10)))).all()
 
 
 def test_left_alone_the_motion_dies_away_over_a_million_samples():
-    ladder = Ladder(hard_rig("Q 1000"), FS)
-    ladder.move(tones(1.0, times_of(FS, 0.5)))
-    peaks = [np.abs(ladder.move(np.zeros(FS)).displacement_m).max() for _ in range(20)]
+    adaptive = AdaptiveActuator(hard_rig("Q 1000"), FS)
+    adaptive.move(tones(1.0, times_of(FS, 0.5)))
+    peaks = [np.abs(adaptive.move(np.zeros(FS)).displacement_m).max() for _ in range(20)]
     assert all(after < before for before, after in pairwise(peaks))
     # Q 1000 at 90 Hz: amplitude falls by exp(-pi 90 / 1000) a second, a little more by Bl.
     assert peaks[-1] < peaks[0] * math.exp(-0.27 * 18)
 
 
-# ---------------------------------------------------------------------------------------- ladder
+# ---------------------------------------------------------------------------------------- adaptive
 
 
 def swell(duration_s=1.6):
@@ -330,15 +329,15 @@ def swell(duration_s=1.6):
 
 @cache
 def true_swell():
-    return Ladder(PAPER, FS, rung=Rung.NONLINEAR, nodes_hz=12_000.0).move(swell())
+    return AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, nodes_hz=12_000.0).move(swell())
 
 
-def shares_of_tolerance(ladder, motion, true, tolerance):
-    """Each block's true error over what was allowed there, as the ladder measures it."""
+def shares_of_tolerance(adaptive, motion, true, tolerance):
+    """Each block's true error over what was allowed there, as the adaptive measures it."""
     p, shares = PAPER.actuator, []
     floors = {"displacement_m": FLOOR * p.x_max_m}
     floors["acceleration_m_s2"] = floors["displacement_m"] * p.resonance_rad_s**2
-    for block in ladder.reports:
+    for block in adaptive.reports:
         part = slice(block.frame, block.frame + block.frames)
         for name, floor in floors.items():
             got, expected = getattr(motion, name)[part], getattr(true, name)[part]
@@ -349,10 +348,10 @@ def shares_of_tolerance(ladder, motion, true, tolerance):
 
 @pytest.mark.parametrize("tolerance", [1e-1, 3e-2, 1e-2, 1e-3, 1e-4])
 def test_no_block_is_further_off_than_the_tolerance(tolerance):
-    ladder = Ladder(PAPER, FS, tolerance)
-    motion = ladder.move(swell())
-    shares = shares_of_tolerance(ladder, motion, true_swell(), tolerance)
-    assert len(shares) == 2 * len(ladder.reports) >= 30
+    adaptive = AdaptiveActuator(PAPER, FS, tolerance)
+    motion = adaptive.move(swell())
+    shares = shares_of_tolerance(adaptive, motion, true_swell(), tolerance)
+    assert len(shares) == 2 * len(adaptive.reports) >= 30
     assert shares.max() <= 1.0
 
 
@@ -368,68 +367,73 @@ def test_loud_and_quiet_bursts_in_turn_keep_the_tolerance_too(tolerance):
         for _ in range(16)
     ]  # fmt: skip
     volts = np.concatenate(parts)
-    true = Ladder(PAPER, FS, rung=Rung.NONLINEAR, nodes_hz=12_000.0).move(volts)
-    ladder = Ladder(PAPER, FS, tolerance)
-    shares = shares_of_tolerance(ladder, ladder.move(volts), true, tolerance)
+    true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, nodes_hz=12_000.0).move(volts)
+    adaptive = AdaptiveActuator(PAPER, FS, tolerance)
+    shares = shares_of_tolerance(adaptive, adaptive.move(volts), true, tolerance)
     assert shares.max() <= 1.0
 
 
-def test_the_ladder_uses_dearer_rungs_only_where_it_has_to():
-    loose, tight = Ladder(PAPER, FS, 3e-2), Ladder(PAPER, FS, 1e-3)
-    for ladder in (loose, tight):
-        ladder.move(swell())
-    used = loose.frames_by_rung
-    assert min(used[Rung.LINEAR], used[Rung.CORRECTED], used[Rung.NONLINEAR]) > 0
-    assert tight.frames_by_rung[Rung.NONLINEAR] > used[Rung.NONLINEAR]
+def test_the_adaptive_actuator_uses_dearer_models_only_where_it_has_to():
+    loose, tight = AdaptiveActuator(PAPER, FS, 3e-2), AdaptiveActuator(PAPER, FS, 1e-3)
+    for adaptive in (loose, tight):
+        adaptive.move(swell())
+    used = loose.frames_by_level
+    assert min(used[ModelLevel.LINEAR], used[ModelLevel.CORRECTED], used[ModelLevel.NONLINEAR]) > 0
+    assert tight.frames_by_level[ModelLevel.NONLINEAR] > used[ModelLevel.NONLINEAR]
     assert sum(used.values()) == sum(report.frames for report in loose.reports)
     for report in loose.reports:
         assert report.estimate <= 3e-2
-        assert report.rung is not Rung.LINEAR or report.excursion_peak_m < 0.3e-3
+        assert report.level is not ModelLevel.LINEAR or report.excursion_peak_m < 0.3e-3
 
 
-def test_where_only_the_non_linear_rung_will_do_blocks_are_taken_together_without_estimates():
+def test_where_only_the_non_linear_model_will_do_blocks_are_taken_together_without_estimates():
     times = times_of(FS, 4.0)
     volts = 12.0 * np.sin(math.tau * 70.0 * times) * np.minimum(1.0, times / 0.5)
-    true = Ladder(PAPER, FS, rung=Rung.NONLINEAR, nodes_hz=12_000.0).move(volts)
-    early, patient = Ladder(PAPER, FS, 1e-3), Ladder(PAPER, FS, 1e-3, early=False)
-    for ladder in (early, patient):
-        assert shares_of_tolerance(ladder, ladder.move(volts), true, 1e-3).max() <= 1.0
+    true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, nodes_hz=12_000.0).move(volts)
+    early, patient = (
+        AdaptiveActuator(PAPER, FS, 1e-3),
+        AdaptiveActuator(PAPER, FS, 1e-3, early=False),
+    )
+    for adaptive in (early, patient):
+        assert shares_of_tolerance(adaptive, adaptive.move(volts), true, 1e-3).max() <= 1.0
     # An iteration of Newton's method is over all blocks that are solved together.
     assert early.iterations < 0.5 * patient.iterations
     assert [block.frame for block in early.reports] == [block.frame for block in patient.reports]
     assert len({block.excursion_peak_m for block in early.reports}) == len(early.reports)
 
 
-def test_an_early_decision_only_ever_takes_the_dearer_rung():
-    order = list(Rung)
+def test_an_early_decision_only_ever_takes_the_dearer_model():
+    order = list(ModelLevel)
     for tolerance in (3e-2, 1e-3):
-        ladders = [Ladder(PAPER, FS, tolerance, early=early) for early in (True, False)]
-        for ladder in ladders:
-            ladder.move(np.concatenate([swell(), swell()[::-1], swell()]))
+        adaptives = [AdaptiveActuator(PAPER, FS, tolerance, early=early) for early in (True, False)]
+        for adaptive in adaptives:
+            adaptive.move(np.concatenate([swell(), swell()[::-1], swell()]))
         early, patient = (
-            [order.index(block.rung) for block in ladder.reports] for ladder in ladders
+            [order.index(block.level) for block in adaptive.reports] for adaptive in adaptives
         )
         assert all(one >= other for one, other in zip(early, patient, strict=True))
 
 
-def test_quiet_blocks_after_loud_ones_go_back_to_the_linear_rung():
+def test_quiet_blocks_after_loud_ones_go_back_to_the_linear_model():
     times = times_of(FS, 3.0)
     volts = np.where(times < 1.5, 12.0, 0.05) * np.sin(math.tau * 70.0 * times)
-    ladder = Ladder(PAPER, FS, 1e-2)
-    ladder.move(volts)
-    assert {block.rung for block in ladder.reports if block.frame < FS} == {Rung.NONLINEAR}
-    assert {block.rung for block in ladder.reports if block.frame > 2 * FS} == {Rung.LINEAR}
+    adaptive = AdaptiveActuator(PAPER, FS, 1e-2)
+    adaptive.move(volts)
+    assert {block.level for block in adaptive.reports if block.frame < FS} == {ModelLevel.NONLINEAR}
+    assert {block.level for block in adaptive.reports if block.frame > 2 * FS} == {
+        ModelLevel.LINEAR
+    }
 
 
 # At 3e-2 one correction follows another that is off by almost all that is allowed.
 @pytest.mark.parametrize("tolerance", [5e-2, 3e-2, 2e-2, 1e-2])
-def test_a_switch_of_rungs_makes_no_click(tolerance):
-    ladder = Ladder(PAPER, FS, tolerance)
+def test_a_switch_of_models_makes_no_click(tolerance):
+    adaptive = AdaptiveActuator(PAPER, FS, tolerance)
     times = times_of(FS, 1.6)
     envelope = 0.4 + 3.0 * np.sin(math.pi * times / 1.6) ** 2
     volts = envelope * (np.sin(math.tau * 46.6 * times) + np.sin(math.tau * 92.0 * times))
-    motion = ladder.move(volts).acceleration_m_s2
-    assert len({report.rung for report in ladder.reports}) >= 2
+    motion = adaptive.move(volts).acceleration_m_s2
+    assert len({report.level for report in adaptive.reports}) >= 2
     # Above 800 Hz these two tones have next to nothing, distorted or not: -104 dB.
     high = sosfilt(butter(8, 800, "high", fs=FS, output="sos"), motion)
     level_db = 20 * math.log10(np.abs(high[2_000:-2_000]).max() / np.abs(motion).max())
@@ -437,16 +441,16 @@ def test_a_switch_of_rungs_makes_no_click(tolerance):
 
 
 def test_without_the_fade_the_same_switch_would_click(monkeypatch):
-    monkeypatch.setattr("device.rig.ladder.FADE_S", 1e-4)
+    monkeypatch.setattr("device.rig.adaptive_actuator.FADE_S", 1e-4)
     with pytest.raises(AssertionError):
-        test_a_switch_of_rungs_makes_no_click(2e-2)
+        test_a_switch_of_models_makes_no_click(2e-2)
 
 
 def test_a_fade_leaves_the_old_path_as_smoothly_as_it_arrives_at_the_new_one():
     time = np.arange(1, 481) / 480
     old, new = 3.0 + np.sin(9.0 * time), 0.2 * np.cos(4.0 * time)
     values = np.concatenate([new, np.full(100, new[-1])])
-    fade(values, old, None, 2.0)
+    crossfade(values, old, None, 2.0)
     for order in range(3):
         # As a share of the old path's own differences; the weight's own begin with t^3, of which
         # three samples have seen some per cent. A cosine's curvature would be 36 %, a kink more.
@@ -459,7 +463,7 @@ def test_a_fade_leaves_the_old_path_as_smoothly_as_it_arrives_at_the_new_one():
 def test_a_fade_is_no_further_off_than_allowed_or_than_the_jump_itself(jump, wrong):
     old = jump + wrong * np.arange(480) / 100.0
     values = np.ones(480)
-    fade(values, 1.0 + old, None, 0.1)
+    crossfade(values, 1.0 + old, None, 0.1)
     # Cut to 8 samples at least: there the old path has gone on to be wrong by a twelfth.
     allowed = max(0.1, 1.25 * abs(jump)) + wrong * 8 / 100.0
     assert np.abs(values - 1.0).max() <= allowed + 1e-12
@@ -469,9 +473,9 @@ def test_a_fade_is_no_further_off_than_allowed_or_than_the_jump_itself(jump, wro
 @given(st.lists(st.integers(0, 9_600), max_size=9))
 def test_the_state_does_not_depend_on_how_the_signal_is_split(cuts):
     volts = tones(6.0, times_of(FS, 0.2))
-    whole = columns(Ladder(PAPER, FS, rung=Rung.NONLINEAR).move(volts))
-    ladder = Ladder(PAPER, FS, rung=Rung.NONLINEAR)
-    parts = [columns(ladder.move(block)) for block in np.split(volts, sorted(cuts))]
+    whole = columns(AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR).move(volts))
+    adaptive = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR)
+    parts = [columns(adaptive.move(block)) for block in np.split(volts, sorted(cuts))]
     got = np.concatenate(parts, axis=1)
     settled = np.ones(len(volts), dtype=bool)
     for cut in cuts:
@@ -485,27 +489,27 @@ def test_the_state_does_not_depend_on_how_the_signal_is_split(cuts):
     assert displacement < 1e-6
     assert velocity < 1e-5
     assert max(current, acceleration) < 3e-4
-    assert columns(ladder.move(np.zeros(0))).shape == (4, 0)
+    assert columns(adaptive.move(np.zeros(0))).shape == (4, 0)
 
 
-def test_after_reset_the_ladder_is_as_new():
-    ladder = Ladder(PAPER, FS, 1e-2, temperature=True)
-    first = columns(ladder.move(swell(0.3)))
-    ladder.reset()
-    assert (len(ladder.reports), ladder.stepped_frames) == (0, 0)
-    assert np.array_equal(columns(ladder.move(swell(0.3))), first)
+def test_after_reset_the_adaptive_actuator_is_as_new():
+    adaptive = AdaptiveActuator(PAPER, FS, 1e-2, temperature=True)
+    first = columns(adaptive.move(swell(0.3)))
+    adaptive.reset()
+    assert (len(adaptive.reports), adaptive.stepped_frames) == (0, 0)
+    assert np.array_equal(columns(adaptive.move(swell(0.3))), first)
 
 
 def test_what_the_rig_does_not_describe_cannot_be_asked_for():
     bare = replace(PAPER, seat=None, thermal=None)
     with pytest.raises(UsageError, match=r"describes no \[seat\]"):
-        Ladder(bare, FS, seat=True)
+        AdaptiveActuator(bare, FS, seat=True)
     with pytest.raises(UsageError, match=r"describes no \[thermal\]"):
-        Ladder(bare, FS, temperature=True)
+        AdaptiveActuator(bare, FS, temperature=True)
     with pytest.raises(UsageError, match="tolerance="):
-        Ladder(PAPER, FS, 0.0)
+        AdaptiveActuator(PAPER, FS, 0.0)
     with pytest.raises(UsageError, match="samplerate="):
-        Ladder(PAPER, 0.0)
+        AdaptiveActuator(PAPER, 0.0)
 
 
 # ----------------------------------------------------------------------------------- temperature
@@ -540,11 +544,11 @@ def test_heat_is_kept_or_given_off_and_time_may_be_cut_anywhere(powers):
 
 def test_a_warm_coil_draws_less_current_and_moves_less():
     volts = 12.0 * np.sin(math.tau * 60.0 * times_of(FS, 3.0))
-    cold = Ladder(PAPER, FS, 1e-3).move(volts)
-    ladder = Ladder(PAPER, FS, 1e-3, temperature=True)
-    warm = ladder.move(volts)
-    assert ladder.temperatures is not None
-    coil_k = ladder.temperatures.coil_k
+    cold = AdaptiveActuator(PAPER, FS, 1e-3).move(volts)
+    adaptive = AdaptiveActuator(PAPER, FS, 1e-3, temperature=True)
+    warm = adaptive.move(volts)
+    assert adaptive.temperatures is not None
+    coil_k = adaptive.temperatures.coil_k
     assert 2.0 < coil_k < 12.0 * 12.0 / 2 / 3.3 * 3.0 / 8.0  # no more than without any loss
     last = slice(-FS // 4, None)
     ratio = np.abs(warm.current_a[last]).max() / np.abs(cold.current_a[last]).max()

@@ -1,6 +1,6 @@
-"""The rungs of the ladder over one stretch of signal: what each adds to the linear solution.
+"""The levels of the adaptive over one segment of signal: what each adds to the linear solution.
 
-    LINEAR      nothing, but the motion that another rung has left decays by the linear equations
+    LINEAR      nothing, but the motion that another level has left decays by the linear equations
     CORRECTED   the remainder of the linear solution, passed through the linear equations once
                 (the Born term)
     NONLINEAR   the equations themselves by collocation; into the end stops at double its rate
@@ -13,9 +13,8 @@ import enum
 
 import numpy as np
 
-from device.rig.actuator import SEAT_ACCELERATION
+from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION
 from device.rig.collocation import Base, Bases, Collocation, Linear, Path
-from device.rig.correction import Correction, held, joined
 from device.rig.equations import (
     EXCURSION,
     FLUX,
@@ -25,10 +24,9 @@ from device.rig.equations import (
     Equations,
     Remainder,
 )
-from device.rig.linear_system import QUANTITIES
 from device.rig.node_grid import NodeGrid, cubic, quadratic
 from device.rig.passive_step import PassiveStepper
-from device.rig.stretch import Stretch
+from device.rig.segment import Correction, Segment, join_corrections
 from device.units import FloatArray
 
 _ABOVE_THE_NODES = 0.02
@@ -36,10 +34,10 @@ _ABOVE_THE_NODES = 0.02
 has content that nodes and middles at twice 6 kHz would mistake for vibration."""
 
 _PIECE_NODES = 33
-"""Where a stretch does not converge, it is tried again in pieces of so many nodes."""
+"""Where a segment does not converge, it is tried again in pieces of so many nodes."""
 
 
-class Rung(enum.StrEnum):
+class ModelLevel(enum.StrEnum):
     """From the cheapest to the one that never fails."""
 
     LINEAR = "linear"
@@ -48,8 +46,8 @@ class Rung(enum.StrEnum):
     STEPPED = "step by step"
 
 
-class Rungs:
-    """Every rung of one actuator on one grid. One thread uses an object."""
+class ModelLevels:
+    """Every level of one actuator on one grid. One thread uses an object."""
 
     def __init__(self, equations: Equations, grid: NodeGrid) -> None:
         self.equations = equations
@@ -66,44 +64,45 @@ class Rungs:
         self.stepped_samples = 0
 
     def answer(
-        self, rung: Rung, stretch: Stretch, start: FloatArray, under: FloatArray
+        self, level: ModelLevel, segment: Segment, start: FloatArray, under: FloatArray
     ) -> Correction:
-        """One rung's answer from d at the first node, (states,); under: where the path begins whose
-        remainder a correction takes.
+        """Return one level's correction from d at the first node, (states,).
+
+        under: where the path begins whose remainder CORRECTED uses.
         """
-        if rung is Rung.LINEAR and self.equations.seat is None and not np.any(start):
-            return self.nothing(stretch)
-        if rung is Rung.STEPPED:
-            return self.stepped(stretch, start)
-        bases = self.bases(stretch, self.spacing)
-        linear = self.linear(bases, under if rung is Rung.CORRECTED else start)
-        if rung is Rung.LINEAR:
+        if level is ModelLevel.LINEAR and self.equations.seat is None and not np.any(start):
+            return self.nothing(segment)
+        if level is ModelLevel.STEPPED:
+            return self.stepped(segment, start)
+        bases = self.bases(segment, self.spacing)
+        linear = self.linear(bases, under if level is ModelLevel.CORRECTED else start)
+        if level is ModelLevel.LINEAR:
             return self.of_linear(bases, linear)
-        if rung is Rung.CORRECTED:
+        if level is ModelLevel.CORRECTED:
             born, g = self.corrected(bases, start, linear)
             return self.of_linear(bases, born, g, linear)
-        return self.nonlinear(stretch, start, linear)
+        return self.nonlinear(segment, start, linear)
 
-    def bases(self, stretch: Stretch, spacing: int) -> Bases:
+    def bases(self, segment: Segment, spacing: int) -> Bases:
         """The linear solution at nodes and middles that far apart."""
         p = self.equations.actuator
         nodes, middles = slice(0, None, spacing), slice(spacing // 2, None, spacing)
-        flux = p.force_factor_n_per_a * stretch.displacement_m + p.inductance_h * stretch.current_a
-        return self._base(stretch, flux, nodes), self._base(stretch, flux, middles)
+        flux = p.force_factor_n_per_a * segment.displacement_m + p.inductance_h * segment.current_a
+        return self._base(segment, flux, nodes), self._base(segment, flux, middles)
 
     def linear(self, bases: Bases, start: FloatArray) -> Linear:
         """d without a remainder."""
         return self._coarse.linear_path(bases, start)
 
-    def nothing(self, stretch: Stretch) -> Correction:
+    def nothing(self, segment: Segment) -> Correction:
         """The linear solution as it is."""
-        frames = len(stretch.volts) - 1
+        frames = len(segment.volts) - 1
         end = np.zeros(self.equations.states)
         names = (*QUANTITIES, SEAT_ACCELERATION)
         found = Correction(
-            end, dict.fromkeys(names, lambda: np.zeros(frames)), stretch.displacement_m
+            end, dict.fromkeys(names, lambda: np.zeros(frames)), segment.displacement_m
         )
-        found.is_nothing = True
+        found.is_zero = True
         return found
 
     def corrected(
@@ -137,34 +136,34 @@ class Rungs:
             found.under_end = under.nodes[:, -1].copy()
         return found
 
-    def nonlinear(self, stretch: Stretch, start: FloatArray, guess: Linear) -> Correction:
+    def nonlinear(self, segment: Segment, start: FloatArray, guess: Linear) -> Correction:
         """d of the full equations; where they do not converge, in pieces, at last by steps."""
-        low = self._low_band(stretch) if self._has_more_content(stretch) else stretch
+        low = self._low_band(segment) if self._has_more_content(segment) else segment
         bases = self.bases(low, self.spacing)
         nodes = guess.nodes.copy()
         nodes[:, 0] = start
         path = self._coarse.newton_path(bases, nodes)
         self.iterations += path.iterations
         if not path.converged:
-            return self._in_pieces(stretch, start)
+            return self._in_pieces(segment, start)
         found = self._of_path(path, bases, self.spacing)
         if found.excursion_peak_m <= self.equations.energies.stops.start:
             return found
-        return self._refined(low, self._doubled(path)) or self._in_pieces(stretch, start)
+        return self._refined(low, self._doubled(path)) or self._in_pieces(segment, start)
 
-    def stepped(self, stretch: Stretch, start: FloatArray) -> Correction:
+    def stepped(self, segment: Segment, start: FloatArray) -> Correction:
         """d sample by sample."""
         state, size = start.copy(), self.equations.states
         p = self.equations.actuator
-        y, w, i = stretch.displacement_m, stretch.velocity_m_s, stretch.current_a
+        y, w, i = segment.displacement_m, segment.velocity_m_s, segment.current_a
         flux = p.force_factor_n_per_a * y + p.inductance_h * i
         state[:3] += [y[0], w[0], flux[0]]
         self._stepper.begin(state)
-        whole = self._stepper.move(stretch.volts[1:], float(stretch.volts[0]))
+        whole = self._stepper.move(segment.volts[1:], float(segment.volts[0]))
         self.stepped_samples += whole.shape[1]
         speed = whole[SPEED] - whole[FRAME_SPEED]
         end = whole[:size, -1] - np.array([y[-1], w[-1], flux[-1], 0.0, 0.0])[:size]
-        added = whole[6] - stretch.acceleration_m_s2[1:]
+        added = whole[6] - segment.acceleration_m_s2[1:]
         samples = {
             "displacement_m": whole[EXCURSION] - y[1:],
             "velocity_m_s": speed - w[1:],
@@ -172,8 +171,9 @@ class Rungs:
             "acceleration_m_s2": added,
             SEAT_ACCELERATION: self._frame_acceleration(added, whole[FRAME], whole[FRAME_SPEED]),
         }
-        held_samples = {name: held(values) for name, values in samples.items()}
-        return Correction(end, held_samples, whole[EXCURSION])
+        return Correction(
+            end, {name: values.view for name, values in samples.items()}, whole[EXCURSION]
+        )
 
     def _doubled(self, path: Linear) -> FloatArray:
         """Nodes and middles as the nodes of the finer grid."""
@@ -181,14 +181,14 @@ class Rungs:
         twice[:, ::2], twice[:, 1::2] = path.nodes, path.middles
         return twice
 
-    def _has_more_content(self, stretch: Stretch) -> bool:
-        i = stretch.current_a[:: max(1, self.spacing // 8)]
+    def _has_more_content(self, segment: Segment) -> bool:
+        i = segment.current_a[:: max(1, self.spacing // 8)]
         if len(i) < 3:
             return False
         bend = float(np.max(np.abs(i[2:] - 2.0 * i[1:-1] + i[:-2])))
         return bend > _ABOVE_THE_NODES * float(np.max(np.abs(i)))
 
-    def _low_band(self, stretch: Stretch) -> Stretch:
+    def _low_band(self, segment: Segment) -> Segment:
         """Without what nodes and middles would mistake; the linear solution still has all of it.
 
         A triangle has double zeros at the multiples of twice their rate; a second difference
@@ -199,14 +199,14 @@ class Rungs:
         droop = (width * width - 1.0) / 12.0
         kernel = np.convolve(np.convolve(box, box), [-droop, 1.0 + 2.0 * droop, -droop])
         reach = len(kernel) // 2
-        if len(stretch.volts) <= reach:
-            return stretch
+        if len(segment.volts) <= reach:
+            return segment
         smooth = [
             np.convolve(np.pad(samples, reach, "reflect", reflect_type="odd"), kernel, "valid")
-            for name, samples in vars(stretch).items()
+            for name, samples in vars(segment).items()
             if name != "volts"
         ]
-        return Stretch(stretch.volts, *smooth)
+        return Segment(segment.volts, *smooth)
 
     def frame_share(self, acceleration_m_s2: FloatArray) -> FloatArray:
         """The frame's acceleration by that of the moving mass alone, (frames,)."""
@@ -223,25 +223,25 @@ class Rungs:
         force = seat.stiffness_n_per_m * frame_m + seat.damping_n_s_per_m * frame_m_s
         return np.asarray(self.frame_share(added_m_s2) - force / seat.mass_kg)
 
-    def _refined(self, stretch: Stretch, guess: FloatArray) -> Correction | None:
+    def _refined(self, segment: Segment, guess: FloatArray) -> Correction | None:
         """On the finer grid, None where it does not converge."""
         spacing = self.spacing // 2
-        bases = self.bases(stretch, spacing)
+        bases = self.bases(segment, spacing)
         path = self._fine.newton_path(bases, guess)
         self.iterations += path.iterations
         return self._of_path(path, bases, spacing) if path.converged else None
 
-    def _in_pieces(self, stretch: Stretch, start: FloatArray) -> Correction:
+    def _in_pieces(self, segment: Segment, start: FloatArray) -> Correction:
         pieces = []
-        length, samples = (_PIECE_NODES - 1) * self.spacing, len(stretch.volts) - 1
+        length, samples = (_PIECE_NODES - 1) * self.spacing, len(segment.volts) - 1
         for first in range(0, samples, length):
-            piece = stretch.part(first, min(first + length, samples))
+            piece = segment.part(first, min(first + length, samples))
             nodes = (len(piece.volts) - 1) // (self.spacing // 2) + 1
             guess = np.repeat(start[:, None], nodes, axis=1)
             found = self._refined(piece, guess) or self.stepped(piece, start)
             pieces.append(found)
             start = found.end
-        return joined(pieces)
+        return join_corrections(pieces)
 
     def _of_path(self, path: Path, bases: Bases, spacing: int) -> Correction:
         p = self.equations.actuator
@@ -292,10 +292,10 @@ class Rungs:
             bases[0].excursion_m + path.nodes[EXCURSION],
         )
 
-    def _base(self, stretch: Stretch, flux: FloatArray, points: slice) -> Base:
+    def _base(self, segment: Segment, flux: FloatArray, points: slice) -> Base:
         return Base(
-            stretch.displacement_m[points],
-            stretch.velocity_m_s[points],
+            segment.displacement_m[points],
+            segment.velocity_m_s[points],
             flux[points],
-            stretch.acceleration_m_s2[points],
+            segment.acceleration_m_s2[points],
         )

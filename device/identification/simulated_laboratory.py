@@ -9,13 +9,12 @@ import numpy as np
 from device.errors import UsageError
 from device.identification.recording import ComplexArray, Recording
 from device.identification.sweep import Sweep
-from device.rig.amplifier import Amplifier
-from device.rig.dac import Dac
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.electronics import Amplifier, Dac
 from device.rig.instruments import Daq, InstrumentChain
-from device.rig.ladder import Ladder
+from device.rig.model_levels import ModelLevel
 from device.rig.parameters import DaqParameters
 from device.rig.rig import Rig
-from device.rig.rungs import Rung
 from device.units import FloatArray
 
 LARGEST_SHARE = 0.15
@@ -23,10 +22,10 @@ LARGEST_SHARE = 0.15
 USUAL_SHARE = 0.05
 
 
-class Bench:
+class SimulatedLaboratory:
     """One rig with its instruments; every run begins at rest. One thread uses it.
 
-    seat: on the rig's seat; added_mass_kg: fastened to the moving mass; rung: of the ladder, None
+    seat: on the rig's seat; level: model level, None
     to let it choose; snr_db: noise added to what is read, in the whole recorded band, relative to
     the signal during the sweep; seed: of all noise.
 
@@ -41,28 +40,15 @@ class Bench:
         rig: Rig,
         *,
         seat: bool = False,
-        added_mass_kg: float = 0.0,
-        rung: Rung | None = Rung.NONLINEAR,
+        level: ModelLevel | None = ModelLevel.NONLINEAR,
         snr_db: float = math.inf,
         seed: int = 0,
     ) -> None:
         self.rig = rig
-        if added_mass_kg:
-            # the spring and the damper stay
-            bare = rig.actuator
-            mass = bare.moving_mass_kg + added_mass_kg
-            ratio = math.sqrt(mass / bare.moving_mass_kg)
-            loaded = replace(
-                bare,
-                moving_mass_kg=mass,
-                resonance_hz=bare.resonance_hz / ratio,
-                q_mechanical=bare.q_mechanical * ratio,
-            )
-            self.rig = replace(rig, actuator=loaded)
-        self._seat, self._rung, self._snr_db, self._seed = seat, rung, snr_db, seed
+        self._seat, self._level, self._snr_db, self._seed = seat, level, snr_db, seed
         InstrumentChain(rig, 48_000)  # refuses a rig without instruments
 
-    def level(self, sweep: Sweep, share: float = USUAL_SHARE) -> Sweep:
+    def sweep_at_excursion(self, sweep: Sweep, share: float = USUAL_SHARE) -> Sweep:
         """The sweep at the level that, linearly, moves that share of Xmax; full scale at most.
 
         Raises
@@ -70,7 +56,7 @@ class Bench:
         UsageError
             The share is not above 0, up to 0.15.
         """
-        return at_share(self.rig, sweep, share, seat=self._seat)
+        return sweep_at_excursion(self.rig, sweep, share, seat=self._seat)
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """One recording a pair (reference, response) of "voltage", "current", "acceleration".
@@ -80,8 +66,8 @@ class Bench:
         rate = sweep.samplerate
         amplifier = self.rig.amplifier
         drive = Amplifier(amplifier, rate).drive(Dac(self.rig.dac).volts(sweep.samples()))
-        ladder = Ladder(self.rig, rate, rung=self._rung, seat=self._seat)
-        motion = ladder.move(drive, ["acceleration_m_s2", "current_a"])
+        adaptive = AdaptiveActuator(self.rig, rate, level=self._level, seat=self._seat)
+        motion = adaptive.move(drive, ["acceleration_m_s2", "current_a"])
         voltage = drive - amplifier.source_impedance_ohm * motion.current_a
 
         chain = InstrumentChain(self.rig, rate, self._seed)
@@ -129,7 +115,7 @@ class Bench:
         return np.asarray(signal + rms * random.standard_normal(len(signal)))
 
 
-def at_share(rig: Rig, sweep: Sweep, share: float, *, seat: bool = False) -> Sweep:
+def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = False) -> Sweep:
     """The sweep that, linearly, moves that share of the rig's Xmax; full scale at most.
 
     Raises
@@ -142,11 +128,11 @@ def at_share(rig: Rig, sweep: Sweep, share: float, *, seat: bool = False) -> Swe
             f"share={share!r} of Xmax must be above 0, up to {LARGEST_SHARE}: louder, f0 "
             "shifts; choose a lower one"
         )
-    ladder = Ladder(rig, sweep.samplerate, rung=Rung.LINEAR, seat=seat)
+    adaptive = AdaptiveActuator(rig, sweep.samplerate, level=ModelLevel.LINEAR, seat=seat)
     loud = replace(sweep, level=1.0)
     amplifier = Amplifier(replace(rig.amplifier, output_limit_v=1e9), sweep.samplerate)
     volts = amplifier.drive(Dac(rig.dac).volts(loud.samples()))
-    peak_m = float(np.abs(ladder.move(volts, ["displacement_m"]).displacement_m).max())
+    peak_m = float(np.abs(adaptive.move(volts, ["displacement_m"]).displacement_m).max())
     return replace(sweep, level=min(1.0, share * rig.actuator.x_max_m / peak_m))
 
 

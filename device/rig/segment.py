@@ -1,0 +1,144 @@
+"""One segment of signal: the linear solution on it, what a model adds to it, and the crossfade."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION
+from device.units import FloatArray
+
+_MIN_FADE_FRAMES = 16
+"""A crossfade of fewer frames is not shortened any further."""
+_JUMP_MARGIN = 1.25
+"""The jump at the edge exists anyway; the old model may deviate by this multiple of it."""
+
+
+@dataclass(frozen=True)
+class Segment:
+    """The linear solution on solid ground at each sample: (steps * spacing + 1,) each."""
+
+    volts: FloatArray
+    displacement_m: FloatArray
+    velocity_m_s: FloatArray
+    current_a: FloatArray
+    acceleration_m_s2: FloatArray
+
+    def part(self, start: int, stop: int) -> "Segment":
+        """Return the samples from start to stop, both included."""
+        return Segment(*(samples[start : stop + 1] for samples in vars(self).values()))
+
+    def extend(self, samples: int, period_s: float) -> "Segment":
+        """Return that many samples after the first; unknown ones are extrapolated smoothly."""
+        ahead = np.arange(1, samples + 2 - len(self.volts))
+        time_s = period_s * ahead
+        w, (before, a) = self.velocity_m_s[-1], self.acceleration_m_s2[-2:]
+        change = (a - before) / period_s
+        on = (
+            0.0 * time_s,
+            w * time_s + a * time_s**2 / 2.0 + change * time_s**3 / 6.0,
+            a * time_s + change * time_s**2 / 2.0,
+            (self.current_a[-1] - self.current_a[-2]) * ahead,
+            (a - before) * ahead,
+        )
+        return Segment(
+            *(
+                np.concatenate([known, known[-1] + more])
+                for known, more in zip(vars(self).values(), on, strict=True)
+            )
+        )
+
+
+class Correction:
+    """What a model adds to the linear solution at the samples after the first, (frames,).
+
+    Each quantity is computed only when it is asked for.
+
+    Attributes
+    ----------
+    end : FloatArray
+        d at the last node, (states,); see equations.py.
+    under_end : FloatArray
+        The same for the path whose remainder was used; equal to `end` otherwise.
+    excursions_m : FloatArray
+        The total excursion at nodes or samples.
+    is_zero : bool
+        Whether all samples are 0.
+    """
+
+    def __init__(
+        self,
+        end: FloatArray,
+        samples: dict[str, Callable[[], FloatArray]],
+        excursions_m: FloatArray,
+    ) -> None:
+        self.end = self.under_end = end
+        self.excursions_m = excursions_m
+        self.is_zero = False
+        self._samples = samples
+
+    @property
+    def excursion_peak_m(self) -> float:
+        """The largest total excursion."""
+        return float(np.abs(self.excursions_m).max())
+
+    def excursion_peaks_m(self, parts: int) -> list[float]:
+        """Return the largest total excursion in each of several equal parts."""
+        return [float(np.abs(part).max()) for part in np.array_split(self.excursions_m, parts)]
+
+    def samples(self, quantity: str) -> FloatArray:
+        """Return what to add to a quantity of `Motion`."""
+        return self._samples[quantity]()
+
+
+def join_corrections(pieces: list[Correction]) -> Correction:
+    """Return consecutive corrections as one."""
+
+    def joined(name: str) -> Callable[[], FloatArray]:
+        return lambda: np.concatenate([piece.samples(name) for piece in pieces])
+
+    return Correction(
+        pieces[-1].end,
+        {name: joined(name) for name in (*QUANTITIES, SEAT_ACCELERATION)},
+        np.concatenate([piece.excursions_m for piece in pieces]),
+    )
+
+
+def crossfade(
+    values: FloatArray, old: FloatArray, base: FloatArray | None, allowed_share: float
+) -> None:
+    """Fade from the old model's correction to the new one's, in place.
+
+    When the model changes, x, v and flux continue, but acceleration and current jump by the old
+    model's error. So the old correction is continued past the edge and faded out; a weight with
+    no slope and curvature at its ends does not click. If the old model deviates too far before
+    it is faded out, as at the start of a burst, the fade is halved until it fits.
+
+    Parameters
+    ----------
+    values : FloatArray
+        The new model's correction, (frames,).
+    old : FloatArray
+        The old model's correction for the first samples.
+    base : FloatArray | None
+        The linear solution including the sample before; None means 0.
+    allowed_share : float
+        The largest allowed deviation as a share of the total's peak.
+    """
+    frames = len(old)
+    apart = old - values[:frames]
+    whole = values if base is None else values + base[1:]
+    allowed = allowed_share * float(np.abs(whole).max())
+    allowed = max(allowed, _JUMP_MARGIN * abs(float(apart[0])))
+    while True:
+        faded = apart[:frames] * _fade_weight(frames)
+        if frames < _MIN_FADE_FRAMES or float(np.abs(faded).max()) <= allowed:
+            break
+        frames //= 2
+    values[:frames] += faded
+
+
+def _fade_weight(frames: int) -> FloatArray:
+    """Return (frames,) from 1 to 0: the integral of a Hann window, -60 dB above 8 / T."""
+    t = np.arange(1, frames + 1) / frames
+    return np.asarray(1.0 - t + np.sin(2.0 * np.pi * t) / (2.0 * np.pi))
