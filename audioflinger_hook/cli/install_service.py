@@ -7,7 +7,7 @@ import sys
 
 from audioflinger_hook.config import file as config
 from audioflinger_hook.service.install import install, remove, systemd_version
-from audioflinger_hook.service.udev import udev_command, udev_rule
+from audioflinger_hook.service.unit import udev_command, udev_rule
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.errors import UsageError

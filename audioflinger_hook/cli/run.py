@@ -23,10 +23,9 @@ from audioflinger_hook.daemon.status_report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.offline.render import refuse_same_file
-from audioflinger_hook.service.folder import RuntimeFolder
-from audioflinger_hook.service.lock import DaemonLock, Holder
-from audioflinger_hook.service.socket import StatusServer
-from audioflinger_hook.service.watchdog import Watchdog, watchdog_period_s
+from audioflinger_hook.service.runtime_folder import DaemonLock, Holder, RuntimeFolder
+from audioflinger_hook.service.status_server import StatusServer
+from audioflinger_hook.service.systemd import Watchdog, watchdog_period_s
 from audioflinger_hook.sources import TapAddress, parse_tap
 from device.address import DeviceAddress, parse_device
 from device.errors import LostError, NotFoundError, UsageError
@@ -59,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
             """Read the config again, and return what it changed."""
             order = dataclasses.replace(_order(options), recording=recording)
             changes = supervisor.follow(order, now_s)
-            lock.tell(dataclasses.replace(holder, device=str(order.device)))
+            lock.write(dataclasses.replace(holder, device=str(order.device)))
             return str(changes)
 
         with recording or nullcontext():

@@ -7,9 +7,9 @@ import sys
 from collections.abc import Callable
 
 from audioflinger_hook.cli.terminal import warn
-from audioflinger_hook.service.notify import Notifier
 from audioflinger_hook.service.rate_limit import RateLimit
 from audioflinger_hook.service.state import Note, StateReport
+from audioflinger_hook.service.systemd import Notifier
 from device.errors import CushionError
 
 

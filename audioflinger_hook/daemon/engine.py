@@ -9,11 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.level_meter import BufferedLevelMeter
 from audioflinger_hook.pipeline.drive_factory import actuators_of, driving_of
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Chain
-from audioflinger_hook.service.buffer_times import BufferClock
+from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter
 from audioflinger_hook.sources import Client
 from device.clock import DelayLine
 from device.clock.frame_clock import STALLED_S
@@ -186,9 +185,9 @@ class Engine:
             return True
         self.sound.add(audio)
         self.vibration.add(vibration)
-        if self.sound.whole and self.sound.loudest > 0.0:
+        if self.sound.measured and self.sound.loudest > 0.0:
             self.last_sound_s = now_s
-        if self.vibration.whole:
+        if self.vibration.measured:
             self.faded = self.vibration.loudest < FADED
         if self._on_step is not None:
             self._on_step(audio, vibration, now_s)

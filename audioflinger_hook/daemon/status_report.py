@@ -8,16 +8,14 @@ from dataclasses import replace
 from audioflinger_hook import __version__
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.service.rig_figures import (
-    ActuatorFigures,
-    ExposureFigures,
-    ProtectionFigures,
-)
 from audioflinger_hook.service.status import (
+    ActuatorFigures,
     DelayLineFigures,
     Endpoint,
+    ExposureFigures,
     LatencyBudget,
     Levels,
+    ProtectionFigures,
     Status,
     Xruns,
 )

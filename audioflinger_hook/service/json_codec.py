@@ -1,4 +1,4 @@
-"""Frozen dataclasses as JSON documents and back, with nothing left over and nothing guessed."""
+"""Frozen dataclasses to JSON and back; reading accepts exactly what writing produces."""
 
 from __future__ import annotations
 
@@ -15,31 +15,32 @@ from device.errors import UsageError
 
 T = TypeVar("T")
 
+_SCALARS = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
+
 
 def to_json(document: Any) -> str:
-    """Return a dataclass as one line of JSON; enums by their value.
+    """Return a dataclass as one line of JSON, enums by their value.
 
     Raises
     ------
     ValueError
-        A number is not finite; JSON has none of those.
+        A number is not finite, which JSON cannot express.
     """
     return json.dumps(_plain(document), allow_nan=False, separators=(", ", ": "))
 
 
 def from_json(kind: type[T], text: str | bytes) -> T:
-    """Return the dataclass that a JSON document holds; `to_json` backwards.
+    """Return the dataclass in a JSON document; the inverse of `to_json`.
 
     Raises
     ------
     UsageError
-        Not JSON, or not exactly this: a key too many, too few or twice, a value of another type,
-        a number that is not finite. The message names the key, the value and what is allowed.
+        The text is not JSON, or a key is missing, unknown or repeated, or a value has another
+        type or is not finite. The message names the key, the value and what is allowed.
     """
     try:
-        document = json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
-    # RecursionError: thousands of brackets.
-    except (ValueError, RecursionError) as error:
+        document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:  # RecursionError: thousands of brackets
         raise UsageError(
             f"the document is not JSON: {one_line(str(error))}; give one JSON document"
         ) from error
@@ -64,66 +65,52 @@ def _typed(kind: Any, value: Any, where: str) -> Any:
         (other,) = (argument for argument in arguments if argument is not type(None))
         return None if value is None else _typed(other, value, where)
     if is_dataclass(kind):
-        return _typed_dataclass(kind, value, where)
+        items = _typed_items(get_type_hints(kind), value, where)
+        return kind(**items)  # type: ignore[operator]
     if origin is tuple:
         if not isinstance(value, list):
             raise _wrong(where, value, "a list")
         return tuple(_typed(arguments[0], item, f"{where}[{i}]") for i, item in enumerate(value))
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        names = [member.value for member in arguments[0]]
-        _refuse_other_keys(value, names, where)
-        items = {
-            member: _typed(arguments[1], value[member.value], _join(where, member.value))
-            for member in arguments[0]
-        }
-        return MappingProxyType(items)
+        members, item_kind = arguments
+        items = _typed_items({member.value: item_kind for member in members}, value, where)
+        return MappingProxyType({member: items[member.value] for member in members})
     if isinstance(kind, type) and issubclass(kind, Enum):
         for member in kind:
             if type(value) is str and value == member.value:
                 return member
         raise _wrong(where, value, ", ".join(member.value for member in kind))
-    return _typed_scalar(kind, value, where)
-
-
-def _typed_dataclass(kind: Any, value: Any, where: str) -> Any:
-    hints = get_type_hints(kind)
-    _refuse_other_keys(value, list(hints), where)
-    return kind(**{name: _typed(hints[name], value[name], _join(where, name)) for name in hints})
-
-
-def _typed_scalar(kind: Any, value: Any, where: str) -> Any:
     if kind is float and type(value) in (int, float):
-        try:
-            number = float(value)
-        except OverflowError:  # an integer of hundreds of digits
-            number = math.inf
+        # An integer of hundreds of digits is too large for a float.
+        number = float(value) if type(value) is float or abs(value) < 2**1023 else math.inf
         if math.isfinite(number):
             return number
         raise _wrong(where, value, "a finite number")
-    if type(value) is kind:  # True is no number here
+    if type(value) is kind:  # so True is no number
         return value
-    allowed = {str: "a text", int: "a whole number", float: "a number", bool: "true or false"}
-    raise _wrong(where, value, allowed[kind])
+    raise _wrong(where, value, _SCALARS[kind])
 
 
-def _refuse_other_keys(value: Any, names: list[str], where: str) -> None:
+def _typed_items(kinds: dict[str, Any], value: Any, where: str) -> dict[str, Any]:
+    """Return an object's values, typed; it has to have exactly these keys."""
     if not isinstance(value, dict):
         raise _wrong(where, value, "an object")
-    for name in names:
+    for name in kinds:
         if name not in value:
             raise UsageError(f"the document has no {_join(where, name)}; give every key")
     for name in value:
-        if name not in names:
+        if name not in kinds:
             raise UsageError(
                 f"the document has the unknown key {one_line(_join(where, name), 60)}; "
-                f"allowed: {', '.join(names)}"
+                f"allowed: {', '.join(kinds)}"
             )
+    return {name: _typed(kinds[name], value[name], _join(where, name)) for name in kinds}
 
 
 def _wrong(where: str, value: Any, allowed: str) -> UsageError:
-    # In hexadecimal, digits cost no time that grows with their number squared.
-    long = type(value) is int and abs(value) > 10**15
-    shown = one_line(hex(value) if long else repr(value), 60)
+    # Hexadecimal, as printing a long number in decimal takes quadratic time.
+    is_long = type(value) is int and abs(value) > 10**15
+    shown = one_line(hex(value) if is_long else repr(value), 60)
     return UsageError(f"the document's {where or 'whole'} is {shown}; allowed: {allowed}")
 
 
@@ -131,7 +118,7 @@ def _join(where: str, name: str) -> str:
     return f"{where}.{name}" if where else name
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     keys = dict(pairs)
     if len(keys) != len(pairs):
         raise ValueError("a key stands there twice")

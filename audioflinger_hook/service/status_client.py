@@ -9,32 +9,38 @@ import socket
 import struct
 from collections.abc import Callable, Mapping
 
-from audioflinger_hook.service.connection import ASK_STATUS
-from audioflinger_hook.service.folder import RuntimeFolder
 from audioflinger_hook.service.one_line import one_line
-from audioflinger_hook.service.socket import NAME, peer_uid
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.status import Status
+from audioflinger_hook.service.status_server import ASK_STATUS, NAME, peer_uid
 from device.errors import CushionError, InternalError, NotFoundError, UsageError
 
 ANSWER_BYTES_MAX = 1 << 20
-NOBODY = "no daemon is running; start one with `cushion run`"
+NO_DAEMON = "no daemon is running; start one with `cushion run`"
 
 
 def ask_status(
     timeout_s: float, clock: Callable[[], float], environ: Mapping[str, str] = os.environ
 ) -> Status:
-    """Return the status of this user's daemon, asked within `timeout_s` seconds of `clock`.
+    """Return the status of this user's daemon. Waits, so it is not for an audio thread.
 
-    Waits in the calling thread, which must not be the audio thread.
+    Parameters
+    ----------
+    timeout_s : float
+        Longest time until the whole answer is there.
+    clock : callable
+        Returns seconds.
+    environ : Mapping of str to str
+        The environment variables.
 
     Raises
     ------
     NotFoundError
         No daemon is running.
     UsageError
-        $XDG_RUNTIME_DIR is not usable, or folder or socket belong to somebody else.
+        $XDG_RUNTIME_DIR is not usable, or folder or socket belong to another user.
     InternalError
-        The daemon does not answer in time, or not as this version of the program expects.
+        The daemon does not answer in time, or not in the form that this version expects.
     """
     if not 0.0 < timeout_s < math.inf:
         raise UsageError(f"a timeout of {timeout_s} s; allowed: above 0")
@@ -47,17 +53,23 @@ def ask_status(
             f"the daemon has not answered within {timeout_s:g} s; try again, or restart it"
         ) from error
     except (NotFoundError, FileNotFoundError, ConnectionRefusedError) as error:
-        raise NotFoundError(NOBODY) from error
+        raise NotFoundError(NO_DAEMON) from error
     except OSError as error:
         raise InternalError(f"the daemon does not answer: {error.strerror}; try again") from error
-    return _understood(line)
+    try:
+        return Status.from_json(line)
+    except CushionError as error:
+        reason = _error_in(line) or f"its answer is not understood ({error})"
+        raise InternalError(
+            f"the daemon does not report its status: {reason}; restart it with this version"
+        ) from error
 
 
 def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -> bytes:
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
-        # Blocking, with the kernel's own timeouts: a non-blocking connect to a socket whose
-        # queue is full fails at once and would have to be tried over and over.
-        _limit(client, socket.SO_SNDTIMEO, end_s - clock())
+        # The kernel's timeouts on a blocking socket: a non-blocking connect to a socket whose
+        # queue is full fails at once.
+        _set_timeout(client, socket.SO_SNDTIMEO, end_s - clock())
         try:
             client.connect(folder.address(NAME))
             owner = peer_uid(client)
@@ -66,7 +78,7 @@ def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -
             client.sendall(json.dumps(ASK_STATUS).encode() + b"\n", socket.MSG_NOSIGNAL)
             answer = bytearray()
             while not answer.endswith(b"\n"):
-                _limit(client, socket.SO_RCVTIMEO, end_s - clock())
+                _set_timeout(client, socket.SO_RCVTIMEO, end_s - clock())
                 received = client.recv(65_536)
                 answer += received
                 if not received or len(answer) > ANSWER_BYTES_MAX:
@@ -80,28 +92,19 @@ def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -
     return bytes(answer)
 
 
-def _limit(client: socket.socket, option: int, left_s: float) -> None:
+def _set_timeout(client: socket.socket, option: int, left_s: float) -> None:
     if left_s <= 0.0:
         raise TimeoutError
-    microseconds = max(1, int(1e6 * left_s))  # 0 would mean for ever
+    microseconds = max(1, int(1e6 * left_s))  # 0 would mean no limit
     value = struct.pack("@ll", *divmod(microseconds, 1_000_000))
     client.setsockopt(socket.SOL_SOCKET, option, value)
 
 
-def _understood(line: bytes) -> Status:
-    try:
-        return Status.from_json(line)
-    except CushionError as error:
-        told = _told_error(line) or f"its answer is not understood ({error})"
-        raise InternalError(
-            f"the daemon does not tell its status: {told}; restart it with this version"
-        ) from error
-
-
-def _told_error(line: bytes) -> str:
+def _error_in(line: bytes) -> str:
+    """Return what a line `{"error": ...}` says, "" for any other line."""
     try:
         answer = json.loads(line)
     except (ValueError, RecursionError):
         return ""
-    told = answer.get("error") if isinstance(answer, dict) else None
-    return one_line(told) if isinstance(told, str) else ""
+    error = answer.get("error") if isinstance(answer, dict) else None
+    return one_line(error) if isinstance(error, str) else ""

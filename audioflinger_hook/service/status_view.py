@@ -8,15 +8,16 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from audioflinger_hook.service.levels import FLOOR_DBFS, Level
+from audioflinger_hook.service.meters import FLOOR_DBFS, Level
 from audioflinger_hook.service.one_line import one_line
-from audioflinger_hook.service.rig_figures import (
+from audioflinger_hook.service.state import DaemonState
+from audioflinger_hook.service.status import (
     ActuatorFigures,
+    Endpoint,
     ExposureFigures,
     ProtectionFigures,
+    Status,
 )
-from audioflinger_hook.service.state import DaemonState
-from audioflinger_hook.service.status import Endpoint, Status
 
 BAR_CELLS = 16
 BAR_RANGE_DB = 60.0

@@ -1,7 +1,8 @@
-"""The systemd user unit, as text."""
+"""The systemd user unit and the udev rule, as text."""
 
 from __future__ import annotations
 
+import re
 import string
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,11 @@ from device.errors import UsageError
 NAME = "cushion.service"
 MARK = "# Written by `cushion install-service`."
 """How every unit of ours begins; what does not is the user's own."""
+
+UDEV_PATH = "/etc/udev/rules.d/70-cushion.rules"
+"""Before 73-seat-late.rules, which is what reads the tag."""
+
+_USB_ID = re.compile(r"[0-9a-fA-F]{4}")
 
 _TEMPLATE = string.Template("""\
 $mark Changes belong into a drop-in: systemctl --user edit cushion
@@ -141,3 +147,39 @@ def _is_utf8(text: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+def udev_rule(vendor: str | None = None, product: str | None = None) -> str:
+    """Return the rule, for all USB audio devices or for one: its ids as four hex digits each.
+
+    Raises
+    ------
+    UsageError
+        An id is something else, or only one of them is given.
+    """
+    match = 'ENV{ID_USB_INTERFACES}=="*:0101??:*"'  # audio class, its control interface
+    what = "USB audio devices"
+    if vendor is not None or product is not None:
+        for text in (vendor, product):
+            if text is None or not _USB_ID.fullmatch(text):
+                raise UsageError(
+                    f"a USB id is {text!r}; allowed: vendor and product, four hex digits each, "
+                    "as lsusb shows them"
+                )
+        low, high = str(vendor).lower(), str(product).lower()  # as sysfs has them
+        match = f'ATTR{{idVendor}}=="{low}", ATTR{{idProduct}}=="{high}"'
+        what = f"the USB device {low}:{high}"
+    return (
+        f"# Haptic Cushion: whoever sits at the machine may drive {what} directly.\n"
+        f'ACTION!="remove", SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", {match}, '
+        'TAG+="uaccess"\n'
+    )
+
+
+def udev_command(rule: str) -> str:
+    """Return the shell command that installs a rule as root, for the user to read and paste."""
+    return (
+        f"sudo tee {UDEV_PATH} >/dev/null <<'END'\n{rule}END\n"
+        "sudo udevadm control --reload && "
+        "sudo udevadm trigger --subsystem-match=usb --action=change\n"
+    )

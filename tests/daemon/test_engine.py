@@ -9,7 +9,7 @@ import pytest
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.service.levels import FLOOR_DBFS
+from audioflinger_hook.service.meters import FLOOR_DBFS
 from audioflinger_hook.sources import PushTap, TapClient
 from device.drive import ActuatorSettings
 from device.units import Float32Array

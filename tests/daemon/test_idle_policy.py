@@ -8,8 +8,8 @@ import numpy as np
 
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.idle_policy import AWAKE_S, QUIET_S, SILENT_S, IdlePolicy
-from audioflinger_hook.daemon.level_meter import BufferedLevelMeter
 from audioflinger_hook.daemon.wake import Wake
+from audioflinger_hook.service.meters import BufferedLevelMeter
 from audioflinger_hook.sources import PushTap, TapClient
 
 RATE_HZ = 48_000

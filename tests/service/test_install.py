@@ -19,8 +19,7 @@ from audioflinger_hook.service.install import (
     remove,
     systemd_version,
 )
-from audioflinger_hook.service.udev import PATH, udev_command, udev_rule
-from audioflinger_hook.service.unit import MARK, unit_text
+from audioflinger_hook.service.unit import MARK, UDEV_PATH, udev_command, udev_rule, unit_text
 from device.errors import UsageError, WriteError
 from device.stream.priority import PRIORITY
 
@@ -247,7 +246,7 @@ def test_the_rule_gives_usb_audio_devices_to_who_sits_there():
         'ACTION!="remove", SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
         'ENV{ID_USB_INTERFACES}=="*:0101??:*", TAG+="uaccess"'
     )
-    assert int(Path(PATH).name[:2]) < 73
+    assert int(Path(UDEV_PATH).name[:2]) < 73
 
 
 def test_a_rule_for_one_device_names_it_in_lower_case():

@@ -12,19 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from audioflinger_hook.service.buffer_times import BufferTimes
-from audioflinger_hook.service.levels import Level
-from audioflinger_hook.service.rig_figures import (
-    ActuatorFigures,
-    ExposureFigures,
-    ProtectionFigures,
-)
+from audioflinger_hook.service.meters import BufferTimes, Level
 from audioflinger_hook.service.state import Cause, DaemonState
 from audioflinger_hook.service.status import (
+    ActuatorFigures,
     DelayLineFigures,
     Endpoint,
+    ExposureFigures,
     LatencyBudget,
     Levels,
+    ProtectionFigures,
     Status,
     Xruns,
 )

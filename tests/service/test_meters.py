@@ -10,8 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from audioflinger_hook.service.buffer_times import STEP, BufferClock, BufferTimes
-from audioflinger_hook.service.levels import FLOOR_DBFS, Level, LevelMeter
+from audioflinger_hook.service.meters import (
+    FLOOR_DBFS,
+    STEP,
+    BufferClock,
+    BufferTimes,
+    Level,
+    LevelMeter,
+)
 
 RATE = 48_000
 

@@ -14,16 +14,15 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.service.folder import RuntimeFolder
-from audioflinger_hook.service.lock import NAME, DaemonLock, Holder
+from audioflinger_hook.service.runtime_folder import LOCK_NAME, DaemonLock, Holder, RuntimeFolder
 from device.errors import NotFoundError, UsageError
 from tests.support.commands import environment, open_files
 
 ME = Holder(os.getpid(), "2024-05-01 12:00:00", "sink:Cushion")
 HOLD = """
 import os, sys
-from audioflinger_hook.service.folder import RuntimeFolder
-from audioflinger_hook.service.lock import DaemonLock, Holder
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
+from audioflinger_hook.service.runtime_folder import DaemonLock, Holder
 lock = DaemonLock(RuntimeFolder(os.environ, True), Holder(os.getpid(), "today", "hw:Card"))
 print("held", flush=True)
 sys.stdin.read()
@@ -117,18 +116,6 @@ def test_a_folder_of_somebody_else_is_refused(environ, tmp_path):
         RuntimeFolder(environ, create=True)
 
 
-def test_two_cannot_be_alone_in_the_folder(environ, folder):
-    with (
-        RuntimeFolder(environ, create=True) as other,
-        folder.alone(),
-        pytest.raises(UsageError, match="starts or ends just now"),
-        other.alone(),
-    ):
-        pass
-    with folder.alone():
-        pass
-
-
 # ----------------------------------------------------------------------------------- the lock
 
 
@@ -137,7 +124,7 @@ def test_the_second_daemon_is_told_who_holds_the_lock(environ, folder):
         DaemonLock(folder, ME)
     assert str(caught.value) == (
         f"another cushion daemon is running (process {process.pid}, started today, device "
-        "hw:Card); allowed: one a user; ask it with `cushion status`, or stop it first"
+        "hw:Card); allowed: one per user; ask it with `cushion status`, or stop it first"
     )
 
 
@@ -164,19 +151,19 @@ def test_a_program_that_the_holder_started_does_not_keep_the_lock(environ, folde
 
 def test_a_released_lock_is_free_and_leaves_no_name_behind(folder):
     lock = DaemonLock(folder, ME)
-    held = json.loads((folder.path / NAME).read_text())
+    held = json.loads((folder.path / LOCK_NAME).read_text())
     assert held == {"pid": ME.pid, "started": ME.started, "device": ME.device}
-    assert (folder.path / NAME).stat().st_mode & 0o777 == 0o600
+    assert (folder.path / LOCK_NAME).stat().st_mode & 0o777 == 0o600
     lock.release()
     lock.release()
-    assert (folder.path / NAME).read_text() == ""
+    assert (folder.path / LOCK_NAME).read_text() == ""
     DaemonLock(folder, ME).release()
 
 
 def test_what_a_long_dead_holder_wrote_is_overwritten_to_the_last_byte(folder):
-    (folder.path / NAME).write_text("x" * 1000)
+    (folder.path / LOCK_NAME).write_text("x" * 1000)
     with DaemonLock(folder, ME):
-        assert json.loads((folder.path / NAME).read_text())["pid"] == ME.pid
+        assert json.loads((folder.path / LOCK_NAME).read_text())["pid"] == ME.pid
 
 
 @pytest.mark.parametrize(
@@ -185,7 +172,7 @@ def test_what_a_long_dead_holder_wrote_is_overwritten_to_the_last_byte(folder):
 )
 def test_a_holder_that_does_not_say_who_it_is_still_holds(folder, content):
     with DaemonLock(folder, ME):
-        (folder.path / NAME).write_text(content)
+        (folder.path / LOCK_NAME).write_text(content)
         with pytest.raises(UsageError, match="another cushion daemon is running; allowed"):
             DaemonLock(folder, ME)
 
@@ -196,19 +183,19 @@ def test_a_lock_file_that_was_removed_meanwhile_locks_nothing_and_is_made_anew(f
 
     def gone_once(name: str) -> os.stat_result | None:
         monkeypatch.setattr(folder, "entry", look)
-        (folder.path / NAME).unlink()
+        (folder.path / LOCK_NAME).unlink()
         return look(name)
 
     monkeypatch.setattr(folder, "entry", gone_once)
     with DaemonLock(folder, ME):
-        assert json.loads((folder.path / NAME).read_text())["pid"] == ME.pid
+        assert json.loads((folder.path / LOCK_NAME).read_text())["pid"] == ME.pid
         with pytest.raises(UsageError, match="another cushion daemon"):
             DaemonLock(folder, ME)
 
 
 @pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("x")])
 def test_what_is_no_file_of_ours_is_refused_at_once(folder, make):
-    make(folder.path / NAME)
+    make(folder.path / LOCK_NAME)
     files = open_files()
     with pytest.raises(UsageError, match=r"; remove it$"):
         DaemonLock(folder, ME)
@@ -218,7 +205,7 @@ def test_what_is_no_file_of_ours_is_refused_at_once(folder, make):
 
 @root_only
 def test_a_lock_file_of_somebody_else_is_refused(folder):
-    (folder.path / NAME).touch()
-    os.chown(folder.path / NAME, 65534, 65534)
+    (folder.path / LOCK_NAME).touch()
+    os.chown(folder.path / LOCK_NAME, 65534, 65534)
     with pytest.raises(UsageError, match="is no file of user 0; remove it"):
         DaemonLock(folder, ME)

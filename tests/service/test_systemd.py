@@ -7,7 +7,7 @@ import socket
 
 import pytest
 
-from audioflinger_hook.service.notify import Notifier
+from audioflinger_hook.service.systemd import Notifier
 
 
 @pytest.fixture(params=["path", "abstract"])

@@ -20,15 +20,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.service import socket as server_module
-from audioflinger_hook.service.connection import REQUEST_BYTES_MAX, answer
-from audioflinger_hook.service.folder import RuntimeFolder
-from audioflinger_hook.service.socket import CLIENTS_MAX, NAME, PAUSE_S, StatusServer
+from audioflinger_hook.service import status_server as server_module
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Endpoint, Status
 from audioflinger_hook.service.status_client import ask_status
+from audioflinger_hook.service.status_server import (
+    CLIENTS_MAX,
+    NAME,
+    PAUSE_S,
+    REQUEST_BYTES_MAX,
+    StatusServer,
+    answer,
+)
 from device.errors import InternalError, NotFoundError, UsageError
-from tests.service.test_lock import root_only
+from tests.service.test_runtime_folder import root_only
 from tests.support.commands import environment, open_files
 
 DEADLINE_S = 10.0
@@ -36,8 +42,8 @@ STATUS = Status("1", 1, DaemonState.IDLE, "", 1.0, Endpoint("default"), Endpoint
 ASK = b'{"ask": "status"}\n'
 SERVE = """
 import os, sys, time
-from audioflinger_hook.service.folder import RuntimeFolder
-from audioflinger_hook.service.socket import StatusServer
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
+from audioflinger_hook.service.status_server import StatusServer
 server = StatusServer(RuntimeFolder(os.environ, True), lambda: None, time.monotonic)
 print("listening", flush=True)
 sys.stdin.read()
@@ -189,7 +195,7 @@ def test_a_request_without_line_break_is_answered_with_what_is_missing(daemon):
 def test_a_status_that_cannot_be_told_harms_neither_daemon_nor_client(daemon):
     for broken in (RuntimeError("boom\nboom"), replace(STATUS, since_s=float("nan"))):
         daemon.status = broken
-        with pytest.raises(InternalError, match="the daemon does not tell its status: the status"):
+        with pytest.raises(InternalError, match="does not report its status: the status"):
             daemon.ask()
     daemon.status = STATUS
     assert daemon.ask() == STATUS
@@ -311,14 +317,14 @@ def test_a_flood_costs_the_daemon_a_bounded_number_of_answers_and_others_get_the
 
     rests: list[float | None] = []
 
-    class IdlePolicy(threading.Event):
+    class RecordingEvent(threading.Event):
         def wait(self, timeout: float | None = None) -> bool:
             rests.append(timeout)
             return super().wait(timeout)
 
     daemon = Daemon(str(tmp_path))
     daemon.server._read = count
-    daemon.server._stopping = IdlePolicy()
+    daemon.server._stopping = RecordingEvent()
     over = threading.Event()
 
     def flood() -> None:
@@ -525,7 +531,7 @@ def test_an_answer_that_drips_in_is_left_after_the_timeout(odd_daemon):
         (b"x" * 2**21, "cut off or too long"),
         (b"nonsense\n", "is not JSON.*; restart it with this version"),
         (b'{"version": "9"}\n', "has no pid.*; restart it with this version"),
-        (b'{"error": "busy"}\n', "does not tell its status: busy"),
+        (b'{"error": "busy"}\n', "does not report its status: busy"),
     ],
     ids=range(6),
 )

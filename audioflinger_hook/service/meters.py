@@ -1,0 +1,189 @@
+"""Measurements on the audio thread: levels in dBFS, and the time that buffers take."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from device.blocks import peak
+from device.units import Float32Array, amplitude_to_db
+
+FLOOR_DBFS = -150.0
+"""Silence; lower levels are reported as this, so that every level is a number."""
+
+RMS_TIME_S = 0.3
+"""Time constant of the RMS."""
+
+PEAK_FALL_DB_PER_S = 20.0
+"""How fast a peak falls."""
+
+GATHERED_S = 0.06
+"""Least amount of sound that a `BufferedLevelMeter` measures at once, which costs less."""
+
+SHORTEST_S = 1e-6
+LONGEST_S = 10.0
+STEP = 1.04
+"""Ratio of the upper edges of neighbouring bins, which limits the error of a percentile to 4 %."""
+
+BINS = math.ceil(math.log(LONGEST_S / SHORTEST_S) / math.log(STEP)) + 1
+_BINS_PER_E = 1.0 / math.log(STEP)
+_BELOW = math.pow(10.0, (FLOOR_DBFS - 1.0) / 20.0)
+
+
+@dataclass(frozen=True)
+class Level:
+    """Peak and RMS in dBFS: 0 is a sample of 1.0 (peak) or a square wave of it (RMS)."""
+
+    peak_dbfs: float = FLOOR_DBFS
+    rms_dbfs: float = FLOOR_DBFS
+
+
+class LevelMeter:
+    """Peak and RMS over all channels of the latest frames.
+
+    The peak rises at once and falls by 20 dB per second; the RMS follows within 0.3 s. Both depend
+    on the frames alone, not on a clock. One thread calls `add`, any thread may call `level`.
+    unusable_blocks: count of blocks ignored because a sample is not finite.
+    """
+
+    def __init__(self, samplerate: float) -> None:
+        if not samplerate > 0.0:
+            raise ValueError(f"a samplerate of {samplerate} Hz; allowed: above 0")
+        self._rms_rate = -1.0 / (RMS_TIME_S * samplerate)
+        self._fall_rate = -PEAK_FALL_DB_PER_S * math.log(10.0) / (20.0 * samplerate)
+        self._reading = (0.0, 0.0)  # one object, so a reader sees both or neither
+        self.unusable_blocks = 0
+
+    def add(self, block: Float32Array) -> float:
+        """Measure a block of shape (frames, channels) or (frames,); return its peak."""
+        if not block.size:
+            return 0.0
+        frames = len(block)
+        loudest = peak(block)
+        axes = "ij,ij->" if block.ndim == 2 else "i,i->"
+        square = float(np.einsum(axes, block, block, dtype=np.float64)) / block.size
+        if not math.isfinite(square + loudest):
+            self.unusable_blocks += 1
+            return loudest
+        held, mean = self._reading
+        keep = math.exp(frames * self._rms_rate)
+        held = max(loudest, held * math.exp(frames * self._fall_rate))
+        # Values below the floor become 0, so that silence leads to no denormals.
+        mean = keep * mean + (1.0 - keep) * square
+        self._reading = (held if held > _BELOW else 0.0, mean if mean > _BELOW**2 else 0.0)
+        return loudest
+
+    def reset(self) -> None:
+        """Restart with silence; for the thread that calls `add`."""
+        self._reading = (0.0, 0.0)
+
+    def level(self) -> Level:
+        """Return the current level, FLOOR_DBFS or more."""
+        peak, mean = self._reading
+        return Level(_dbfs(peak), _dbfs(math.sqrt(mean)))
+
+
+class BufferedLevelMeter:
+    """The level of frames that are measured in blocks of 60 ms or more.
+
+    One thread calls `add`; any thread may read `meter`. loudest: peak of the latest measured
+    block; measured: whether the last `add` measured one.
+    """
+
+    def __init__(self, samplerate: int) -> None:
+        self.meter = LevelMeter(samplerate)
+        self.loudest = 0.0
+        self.measured = False
+        self._frames_least = max(1, round(GATHERED_S * samplerate))
+        self._blocks: list[Float32Array] = []
+        self._frames = 0
+
+    def add(self, frames: Float32Array) -> None:
+        """Take (frames, channels), any number of frames; the array must not change afterwards."""
+        self._blocks.append(frames)
+        self._frames += len(frames)
+        self.measured = self._frames >= self._frames_least
+        if self.measured:
+            self.loudest = self.meter.add(np.concatenate(self._blocks))
+            self._clear()
+
+    def reset(self) -> None:
+        """Restart with silence; for the thread that calls `add`, or while none does."""
+        self._clear()
+        self.loudest = 0.0
+        self.meter.reset()
+
+    def _clear(self) -> None:
+        self._blocks.clear()
+        self._frames = 0
+
+
+@dataclass(frozen=True)
+class BufferTimes:
+    """Computing times of buffers in ms: median, 99th percentile and maximum; 0 before the first.
+
+    buffer_ms: playing time of the last buffer; share_percent: computing time by playing time.
+    """
+
+    p50_ms: float = 0.0
+    p99_ms: float = 0.0
+    max_ms: float = 0.0
+    buffer_ms: float = 0.0
+    share_percent: float = 0.0
+
+
+class BufferClock:
+    """A histogram of computing times, of constant size.
+
+    One thread calls `add`, any thread may call `times`.
+    """
+
+    def __init__(self) -> None:
+        self._counts = [0] * BINS
+        self._max_s = 0.0
+        self._busy_s = 0.0
+        self._played_s = 0.0
+        self._buffer_s = 0.0
+
+    def add(self, busy_s: float, buffer_s: float) -> None:
+        """Count a buffer that took `busy_s` to compute and plays for `buffer_s`."""
+        busy_s = max(0.0, busy_s)
+        ratio = min(busy_s, LONGEST_S) / SHORTEST_S
+        index = math.ceil(math.log(ratio) * _BINS_PER_E) if ratio > 1.0 else 0
+        self._counts[min(index, BINS - 1)] += 1
+        self._max_s = max(self._max_s, busy_s)
+        self._busy_s += busy_s
+        self._played_s += buffer_s
+        self._buffer_s = buffer_s
+
+    def times(self) -> BufferTimes:
+        """Return the times so far; percentiles are at most 4 % too long, never too short."""
+        counts = self._counts.copy()
+        longest_s = self._max_s
+        total = sum(counts)
+        if not total:
+            return BufferTimes()
+        return BufferTimes(
+            p50_ms=1e3 * min(longest_s, _percentile_s(counts, total, 0.50)),
+            p99_ms=1e3 * min(longest_s, _percentile_s(counts, total, 0.99)),
+            max_ms=1e3 * longest_s,
+            buffer_ms=1e3 * self._buffer_s,
+            share_percent=100.0 * self._busy_s / self._played_s if self._played_s else 0.0,
+        )
+
+
+def _dbfs(amplitude: float) -> float:
+    return max(FLOOR_DBFS, amplitude_to_db(amplitude))
+
+
+def _percentile_s(counts: list[int], total: int, share: float) -> float:
+    """Return the upper edge of the bin that reaches the share; inf for the last bin."""
+    needed = math.ceil(share * total)
+    seen = 0
+    for index, count in enumerate(counts):
+        seen += count
+        if seen >= needed:
+            return SHORTEST_S * STEP**index if index < BINS - 1 else math.inf
+    return math.inf

@@ -1,0 +1,253 @@
+"""The daemon's private folder in $XDG_RUNTIME_DIR, and the lock that allows one daemon per user."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from audioflinger_hook.service.json_codec import from_json, to_json
+from audioflinger_hook.service.one_line import one_line
+from device.errors import InternalError, NotFoundError, UsageError, WriteError
+
+VARIABLE = "XDG_RUNTIME_DIR"
+FOLDER_NAME = "cushion"
+LOCK_NAME = "daemon.lock"
+HOLDER_BYTES_MAX = 4096
+ATTEMPTS_MAX = 100
+"""Attempts to lock a file that is removed each time before it is locked."""
+
+_FOLDER_MODE = 0o700
+_OPEN_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+# The sticky bit protects the file from programs that tidy runtime folders.
+_LOCK_MODE = stat.S_ISVTX | 0o600
+# O_NONBLOCK: opening a pipe with this name must not block.
+_OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+
+
+class RuntimeFolder:
+    """The open folder `$XDG_RUNTIME_DIR/cushion`; renaming its path does not redirect it.
+
+    Any thread may use it until whoever opened it closes it.
+
+    Parameters
+    ----------
+    environ : Mapping of str to str
+        The environment variables.
+    create : bool
+        Whether to create a missing folder.
+
+    Attributes
+    ----------
+    path : Path
+        For messages.
+    fd : int
+        For calls that take a folder's descriptor.
+
+    Raises
+    ------
+    UsageError
+        The variable is unusable, or the folder is a link, not ours, or open to others.
+    NotFoundError
+        The folder does not exist, and `create` is False.
+    """
+
+    def __init__(self, environ: Mapping[str, str], create: bool) -> None:
+        self.path = _base(environ) / FOLDER_NAME
+        try:
+            if create:
+                with contextlib.suppress(FileExistsError):
+                    self.path.mkdir(mode=_FOLDER_MODE)
+            self.fd = os.open(self.path, _OPEN_FOLDER)
+        except FileNotFoundError as error:
+            raise NotFoundError(f"there is no folder {self.path}; start `cushion run`") from error
+        except OSError as error:
+            raise self._error(error) from error
+        try:
+            self._check_private()
+        except UsageError:
+            self.close()
+            raise
+
+    def address(self, name: str) -> str:
+        """Return a short address of a socket in the folder, for bind and connect.
+
+        A socket's address has at most 108 bytes, which the folder's own path may exceed.
+        """
+        return f"/proc/self/fd/{self.fd}/{name}"
+
+    def entry(self, name: str) -> os.stat_result | None:
+        """Return the state of an entry without following links, None if there is no entry."""
+        try:
+            return os.stat(name, dir_fd=self.fd, follow_symlinks=False)
+        except FileNotFoundError:
+            return None
+
+    def close(self) -> None:
+        """Close the descriptor; the folder stays. May be repeated."""
+        if self.fd >= 0:
+            os.close(self.fd)
+            self.fd = -1
+
+    def __enter__(self) -> RuntimeFolder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _check_private(self) -> None:
+        found = os.fstat(self.fd)
+        if found.st_uid != os.geteuid():
+            raise UsageError(
+                f"{self.path} belongs to user {found.st_uid}, not to {os.geteuid()}; run as that "
+                f"user, or set {VARIABLE} to a folder of your own"
+            )
+        mode = stat.S_IMODE(found.st_mode)
+        if mode & 0o077:
+            raise UsageError(
+                f"{self.path} is open to others (mode {mode:04o}); allowed: 0700; remove it"
+            )
+
+    def _error(self, error: OSError) -> UsageError | InternalError:
+        # With O_NOFOLLOW | O_DIRECTORY the kernel may report a link as "not a directory".
+        if error.errno in (errno.ELOOP, errno.ENOTDIR):
+            return UsageError(f"{self.path} is a link or no folder; remove it")
+        if error.errno in (errno.ENOSPC, errno.EMFILE, errno.ENFILE, errno.EIO):
+            return InternalError(f"cannot open {self.path}: {error.strerror}")
+        return UsageError(
+            f"cannot open {self.path}: {error.strerror}; set {VARIABLE} to a folder of your own"
+        )
+
+
+@dataclass(frozen=True)
+class Holder:
+    """The daemon that holds the lock: process, start time as text, address of the device."""
+
+    pid: int
+    started: str
+    device: str
+
+
+class DaemonLock:
+    """The lock, held until `release` or the end of the process, `kill -9` included.
+
+    Programs that the daemon starts do not inherit it. One thread makes and releases it.
+
+    Parameters
+    ----------
+    folder : RuntimeFolder
+        Where the lock file lies.
+    holder : Holder
+        What a second daemon is told.
+
+    Raises
+    ------
+    UsageError
+        Another daemon holds the lock, or the lock file is not a file of ours.
+    WriteError
+        The disk is full.
+    """
+
+    def __init__(self, folder: RuntimeFolder, holder: Holder) -> None:
+        self._path = folder.path / LOCK_NAME
+        self._fd = _open_locked(folder)
+        try:
+            self.write(holder)
+        except WriteError:
+            self.release()
+            raise
+
+    def write(self, holder: Holder) -> None:
+        """Write who holds the lock. WriteError: the disk is full."""
+        try:
+            os.ftruncate(self._fd, 0)
+            os.pwrite(self._fd, to_json(holder).encode() + b"\n", 0)
+        except OSError as error:
+            raise WriteError(
+                f"cannot write {self._path}: {error.strerror}; free some space"
+            ) from error
+
+    def release(self) -> None:
+        """Release the lock; the empty file stays. May be repeated."""
+        if self._fd >= 0:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, 0)
+            os.close(self._fd)
+            self._fd = -1
+
+    def __enter__(self) -> DaemonLock:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+
+def _base(environ: Mapping[str, str]) -> Path:
+    text = environ.get(VARIABLE, "")
+    problem = "" if text else "not set"
+    base = Path(text)
+    if text and not base.is_absolute():
+        problem = f"{text!r}, which is no absolute path"
+    elif text:
+        with contextlib.suppress(OSError, ValueError):
+            if base.is_dir():
+                return base
+        problem = f"{text!r}, which is no folder"
+    raise UsageError(
+        f"{VARIABLE} is {problem}; set it to a folder of your own, usually /run/user/{os.geteuid()}"
+    )
+
+
+def _open_locked(folder: RuntimeFolder) -> int:
+    for _ in range(ATTEMPTS_MAX):
+        fd = _open_lock_file(folder)
+        try:
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise _held(fd) from error
+            # If the file was removed between opening and locking, this lock is worthless.
+            entry = folder.entry(LOCK_NAME)
+            if entry is not None and os.path.samestat(entry, os.fstat(fd)):
+                os.fchmod(fd, _LOCK_MODE)
+                return fd
+        except BaseException:
+            os.close(fd)
+            raise
+        os.close(fd)
+    raise UsageError(f"{folder.path / LOCK_NAME} is removed over and over; stop what removes it")
+
+
+def _open_lock_file(folder: RuntimeFolder) -> int:
+    path = folder.path / LOCK_NAME
+    try:
+        fd = os.open(LOCK_NAME, _OPEN_LOCK, _LOCK_MODE, dir_fd=folder.fd)
+    except OSError as error:
+        if error.errno == errno.ENOSPC:
+            raise WriteError(f"cannot write {path}: the disk is full; free some space") from error
+        raise UsageError(f"cannot lock {path}: {error.strerror}; remove it") from error
+    found = os.fstat(fd)
+    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
+        os.close(fd)
+        raise UsageError(f"{path} is no file of user {os.geteuid()}; remove it")
+    return fd
+
+
+def _held(fd: int) -> UsageError:
+    """Return the error for a lock that is held, with the holder if the file names it."""
+    who = ""
+    with contextlib.suppress(OSError, OverflowError, UsageError):
+        holder = from_json(Holder, os.pread(fd, HOLDER_BYTES_MAX, 0))
+        # The file names a dead holder until the next one has written.
+        os.kill(max(1, holder.pid), 0)
+        started, device = one_line(holder.started, 40), one_line(holder.device, 80)
+        who = f" (process {holder.pid}, started {started}, device {device})"
+    return UsageError(
+        f"another cushion daemon is running{who}; allowed: one per user; "
+        "ask it with `cushion status`, or stop it first"
+    )

@@ -1,0 +1,110 @@
+"""Messages to systemd, and the rule for its watchdog; no library needed."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Mapping
+
+from audioflinger_hook.service.one_line import one_line
+from audioflinger_hook.service.state import DaemonState
+
+SEND_TIMEOUT_S = 0.2
+"""Longest wait for room in systemd's queue."""
+
+CHECKS_PER_PERIOD = 4
+"""Feeding after a quarter of the period leaves time for a late check."""
+
+
+class Notifier:
+    """Messages to the service manager; without one, every method returns False.
+
+    No method raises. Each may take 0.2 s, so none is for an audio thread. Not for two threads at
+    once. enabled: whether $NOTIFY_SOCKET names a socket, by a path or by `@` and an abstract name.
+    failures: messages that could not be sent.
+    """
+
+    def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
+        name = environ.get("NOTIFY_SOCKET", "")
+        self.enabled = len(name) > 1 and name[0] in "/@"
+        # An abstract name begins with a null byte.
+        address = os.fsencode(name)
+        self._address = b"\0" + address[1:] if name.startswith("@") else address
+        self.failures = 0
+
+    def ready(self, status: str = "") -> bool:
+        """Report that the start, or a reload, is complete; return whether it was sent."""
+        return self._send("READY=1", *_status(status))
+
+    def status(self, text: str) -> bool:
+        """Report what the daemon does, in one line that `systemctl status` shows."""
+        return self._send(*_status(text))
+
+    def reloading(self, now_s: float) -> bool:
+        """Report that a reload begins, which `ready` ends; now_s: CLOCK_MONOTONIC."""
+        return self._send("RELOADING=1", f"MONOTONIC_USEC={int(now_s * 1e6)}")
+
+    def stopping(self, status: str = "") -> bool:
+        """Report that the daemon is stopping."""
+        return self._send("STOPPING=1", *_status(status))
+
+    def watchdog(self) -> bool:
+        """Report that the daemon works; see `Watchdog`."""
+        return self._send("WATCHDOG=1")
+
+    def _send(self, *assignments: str) -> bool:
+        if not self.enabled:
+            return False
+        # A reason may hold a file name that is not valid UTF-8.
+        message = "\n".join(assignments).encode("utf-8", "replace")
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+                sender.settimeout(SEND_TIMEOUT_S)
+                sender.sendto(message, socket.MSG_NOSIGNAL, self._address)
+        except (OSError, ValueError):  # ValueError: a null byte in the path
+            self.failures += 1
+            return False
+        return True
+
+
+class Watchdog:
+    """When to feed systemd's watchdog: while sound flows, or has a reason not to.
+
+    period_s: from `watchdog_period_s`; None never feeds. check_s: the longest time between calls
+    of `due`. Not for two threads at once.
+    """
+
+    def __init__(self, period_s: float | None) -> None:
+        self.check_s = None if period_s is None else period_s / CHECKS_PER_PERIOD
+        self._fed_s: float | None = None
+        self._buffers: int | None = None
+
+    def due(self, buffers: int, state: DaemonState, now_s: float) -> bool:
+        """Return whether to feed now, which the caller then does.
+
+        buffers: count since the start; if it stands still while sound must flow, the daemon hangs.
+        """
+        if self.check_s is None:
+            return False
+        if self._fed_s is not None and now_s - self._fed_s < self.check_s:
+            return False
+        if state.sound_must_flow and buffers == self._buffers:
+            return False
+        self._buffers = buffers
+        self._fed_s = now_s
+        return True
+
+
+def watchdog_period_s(pid: int, environ: Mapping[str, str] = os.environ) -> float | None:
+    """Return $WATCHDOG_USEC in seconds, None if it is not set or $WATCHDOG_PID is not `pid`."""
+    if environ.get("WATCHDOG_PID", str(pid)) != str(pid):
+        return None
+    text = environ.get("WATCHDOG_USEC", "")
+    # Accept ASCII digits only, few enough for a time.
+    if not (text.isascii() and text.isdigit() and len(text) < 20) or not int(text):
+        return None
+    return int(text) * 1e-6
+
+
+def _status(text: str) -> tuple[str, ...]:
+    return (f"STATUS={one_line(text)}",) if text else ()
