@@ -104,5 +104,5 @@ def parse_device(text: str) -> DeviceAddress:
     elif kind in KINDS:
         what = "the name is empty"
     else:
-        what = f"there is no kind {kind!r} (a sink of that name is written sink:{text})"
+        what = f"unknown kind {kind!r} (for a sink of that name write sink:{text})"
     raise UsageError(f"device {text!r}: {what}; allowed: {GRAMMAR}")

@@ -1,10 +1,10 @@
-"""Captures: PCM buffers kept exactly as they were delivered, to be played again bit for bit.
+"""Captures: PCM buffers stored as delivered, for replay bit for bit.
 
     audio thread -> recorder.py -> writer.py -> folder -> reader.py -> taps/capture.py
                     queue+thread   segment.py  format.py  segment.py
 
-What lies in the folder is described in format.py; rebuild.py reads one that lost its index.
-Times come in as arguments: nothing here reads a clock.
+format.py describes the folder's files; rebuild.py reads a folder without its index. Times are
+arguments.
 """
 
 from audioflinger_hook.capture.buffer import CaptureBuffer

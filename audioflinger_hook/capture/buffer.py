@@ -13,10 +13,16 @@ from numpy.typing import NDArray
 class CaptureBuffer:
     """A buffer exactly as it was delivered.
 
-    frames: (frames, channels) float32, may be empty, belongs to whoever reads it; samplerate: Hz;
-    time_s: when it was delivered, in seconds of the recorder's monotonic clock; discontinuity:
-    frames are missing before it, because the source said so, because the recorder could not keep
-    up, or because they were lost from the capture since.
+    Attributes
+    ----------
+    frames : array of float32
+        (frames, channels), possibly empty; the reader owns it.
+    samplerate : int
+        Hz.
+    time_s : float
+        Time of its delivery, seconds of the recorder's monotonic clock.
+    discontinuity : bool
+        Whether frames are missing before it: at the source, in the recorder or in the capture.
     """
 
     frames: NDArray[np.float32]

@@ -1,4 +1,4 @@
-"""What a capture is on disk: its files, their names, and every line of its index. Version 1.
+"""The files of a capture, their names, and every line of its index. Version 1.
 
 A capture is a folder:
 
@@ -10,10 +10,10 @@ A capture is a folder:
 
 Other files in the folder are left alone.
 
-**Segments** are WAV files, 32-bit float, little-endian, samples exactly as delivered: NaN, infinity
-and what lies beyond +-1 too. A segment holds one format. The samples begin at byte 94, behind a
-header that is RIFF or, above 4 GB, RF64. The header's sizes are brought up to date after every
-buffer, so a player reads a capture that was cut off like any other file, at most one buffer short.
+**Segments** are WAV files of 32-bit float, little-endian. Samples are stored as delivered, also
+NaN, infinity and values beyond +-1. A segment holds one format. The samples begin at byte 94,
+behind a header that is RIFF or, above 4 GB, RF64. The header's sizes are updated after every
+buffer, so a player reads a truncated capture like any other file, at most one buffer short.
 
 **The index** is text, one JSON object a line, only ever appended to. The last member of every line
 is `crc`: the CRC-32 (zlib), as 8 hexadecimal digits, of all bytes of the line before `,"crc"`.
@@ -29,10 +29,9 @@ is `crc`: the CRC-32 (zlib), as 8 hexadecimal digits, of all bytes of the line b
 
 A reader of version 1 passes over other kinds, and over other members.
 
-**Order.** The samples of a buffer are written before its line. So a whole line stands for a whole
-buffer, and a line repeats all that it takes to find its samples: whatever is lost, every other
-buffer can still be read. `samples_crc` finds what a power failure leaves (lines whose samples never
-reached the disk) and segments that another program changed.
+**Order.** The samples of a buffer are written before its line, so a whole line means a whole
+buffer. Each line holds all that is needed to find its samples, so a lost line harms no other.
+`samples_crc` detects samples that a power failure lost or another program changed.
 
 Pure functions; any thread may call them.
 """
@@ -63,7 +62,7 @@ FIRST_BYTES = f'{{"kind":"capture","format":"{FORMAT}"'.encode()
 """How every index begins."""
 
 Facts = Mapping[str, str | int | float | bool]
-"""What the maker of a capture says about it, by name with the unit in it."""
+"""Settings that the recorder stores, by name with its unit."""
 
 _SEGMENT_NAME = re.compile(rf"({'|'.join(STREAMS)})-(\d{{4,}})\.wav")
 _CRC = re.compile(rb'(\{.*),"crc":"([0-9a-f]{8})"\}\n?', re.DOTALL)
@@ -71,7 +70,7 @@ _CRC = re.compile(rb'(\{.*),"crc":"([0-9a-f]{8})"\}\n?', re.DOTALL)
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The first line: which streams there are, and what the maker said."""
+    """The first line: the streams and the recorder's settings."""
 
     streams: tuple[str, ...]
     facts: Facts = field(default_factory=dict)
@@ -118,7 +117,7 @@ class BufferRecord:
 
 @dataclass(frozen=True, slots=True)
 class DroppedRecord:
-    """Buffers that were delivered and not kept, before the next buffer of the stream."""
+    """Lost buffers before the next buffer of the stream."""
 
     stream: str
     buffers: int
@@ -167,9 +166,9 @@ def segment_paths(folder: Path, stream: str) -> dict[int, Path]:
 
 
 def parse_line(line: bytes) -> Record | None:
-    """What a line of the index says, or None where it is torn or damaged.
+    """Return the record of a line, or None if it is torn or damaged.
 
-    A line that is whole but for its line break counts.
+    A whole line without its line break is valid.
     """
     found = _CRC.fullmatch(line)
     if not found or zlib.crc32(found[1]) != int(found[2], 16):

@@ -16,9 +16,9 @@ from device.errors import UsageError
 
 
 def records(path: Path) -> Generator[Record | None, None, None]:
-    """Every line of the index: what it says, or None where it is torn or damaged.
+    """Yield the record of every line, or None for a torn or damaged one.
 
-    Memory stays flat whatever the file holds. Raises UsageError where it cannot be read.
+    Memory stays flat. Raises UsageError where the file cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -26,7 +26,7 @@ def records(path: Path) -> Generator[Record | None, None, None]:
                 whole = line.endswith(b"\n")
                 yield parse_line(line)
                 while not whole and (line := file.readline(LINE_BYTES_MAX)):
-                    whole = line.endswith(b"\n")  # the rest of a line that is too long
+                    whole = line.endswith(b"\n")  # the rest of an overlong line
     except OSError as error:
         raise UsageError(
             f"{path} cannot be read ({error.strerror}); check its permissions"
@@ -40,7 +40,7 @@ def first_record(path: Path) -> Record | None:
 
 
 def begins_like_an_index(path: Path) -> bool:
-    """Whether the file is an index of which nothing but a piece of the header was written."""
+    """Return whether the file holds only the beginning of a header."""
     with path.open("rb") as file:
         start = file.read(len(FIRST_BYTES))
     return FIRST_BYTES.startswith(start)

@@ -30,25 +30,37 @@ from audioflinger_hook.capture.segment import SegmentReader, segment_format
 from device.errors import UsageError
 
 Buffers = Generator[CaptureBuffer, None, None]
-"""Buffers one after another; `close()` lets go of the files before the end."""
+"""Buffers in order; `close()` closes the files before the end."""
 
 
 class Capture:
     """A capture to read from, finished, cut off, damaged, or still growing.
 
-    streams: those that it holds; facts: what its maker said about it; warnings: one line each
-    about what is lost or had to be assumed, complete for a stream once `buffers` has come to its
-    end. Nothing in the folder is changed. Calls come from one thread, not the audio thread.
+    Nothing in the folder is changed. Calls come from one thread, not the audio thread.
 
     - Cut off (kill -9, disk full): everything up to the last whole buffer, and a warning.
-    - Damaged lines in the index, samples that are missing or were changed: the buffers concerned
-      are left out, the next one is a discontinuity, and a warning says how many.
+    - Damaged lines in the index, missing or changed samples: these buffers are left out, the next
+      one is a discontinuity, and a warning says how many.
     - Index missing: the segments in order, as buffers of 1024 frames; see rebuild.py.
+
+    Parameters
+    ----------
+    folder : path
+        The capture.
+
+    Attributes
+    ----------
+    streams : tuple of str
+        The streams that it holds.
+    facts : mapping
+        Settings that the recorder stored.
+    warnings : list of str
+        Losses and assumptions, one line each; complete for a stream at the end of `buffers`.
 
     Raises
     ------
     UsageError
-        The folder is missing, may not be read, is no capture, or of an unknown version.
+        The folder is missing, unreadable, no capture, or of an unknown version.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:

@@ -1,9 +1,8 @@
-"""Capturing from the audio thread: buffers are handed over without waiting, written elsewhere.
+"""Capturing from the audio thread: buffers are handed over without waiting and written elsewhere.
 
 Each stream has a ring of samples, allocated and touched at the start. `offer` copies a buffer into
-it; a thread of the recorder's own takes it out and writes it. Each position is moved by one side
-only, so neither waits for the other. What finds no room is dropped, counted, and leaves a
-discontinuity in the capture.
+it; the recorder's thread takes it out and writes it. Each position is moved by one side only, so
+neither waits. Without room a buffer is dropped and counted, and leaves a discontinuity.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from audioflinger_hook.capture.writer import CaptureWriter
 from device.errors import CushionError, InternalError
 
 CAPACITY_SAMPLES = 1 << 22
-"""Of each stream: 16 MB, or 43 s of 48 kHz stereo, for a disk that takes a pause."""
+"""Samples that a stream may have waiting: 16 MB, or 43 s of 48 kHz stereo."""
 
 CAPACITY_BUFFERS = 1 << 14
 
@@ -39,13 +38,22 @@ class _Handed:
 
 
 class CaptureRecorder:
-    """A capture that the audio thread can feed; `writer` is its own from now on.
+    """A capture that the audio thread can feed. One thread feeds each stream.
 
-    capacity_samples, capacity_buffers: what each stream may have waiting. A buffer is never longer
-    than `capacity_samples`. Each stream may be fed by a thread of its own, but by one only.
+    Parameters
+    ----------
+    writer : CaptureWriter
+        Writes the capture; the recorder owns it from now on.
+    capacity_samples : int
+        Samples that each stream may have waiting, and the limit of a buffer.
+    capacity_buffers : int
+        Buffers that each stream may have waiting.
 
-    `error` is what made writing end (WriteError: the disk is full), or None; from then on every
-    buffer is dropped. `close` raises it.
+    Attributes
+    ----------
+    error : CushionError or None
+        Why writing ended, such as a full disk. From then on every buffer is dropped, and `close`
+        raises it.
     """
 
     def __init__(

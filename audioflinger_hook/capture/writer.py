@@ -41,7 +41,7 @@ _REASONS = {
 
 @dataclass
 class _Stream:
-    """How far a stream has come."""
+    """Position of a stream."""
 
     buffers: int = 0
     frames: int = 0
@@ -51,21 +51,27 @@ class _Stream:
 
 
 class CaptureWriter:
-    """A new capture in `folder`, which is made, or is there and empty.
+    """A new capture, written buffer by buffer.
 
-    Buffers are written as they come: samples first, then their line in the index, both handed to
-    the operating system before `write_buffer` returns, and brought to the disk (fsync) by `close`.
-    Killed at any moment, the capture holds every buffer whose call had returned. When writing
-    fails, what was written until then stays readable, and the writer is done.
+    `write_buffer` hands the samples and then their line of the index to the operating system
+    before it returns; `close` syncs them to the disk. Killed at any moment, the capture holds
+    every buffer whose call had returned. After a failed write the capture stays readable, and the
+    writer is closed. Memory stays flat. Each call waits for the operating system, so one thread
+    calls, not the audio thread (see `CaptureRecorder`).
 
-    streams: which of `STREAMS` will be written; facts: what the first line shall say about the
-    capture, by name. Memory stays flat. Calls come from one thread, not the audio thread (see
-    `CaptureRecorder`): each waits for the operating system.
+    Parameters
+    ----------
+    folder : path
+        A new or empty folder.
+    streams : sequence of str
+        The streams that will be written, from `STREAMS`.
+    facts : mapping or None
+        Settings for the first line of the index, by name.
 
     Raises
     ------
     UsageError
-        The folder is not empty, is no folder, cannot be made or may not be written.
+        The folder is not empty, is no folder, or cannot be written.
     WriteError
         The disk is full or failed, here and in every method.
     """
@@ -110,7 +116,7 @@ class CaptureWriter:
         *,
         discontinuity: bool = False,
     ) -> None:
-        """Keep one buffer, (frames, channels) float32, exactly as it is.
+        """Keep one buffer, (frames, channels) float32, bit for bit.
 
         samplerate: Hz; time_s: when it was delivered, in seconds of a monotonic clock;
         discontinuity: frames are missing before it. A buffer may be empty. Another rate or number
@@ -148,10 +154,9 @@ class CaptureWriter:
             before.segment.close()
 
     def note_dropped(self, stream: str, buffers: int, frames: int) -> None:
-        """Record that buffers of the stream, `frames` long in all, could not be kept.
+        """Record the loss of buffers, `frames` long in all, before the next buffer of the stream.
 
-        They lie between the last buffer written and the next, which a reader will call a
-        discontinuity.
+        A reader reports that one as a discontinuity.
         """
         self._state_of(stream)
         index_bytes = self._index_bytes
@@ -200,7 +205,7 @@ class CaptureWriter:
         self.close()
 
     def _state_of(self, stream: str) -> _Stream:
-        """A copy of the stream's state; refuses what cannot be written now."""
+        """Return a copy of the stream's state; refuse a closed or failed writer."""
         if self._failure is not None:
             raise WriteError(str(self._failure))
         if self._index_fd < 0:

@@ -1,7 +1,8 @@
-"""Effects as on Android: what the mixer's output passes through, leaving vibration beside it.
+"""Effects as on Android: chains of the mixer's output, the haptic effect among them.
 
-audio_effects.xml -> xml --.
-entry points -> registry --+-> chain (one a session) -> module (lifecycle)
-                                   commands (checks) <--'   '--> guard -> an engine
-parameters, interface: what an engine is                          haptic: ours -> vibration
+audio_effects.xml -> xml -> registry -> chain (one a session) -> module (lifecycle)
+interface, parameters       what an engine is
+commands                    checks every command before the engine sees it
+guard                       calls an engine so that it cannot harm the sound
+haptic, vibration           the haptic effect and its output stage
 """

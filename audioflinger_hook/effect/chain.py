@@ -24,20 +24,24 @@ BUDGET_SHARE = 0.5
 """Share of a buffer's length that one effect may take."""
 
 READINGS_EVERY_S = 1.0
-"""So often every effect is asked what it has to say; a dump shows the last answer."""
+"""Interval in which effects are asked for their state; a dump shows the last answer."""
 
 
 class EffectChains:
     """All effects of one mixer, by session.
 
-    clock: seconds, read before and after each effect; budget_share: what one effect may take of
-    a buffer's length before it counts as an overrun (inf for sound that is not played as it is
-    made: then time bypasses nothing, and the same input gives the same bytes).
+    Effects may be added before or after `set_format`. The caller clears the haptic channels
+    before every mix. All calls come from the thread that steps the mixer, except `sessions`,
+    `modules`, `bypassed` and `dump`, which only read. `process` and `end_of_cycle` neither raise,
+    block nor log.
 
-    Effects are added with the stream known or not: `reconfigure` tells it to all, and later ones
-    get the last one told. The caller clears the haptic channels before every mix. All calls come
-    from the thread that steps the mixer, but `sessions`, `modules`, `bypassed` and `dump`, which
-    only read; `process` and `end_of_cycle` neither raise, block nor log.
+    Parameters
+    ----------
+    clock : callable
+        Seconds, read before and after each effect.
+    budget_share : float
+        Share of a buffer's length that one effect may take before it counts as an overrun. With
+        inf, for offline work, time bypasses nothing, and the same input gives the same bytes.
     """
 
     def __init__(self, clock: Callable[[], float], *, budget_share: float = BUDGET_SHARE) -> None:
@@ -79,7 +83,7 @@ class EffectChains:
         return module
 
     def remove(self, module: EffectModule) -> None:
-        """Release an effect and take it out of its chain; one that is not there is left alone."""
+        """Release an effect and take it out of its chain, if it is in one."""
         chain = self._chains.get(module.session, [])
         if module not in chain:
             return
@@ -100,7 +104,7 @@ class EffectChains:
         return tuple(self._chains.get(session, ()))
 
     def bypassed(self) -> list[str]:
-        """Return `session, effect: reason` of every effect that is passed by."""
+        """Return `session, effect: reason` of every bypassed effect."""
         return [
             f"session {session}, {module.descriptor.name}: {module.bypassed}"
             for session in self._sessions
@@ -111,11 +115,10 @@ class EffectChains:
     def process(
         self, session: int, buffer: MixBuffer, now_s: float, target: MixBuffer | None = None
     ) -> None:
-        """Run a session's chain over a buffer, in place, or add what it makes to `target`.
+        """Run a session's chain over a buffer, in place, or add the result to `target`.
 
-        With a `target` of its own the chain's last effect is configured to ACCUMULATE; where
-        there is none, or it does not run, the buffer itself is added. Call it for every session
-        of `sessions()`, once a cycle.
+        With a separate `target` the chain's last effect is configured to ACCUMULATE. Without an
+        effect that runs, the buffer itself is added. Call it once a cycle for each of `sessions()`.
         """
         self._now_s = now_s
         output = buffer if target is None else target
@@ -128,7 +131,7 @@ class EffectChains:
             np.add(output.samples, buffer.samples, out=output.samples)
 
     def end_of_cycle(self, now_s: float) -> None:
-        """Tell every effect what was asked of it since the last cycle."""
+        """Send every effect the requests since the last cycle."""
         self._now_s = now_s
         self._cycles += 1
         for session in self._sessions:
@@ -145,10 +148,8 @@ class EffectChains:
                 if not module.guard.fault:
                     module.readings = asked_lines(module)
 
-    def reconfigure(
-        self, samplerate: int, channels: int, haptic_channels: int, frames: int
-    ) -> None:
-        """Tell every effect the stream: Hz, channels of sound and vibration, frames a buffer."""
+    def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
+        """Configure every effect: rate in Hz, channels of sound and vibration, frames a buffer."""
         self._config = EffectConfig(samplerate, channels, haptic_channels, frames)
         budget_s = self._budget_s()
         for session in self._sessions:
@@ -157,7 +158,7 @@ class EffectChains:
                 module.set_config(self._config)
 
     def dump(self) -> list[str]:
-        """Return the lines that `dumpsys media.audio_flinger` would give on effects."""
+        """Return the lines that `dumpsys media.audio_flinger` would show of effects."""
         sessions = self._sessions
         lines = [f"{len(sessions)} Effect Chains"]
         lines.append(f"  cycles: {self._cycles}, last at {self._now_s:.3f} s")

@@ -43,11 +43,11 @@ WITH_A_WORD = frozenset(
 WORD_MAX = 2**32 - 1
 CHANNELS_MAX = 64
 FRAMES_MAX = 2**20
-"""Of one buffer: 22 s at 48 kHz. What is larger is a mistake, and would take all memory."""
+"""Frames of one buffer, 22 s at 48 kHz; a larger one is a mistake and would take all memory."""
 
 
 class CommandCheck:
-    """Tells whether a command fits the effect that a descriptor describes. Holds no state."""
+    """Checks commands against the descriptor of an effect. Holds no state."""
 
     def __init__(self, descriptor: EffectDescriptor) -> None:
         self._flags = descriptor.flags
@@ -55,9 +55,9 @@ class CommandCheck:
         self._takes = {vendor.code: vendor.takes for vendor in descriptor.vendor_commands}
 
     def status(self, code: object, data: object) -> int:
-        """Return OK where the engine may see it, else EINVAL or ENOSYS (it asked for none such).
+        """Return OK for a valid command, else EINVAL, or ENOSYS if the effect did not ask for it.
 
-        Never raises, whatever is given: only exact types are looked into.
+        Never raises, since only values of exact types are examined.
         """
         if type(code) is not int and type(code) is not Command:
             return EINVAL
@@ -84,7 +84,7 @@ class CommandCheck:
             return is_config(data)
         if code == Command.GET_PARAM:
             return self.parameter(data) is not None
-        # What is left carries a tuple.
+        # all other commands carry a tuple
         if type(data) is not tuple:
             return False
         if code == Command.SET_VOLUME:
@@ -110,7 +110,7 @@ def is_word(number: object) -> bool:
 
 
 def is_config(config: object) -> bool:
-    """Return whether something is a configuration that can exist: whole numbers in range."""
+    """Return whether something is a valid configuration: whole numbers in range."""
     return (
         type(config) is EffectConfig
         and is_word(config.samplerate)

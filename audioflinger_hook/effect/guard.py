@@ -1,7 +1,7 @@
-"""One engine, called so that nothing it does can harm the sound or the thread that mixes.
+"""Calls one engine so that it cannot harm the sound or the thread that mixes.
 
-An engine never touches the mixer's buffers: it works on copies, and what it made is taken only
-if it is sound. Whatever it did, the sound before it is still there.
+An engine never touches the mixer's buffers. It works on copies, which are taken only if they are
+valid, so the sound before it is never lost.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from device.blocks import peak
 
 LATE_IN_A_ROW = 3
-"""Buffers over the time allowed, one after another, that make an engine too slow."""
+"""Consecutive buffers over the time allowed, after which an engine counts as too slow."""
 
 READING = frozenset({Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP})
-"""Commands whose failure is counted and named but bypasses nothing: asking changes no sound."""
+"""Commands whose failure is counted but bypasses nothing, since they change no sound."""
 
 STATUSES = frozenset({OK, EINVAL, ENODATA, ENOSYS})
 REASON_MAX = 200
@@ -38,11 +38,23 @@ REASON_MAX = 200
 class GuardedEngine:
     """An engine that may raise, answer nonsense, spoil arrays or take too long.
 
-    fault: why it is bypassed, "" while it is not; complaint: the last thing that went wrong,
-    faults: how often anything did; budget_s: what a whole buffer may take, in seconds of `clock`,
-    and a shorter one its part of it; overruns: buffers that took more; worst_s: the longest. All
-    calls come from the thread that steps the mixer, and none raises (KeyboardInterrupt is the
-    user's, and passes).
+    All calls come from the thread that steps the mixer. None raises, except KeyboardInterrupt,
+    which is the user's.
+
+    Attributes
+    ----------
+    fault : str
+        Why it is bypassed, "" while it is not.
+    complaint : str
+        The last failure.
+    faults : int
+        Number of failures.
+    budget_s : float
+        Seconds of `clock` that a whole buffer may take; a shorter one gets its share.
+    overruns : int
+        Buffers that took longer.
+    worst_s : float
+        Longest time that a buffer took.
     """
 
     def __init__(self, engine: EffectEngine, clock: Callable[[], float], budget_s: float) -> None:
@@ -66,21 +78,21 @@ class GuardedEngine:
         self._lent, self._mixed = Loan(size), Loan(size)
 
     def forgive(self) -> None:
-        """Lift the bypass; the counters go on. What it was lent before is not lent again."""
+        """Lift the bypass and lend new arrays; the counters continue."""
         self._lent.recall()
         self._mixed.recall()
         self.fault = ""
         self._late = 0
 
     def blame(self, reason: str, *, bypass: bool = True) -> None:
-        """Count something that went wrong, keep its name and, where asked, bypass the engine."""
+        """Count a failure, keep its reason and, where asked, bypass the engine."""
         self.faults += 1
         self.complaint = reason
         if bypass and not self.fault:
             self.fault = reason
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
-        """Return the engine's status and reply; EINVAL and None where it failed to give any."""
+        """Return the engine's status and reply; EINVAL and None where it failed."""
         bypass = code not in READING
         name = Command(code).name if code < Command.FIRST_PROPRIETARY else f"command {code:#x}"
         try:
@@ -97,9 +109,9 @@ class GuardedEngine:
         return answer
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int | None:
-        """Treat one buffer and return OK or ENODATA, or None where `target` is as it was before.
+        """Treat one buffer and return OK or ENODATA, or None where `target` is unchanged.
 
-        Both may be the same object, and have the sizes of the configuration at most.
+        Both may be the same object, at most as large as the configuration says.
         """
         lent = self._lent.of(source)
         mixed = lent if source is target else self._mixed.of(target)
@@ -140,7 +152,7 @@ class GuardedEngine:
             )
 
     def _spoiled(self, made: MixBuffer, source: MixBuffer, target: MixBuffer) -> bool:
-        """Return whether sound or vibration is no longer finite that was so before."""
+        """Return whether the engine made finite sound or vibration non-finite."""
         if all_finite(made.samples):
             return False
         for after, first, second in (
@@ -153,10 +165,10 @@ class GuardedEngine:
 
 
 class Loan:
-    """A copy of a buffer, lent to an engine, in memory that the next copy will have again.
+    """A copy of a buffer, lent to an engine, in memory that the next copy uses again.
 
-    samples: of the largest buffer. An engine that keeps what it was lent, and changes it later,
-    harms only what it is lent next.
+    samples: of the largest buffer. An engine that keeps its arrays and changes them later harms
+    only its own next copy.
     """
 
     def __init__(self, samples: int) -> None:
@@ -181,7 +193,7 @@ class Loan:
         return self._copy
 
     def is_back(self, original: MixBuffer) -> bool:
-        """Return whether the copy still has the arrays that it was lent with, in that layout."""
+        """Return whether the copy still has its own arrays in the same layout."""
         lent, (samples, audio, haptic) = self._copy, self._arrays
         try:
             same = lent.samples is samples and lent.audio is audio and lent.haptic is haptic
@@ -190,14 +202,14 @@ class Loan:
         return same and same_layout(lent, original)
 
     def recall(self) -> None:
-        """Let the next copy be made of new arrays."""
+        """Use new arrays for the next copy."""
         self._copy = MixBuffer(0, 0)
         self._arrays = (self._copy.samples, self._copy.audio, self._copy.haptic)
         self._layout = None
 
 
 def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
-    """Return whether two buffers hold as many frames of as many channels, in the same type."""
+    """Return whether two buffers have equal shapes and types."""
     return (
         one.samples.shape == other.samples.shape
         and one.samples.dtype == other.samples.dtype
@@ -214,12 +226,12 @@ def all_finite(samples: NDArray[np.float32]) -> bool:
 
 
 def is_status(answer: object) -> bool:
-    """Return whether an engine's answer is one of the statuses that there are."""
+    """Return whether an engine's answer is one of Android's status codes."""
     return type(answer) is int and answer in STATUSES
 
 
 def said(error: BaseException) -> str:
-    """Return an exception's type and words on one line; never raises."""
+    """Return an exception's type and message on one line; never raises."""
     try:
         words = " ".join(str(error).split())[:REASON_MAX]
     except BaseException:

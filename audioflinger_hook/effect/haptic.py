@@ -1,4 +1,4 @@
-"""The haptic effect: reads the mix, leaves it as it is, and writes the vibration beside it."""
+"""The haptic effect: reads the mix, leaves it unchanged, and writes the vibration beside it."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from audioflinger_hook.effect.interface import (
     EffectConfig,
     EffectDescriptor,
     EffectFlag,
+    EffectLibrary,
     VendorCommand,
 )
 from audioflinger_hook.effect.parameters import ParameterValues, Value, Values
-from audioflinger_hook.effect.registry import EffectLibrary
 from audioflinger_hook.effect.vibration import Vibration
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
@@ -38,35 +38,37 @@ from audioflinger_hook.transform import Form, HapticTransform
 from device.errors import UsageError
 
 DRAIN = Command.FIRST_PROPRIETARY + 1
-"""Vendor command: replies with the vibration that is still owed when the sound has ended,
-(latency_frames, haptic channels) float32, and begins anew. Silence while it is disabled."""
+"""Vendor command: replies with the rest of the vibration after the end of the sound,
+(latency_frames, haptic channels) float32, and resets. The reply is silence while disabled."""
 
 HAPTIC_CUSHION = EffectDescriptor(
     type_uuid=UUID("ba39e606-2bd4-4eb4-9ed7-0e63c0415600"),
     uuid=UUID("e6e06d15-d79b-427b-8572-ef1ff53c4fb1"),
     name="Haptic Cushion",
     implementor="Haptic Cushion",
-    # Last: it must read what is heard, after every effect that changes it.
+    # Last: it must read the sound after every effect that changes it.
     flags=EffectFlag.INSERT | EffectFlag.INSERT_LAST,
     cpu_load=1_000,
     memory_kb=256,
     parameters=HAPTIC_PARAMETERS,
     vendor_commands=(VendorCommand(DRAIN, "DRAIN"),),
 )
-"""Type UUID of its own: Android's HapticGenerator makes something else, for players only."""
+"""A separate type UUID, since Android's HapticGenerator serves players only."""
 
 
 class HapticEffect:
     """One instance of the effect, an `EffectEngine`.
 
-    The sound passes bit for bit. The haptic channels are written anew in every buffer (with
-    ACCUMULATE: added to and cut to full scale), with silence while it is disabled: what stood
-    there before never reaches a device. It needs one haptic channel or more and refuses a stream
-    without. A new gain, or mute, is reached linearly over the next buffer. A parameter of the
-    transform changes it so: over the next buffer the vibration fades out, then the new transform
-    begins from silence; what was set is what one gets at once. A sample rate or channel count
-    that changes begins anew without a fade, as the sound does. Vibration comes `latency_frames`
-    after its sound. Held by the thread that steps the mixer.
+    - The sound passes bit for bit; vibration comes `latency_frames` after its sound.
+    - Every buffer's haptic channels are overwritten, with silence while it is disabled. With
+      ACCUMULATE they are added to and limited to full scale. No stale vibration can remain.
+    - A new gain, or mute, is reached linearly over the next buffer.
+    - A new parameter of the transform fades the vibration out over the next buffer; the new
+      transform then starts from silence. GET_PARAM returns the new value at once.
+    - A new sample rate or channel count restarts it without a fade, as it does the sound.
+    - A stream without a haptic channel is refused.
+
+    Held by the thread that steps the mixer.
     """
 
     descriptor = HAPTIC_CUSHION
@@ -179,7 +181,7 @@ class HapticEffect:
         return self._take(self._values.proposed_together())
 
     def _take(self, values: dict[str, Value] | None) -> tuple[int, object]:
-        """Take values and let them take effect, or change nothing where they are not possible."""
+        """Apply a set of values, or change nothing if they are not possible together."""
         if values is None or not is_possible(values):
             return EINVAL, None
         transform = None
@@ -229,7 +231,7 @@ class HapticEffect:
 def transform_for(config: EffectConfig, values: Values) -> HapticTransform | None:
     """Return a transform for a stream, about 6 ms of work, or None where none can be."""
     chosen = sources(values)
-    # The mix alone is what every transform makes that is told nothing else.
+    # A transform without weights makes the mix alone.
     mixed = chosen not in ((), ("mix",))
     try:
         return HapticTransform(

@@ -1,12 +1,12 @@
 """What an effect is to the framework: a descriptor, `process` and `command`.
 
-Codes, flags and status values are those of Android's effect interface (audio_effect.h), so that
-somebody who knows AudioFlinger recognises them.
+Codes, flags and status values are those of Android's effect interface (audio_effect.h).
 """
 
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from types import NoneType
@@ -24,7 +24,7 @@ ENOSYS = -errno.ENOSYS
 
 
 class EffectFlag(IntFlag):
-    """What kind an effect is, where in a chain it wants to stand, what it is told; combine by |.
+    """Kind of an effect, its place in the chain, and the events it receives; combine by |.
 
     SET_VOLUME goes only to an effect with one of VOLUME_*, SET_DEVICE only to one with DEVICE_IND.
     """
@@ -49,7 +49,7 @@ class EffectFlag(IntFlag):
 
 
 class Command(IntEnum):
-    """What a framework may ask of an engine."""
+    """Commands from the framework to an engine."""
 
     INIT = 0
     SET_CONFIG = 1
@@ -85,9 +85,9 @@ class Access(IntEnum):
 
 @dataclass(frozen=True)
 class VendorCommand:
-    """A command of an effect's own: its code from FIRST_PROPRIETARY up, and the type of its data.
+    """A vendor's command: its code from FIRST_PROPRIETARY up, and the type of its data.
 
-    takes: `NoneType` for a command without data. Nothing else reaches the engine.
+    takes: `NoneType` for a command without data; other types never reach the engine.
     """
 
     code: int
@@ -97,11 +97,20 @@ class VendorCommand:
 
 @dataclass(frozen=True)
 class EffectDescriptor:
-    """Who an effect is, and everything that it may be asked.
+    """Identity of an effect, with its parameters and commands.
 
-    type_uuid: what it does, shared by all implementations; uuid: this implementation;
-    cpu_load in 0.1 MIPS, memory_kb in KB, as Android counts them. parameters, vendor_commands:
-    all there are; the framework refuses any other before the engine sees it.
+    The framework refuses all other parameters and vendor commands before the engine sees them.
+
+    Attributes
+    ----------
+    type_uuid : UUID
+        What the effect does, shared by all implementations.
+    uuid : UUID
+        This implementation.
+    cpu_load : int
+        Load in 0.1 MIPS, as on Android.
+    memory_kb : int
+        Memory in KB, as on Android.
     """
 
     type_uuid: UUID
@@ -118,7 +127,7 @@ class EffectDescriptor:
 
 @dataclass(frozen=True)
 class EffectConfig:
-    """What SET_CONFIG carries: the stream that `process` will see, up to `frames` at a time."""
+    """Data of SET_CONFIG: the format of the stream, up to `frames` a buffer."""
 
     samplerate: int
     channels: int
@@ -132,25 +141,41 @@ class EffectEngine(Protocol):
 
     @property
     def descriptor(self) -> EffectDescriptor:
-        """Who it is; constant."""
+        """Its identity, which never changes."""
         ...
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
         """Treat one buffer; both may be the same object. Returns OK or ENODATA (tail ended).
 
-        With Access.WRITE target is overwritten, with ACCUMULATE added to. The arrays are lent
-        for the call: their contents may be changed, nothing else. Called by the thread that
-        steps the mixer, which must not wait.
+        With Access.WRITE the target is overwritten, with ACCUMULATE added to. The arrays belong
+        to the caller; only their contents may change. Called by the thread that steps the mixer,
+        which must not wait.
         """
         ...
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
         """Carry out a command and return its status and reply.
 
-        Status: OK, EINVAL, ENODATA (nothing to reply with) or ENOSYS (not supported). data by
-        code: SET_CONFIG an EffectConfig; SET_PARAM and SET_PARAM_DEFERRED a (name, value) pair;
-        GET_PARAM a name, replied with the value; SET_VOLUME a tuple of gains; DUMP none, replied
-        with text; vendor codes as the descriptor says. INIT begins anew, but parameters keep
-        what was set. Called by the thread that steps the mixer, between two buffers.
+        Status: OK, EINVAL, ENODATA (nothing to reply with) or ENOSYS (not supported). Called by
+        the thread that steps the mixer, between two buffers.
+
+        - SET_CONFIG takes an EffectConfig.
+        - SET_PARAM and SET_PARAM_DEFERRED take a (name, value) pair.
+        - GET_PARAM takes a name and replies with the value.
+        - SET_VOLUME takes a tuple of gains.
+        - DUMP replies with text.
+        - INIT resets the engine but keeps its parameters.
+        - Vendor codes take what the descriptor says.
         """
         ...
+
+
+@dataclass(frozen=True)
+class EffectLibrary:
+    """Effects of one package: each one's descriptor, and what makes an instance of it.
+
+    name: what `path` in audio_effects.xml calls it.
+    """
+
+    name: str
+    effects: tuple[tuple[EffectDescriptor, Callable[[], EffectEngine]], ...]

@@ -23,7 +23,7 @@ from audioflinger_hook.effect.parameters import Values
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 
 TAIL_MAX_S = 10.0
-"""How long a stopped effect may go on with its tail, in seconds of sound."""
+"""Seconds of sound for which a stopped effect may continue its tail."""
 
 
 class EffectState(Enum):
@@ -50,27 +50,39 @@ FRAMEWORK_ONLY = frozenset({Command.INIT, Command.SET_CONFIG})
 
 
 class EffectModule:
-    """The framework's side of one engine, and what its client holds.
+    """The framework's side of one engine; its client holds it.
 
-    session: whose sound it treats; access: whether it writes over the buffer or adds to another;
-    clock: seconds; budget_s: what one buffer may take (inf: as long as it likes, for sound that
-    is not played as it is made).
+    `enable` and `disable` only set the state. `update_state` sends it to the engine at the end of
+    the next cycle, so it takes effect with the buffer after that cycle. An engine that refuses its
+    configuration, raises, answers nonsense or overruns its time is bypassed and counted, and the
+    sound passes unchanged. An accepted configuration ends a refusal. Enabling the effect again
+    ends a fault, after a new INIT and SET_CONFIG.
 
-    `enable` and `disable` only set the state; the engine is told at the end of the next cycle,
-    by `update_state`. So the first buffer that it treats is the one after that cycle, and the
-    first that it does not is too. An engine that refuses its configuration, raises, answers
-    nonsense or overruns its time is bypassed, counted and named (`bypassed`), and the sound
-    passes as it was. A refusal ends with a configuration that is accepted; a fault when the
-    effect is enabled again: it is then initialised and configured anew.
+    All calls come from the thread that steps the mixer, between buffers except `process`; none
+    raises. Any thread may read the attributes.
 
-    readings: what the effect said of itself when last asked, as lines. All calls come from the
-    thread that steps the mixer, between buffers but for `process`; none raises. What it holds
-    may be read from anywhere.
+    Parameters
+    ----------
+    engine : EffectEngine
+        The effect's implementation.
+    session : int
+        Whose sound it treats.
+    access : Access
+        Whether it writes over the buffer or adds to another one.
+    clock : callable
+        Seconds.
+    budget_s : float
+        Seconds that one buffer may take; inf for offline work.
+
+    Attributes
+    ----------
+    readings : tuple of str
+        The effect's own state when it was last asked, as lines.
 
     Raises
     ------
     Exception
-        Whatever the engine raises when it is asked for its descriptor.
+        The engine raises when asked for its descriptor.
     """
 
     def __init__(
@@ -95,7 +107,7 @@ class EffectModule:
         self._check = CommandCheck(self.descriptor)
         self._initialised = False
         self._accepted = False
-        self._told_to_run = False
+        self._running = False
         self._tail_buffers = 0
         self._initialise()
 
@@ -106,11 +118,11 @@ class EffectModule:
 
     @property
     def bypassed(self) -> str:
-        """Why the sound passes it by although it may be enabled; "" where it does not."""
+        """Why it is bypassed although it may be enabled; "" while it is not."""
         return self.guard.fault or self.refusal
 
     def enable(self) -> int:
-        """Ask it to run; it does so from the buffer after next. Returns OK, EINVAL if destroyed."""
+        """Start it with the buffer after the next. Returns OK, or EINVAL if destroyed."""
         match self.state:
             case EffectState.DESTROYED:
                 return EINVAL
@@ -125,7 +137,7 @@ class EffectModule:
         return OK
 
     def disable(self) -> int:
-        """Ask it to stop; what it still treats is its tail. Returns OK, EINVAL if destroyed."""
+        """Stop it after its tail. Returns OK, or EINVAL if destroyed."""
         match self.state:
             case EffectState.DESTROYED:
                 return EINVAL
@@ -138,9 +150,9 @@ class EffectModule:
         return OK
 
     def set_config(self, config: EffectConfig) -> int:
-        """Tell it the stream it will treat; sent only where it is a new one. Returns its status.
+        """Send it the format of the stream, if that is new, and return its status.
 
-        Its own `access` stays. A refusal bypasses it until one is accepted.
+        `access` stays unchanged. A refusal bypasses it until one is accepted.
         """
         if self.state is EffectState.DESTROYED or not is_config(config):
             return EINVAL
@@ -222,10 +234,10 @@ class EffectModule:
                     self.state = EffectState.IDLE
 
     def release(self) -> None:
-        """End its life: a running engine is told to stop, and nothing reaches it any more."""
-        if self._told_to_run and not self.guard.fault:
+        """Disable a running engine and detach it for good."""
+        if self._running and not self.guard.fault:
             self.guard.command(Command.DISABLE)
-        self._told_to_run = False
+        self._running = False
         self.state = EffectState.DESTROYED
 
     def _ready(self, source: MixBuffer, in_place: bool) -> bool:
@@ -274,18 +286,18 @@ class EffectModule:
         if self.guard.fault:
             self.guard.forgive()
             self._initialised = False
-            self._told_to_run = False
+            self._running = False
             self._configure()
         if self.guard.fault:
             self.state = EffectState.IDLE
             return
         if not self._accepted:
-            return  # it starts when it has a stream
+            return  # it starts once it has a format
         if self.state is EffectState.RESTART:
             self.guard.command(Command.RESET)
         status, _ = self.guard.command(Command.ENABLE)
         if status == OK:
-            self._told_to_run = True
+            self._running = True
             self.state = EffectState.ACTIVE
         else:
             self._refused("ENABLE", status, bypass=False)
@@ -296,7 +308,7 @@ class EffectModule:
             self.state = EffectState.IDLE
             return
         self.guard.command(Command.DISABLE)
-        self._told_to_run = False
+        self._running = False
         cycle_s = self.config.frames / self.config.samplerate
         self._tail_buffers = max(1, round(TAIL_MAX_S / cycle_s))
         self.state = EffectState.STOPPED

@@ -3,41 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from importlib.metadata import Distribution, EntryPoint, distributions
 from uuid import UUID
 
 from audioflinger_hook.effect.guard import said
+from audioflinger_hook.effect.haptic import CUSHION
 from audioflinger_hook.effect.interface import (
     Command,
     EffectDescriptor,
     EffectEngine,
     EffectFlag,
+    EffectLibrary,
     VendorCommand,
 )
 from audioflinger_hook.effect.parameters import KINDS, Parameter
 from device.errors import InternalError, NotFoundError, UsageError
 
+__all__ = ["EffectLibrary", "EffectRegistry"]
+
 ENTRY_POINTS = "audioflinger_hook.effects"
 """The entry-point group; each entry names an `EffectLibrary`."""
 
 
-@dataclass(frozen=True)
-class EffectLibrary:
-    """Effects that come together: each one's descriptor, and what makes an instance of it.
-
-    name: what `path` in audio_effects.xml calls it.
-    """
-
-    name: str
-    effects: tuple[tuple[EffectDescriptor, Callable[[], EffectEngine]], ...]
-
-
 class EffectRegistry:
-    """Every effect that there is, by UUID.
+    """All known effects, by UUID.
 
-    `problems` names each library that was left out and why; its length is the count. Used by
-    whoever sets the chains up, never by the thread that steps the mixer.
+    `problems` names each library that was left out, with the reason. It is used while chains are
+    set up, never by the thread that steps the mixer.
     """
 
     def __init__(self, libraries: Iterable[EffectLibrary] = ()) -> None:
@@ -49,12 +41,10 @@ class EffectRegistry:
 
     @classmethod
     def installed(cls) -> EffectRegistry:
-        """Return a registry of the bundled library and of all that installed packages bring.
+        """Return a registry of the bundled library and those of installed packages.
 
         A package that cannot be loaded is left out and named in `problems`.
         """
-        from audioflinger_hook.effect.haptic import CUSHION
-
         registry = cls([CUSHION])
         for owner, entry in entry_points(registry.problems):
             try:
@@ -115,7 +105,7 @@ class EffectRegistry:
         self._effects |= found
 
     def uuids(self, library: str) -> frozenset[UUID]:
-        """Return the UUIDs of a library's effects; none where it is not there."""
+        """Return the UUIDs of a library's effects; none for an unknown library."""
         if library not in self._libraries:
             return frozenset()
         return frozenset(descriptor.uuid for descriptor, _ in self._libraries[library].effects)
@@ -126,13 +116,13 @@ class EffectRegistry:
         Raises
         ------
         NotFoundError
-            There is none.
+            No effect has it.
         InternalError
-            Its library fails to make one, or makes another.
+            Its library fails to make an engine, or makes another effect.
         """
         if uuid not in self._effects:
             known = ", ".join(f"{d.uuid} ({d.name})" for d in self.descriptors)
-            raise NotFoundError(f"no effect has UUID {uuid}; there are: {known}")
+            raise NotFoundError(f"no effect has UUID {uuid}; known effects: {known}")
         descriptor, factory = self._effects[uuid]
         try:
             engine = factory()
@@ -152,7 +142,7 @@ class EffectRegistry:
 def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
     """Return (package, entry point) of every effect library that installed packages name.
 
-    A package whose metadata cannot be read is left out and named in `problems`; of packages of
+    A package whose metadata cannot be read is left out and named in `problems`. Of packages with
     the same name only the first on the path counts, as for imports.
     """
     found: list[tuple[str, EntryPoint]] = []
@@ -165,7 +155,7 @@ def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
             owner = distribution.name
         except Exception as error:
             problems.append(
-                f"package at {place(distribution)} is not looked into for effects: {said(error)}"
+                f"package at {place(distribution)} cannot be searched for effects: {said(error)}"
             )
             continue
         if owner not in seen:
@@ -175,24 +165,24 @@ def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
 
 
 def place(distribution: Distribution) -> str:
-    """Return where a package's metadata is, as far as it says."""
+    """Return where a package's metadata is, where that is known."""
     return str(getattr(distribution, "_path", "an unknown place"))
 
 
 def descriptor_problem(descriptor: object) -> str:
-    """Return what is wrong with a descriptor, or "" where nothing is; never raises."""
+    """Return what is wrong with a descriptor, or "" for a valid one; never raises."""
     if type(descriptor) is not EffectDescriptor:
         return f"{type(descriptor).__name__} is not an EffectDescriptor"
     if type(descriptor.uuid) is not UUID or type(descriptor.type_uuid) is not UUID:
-        return f"effect {descriptor.name!r} has a UUID that is none"
+        return f"effect {descriptor.name!r} has an invalid UUID"
     if type(descriptor.name) is not str or not descriptor.name:
         return f"effect {descriptor.uuid} has no name"
     if not isinstance(descriptor.flags, EffectFlag):
-        return f"effect {descriptor.name!r} has flags that are none"
+        return f"effect {descriptor.name!r} has invalid flags"
     names = []
     for parameter in descriptor.parameters:
         if type(parameter) is not Parameter or parameter.kind not in KINDS:
-            return f"effect {descriptor.name!r} has a parameter that is none"
+            return f"effect {descriptor.name!r} has an invalid parameter"
         if parameter.default is not None and not parameter.accepts(parameter.default):
             return f"effect {descriptor.name!r}: default of {parameter} is out of its range"
         names.append(parameter.name)
@@ -201,7 +191,7 @@ def descriptor_problem(descriptor: object) -> str:
     for vendor in descriptor.vendor_commands:
         if type(vendor) is not VendorCommand or vendor.code <= Command.FIRST_PROPRIETARY - 1:
             return (
-                f"effect {descriptor.name!r} has a command of its own "
+                f"effect {descriptor.name!r} has a vendor command "
                 f"below {int(Command.FIRST_PROPRIETARY):#x}"
             )
     return ""

@@ -10,11 +10,11 @@ from device.blocks import peak
 
 
 class Vibration:
-    """Vibration of one stream, at the level asked for, in as many haptic channels as there are.
+    """Vibration of one stream, scaled, in all haptic channels of the buffer.
 
-    gain: the level asked for, 0 to 1. A new one is reached linearly over the next block, so that
-    nothing clicks. clip: whether samples beyond full scale are cut to it and counted. frames: of
-    the largest block. Held by the thread that steps the mixer.
+    gain: 0 to 1; a new one is reached linearly over the next block, without a click. clip:
+    whether samples beyond full scale are limited and counted. frames: of the largest block. Held
+    by the thread that steps the mixer.
     """
 
     def __init__(self, transform: HapticTransform, gain: float, frames: int) -> None:
@@ -49,15 +49,14 @@ class Vibration:
         return self._replaced_before + self._transform.replaced_samples
 
     def change(self, transform: HapticTransform) -> None:
-        """Go over to another transform: the old one fades over the next block, then it begins.
+        """Change to another transform: the old one fades out over the next block.
 
-        The new one knows nothing of the past: its vibration begins, from 0, with what is heard
-        after that block.
+        The new one starts from silence with the sound after that block.
         """
         self._next = transform
 
     def restart(self, transform: HapticTransform) -> None:
-        """Go over to another transform at once; for streams that are new or silent."""
+        """Change to another transform at once, for streams that are new or silent."""
         self._adopt(transform)
 
     def reset(self) -> None:
@@ -77,7 +76,7 @@ class Vibration:
             self._adopt(self._next)
 
     def drain(self, haptic_channels: int) -> NDArray[np.float32]:
-        """Return what is still owed when the sound has ended, (latency_frames, haptic_channels)."""
+        """Return the rest after the end of the sound, (latency_frames, haptic_channels)."""
         owed = self._transform.finish()
         out = np.zeros((len(owed), haptic_channels), np.float32)
         self._write(owed, out, self.gain)
@@ -111,7 +110,7 @@ class Vibration:
         for place in range(places):
             np.copyto(column, owed[:, place % voices])
             if places < voices:
-                # One by one: a sum whose order depended on the shape would depend on the blocks.
+                # one by one: NumPy's order of a sum depends on the shape, so on the blocks
                 for voice in range(place + places, voices, places):
                     column += owed[:, voice]
                 column /= len(range(place, voices, places))
@@ -125,7 +124,7 @@ class Vibration:
 
 
 def cut_to_full_scale(samples: FloatArray) -> int:
-    """Cut samples to +-1 in place and return how many were beyond."""
+    """Limit samples to +-1 in place and return how many were beyond."""
     if peak(samples) <= 1.0:
         return 0
     beyond = int(np.count_nonzero(np.abs(samples) > 1.0))

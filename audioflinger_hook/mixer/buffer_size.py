@@ -14,7 +14,7 @@ def normal_buffer_frames(samplerate: int, hal_frames: int) -> int:
     """The frames of a normal mix buffer: whole HAL buffers of 20 to 24 ms where there are any.
 
     samplerate: Hz; hal_frames: of the buffer that the hardware takes at once. The result is a
-    multiple of 16; a HAL buffer above 20 ms is taken as it is.
+    multiple of 16; a HAL buffer above 20 ms stays unchanged.
 
     Raises UsageError for hal_frames or samplerate under 1.
     """

@@ -15,10 +15,16 @@ _COLUMNS = (
 
 
 def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
-    """The thread, its tracks and effect chains, as lines of text.
+    """Return the thread, its tracks and effect chains as lines of text.
 
-    cycle_times_s: how long the last cycles took, if somebody has measured them. Any thread may
-    call it; what it shows may then be of two neighbouring cycles.
+    Any thread may call it; the values may then belong to two neighbouring cycles.
+
+    Parameters
+    ----------
+    mixer : Mixer
+        What is described.
+    cycle_times_s : sequence of float
+        Durations of the last cycles, seconds, where they were measured.
     """
     lines = [*_thread(mixer), *_cycle_times(mixer, cycle_times_s), *_tracks(mixer)]
     lines += [f"  {line}" for line in mixer.effects.dump()]

@@ -26,9 +26,7 @@ class EffectsPort(Protocol):
         """Do what waits for the end of a cycle that wrote: ENABLE, the end of a tail."""
         ...
 
-    def reconfigure(
-        self, samplerate: int, channels: int, haptic_channels: int, frames: int
-    ) -> None:
+    def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
         """Take the format of all buffers from now on: before the first, and at every change."""
         ...
 
@@ -38,22 +36,20 @@ class EffectsPort(Protocol):
 
 
 class NoEffects:
-    """No chain for any session: the mix goes to the sinks as it is."""
+    """No chain for any session: the mix goes to the sinks unchanged."""
 
     def sessions(self) -> Collection[int]:
         """None."""
         return ()
 
     def process(self, session: int, buffer: MixBuffer, now_s: float) -> None:
-        """Leave the buffer as it is."""
+        """Leave the buffer unchanged."""
 
     def end_of_cycle(self, now_s: float) -> None:
         """Do nothing."""
 
-    def reconfigure(
-        self, samplerate: int, channels: int, haptic_channels: int, frames: int
-    ) -> None:
-        """Do nothing: no effect needs to know."""
+    def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
+        """Do nothing."""
 
     def dump(self) -> list[str]:
         """The heading alone."""

@@ -23,7 +23,7 @@ class MixBuffer:
         self.hold(frames)
 
     def hold(self, frames: int) -> None:
-        """Hold so many frames from now on, at most those it was made for; contents are undefined.
+        """Hold n frames from now on, at most the initial number; contents are undefined.
 
         A shorter buffer lies at the start of the same memory, its haptic region right behind its
         audio.

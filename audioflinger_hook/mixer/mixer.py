@@ -47,8 +47,18 @@ class MixerState(Enum):
 class CycleReport(NamedTuple):
     """What one cycle did.
 
-    underruns: tracks that could not deliver. buffer: what the sinks got, silence in standby; it
-    is the mixer's own and changes with the next cycle.
+    Attributes
+    ----------
+    state : MixerState
+        What the cycle found.
+    frames_written : int
+        Frames that the sinks got, 0 in standby.
+    tracks_mixed : int
+        Tracks in the mix.
+    underruns : int
+        Tracks that could not deliver.
+    buffer : MixBuffer
+        What the sinks got, silence in standby; the mixer reuses it in the next cycle.
     """
 
     state: MixerState
@@ -61,19 +71,38 @@ class CycleReport(NamedTuple):
 class Mixer:
     """Mixes tracks to one stream, through effects, into sinks.
 
-    samplerate: Hz; channels, haptic_channels: of the mix; hal_frames: what the output takes at
-    once, from which `frames`, those of a whole cycle, follow; standby_delay_s: how long without an
-    active track until nothing is written any more (inf: silence is written for ever, also before
-    the first track). Whoever calls `cycle` sets the pace. on_mix: if set, told the sound of every
-    cycle before the effects of the whole mix, (frames, channels); the array is the mixer's own.
+    The caller of `cycle` sets the pace. One thread calls `cycle`; each client's thread makes and
+    uses its own tracks; any thread may call `post` and read. Nothing waits.
 
-    Threads: one thread calls `cycle`. Tracks are made and used by their clients' threads, one
-    each; `post` and everything that only reads may be called from anywhere. Nothing waits.
+    Parameters
+    ----------
+    samplerate : int
+        Rate of the mix, Hz.
+    channels : int
+        Audio channels of the mix.
+    hal_frames : int
+        Frames that the output takes at once; the frames of a whole cycle follow from it.
+    haptic_channels : int
+        Haptic channels behind the audio.
+    sinks : sequence of Sink
+        Each takes every buffer that is written.
+    effects : EffectsPort or None
+        The effect chains; None for none.
+    standby_delay_s : float
+        Seconds without an active track until standby; inf writes silence instead, from the start.
+
+    Attributes
+    ----------
+    frames : int
+        Frames of a whole cycle.
+    on_mix : callable or None
+        Called in each cycle with the sound before the effects of the whole mix, (frames,
+        channels); the array belongs to the mixer.
 
     Raises
     ------
     UsageError
-        A number is out of its range; the message names all that are.
+        Numbers are out of range; the message names all of them.
     """
 
     def __init__(
@@ -123,9 +152,9 @@ class Mixer:
         ring_frames: int | None = None,
         start_threshold: int | None = None,
     ) -> Track:
-        """Make a track; it is part of the mix from the next cycle on. From any client's thread.
+        """Make a track, which is mixed from the next cycle on. From any client's thread.
 
-        For the parameters see `Track`. Raises UsageError naming all that is wrong.
+        `Track` describes the parameters, and raises UsageError naming all that is wrong.
         """
         track = Track(
             next(self._track_ids),
@@ -140,23 +169,18 @@ class Mixer:
             start_threshold=start_threshold,
         )
         # made here, so that the audio thread does not have to design a filter
-        made_for = (self.samplerate, self.channels, self.frames)
-        lane = Lane(track, *made_for)
+        lane = Lane(track, self.samplerate, self.channels, self.frames)
 
         def add() -> None:
-            now = (self.samplerate, self.channels, self.frames)
-            if now != made_for:
-                self._refuse_small_rings([lane], now[0], now[2])
-                lane.configure(*now)
             self._lanes = (*self._lanes, lane)
 
         self.post(add)
         return track
 
     def remove_track(self, track: Track) -> None:
-        """Take a track out of the mix: it ramps down first, or drains if it was told to stop.
+        """Take a track out of the mix: it ramps down first, or drains if its client stopped it.
 
-        Called by the track's client, which uses it no more. A second call means nothing.
+        Called by the track's client, which stops using it. A second call changes nothing.
         """
         track.requests.append((Request.REMOVE, track.ring.written))
 
@@ -167,29 +191,13 @@ class Mixer:
         """
         self._events.append(event)
 
-    def reconfigure(
-        self, samplerate: int, channels: int, haptic_channels: int | None = None
-    ) -> None:
-        """Change the format of the mix. For the mixer's thread: call it from a posted event.
-
-        Tracks keep their rings and go on; the effects are told. The sinks have to be fit for it.
-        Raises UsageError, and changes nothing, if the format is wrong or a ring too small.
-        """
-        haptic = self.haptic_channels if haptic_channels is None else haptic_channels
-        self._check(samplerate, channels, haptic)
-        frames = normal_buffer_frames(samplerate, self.hal_frames)
-        self._refuse_small_rings(self._lanes, samplerate, frames)
-        self._configure(samplerate, channels, haptic)
-        for lane in self._lanes:
-            lane.configure(samplerate, channels, self.frames)
-
     def cycle(self, now_s: float, frames: int | None = None) -> CycleReport:
         """Do one cycle and report it.
 
         config events -> standby or wait -> prepare tracks -> mix -> effect chains -> convert ->
-        write to the sinks. now_s: seconds of any clock that does not run backwards. frames: how
-        long the cycle is, 1 to `self.frames`, which it is if nothing is said: a tap that hands
-        over buffers of its own sizes sets the pace by them, and the mixer adds no delay.
+        write to the sinks. now_s: seconds of any clock that does not run backwards. frames:
+        length of the cycle, 1 to `self.frames` (the default). A tap may so set the pace by the
+        length of its buffers, and the mixer adds no delay.
         """
         self.cycles += 1
         self._take_events()
@@ -211,12 +219,12 @@ class Mixer:
         return CycleReport(self.state, frames, mixed, underruns, self.buffer)
 
     def _take_events(self) -> None:
-        # only those that are there now: an event may post another one
+        # only those that were posted before: an event may post another one
         for _ in range(len(self._events)):
             event = self._events.popleft()
             try:
                 event()
-            except Exception as failure:  # whatever it is, the sound goes on
+            except Exception as failure:  # the sound goes on whatever fails
                 self.failed_events += 1
                 self.last_failure = f"{type(failure).__name__}: {failure}"
 
@@ -303,7 +311,7 @@ class Mixer:
     def _configure(self, samplerate: int, channels: int, haptic_channels: int) -> None:
         self._check(samplerate, channels, haptic_channels)
         frames = normal_buffer_frames(samplerate, self.hal_frames)
-        self.effects.reconfigure(samplerate, channels, haptic_channels, frames)
+        self.effects.set_format(samplerate, channels, haptic_channels, frames)
         self.samplerate = samplerate
         self.channels = channels
         self.haptic_channels = haptic_channels
@@ -321,12 +329,3 @@ class Mixer:
         ]
         if wrong:
             raise UsageError(f"the mix cannot have {'; '.join(wrong)}")
-
-    @staticmethod
-    def _refuse_small_rings(lanes: Sequence[Lane], samplerate: int, frames: int) -> None:
-        names = [lane.track.name for lane in lanes if not lane.fits(samplerate, frames)]
-        if names:
-            raise UsageError(
-                f"a period of {frames} frames at {samplerate} Hz does not fit into the ring of "
-                f"{', '.join(map(repr, names))}; make these tracks with a larger ring_frames"
-            )

@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 
 class FrameRing:
-    """A bounded ring of float32 frames; one thread writes, one other reads, neither ever waits.
+    """A bounded ring of float32 frames: one thread writes, another reads, neither waits.
 
-    capacity_frames: allocated once. `written` and `read` count frames since the start and are
-    never turned back; each belongs to one thread, which stores it only after the frames
-    themselves have been stored or used, so the other never sees half of anything.
+    `written` and `read` count frames since the start. Each is stored by one thread only, after the
+    frames themselves were stored or used. So the other thread never sees a part of a buffer.
     """
 
     def __init__(self, capacity_frames: int, channels: int) -> None:

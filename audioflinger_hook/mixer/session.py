@@ -9,7 +9,7 @@ from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from audioflinger_hook.mixer.track_mixer import Lane
 
 TAIL_S = 1.0
-"""For so long a chain gets zeros after its last track, so that its effects can ring out."""
+"""Seconds of zeros that a chain gets after its last track, so that its effects can decay."""
 
 
 class SessionMix:
@@ -27,11 +27,11 @@ class SessionMix:
         self._empty = False
 
     def hold(self, frames: int) -> None:
-        """Begin a cycle of so many frames. Call it before the tracks."""
+        """Begin a cycle of `frames` frames. Call it before the tracks."""
         self.buffer.hold(frames)
 
     def begin(self) -> bool:
-        """Make the buffer ready for the effects; False if they have nothing to do any more.
+        """Make the buffer ready for the effects; False if their tail is over.
 
         Call once a cycle, after the tracks.
         """
@@ -47,7 +47,7 @@ class SessionMix:
         return True
 
     def clear(self) -> None:
-        """Forget everything: no tail is owed. For standby."""
+        """Forget the session's sound and its tail, for standby."""
         self.buffer.clear()
         self._empty = True
         self._tail_left = 0

@@ -1,7 +1,7 @@
-"""Whose sound it is: the numbers by which Android tells the players and the mix apart."""
+"""Session numbers, by which Android distinguishes the players and the mix."""
 
 from __future__ import annotations
 
 OUTPUT_MIX, OUTPUT_STAGE, DEVICE = 0, -1, -2
-"""The sessions that are nobody's: what all players make together, after that, and the device's;
-run in this order. A player's session is a number from 1 up."""
+"""The sessions of no single player, in running order: the mix of all players, the stage after it,
+and the device. A player's session is a number from 1 up."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
-from audioflinger_hook.mixer.pcm import FLOAT_LIMIT, PcmFormat, encode
+from audioflinger_hook.mixer.pcm import FLOAT_LIMIT
 from device.blocks import peak
 from device.output import VibrationOutput
 
@@ -22,14 +21,17 @@ class Sink(Protocol):
         ...
 
     def standby(self) -> None:
-        """Nothing comes for a while: let go of what was kept. The next `write` ends it."""
+        """Drop what was kept, since nothing follows for a while. The next `write` ends it."""
         ...
 
 
 class AudioSink:
-    """Sends the audio region to an output of frames, clamped at ±2.0 as float sinks are.
+    """Sends the audio region to an output, clamped at ±2.0 as Android's float sinks are.
 
-    output: anything with `write`, for example a WAV file; its channels are those of the mix.
+    Parameters
+    ----------
+    output : VibrationOutput
+        Takes the frames, for example a WAV file; its channels are those of the mix.
     """
 
     def __init__(self, output: VibrationOutput) -> None:
@@ -47,27 +49,19 @@ class AudioSink:
         self._frames[...] = 0.0
 
 
-class PcmSink:
-    """Sends the audio region as bytes of a sample format, to whatever takes bytes."""
-
-    def __init__(self, send: Callable[[bytes], object], pcm_format: PcmFormat) -> None:
-        self._send = send
-        self._format = pcm_format
-
-    def write(self, buffer: MixBuffer) -> None:
-        """Send the sound, converted."""
-        self._send(encode(buffer.audio, self._format))
-
-    def standby(self) -> None:
-        """Nothing was kept."""
-
-
 class HapticSink:
     """Splits off the haptic region and sends it to the device; scale and clip come last.
 
-    outputs: each takes the vibration, with as many channels as the mix has haptic ones; gain: of
-    the whole device, from the next buffer on. What is sent lies within ±1, and what is not a
-    number is sent as 0. clip=False is for files alone: they take what is beyond full scale.
+    Samples that are not a number are sent as 0.
+
+    Parameters
+    ----------
+    *outputs : VibrationOutput
+        Each takes the vibration; its channels are the haptic channels of the mix.
+    gain : float
+        Factor for the whole device, from the next buffer on.
+    clip : bool
+        Whether samples are limited to ±1; False is for files only.
     """
 
     def __init__(self, *outputs: VibrationOutput, gain: float = 1.0, clip: bool = True) -> None:
@@ -82,7 +76,7 @@ class HapticSink:
         self.send(buffer.haptic)
 
     def send(self, vibration: NDArray[np.float32]) -> None:
-        """Send frames that are in no buffer: what was still owed at the end."""
+        """Send frames that are in no buffer, such as the effect's rest at the end."""
         self.sent = _like(self.sent, vibration)
         np.multiply(vibration, np.float32(self.gain), out=self.sent)
         _limited(self.sent, self._limit, self.sent)
@@ -95,7 +89,7 @@ class HapticSink:
 
 
 def _like(frames: NDArray[np.float32], wanted: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return memory of the wanted shape, the same one as long as that does not change."""
+    """Return memory of the wanted shape, the same array while the shape stays."""
     return frames if frames.shape == wanted.shape else np.zeros(wanted.shape, np.float32)
 
 

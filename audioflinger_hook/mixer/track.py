@@ -23,19 +23,37 @@ __all__ = ["Track", "TrackState"]
 class Track:
     """One client's stream into the mix; `Mixer.create_track` makes it.
 
-    Threads: one client thread calls `write`, `start`, `pause`, `stop`, `flush`, `set_volume`,
-    none of which waits; the mixer takes the frames and carries the requests out, in order, at the
-    start of its next cycle. Anyone may read the properties.
+    One client thread calls `write`, `start`, `pause`, `stop`, `flush` and `set_volume`; none of
+    them waits. The mixer carries requests out in order at the start of its next cycle. Any thread
+    may read the properties.
 
-    id: unique in its mixer; session: whose effect chain it passes, 0 for none; samplerate: Hz;
-    mix_samplerate (Hz), mix_frames: what the mixer makes in one cycle; ring_frames: how many frames
-    fit in the ring, at least one of these periods, by default two; start_threshold: frames that
-    have to be there before it is first heard, `ring_frames` if None.
+    Parameters
+    ----------
+    track_id : int
+        Number of the track, unique in its mixer.
+    name : str
+        What the dump shows.
+    session : int
+        The player session whose effect chain it passes, 0 for none.
+    pcm_format : PcmFormat
+        Sample format of what the client writes.
+    samplerate : int
+        Rate of what the client writes, Hz.
+    channels : int
+        Channels of what the client writes.
+    mix_samplerate : int
+        Rate of the mix, Hz.
+    mix_frames : int
+        Frames of the mix in one cycle.
+    ring_frames : int or None
+        Capacity of the ring, at least one cycle; two by default.
+    start_threshold : int or None
+        Frames in the ring before the track first sounds; a full ring by default.
 
     Raises
     ------
     UsageError
-        Anything of that is out of its range; the message names all that is.
+        Values are out of range; the message names all of them.
     """
 
     def __init__(

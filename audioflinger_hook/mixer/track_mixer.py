@@ -30,8 +30,8 @@ class Readiness(Enum):
 class Lane:
     """One track's way into the mix: requests -> frames -> channels -> rate -> ramped volume.
 
-    samplerate, channels: of the mix; frames: of its longest cycle. Made on any thread, then held
-    by the mixer's.
+    samplerate, channels: of the mix; frames: of its longest cycle. Any thread may make it; then
+    the mixer's thread holds it.
     """
 
     def __init__(self, track: Track, samplerate: int, channels: int, frames: int) -> None:
@@ -44,11 +44,6 @@ class Lane:
         self._stop_at = 0
         self._tail_frames = 0
         self._leaving = False
-        self.configure(samplerate, channels, frames)
-
-    def configure(self, samplerate: int, channels: int, frames: int) -> None:
-        """Take the format of the mix, at first and after a change; only a resume ramps then."""
-        track = self.track
         self._channels = channels
         self._frames = frames
         self._map = ChannelMap(track.channels, channels)
@@ -63,8 +58,6 @@ class Lane:
         self._mapped = np.zeros((mapped_frames, channels), np.float32)
         self._spare = np.zeros(mapped_frames, np.float32)
         self._ramp = VolumeRamp(channels, frames)
-        if self._state in (TrackState.PAUSED, TrackState.RESUMING) and not self._filling:
-            self._ramp.mute()
         self._gains: Gains = ()
         self._volume: tuple[float, ...] | None = None
         self._take = 0
@@ -75,11 +68,6 @@ class Lane:
     def is_active(self) -> bool:
         """Whether the track takes part in this cycle, with sound or without."""
         return self._state in PLAYING and not self.track.disabled
-
-    def fits(self, samplerate: int, frames: int) -> bool:
-        """Whether the track's ring can hold a whole period of that mix."""
-        most = period_frames(self.track.samplerate, samplerate, frames)
-        return most <= self.track.ring.capacity_frames
 
     def update(self) -> None:
         """Carry out what the client has asked for since the last cycle."""
@@ -97,7 +85,7 @@ class Lane:
             self._settle()
 
     def prepare(self, frames: int) -> Readiness:
-        """Decide whether this cycle, of so many frames, mixes the track. While active, once."""
+        """Decide whether a cycle of `frames` frames mixes the track. Once a cycle while active."""
         resampler = self._resampler
         self._cycle_frames = frames
         self._needed = resampler.frames_needed(frames) if resampler else frames
@@ -132,7 +120,7 @@ class Lane:
             sound = self._map.apply(sound, self._mapped[:frames], self._spare[:frames])
         goal = None if self._state is TrackState.PAUSING else self._goal()
         self._ramp.mix(sound, target, goal, scratch, first=first)
-        # only now may the client write over what was used where it stood
+        # only now may the client write over the frames that were read in place
         self.track.ring.consume(self._take)
         if self._state is TrackState.PAUSING:
             self._move_to(TrackState.PAUSED)
@@ -166,13 +154,13 @@ class Lane:
             track.disabled = True
         if self._filling:
             return Readiness.WAITING
-        # all of them: AudioFlinger, too, counts the period that was not heard
+        # AudioFlinger also counts the whole period that was not heard
         track.underruns += 1
         track.underrun_frames += self._needed
         return Readiness.UNDERRUN
 
     def _goal(self) -> Gains:
-        """Return the gains that the client wants, worked out anew only when they change."""
+        """Return the gains that the client wants, computed only when they change."""
         volume = self.track.volume
         if volume is not self._volume:
             self._volume = volume

@@ -24,8 +24,8 @@ def usable_gain(gain: float) -> float:
 def gains_of(volume: Sequence[float], channels: int) -> Gains:
     """One usable gain for each of `channels` of the mix, rounded to float32.
 
-    volume: one gain for all; or two, left and right, where a channel in the middle takes the
-    mean; or one for each channel, where the last holds for any channels beyond.
+    volume: one gain for all channels; or two, left and right, whose mean the centre takes; or one
+    for each channel, where the last also holds for further channels.
     """
     usable = [float(np.float32(usable_gain(gain))) for gain in volume]
     if len(usable) == 2:
@@ -76,7 +76,7 @@ class VolumeRamp:
 
         source: (frames, channels) or (frames, 1), only read; target, scratch: (frames,
         channels). goal: the gains to reach, None for silence. At unity gain the samples are
-        copied or added as they are, to the bit.
+        copied or added bit for bit.
         """
         goal = self._silent if goal is None else goal
         now = goal if self._now is None else self._now
@@ -109,5 +109,5 @@ def _rise(frames: int) -> NDArray[np.float32]:
 
 
 def gain_db(gain: float) -> float:
-    """The gain in dB, -inf for 0; for dumps."""
+    """Return a gain in decibels, -inf for 0, for dumps."""
     return 20.0 * math.log10(gain) if gain > 0.0 else -math.inf

@@ -1,4 +1,4 @@
-"""Scenes: several sounds made by code, each on its own track, to play without any file at hand."""
+"""Scenes: several sounds made by code, each on its own track."""
 
 from audioflinger_hook.scenes.demo import demo_scene
 from audioflinger_hook.scenes.tracks import Scene, SceneTrack

@@ -8,10 +8,9 @@
                                                      explosion ------>
                                                               chord ------------>
 
-Each sound comes as an application would play it: with a rate and a sample format of its own. The
-engine is paused and resumed. Each sound has some time to itself, so that it can be seen and felt
-alone; neighbours overlap a little, so that a mixer has something to mix. A second of digital
-silence stands before the explosion.
+Each sound has its own rate and sample format, as an application would. The engine is paused and
+resumed. Each sound plays alone for some time, and neighbours overlap a little. A second of digital
+silence precedes the explosion.
 """
 
 from __future__ import annotations
@@ -64,10 +63,19 @@ _SEED = 2718
 
 
 def demo_scene(samplerate: int = 48_000) -> Scene:
-    """The demo scene, to be mixed at `samplerate` (16 000 to 192 000 Hz) in stereo: five tracks.
+    """Return the demo scene: five tracks, to be mixed in stereo.
 
-    Deterministic, no I/O, under a second of work. The arrays are read-only. Raises UsageError for
-    a samplerate outside the range.
+    Deterministic, without I/O, in under a second. The arrays are read-only.
+
+    Parameters
+    ----------
+    samplerate : int
+        Rate of the mix, 16 000 to 192 000 Hz.
+
+    Raises
+    ------
+    UsageError
+        The rate is out of range.
     """
     if not MIN_SAMPLERATE <= samplerate <= MAX_SAMPLERATE:
         raise UsageError(

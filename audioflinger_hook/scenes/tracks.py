@@ -15,8 +15,20 @@ from audioflinger_hook.mixer import PcmFormat
 class SceneTrack:
     """One sound of a scene and the moment it starts.
 
-    `frames` has the shape (frames, channels), full scale is 1; `start_s` and `pause_s`, from when
-    to when it pauses, count from the start of the scene; pcm_format: how its samples are stored.
+    Attributes
+    ----------
+    name : str
+        Name of the track.
+    samplerate : int
+        Hz.
+    frames : array of float32
+        (frames, channels), full scale 1.
+    start_s : float
+        Start of the sound, seconds from the start of the scene.
+    pcm_format : PcmFormat
+        Sample format in which the sound is stored.
+    pause_s : (float, float) or None
+        Start and end of a pause, seconds from the start of the scene.
     """
 
     name: str
@@ -57,9 +69,20 @@ class SceneTrack:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Tracks on a common time axis of `duration_s` seconds.
+    """Tracks on a common time axis.
 
-    `samplerate` (Hz) and `channels` are those of the mix.
+    Attributes
+    ----------
+    name : str
+        Name of the scene.
+    samplerate : int
+        Rate of the mix, Hz.
+    tracks : tuple of SceneTrack
+        The sounds.
+    duration_s : float
+        Length of the scene, seconds.
+    channels : int
+        Channels of the mix.
     """
 
     name: str

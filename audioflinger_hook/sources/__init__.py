@@ -1,4 +1,12 @@
-"""Where sound comes from: taps deliver buffers, clients write them into the mixer's tracks."""
+"""Where sound comes from: taps deliver buffers, clients write them into the mixer's tracks.
+
+address         the grammar of `--tap`
+tap, client     the two interfaces
+file, capture, frames, push    taps
+tap_client      one tap on one track
+scene           one track for each sound of a scene
+applications    one track for each application
+"""
 
 from audioflinger_hook.sources.address import TapAddress, open_client, open_tap, parse_tap
 from audioflinger_hook.sources.applications import VoicesClient

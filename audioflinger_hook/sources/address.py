@@ -1,4 +1,4 @@
-"""Where the sound shall come from, as a user writes it: the grammar of `--tap`."""
+"""The grammar of `--tap`: where the sound comes from."""
 
 from __future__ import annotations
 
@@ -29,7 +29,15 @@ SCENES = ("demo",)
 
 @dataclass(frozen=True)
 class TapAddress:
-    """One source of sound: its kind and its name, path or folder (empty for `default`)."""
+    """One source of sound.
+
+    Attributes
+    ----------
+    kind : str
+        One of `KINDS`.
+    name : str
+        Name, path or folder; empty for `default`.
+    """
 
     kind: Kind
     name: str = ""
@@ -39,14 +47,19 @@ class TapAddress:
 
 
 def parse_tap(text: str) -> TapAddress:
-    """What the text stands for. A word without a colon is the name of a sink.
+    """Return the address that a text means.
 
-    The name is taken as it is written: nothing is trimmed, completed or looked up.
+    A word without a colon is the name of a sink. Names are taken literally.
+
+    Parameters
+    ----------
+    text : str
+        What the user wrote.
 
     Raises
     ------
     UsageError
-        The kind is none of `KINDS`, or a name is missing, or `default` has one.
+        The kind is unknown, a name is missing, or `default` has one.
     """
     if text == "default":
         return TapAddress("default")
@@ -63,27 +76,40 @@ def parse_tap(text: str) -> TapAddress:
     elif kind in KINDS:
         what = "the name is empty"
     else:
-        what = f"there is no kind {kind!r} (a sink of that name is written sink:{text})"
+        what = f"unknown kind {kind!r} (for a sink of that name write sink:{text})"
     raise UsageError(f"tap {text!r}: {what}; allowed: {GRAMMAR}")
 
 
 def open_client(address: TapAddress) -> Client:
-    """What plays into the mixer: a scene's sounds on a track each, everything else on one track.
+    """Return a client of the mixer: one track a sound for a scene, else one track.
 
-    Raises as `open_tap`.
+    Parameters
+    ----------
+    address : TapAddress
+        The source.
+
+    Raises
+    ------
+    UsageError, NotFoundError
+        As `open_tap`.
     """
     return SceneClient(_scene(address)) if address.kind == "scene" else TapClient(open_tap(address))
 
 
 def open_tap(address: TapAddress) -> Tap:
-    """The tap, open, its format known.
+    """Return an open tap, with its format.
+
+    Parameters
+    ----------
+    address : TapAddress
+        The source: a file, a capture or a scene.
 
     Raises
     ------
     UsageError
         The file or the capture cannot be used.
     NotFoundError
-        There is no such scene; or the sound would have to come from a sound server.
+        The scene is unknown, or the source needs a sound server.
     """
     if address.kind == "file":
         return FileTap(Path(address.name))
@@ -93,15 +119,15 @@ def open_tap(address: TapAddress) -> Tap:
         scene = _scene(address)
         return FramesTap(mixdown(scene), scene.samplerate, CYCLE_FRAMES)
     raise NotFoundError(
-        f"tap {str(address)!r}: this version cannot listen to what is playing yet; "
-        "give it sound with file:PATH, capture:DIR or scene:demo"
+        f"tap {str(address)!r}: this command cannot capture live sound; "
+        "use file:PATH, capture:DIR or scene:demo"
     )
 
 
 def _scene(address: TapAddress) -> Scene:
     if address.name not in SCENES:
         raise NotFoundError(
-            f"tap {str(address)!r}: there is no such scene; allowed: "
+            f"tap {str(address)!r}: unknown scene; allowed: "
             + ", ".join(f"scene:{name}" for name in SCENES)
         )
     return demo_scene()

@@ -45,13 +45,18 @@ class Voice:
 
 
 class VoicesClient:
-    """Plays sounds that arrive one beside the other, such as applications, into one mix.
+    """Mixes sounds that arrive independently, such as applications.
 
-    samplerate (Hz) and channels: of the mix and of every voice. The voice that was there first
-    sets the pace: its frames are cycles, what others have then goes with them.
+    The first voice sets the pace: its frames become cycles, and the frames of the others join
+    them. The supervising thread calls `add` and `remove`. The thread on which all sounds arrive
+    calls the rest and steps the pipeline.
 
-    `add` and `remove` are called by the supervising thread, the rest by the one on which all
-    sounds arrive, which also steps the chain.
+    Parameters
+    ----------
+    samplerate : int
+        Rate of the mix and of every voice, Hz.
+    channels : int
+        Channels of the mix and of every voice.
     """
 
     frames_expected = None
@@ -87,7 +92,7 @@ class VoicesClient:
         return voice
 
     def remove(self, voice: Voice) -> None:
-        """Let go of a voice and its track; nobody pushes to it any more."""
+        """Release a voice and its track; no more frames may be pushed to it."""
         assert self._mixer is not None
         self._voices = tuple(other for other in self._voices if other is not voice)
         if self._pacer is voice:
@@ -98,7 +103,7 @@ class VoicesClient:
     def push(self, voice: Voice, frames: _Frames, now_s: float) -> None:
         """Take frames of one voice, (frames, channels) float32, which came at now_s.
 
-        They are kept as they are. `pending_frames` says whether cycles are due then.
+        The array is kept, not copied. `pending_frames` then says whether cycles are due.
         """
         voice.waiting.append(frames)
         voice.frames += len(frames)
@@ -114,7 +119,7 @@ class VoicesClient:
             voice.dropped += len(dropped)
 
     def play(self) -> int | None:
-        """Write what is due, as far as one cycle goes, and return its frames."""
+        """Write the frames that are due, at most one cycle, and return their number."""
         assert self._mixer is not None
         count = min(self._due, self._mixer.frames)
         if not count:
@@ -125,7 +130,7 @@ class VoicesClient:
         return count
 
     def close(self) -> None:
-        """Drop what is waiting."""
+        """Drop all waiting frames."""
         self._due = 0
         for voice in self._voices:
             voice.waiting.clear()

@@ -14,18 +14,31 @@ from device.errors import UsageError
 
 
 class CaptureTap:
-    """The sound of a capture, buffer by buffer as it was delivered, with every change of format.
+    """The sound of a capture, buffer by buffer as delivered, with every change of format.
 
-    `samplerate` and `channels` are those of the buffer that `read` returned last; before the first,
-    those that it will have. `format_changed`: that buffer has another format than the one before
-    it. `discontinuity`: frames are missing before it. `time_s`: when it was delivered, in seconds
-    of the recorder's monotonic clock. Read by the thread that steps the chain; reads from disk.
+    The thread that steps the pipeline reads it; it reads from disk.
+
+    Parameters
+    ----------
+    folder : Path
+        The capture.
+
+    Attributes
+    ----------
+    samplerate, channels : int
+        Format of the buffer read last; before the first, the format that it will have.
+    format_changed : bool
+        Whether the buffer read last has another format than the one before it.
+    discontinuity : bool
+        Whether frames are missing before the buffer read last.
+    time_s : float
+        Time of its delivery, seconds of the recorder's monotonic clock.
 
     Raises
     ------
     UsageError
-        The folder is not a capture that can be read, holds no frame of sound, or, here or in
-        `read`, has a rate or a channel count that the transform does not take.
+        The folder is no readable capture or holds no sound. Here and in `read`: the transform
+        does not support its rate or channel count.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -48,12 +61,12 @@ class CaptureTap:
 
     @property
     def warnings(self) -> list[str]:
-        """What a user should know, one line each; complete once `read` has returned None."""
+        """Warnings for the user, one line each; complete once `read` has returned None."""
         return self._capture.warnings
 
     @property
     def facts(self) -> Mapping[str, str | int | float | bool]:
-        """What the capture's maker said about it, by name."""
+        """Settings that the recorder stored, by name."""
         return self._capture.facts
 
     @property
@@ -76,7 +89,7 @@ class CaptureTap:
         return buffer.frames
 
     def close(self) -> None:
-        """Let go of the capture."""
+        """Close the capture."""
         self._next = None
         self._buffers.close()
 

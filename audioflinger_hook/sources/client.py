@@ -12,7 +12,7 @@ class Client(Protocol):
 
     samplerate: int
     channels: int
-    """The mix that suits its sound: Hz and channels."""
+    """Format of a mix that suits its sound, Hz and channels."""
 
     @property
     def frames_expected(self) -> int | None:
@@ -24,7 +24,7 @@ class Client(Protocol):
         ...
 
     def play(self) -> int | None:
-        """Write what the next cycle mixes and return its frames; None at the end, 0: not yet."""
+        """Write the sound of the next cycle and return its frames; 0: not yet, None: the end."""
         ...
 
     def close(self) -> None:

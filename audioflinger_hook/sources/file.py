@@ -22,24 +22,34 @@ BLOCKSIZE_FRAMES = 32_768
 
 EXACT_FORMATS = frozenset({"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF"})
 EXACT_SUBTYPES = frozenset({"PCM_U8", "PCM_S8", "PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE"})
-"""Where a frame lies by itself at a place that follows from its number."""
+"""Formats in which the place of a frame follows from its number."""
 
 FRAMES_UNKNOWN = 1 << 40
 """libsndfile gives a number like this for a stream whose header does not say its length."""
 
 
 class FileTap:
-    """The frames of any file that libsndfile reads, as float32, in buffers of `blocksize`.
+    """The frames of any file that libsndfile reads, as float32.
 
-    first: the frame to begin with, of a file that is `divisible`. format_changed and discontinuity
-    are never true of a file. `warnings` holds, once the end is reached, what a user should know:
-    one line each.
+    Parameters
+    ----------
+    path : Path
+        The file.
+    blocksize : int
+        Frames of a buffer.
+    first : int
+        The frame to begin with, only for a file that is `divisible`.
+
+    Attributes
+    ----------
+    warnings : list of str
+        Warnings for the user, one line each; complete at the end of the file.
 
     Raises
     ------
     UsageError
-        The file is missing, unreadable, not sound, holds no frame, or has a rate or a channel
-        count that the transform does not take.
+        The file is missing, unreadable, not sound or empty, or the transform does not support
+        its rate or channel count.
     """
 
     format_changed = False
@@ -75,7 +85,7 @@ class FileTap:
 
     @property
     def divisible(self) -> bool:
-        """Whether any part of it can be read by itself, and is then what it is in the whole."""
+        """Whether a part of the file can be read alone, with the same frames as in the whole."""
         return self._file.format in EXACT_FORMATS and self._file.subtype in EXACT_SUBTYPES
 
     def read(self) -> NDArray[np.float32] | None:

@@ -7,9 +7,16 @@ from numpy.typing import NDArray
 
 
 class FramesTap:
-    """Frames from memory, (frames, channels), in buffers of `blocksize` (the last may be shorter).
+    """Frames from memory, in buffers of `blocksize`; the last may be shorter.
 
-    format_changed and discontinuity are never true.
+    Parameters
+    ----------
+    frames : array of float32
+        (frames, channels).
+    samplerate : int
+        Hz.
+    blocksize : int
+        Frames of a buffer.
     """
 
     format_changed = False

@@ -7,12 +7,23 @@ from numpy.typing import NDArray
 
 
 class PushTap:
-    """What was pushed comes out of `read`, once.
+    """A tap whose `read` returns each pushed buffer once.
 
-    samplerate, channels: of the buffers from now on; `change` sets them. format_changed: whether
-    the buffer read last has another format than the one before it, or than was given here;
-    discontinuity: whether frames are missing before it. Held by one thread, the one that
-    captures; any thread may call `interrupt`.
+    The capturing thread holds it; any thread may call `interrupt`.
+
+    Parameters
+    ----------
+    samplerate : int
+        Rate of the next buffers, Hz; `change` sets another one.
+    channels : int
+        Channels of the next buffers.
+
+    Attributes
+    ----------
+    format_changed : bool
+        Whether the buffer read last has another format than the one before it.
+    discontinuity : bool
+        Whether frames are missing before the buffer read last.
     """
 
     frames_expected = None
@@ -25,36 +36,33 @@ class PushTap:
         self._buffer: NDArray[np.float32] | None = None
         self._format = (samplerate, channels)
         self._begun = self._broken = self._ended = False
-        # Replaced by whoever interrupts, looked at by the thread that captures.
+        # replaced by the interrupting thread, compared by the capturing thread
         self._interruption = self._seen = object()
 
     @property
     def waiting(self) -> bool:
-        """Whether there is a buffer that was not read."""
+        """Whether a buffer was pushed and not read."""
         return self._buffer is not None
 
     @property
     def starved(self) -> bool:
-        """Whether there is nothing to read, and yet this is not the end."""
+        """Whether nothing can be read now, but more may follow."""
         return self._buffer is None and not self._ended
 
     def change(self, samplerate: int, channels: int) -> bool:
-        """Let the next buffers have this format, Hz; whether it is a new one.
-
-        Called while nobody pushes.
-        """
+        """Set the format of the next buffers and return whether it is new. Not during `push`."""
         changed = (samplerate, channels) != (self.samplerate, self.channels)
         self.samplerate, self.channels = samplerate, channels
         return changed
 
     def interrupt(self) -> None:
-        """Let frames be missing before the next buffer. Before the first one none are."""
+        """Mark the next buffer as a discontinuity, unless it is the first one."""
         self._interruption = object()
 
     def push(self, frames: NDArray[np.float32]) -> bool:
-        """Hand over a buffer, (frames, channels) float32; one that was not read is replaced.
+        """Take a buffer, (frames, channels) float32, and return whether it is a discontinuity.
 
-        Returns whether frames are missing before it.
+        An unread buffer is replaced.
         """
         interruption = self._interruption
         broken = self._begun and interruption is not self._seen
@@ -65,7 +73,7 @@ class PushTap:
         return self._broken
 
     def read(self) -> NDArray[np.float32] | None:
-        """Return the buffer, None where there is none."""
+        """Return the buffer, or None."""
         buffer, self._buffer = self._buffer, None
         if buffer is not None:
             format_now = (self.samplerate, self.channels)
@@ -75,9 +83,9 @@ class PushTap:
         return buffer
 
     def end(self) -> None:
-        """Let what is waiting be the last."""
+        """Mark the waiting buffer as the last one."""
         self._ended = True
 
     def close(self) -> None:
-        """Drop what is waiting."""
+        """Drop the waiting buffer."""
         self._buffer = None

@@ -14,14 +14,21 @@ from audioflinger_hook.mixer.track import period_frames
 from audioflinger_hook.scenes import Scene, SceneTrack
 
 CYCLE_FRAMES = 256
-"""What a sound server delivers at a time."""
+"""Frames of a cycle, as many as a sound server delivers at a time."""
 
 
 class SceneClient:
-    """Plays a scene: its tracks go into the mix as they would come from so many applications.
+    """Plays a scene: each sound has its own track, as an application would have.
 
     Tracks start on their frame; a pause begins with the cycle that it falls into and ramps over
-    that cycle. cycle_frames: of one cycle; the mixer's if that is less.
+    that cycle.
+
+    Parameters
+    ----------
+    scene : Scene
+        The sounds.
+    cycle_frames : int
+        Frames of a cycle, at most the mixer's.
     """
 
     def __init__(self, scene: Scene, cycle_frames: int = CYCLE_FRAMES) -> None:
@@ -97,7 +104,7 @@ class _Voice:
             self.track.start()
         if self.start < last:
             self._fill()
-            # a track that is told to stop cannot be paused any more
+            # a stopped track cannot be paused any more
             if not self.stored and self.resume < last:
                 self.track.stop()
 
@@ -119,7 +126,13 @@ def _frame(time_s: float, samplerate: int) -> int:
 
 
 def mixdown(scene: Scene) -> NDArray[np.float32]:
-    """Return what the mixer makes of a scene, (frames, channels) float32: the sound alone."""
+    """Return the mixed sound of a scene, (frames, channels) float32.
+
+    Parameters
+    ----------
+    scene : Scene
+        The sounds.
+    """
     mixer = Mixer(scene.samplerate, scene.channels, standby_delay_s=math.inf)
     client = SceneClient(scene)
     client.connect(mixer)

@@ -13,7 +13,7 @@ class Tap(Protocol):
 
     samplerate: int
     channels: int
-    """Those of the buffer read last; before the first, those that it will have."""
+    """Format of the buffer read last; before the first, the format that it will have."""
 
     format_changed: bool
     """Whether the buffer read last has another format than the one before it."""

@@ -13,11 +13,19 @@ from audioflinger_hook.sources.tap import Tap
 class TapClient:
     """Plays every buffer of a tap as it comes; the mix has the tap's first format.
 
-    At the mixer's rate each buffer is one cycle, or several if it is longer than a cycle can be:
-    nothing waits, so nothing is delayed, and the sound comes out bit for bit. Where the tap's
-    format changes, a track of the new one takes over and the mix stays as it is.
+    At the mixer's rate each buffer is one cycle, or several if it is longer than a cycle. So
+    nothing is delayed, and the sound passes bit for bit. When the tap's format changes, a track
+    of the new format takes over, and the mix stays unchanged.
 
-    buffers, format_changes, discontinuities: how many there were so far.
+    Parameters
+    ----------
+    tap : Tap
+        The source.
+
+    Attributes
+    ----------
+    buffers, format_changes, discontinuities : int
+        Numbers so far.
     """
 
     def __init__(self, tap: Tap) -> None:
@@ -93,7 +101,7 @@ class TapClient:
         mixer = self._mixer
         self._rate = samplerate
         self._written = self._mixed = 0
-        # so many frames never make more than one cycle
+        # at most this many frames fit into one cycle
         self._most_at_once = max(1, (mixer.frames - 1) * samplerate // mixer.samplerate)
         if samplerate == mixer.samplerate:
             self._most_at_once = mixer.frames

@@ -108,12 +108,12 @@ def test_a_file_is_one_track_and_its_end_ends_the_dump(tmp_path):
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        ([], 3, "cannot listen to what is playing yet"),
-        (["--tap", "app:x"], 3, "cannot listen"),
-        (["--tap", "scene:x"], 3, "there is no such scene"),
+        ([], 3, "this command cannot capture live sound"),
+        (["--tap", "app:x"], 3, "cannot capture live sound"),
+        (["--tap", "scene:x"], 3, "unknown scene"),
         (["--tap", "file:/none.wav"], 2, "does not exist"),
         (["--tap", "capture:/none"], 2, "does not exist"),
-        (["--tap", "usb:1"], 2, "there is no kind 'usb'"),
+        (["--tap", "usb:1"], 2, "unknown kind 'usb'"),
         (["--tap", "scene:demo", "--at", "-1"], 2, "is not a time"),
         (["--tap", "scene:demo", "--config", "/none.toml"], 2, "cannot be read"),
         (["scene:demo"], 2, "scene:demo"),

@@ -77,7 +77,7 @@ def test_options_are_checked_as_the_config_is(config: Path) -> None:
     assert "tap=app:a,default are several" in refused(
         call("run", "--tap", "app:a", "--tap", "default")
     )
-    assert "device 'card:x': there is no kind" in refused(call("run", "--device", "card:x"))
+    assert "device 'card:x': unknown kind" in refused(call("run", "--device", "card:x"))
 
 
 def test_options_win_over_the_config(

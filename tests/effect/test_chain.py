@@ -114,7 +114,7 @@ def test_an_effect_without_a_sound_descriptor_is_refused():
         chains.add(Headless(), 0)  # type: ignore[arg-type]
     wrong = Probe()
     wrong.descriptor = replace(wrong.descriptor, uuid="1")
-    with pytest.raises(UsageError, match="'Probe' has a UUID that is none"):
+    with pytest.raises(UsageError, match="'Probe' has an invalid UUID"):
         chains.add(wrong, 0)
     wrong.descriptor = None
     with pytest.raises(UsageError, match="NoneType is not an EffectDescriptor"):
@@ -196,9 +196,9 @@ def test_effects_added_before_and_after_the_stream_is_known_are_both_configured(
     chains = EffectChains(FakeClock())
     early, late = Probe("early", 1), Probe("late", 2)
     chains.add(early, 0)
-    chains.reconfigure(RATE, 2, 1, FRAMES)
+    chains.set_format(RATE, 2, 1, FRAMES)
     chains.add(late, 0)
-    chains.reconfigure(RATE, 2, 1, FRAMES)
+    chains.set_format(RATE, 2, 1, FRAMES)
     assert early.take() == late.take() == ["INIT", "SET_CONFIG"]
 
 

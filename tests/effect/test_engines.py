@@ -161,7 +161,7 @@ def running(*engines, clock=None, session=0, cfg=None, **chains_options):
     """Chains in which engines run, and their modules."""
     chains = EffectChains(clock or FakeClock(), **chains_options)
     cfg = cfg or config()
-    chains.reconfigure(cfg.samplerate, cfg.channels, cfg.haptic_channels, cfg.frames)
+    chains.set_format(cfg.samplerate, cfg.channels, cfg.haptic_channels, cfg.frames)
     modules = [chains.add(engine, session) for engine in engines]
     for module in modules:
         assert module.enable() == OK
@@ -233,7 +233,7 @@ def test_a_delay_accumulates_what_it_makes_into_another_buffer():
 
 def test_a_delay_that_refuses_a_stream_is_passed_by_until_one_is_accepted():
     chains, delay = running(Delay())
-    chains.reconfigure(RATE, 6, 1, FRAMES)
+    chains.set_format(RATE, 6, 1, FRAMES)
     assert chains.bypassed() == [
         "session 0, Delay: refused 48000 Hz, 6 + 1 channels, 960 frames, write (status -22)"
     ]
@@ -242,7 +242,7 @@ def test_a_delay_that_refuses_a_stream_is_passed_by_until_one_is_accepted():
     chains.process(0, buffer, 0.0)
     assert buffer.samples.tobytes() == before.tobytes()
     assert delay.refusals == 1
-    chains.reconfigure(44_100, 1, 1, FRAMES)
+    chains.set_format(44_100, 1, 1, FRAMES)
     assert chains.bypassed() == []
     buffer = noise(channels=1)
     for _ in range(4):

@@ -47,7 +47,7 @@ def started(cfg=None, **values):
     """Chains with one running haptic effect, and its module."""
     cfg = cfg or config()
     chains = EffectChains(FakeClock(), budget_share=float("inf"))
-    chains.reconfigure(cfg.samplerate, cfg.channels, cfg.haptic_channels, cfg.frames)
+    chains.set_format(cfg.samplerate, cfg.channels, cfg.haptic_channels, cfg.frames)
     module = chains.add(HapticEffect(), 0)
     assert module.set_parameters(values) == OK
     module.enable()
@@ -132,7 +132,7 @@ def test_where_there_are_fewer_haptic_channels_each_plays_the_mean_of_its_voices
 
 def test_a_stream_without_haptic_channels_is_refused_and_its_sound_passes():
     chains = EffectChains(FakeClock())
-    chains.reconfigure(RATE, 2, 0, FRAMES)
+    chains.set_format(RATE, 2, 0, FRAMES)
     module = chains.add(HapticEffect(), 0)
     module.enable()
     chains.end_of_cycle(0.0)
@@ -141,7 +141,7 @@ def test_a_stream_without_haptic_channels_is_refused_and_its_sound_passes():
         "session 0, Haptic Cushion: refused 48000 Hz, 2 + 0 channels, 960 frames, write "
         "(status -22)"
     ]
-    chains.reconfigure(RATE, 2, 1, FRAMES)
+    chains.set_format(RATE, 2, 1, FRAMES)
     chains.end_of_cycle(1.0)
     assert np.abs(play(chains, rough(RATE // 4))).max() > 0.05
 
@@ -317,7 +317,7 @@ def module_in(state):
         chains = EffectChains(FakeClock())
         module = chains.add(HapticEffect(), 0)
         if state != "no stream":
-            chains.reconfigure(RATE, 2, 1, FRAMES)
+            chains.set_format(RATE, 2, 1, FRAMES)
         if state == "STARTING":
             module.enable()
     elif state != "ACTIVE":
@@ -394,7 +394,7 @@ def test_a_deferred_parameter_waits_for_its_commit():
 
 def test_parameters_survive_a_new_configuration_and_a_new_start():
     chains, module = started(gain_db=-9.0, partials_max=3)
-    chains.reconfigure(44_100, 1, 2, 512)
+    chains.set_format(44_100, 1, 2, 512)
     module.disable()
     chains.end_of_cycle(0.0)
     module.enable()
@@ -407,9 +407,9 @@ def test_a_band_that_a_low_sample_rate_cannot_hold_is_refused():
     chains, module = started(config(1_000, frames=32))
     assert module.command(SET, ("band_low_hz", 1_000.0)) == (EINVAL, None)
     assert module.command(GET, "band_low_hz") == (OK, 50.0)
-    chains.reconfigure(RATE, 2, 1, FRAMES)
+    chains.set_format(RATE, 2, 1, FRAMES)
     assert module.command(SET, ("band_low_hz", 1_000.0)) == (OK, None)
-    chains.reconfigure(1_000, 2, 1, 32)
+    chains.set_format(1_000, 2, 1, 32)
     assert "refused 1000 Hz" in module.bypassed
     assert module.guard.faults == 0
 
@@ -477,7 +477,7 @@ def test_counters_go_on_over_changes_resets_and_other_rates():
         elif step == "reset":
             module.command(Command.RESET)
         elif step == "rate":
-            chains.reconfigure(44_100, 2, 1, FRAMES)
+            chains.set_format(44_100, 2, 1, FRAMES)
         play(chains, broken)
         counts.append(
             [module.command(GET, name)[1] for name in ("limited_samples", "replaced_samples")]
@@ -492,10 +492,10 @@ def test_a_new_buffer_size_does_not_disturb_the_vibration_and_a_new_rate_begins_
     sound = rough(FRAMES * 20)
     chains, _ = started()
     start = play(chains, sound[: FRAMES * 10])
-    chains.reconfigure(RATE, 2, 1, 256)
+    chains.set_format(RATE, 2, 1, 256)
     end = play(chains, sound[FRAMES * 10 :], 256)
     assert np.concatenate([start, end]).tobytes() == transformed(sound).tobytes()
-    chains.reconfigure(44_100, 2, 1, 256)
+    chains.set_format(44_100, 2, 1, 256)
     again = play(chains, sound, 256)
     assert again.tobytes() == transformed(sound, 44_100).tobytes()
 

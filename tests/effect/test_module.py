@@ -461,7 +461,7 @@ def test_the_time_allowed_follows_the_buffers_length_and_may_be_without_end():
     clock, probe = FakeClock(), Probe()
     chains, module = running(probe, clock=clock, budget_share=0.25)
     assert module.guard.budget_s == pytest.approx(0.005)
-    chains.reconfigure(96_000, 2, 1, 960)
+    chains.set_format(96_000, 2, 1, 960)
     assert module.guard.budget_s == pytest.approx(0.0025)
 
     slow = Probe()

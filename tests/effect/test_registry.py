@@ -162,7 +162,9 @@ def test_uuids_are_unique_within_and_between_libraries():
 
 
 def test_an_unknown_uuid_is_named_with_those_that_there_are():
-    with pytest.raises(NotFoundError, match=r"no effect has UUID .*; there are: .*Haptic Cushion"):
+    with pytest.raises(
+        NotFoundError, match=r"no effect has UUID .*; known effects: .*Haptic Cushion"
+    ):
         EffectRegistry([CUSHION]).create(UUID(int=5))
 
 
@@ -195,12 +197,12 @@ def test_what_is_wrong_with_a_library_is_said():
 @pytest.mark.parametrize(
     ("wrong", "problem"),
     [
-        ({"uuid": "x"}, "has a UUID that is none"),
-        ({"type_uuid": 3}, "has a UUID that is none"),
+        ({"uuid": "x"}, "has an invalid UUID"),
+        ({"type_uuid": 3}, "has an invalid UUID"),
         ({"name": ""}, "has no name"),
-        ({"flags": 0}, "has flags that are none"),
-        ({"parameters": ("gain",)}, "has a parameter that is none"),
-        ({"parameters": (Parameter("a", list, 1),)}, "has a parameter that is none"),
+        ({"flags": 0}, "has invalid flags"),
+        ({"parameters": ("gain",)}, "has an invalid parameter"),
+        ({"parameters": (Parameter("a", list, 1),)}, "has an invalid parameter"),
         ({"parameters": (Parameter("a", int, 5, 6, 7),)}, "default of a .6 to 7. is out of its"),
         ({"parameters": (Parameter("a", int, 5),) * 2}, "two parameters of the same name"),
         ({"vendor_commands": (VendorCommand(5, "SET_PARAM"),)}, "below 0x10000"),

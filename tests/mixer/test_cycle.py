@@ -17,7 +17,6 @@ from audioflinger_hook.mixer import (
     MixerState,
     NoEffects,
     PcmFormat,
-    PcmSink,
 )
 from audioflinger_hook.mixer.layouts import sides
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
@@ -52,7 +51,7 @@ class Effects:
     def end_of_cycle(self, now_s: float) -> None:
         self.calls.append(("end", now_s))
 
-    def reconfigure(self, *stream: int) -> None:
+    def set_format(self, *stream: int) -> None:
         self.format = stream
 
     def dump(self):
@@ -410,75 +409,6 @@ def test_an_event_that_raises_is_counted_and_the_sound_goes_on() -> None:
     assert mixer.last_failure == "ValueError: no such thing"
 
 
-def test_a_change_of_the_mix_takes_the_tracks_and_effects_along() -> None:
-    effects = Effects(0)
-    mixer = Mixer(RATE, 2, haptic_channels=2, effects=effects)
-    track = mixer.create_track("one", PcmFormat.FLOAT, RATE, 2, ring_frames=20_000)
-    track.write(np.ones((20_000, 2), np.float32))
-    track.start()
-    mixer.cycle(0.0)
-    mixer.post(lambda: mixer.reconfigure(96_000, 6))
-    report = mixer.cycle(0.02)
-    assert effects.format == (96_000, 6, 2, mixer.frames)
-    assert report.frames_written == mixer.frames == 1920
-    assert report.buffer.audio.shape == (1920, 6)
-    for cycle in range(2, 4):
-        report = mixer.cycle(cycle * CYCLE_S)
-    # the resampler of the new rate has settled
-    np.testing.assert_allclose(report.buffer.audio[:, :2], 1.0, rtol=0, atol=2e-6)
-    assert not report.buffer.audio[:, 2:].any()
-    assert track.frames_ready == 20_000 - FRAMES - 3 * FRAMES
-
-
-def test_a_track_paused_over_a_change_of_the_mix_still_ramps_up() -> None:
-    mixer = Mixer(RATE, 2)
-    track = playing(mixer, np.ones((9_000, 2), np.float32))
-    mixer.cycle(0.0)
-    track.pause()
-    mixer.cycle(0.02)
-    mixer.post(lambda: mixer.reconfigure(RATE, 1))
-    mixer.cycle(0.04)
-    track.start()
-    rising = mixer.cycle(0.06).buffer.audio[:, 0]
-    np.testing.assert_allclose(rising, np.arange(FRAMES) / FRAMES, rtol=0, atol=1e-6)
-
-
-def test_a_change_that_cannot_be_is_refused_whole() -> None:
-    effects = Effects(0)
-    mixer = Mixer(RATE, 2, effects=effects)
-    sound = noise(2 * FRAMES)
-    track = mixer.create_track("tight", PcmFormat.FLOAT, RATE, 2, ring_frames=FRAMES)
-    track.write(sound)
-    track.start()
-    mixer.cycle(0.0)
-    mixer.post(lambda: mixer.reconfigure(8_000, 2))
-    mixer.post(lambda: mixer.reconfigure(10, 99))
-    track.write(sound)
-    report = mixer.cycle(0.02)
-    assert mixer.failed_events == 2
-    assert report.frames_written == FRAMES
-    assert effects.format == (RATE, 2, 0, FRAMES)
-    assert report.tracks_mixed == 1
-
-
-def test_a_small_ring_is_named_when_the_mix_would_outgrow_it() -> None:
-    mixer = Mixer(48_000, 2)
-    mixer.create_track("tight", PcmFormat.FLOAT, 44_100, 2, ring_frames=900)
-    mixer.cycle(0.0)
-    with pytest.raises(UsageError, match=r"'tight'; .* ring_frames"):
-        mixer.reconfigure(8_000, 2)  # 240 frames of the HAL are then 30 ms
-    assert mixer.samplerate == 48_000
-
-
-def test_a_track_made_just_before_a_change_fits_the_new_mix() -> None:
-    mixer = Mixer(RATE, 2)
-    mixer.post(lambda: mixer.reconfigure(96_000, 1))
-    playing(mixer, np.full((8_000, 2), 0.5, np.float32))
-    for cycle in range(3):
-        report = mixer.cycle(cycle * CYCLE_S)
-    np.testing.assert_allclose(report.buffer.audio, 0.5, rtol=0, atol=1e-6)
-
-
 def test_a_wrong_mix_is_refused_with_everything_that_is_wrong() -> None:
     with pytest.raises(UsageError) as refused:
         Mixer(10, 0, hal_frames=0, haptic_channels=-1)
@@ -524,17 +454,6 @@ def test_the_sound_is_clamped_at_two_and_else_left_alone() -> None:
     buffer.audio[:, 0] = 1.75, 2.5, -3.0, np.nan
     AudioSink(output).write(buffer)
     assert output.blocks[0][:, 0].tolist() == [1.75, 2.0, -2.0, 0.0]
-
-
-def test_a_pcm_sink_sends_bytes_of_its_format() -> None:
-    sent: list[bytes] = []
-    sink = PcmSink(sent.append, PcmFormat.I16)
-    buffer = MixBuffer(2, 1, 1)
-    buffer.audio[:, 0] = 0.5, -1.0
-    buffer.haptic[:] = 1.0
-    sink.write(buffer)
-    sink.standby()
-    assert sent == [b"\x00\x40\x00\x80"]
 
 
 @pytest.mark.parametrize("make", [AudioSink, HapticSink])

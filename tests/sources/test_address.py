@@ -67,9 +67,9 @@ def test_a_word_alone_is_a_sinks_name(name):
         ("file: ", "the name is empty"),
         ("default:", "'default' takes no name"),
         ("default:x", "'default' takes no name"),
-        ("Sink:x", "there is no kind 'Sink'"),
-        ("usb:1234:5678", r"there is no kind 'usb' \(a sink of that name is written sink:usb:1234"),
-        (":x", "there is no kind ''"),
+        ("Sink:x", "unknown kind 'Sink'"),
+        ("usb:1234:5678", r"unknown kind 'usb' \(for a sink of that name write sink:usb:1234"),
+        (":x", "unknown kind ''"),
     ],
 )
 def test_what_is_no_address_is_refused_with_the_grammar(text, what):
@@ -107,14 +107,16 @@ def test_a_file_a_capture_and_the_scene_are_opened(tmp_path):
 @pytest.mark.parametrize("text", ["default", "sink:x", "app:Firefox", "demo"])
 @pytest.mark.parametrize("opened", [open_tap, open_client])
 def test_what_is_playing_cannot_be_tapped_yet_and_the_user_is_told_what_can(text, opened):
-    with pytest.raises(NotFoundError, match=r"cannot listen .* yet; .*file:PATH, capture:DIR or"):
+    with pytest.raises(
+        NotFoundError, match=r"cannot capture live sound; use file:PATH, capture:DIR or"
+    ):
         opened(parse_tap(text))
     assert NotFoundError.exit_code == 3
 
 
 @pytest.mark.parametrize("opened", [open_tap, open_client])
 def test_there_is_no_other_scene(opened):
-    with pytest.raises(NotFoundError, match=r"'scene:Demo': there is no such scene.*scene:demo"):
+    with pytest.raises(NotFoundError, match=r"'scene:Demo': unknown scene.*scene:demo"):
         opened(parse_tap("scene:Demo"))
 
 
