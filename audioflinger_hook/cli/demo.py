@@ -25,11 +25,11 @@ from audioflinger_hook.pipeline.step import Chain
 from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.sources import FramesTap, SceneClient, mixdown
 from device.atomic_file import write_bytes_atomically
-from device.drive.alignment import Aligned
+from device.drive.outputs import AlignedOutput
 from device.errors import UsageError
 from device.rig import rig_by_name
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 from device.units import amplitude_to_db
 from device.wav_output import WavOutput
 
@@ -65,28 +65,28 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"cannot write {picture}: it is a folder; name another with --out")
     heard = WavOutput(out / "scene.wav", rate, scene.channels)
     recorder = WavOutput(out / "acceleration.wav", rate, channels, comment=ACCELERATION_COMMENT)
-    twin = Twin(rig_by_name(settings.rig), rate, channels, recorder=recorder)
-    outputs = (WavOutput(out / "vibration.wav", rate, channels), twin)
+    rig = SimulatedRig(rig_by_name(settings.rig), rate, channels, recorder=recorder)
+    outputs = (WavOutput(out / "vibration.wav", rate, channels), rig)
     latency = framework.latency_frames
-    aligned = [Aligned(output, latency) for output in outputs]
+    aligned = [AlignedOutput(output, latency) for output in outputs]
     chain = Chain(SceneClient(scene, BLOCKSIZE_FRAMES), framework, aligned)
     try:
         heard.write(sound)
-        played = _play(chain, scene, twin, fast=options.fast)
+        played = _play(chain, scene, rig, fast=options.fast)
         heard.close()
         chain.close()
     except BaseException:
         heard.abort()
         chain.abort()
         raise
-    values = _main_values(framework, twin, played)
+    values = _main_values(framework, rig, played)
     drawn = True
     try:
         _draw(picture, scene, sound, played, framework, values)
     except ImportError:
         warn("no report.png: matplotlib is not installed; `pip install matplotlib` brings it")
         drawn = False
-    _print_table(out, framework, twin, played, values, drawn)
+    _print_table(out, framework, rig, played, values, drawn)
     print("to feel your own sound: README.md, 'Feel what your desktop plays'")
     return 0
 
@@ -102,7 +102,7 @@ def _make_folder(out: Path) -> None:
         ) from None
 
 
-def _play(chain: Chain, scene: Scene, twin: Twin, *, fast: bool) -> Played:
+def _play(chain: Chain, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Played:
     """Step the chain to its end, in real time unless `fast`, showing what goes through it."""
     played = Played()
     pace = RealTimePace(scene.samplerate, time.monotonic())
@@ -116,9 +116,9 @@ def _play(chain: Chain, scene: Scene, twin: Twin, *, fast: bool) -> Played:
             if len(step.audio):
                 played.buffer_s.append(time.thread_time() - began)
             played.vibration.append(step.vibration)
-            played.acceleration.append(twin.acceleration_m_s2)
+            played.acceleration.append(rig.acceleration_m_s2)
             frames += len(step.audio)
-            meter.show(frames, step.audio, step.vibration, twin.acceleration_m_s2)
+            meter.show(frames, step.audio, step.vibration, rig.acceleration_m_s2)
             if not fast:
                 time.sleep(pace.wait_s(frames, time.monotonic()))
     return played
@@ -171,20 +171,20 @@ def _draw(
     write_bytes_atomically(path, picture.getvalue())
 
 
-def _main_values(framework: Framework, twin: Twin, played: Played) -> dict[str, str]:
+def _main_values(framework: Framework, rig: SimulatedRig, played: Played) -> dict[str, str]:
     """Return what the closing table and the picture's text both say, by name."""
     peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
     return {
         "latency of the transform": f"{framework.latency_s * 1e3:.1f} ms",
         "vibration, peak": level_text(peak),
-        "acceleration, peak": f"{twin.peak_acceleration_m_s2:.1f} m/s² (predicted)",
+        "acceleration, peak": f"{rig.peak_acceleration_m_s2:.1f} m/s² (predicted)",
     }
 
 
 def _print_table(
     out: Path,
     framework: Framework,
-    twin: Twin,
+    rig: SimulatedRig,
     played: Played,
     values: Mapping[str, str],
     drawn: bool,
@@ -202,8 +202,8 @@ def _print_table(
         table.add_row(name, value)
     table.add_row("samples held back at full scale", str(framework.limited_samples))
     table.add_row("unusable samples in the sound", str(framework.replaced_samples))
-    table.add_row("excursion, peak", f"{twin.peak_displacement_m * 1e3:.2f} mm (predicted)")
-    table.add_row("current, peak", f"{twin.peak_current_a:.2f} A (predicted)")
+    table.add_row("excursion, peak", f"{rig.peak_displacement_m * 1e3:.2f} mm (predicted)")
+    table.add_row("current, peak", f"{rig.peak_current_a:.2f} A (predicted)")
     table.add_row(
         f"time taken for {buffer_length_ms:.2f} ms of sound",
         f"median {median:.2f}, p99 {tail:.2f}, max {worst:.2f} ms ({share:.1f} % of one core)",

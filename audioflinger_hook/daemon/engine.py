@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.pipeline.drive_factory import actuators_of, driving_of
+from audioflinger_hook.pipeline.drive_factory import drive_of
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Chain
 from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter
@@ -67,10 +67,8 @@ class Engine:
     buffers, frames: how many were mixed; frames_max: of a cycle. last_sound_s: when they were not
     silent. faded: whether the vibration last looked at was none. sound, vibration: their levels.
     before_fill: called by `fill` before it reads; set it before that. filled_s:
-    when `fill` was called last. driving: what is done to the vibration for its rig, None for
-    nothing; it comes after all that `sound` and `vibration` tell of. actuators: stand in its place
-    where the settings name some; driven: the level of what each gets. outputs: columns of what
-    `fill` gives: the actuators, or the haptic channels.
+    when `fill` was called last. drive: from the vibration that `vibration` measures to what the
+    actuators play; driven: the level of each named actuator.
 
     Raises
     ------
@@ -107,10 +105,8 @@ class Engine:
             clock=clocks.used_s if bypass_late else None,
         )
         chosen = self.framework.settings
-        self.driving = driving_of(chosen, self.samplerate, self.framework.haptic_channels)
-        self.actuators = actuators_of(chosen, self.samplerate)
+        self.drive = drive_of(chosen, self.samplerate, self.framework.haptic_channels)
         self.driven = [BufferedLevelMeter(self.samplerate) for _ in chosen.actuators]
-        self.outputs = len(chosen.actuators) or self.framework.haptic_channels
         self.delay_line = self._line(output_samplerate, offset_s)
         self.sound = BufferedLevelMeter(self.samplerate)
         self.vibration = BufferedLevelMeter(self.samplerate)
@@ -126,12 +122,12 @@ class Engine:
         self._chain = Chain(client, self.framework, [self._into_line])
         if on_mix is not None:
             self.framework.mixer.on_mix = lambda sound: on_mix(sound, self._into_line.now_s)
-        self._read = np.zeros((0, self.outputs), np.float32)
+        self._read = np.zeros((0, self.drive.outputs), np.float32)
         self._start = self._end = 0
 
     def _line(self, samplerate: int, offset_s: float) -> DelayLine:
         return DelayLine(
-            self.outputs,
+            self.drive.outputs,
             self.samplerate,
             samplerate,
             capture_block=self.block_frames,
@@ -165,8 +161,7 @@ class Engine:
         except UsageError:
             self.delay_line.offset_s = before_s
             raise
-        if self.actuators is not None:
-            self.actuators.change(settings.actuators)
+        self.drive.change(settings.actuators)
 
     def advance(self, now_s: float, earlier: Sequence[tuple[float, int]] = ()) -> bool:
         """Do one cycle with what the client has; False once it has come to its end.
@@ -204,10 +199,7 @@ class Engine:
         held = self._into_line.held = []
         while self.advance(now_s):
             pass
-        if self.actuators is not None:
-            held.append(self.actuators.owed())
-        elif self.driving is not None:
-            held.append(self.driving.owed().astype(np.float32))
+        held.append(self.drive.drain())
         return np.concatenate([self._read[:0], *held])
 
     def send(self, vibration: Float32Array, now_s: float) -> None:
@@ -220,10 +212,7 @@ class Engine:
         The next sound then goes out as soon as both streams run.
         """
         self.delay_line.flush()
-        if self.driving is not None:  # what it still holds is of before
-            self.driving.owed()
-        if self.actuators is not None:
-            self.actuators.flush()
+        self.drive.flush()
         for gathered in self.driven:
             gathered.reset()
         self._drop_ahead()
@@ -239,10 +228,9 @@ class Engine:
         return self._read[self._start : self._end]
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write what the device plays next into `out`, (frames, channels of the device).
+        """Write what is played next into `out`, (frames, actuators).
 
-        Haptic channels repeat where the device has more; where it has fewer, the last are left
-        out.
+        A single actuator fills all columns of `out`.
         """
         if now_s - self.filled_s > STALLED_S:  # of before a gap
             self._drop_ahead()
@@ -252,13 +240,7 @@ class Engine:
             self._read_on(frames, now_s)
         start = self._start
         self._start = min(start + frames, self._end)
-        vibration = self._read[start : self._start]
-        voices = vibration.shape[1]
-        if voices in (1, out.shape[1]):
-            out[:] = vibration
-            return
-        for channel in range(out.shape[1]):
-            out[:, channel] = vibration[:, channel % voices]
+        out[:] = self._read[start : self._start]
 
     def _read_on(self, frames: int, now_s: float) -> None:
         """Have `frames` or more read; more only where the delay line has them already."""
@@ -298,12 +280,9 @@ class _IntoLine:
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take one block."""
         engine = self._engine
-        if engine.actuators is not None:
-            vibration = engine.actuators.process(vibration)
-            for index, gathered in enumerate(engine.driven):
-                gathered.add(vibration[:, index : index + 1])
-        elif engine.driving is not None:
-            vibration = engine.driving.process(np.array(vibration, np.float32))
+        vibration = engine.drive.process(np.asarray(vibration, np.float32))
+        for index, gathered in enumerate(engine.driven):
+            gathered.add(vibration[:, index : index + 1])
         if self.held is not None:
             self.held.append(np.array(vibration, np.float32))
             return

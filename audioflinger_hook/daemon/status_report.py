@@ -19,7 +19,7 @@ from audioflinger_hook.service.status import (
     Status,
     Xruns,
 )
-from device.drive.driving import Driving
+from device.drive.rig_processor import RigProcessor
 
 
 def status_of(supervisor: Supervisor, now_s: float) -> Status:
@@ -79,33 +79,24 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
 
 
 def _later_ms(engine: Engine) -> tuple[float, float]:
-    """What is done for the rigs adds, and what the last of the actuators was asked to add, ms."""
-    ms = 1e3 / engine.samplerate
-    if engine.actuators is not None:
-        actuators = engine.actuators
-        return ms * actuators.latency_frames, ms * max(actuators.delays_frames)
-    return (ms * engine.driving.latency_frames if engine.driving else 0.0), 0.0
-
-
-def _drivings(engine: Engine) -> list[Driving]:
-    """What is done for rigs, one or several."""
-    every = engine.actuators.drivings if engine.actuators else (engine.driving,)
-    return [driving for driving in every if driving is not None]
+    """Return the latency of the drive, and the longest delay that was asked for, ms."""
+    ms, drive = 1e3 / engine.samplerate, engine.drive
+    return ms * drive.latency_frames, ms * max(drive.delays_frames, default=0)
 
 
 def _worst_protection(engine: Engine) -> ProtectionFigures | None:
-    found = [_protection(driving) for driving in _drivings(engine)]
+    found = [_protection(one) for one in engine.drive.processors if one]
     return min(found, key=lambda one: (one.gain, one.least_gain), default=None)
 
 
 def _worst_exposure(engine: Engine) -> ExposureFigures | None:
-    found = [_exposure(driving) for driving in _drivings(engine)]
+    found = [_exposure(one) for one in engine.drive.processors if one]
     return max(found, key=lambda one: one.a8_m_s2, default=None)
 
 
 def _actuators(engine: Engine) -> tuple[ActuatorFigures, ...]:
-    actuators = engine.actuators
-    if actuators is None:
+    drive = engine.drive
+    if not drive.settings:
         return ()
     return tuple(
         ActuatorFigures(
@@ -116,17 +107,17 @@ def _actuators(engine: Engine) -> tuple[ActuatorFigures, ...]:
             polarity=chosen.polarity,
             delay_ms=chosen.delay_ms,
             level=gathered.meter.level(),
-            protection=_protection(driving) if driving else None,
-            exposure=_exposure(driving) if driving else None,
+            protection=_protection(processor) if processor else None,
+            exposure=_exposure(processor) if processor else None,
         )
-        for chosen, driving, gathered in zip(
-            actuators.settings, actuators.drivings, engine.driven, strict=True
+        for chosen, processor, gathered in zip(
+            drive.settings, drive.processors, engine.driven, strict=True
         )
     )
 
 
-def _protection(driving: Driving) -> ProtectionFigures:
-    seen = driving.protection()
+def _protection(processor: RigProcessor) -> ProtectionFigures:
+    seen = processor.protection()
     return ProtectionFigures(
         blocks=seen.blocks,
         limited_blocks=seen.limited_blocks,
@@ -140,8 +131,8 @@ def _protection(driving: Driving) -> ProtectionFigures:
     )
 
 
-def _exposure(driving: Driving) -> ExposureFigures:
-    dose = driving.exposure()
+def _exposure(processor: RigProcessor) -> ExposureFigures:
+    dose = processor.exposure()
     return ExposureFigures(
         time_s=dose.time_s,
         running_m_s2=dose.running_m_s2,
@@ -150,7 +141,7 @@ def _exposure(driving: Driving) -> ExposureFigures:
         above_action=dose.above_action,
         above_limit=dose.above_limit,
         extrapolated=dose.extrapolated,
-        knows_seat=driving.knows_seat,
-        cap=driving.exposure_cap,
-        cap_gain=driving.exposure_gain,
+        knows_seat=processor.knows_seat,
+        cap=processor.exposure_cap,
+        cap_gain=processor.exposure_gain,
     )

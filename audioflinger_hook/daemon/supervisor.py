@@ -12,7 +12,7 @@ from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.sides import InputSide, OutputSide, Place
 from audioflinger_hook.daemon.stall_detector import StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
-from audioflinger_hook.pipeline.drive_factory import actuators_of, driving_of
+from audioflinger_hook.pipeline.drive_factory import drive_of
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
@@ -227,8 +227,7 @@ class Supervisor:
         if engine and changes.engine:
             # Whether all of it can be made.
             framework = Framework(engine.samplerate, engine.channels, order.settings)
-            actuators_of(order.settings, engine.samplerate)
-            driving_of(order.settings, engine.samplerate, framework.haptic_channels)
+            drive_of(order.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
             engine.follow(order.settings, offset_s)
         self._order = order
@@ -241,7 +240,7 @@ class Supervisor:
         if changes.device:
             self._sides.lead_output(order)
             if engine:
-                self._output.suit(engine.samplerate, engine.outputs)
+                self._output.suit(engine.samplerate, engine.drive.outputs)
         if changes.drop_in:
             if self._stand_in:
                 self._stand_in.close()
@@ -373,7 +372,7 @@ class Supervisor:
                 on_mix=on_mix,
             )
             feed.serve(engine)
-            self._output.suit(engine.samplerate, engine.outputs)
+            self._output.suit(engine.samplerate, engine.drive.outputs)
         elif not self._output.is_open:
             engine.lead_to(device.samplerate or engine.samplerate, self._order.live.block_frames)
 

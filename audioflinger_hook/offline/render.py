@@ -13,18 +13,16 @@ import numpy as np
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.mixer import HapticSink
 from audioflinger_hook.offline.sections import Plan, plan_for, sections_of
-from audioflinger_hook.pipeline.drive_factory import actuators_of, driving_of, twin_of
+from audioflinger_hook.pipeline.drive_factory import channel_map_of, drive_of, simulated_rig_of
 from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework
 from audioflinger_hook.pipeline.step import Chain
 from audioflinger_hook.sources import Client, FileTap, TapClient
-from device.drive.alignment import Aligned
-from device.drive.driven import Driven
-from device.drive.processing import Processed
-from device.drive.twins import Twins
+from device.drive.channel_map import ChannelMap
+from device.drive.outputs import AlignedOutput, DrivenOutput
 from device.errors import UsageError
 from device.output import VibrationOutput
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
 
 Progress = Callable[[int, int | None], None]
@@ -122,7 +120,7 @@ def render(
             client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
         rate = framework.samplerate
-        twin, written = _open_outputs(outputs, target, acceleration, settings, framework)
+        rig, written = _open_outputs(outputs, target, acceleration, settings, framework)
         chain = Chain(client, framework, [taken for _, taken in written])
         frames = 0
         while step := chain.step():
@@ -149,7 +147,7 @@ def render(
         peak=written[0][0].peak,
         limited_samples=framework.limited_samples,
         replaced_samples=framework.replaced_samples,
-        peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
+        peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
         warnings=[*framework.warnings, *framework.bypassed(), *warnings],
     )
 
@@ -169,7 +167,7 @@ def _render_sections(
         framework = Framework(
             plan.samplerate, plan.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
-        twin, written = _open_outputs(outputs, target, acceleration, settings, framework)
+        rig, written = _open_outputs(outputs, target, acceleration, settings, framework)
         sink = HapticSink(*(taken for _, taken in written), clip=False)
         # What is aligned for the framework's latency gets that before the first section.
         sink.send(np.zeros((framework.latency_frames, framework.haptic_channels), np.float32))
@@ -198,7 +196,7 @@ def _render_sections(
         peak=written[0][0].peak,
         limited_samples=0,
         replaced_samples=replaced,
-        peak_acceleration_m_s2=twin.peak_acceleration_m_s2 if twin else None,
+        peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
         warnings=[*framework.warnings, *section.warnings],
     )
 
@@ -209,39 +207,34 @@ def _open_outputs(
     acceleration: Path | None,
     settings: Settings,
     framework: Framework,
-) -> tuple[Twin | Twins | None, list[tuple[Aligned, VibrationOutput]]]:
-    """Add what is to be written to `outputs`, and return the twin and each as `_driven` does."""
-    rate, channels = framework.samplerate, framework.haptic_channels
-    if settings.actuators:
-        channels = settings.numbered_channels.channels
-    outputs.append(WavOutput(target, rate, channels))
-    twin: Twin | Twins | None = None
+) -> tuple[SimulatedRig | None, list[tuple[AlignedOutput, VibrationOutput]]]:
+    """Add what is written to `outputs`; return the simulated rig, and each output as `_driven`."""
+    rate = framework.samplerate
+    channel_map = channel_map_of(settings, framework.haptic_channels)
+    outputs.append(WavOutput(target, rate, channel_map.channels))
+    rig: SimulatedRig | None = None
     if acceleration is not None:
-        recorder = WavOutput(acceleration, rate, channels, comment=ACCELERATION_COMMENT)
-        twin = twin_of(settings, rate, channels, recorder)
-        outputs.append(twin)
-    return twin, [_driven(output, settings, framework.latency_frames) for output in outputs]
+        recorder = WavOutput(acceleration, rate, channel_map.channels, comment=ACCELERATION_COMMENT)
+        rig = simulated_rig_of(settings, rate, channel_map, recorder)
+        outputs.append(rig)
+    return rig, [_driven(output, channel_map, framework) for output in outputs]
 
 
 def _driven(
-    output: VibrationOutput, settings: Settings, latency_frames: int
-) -> tuple[Aligned, VibrationOutput]:
-    """Return what has the peak of all that is written, and what takes the vibration.
+    output: VibrationOutput, channel_map: ChannelMap, framework: Framework
+) -> tuple[AlignedOutput, VibrationOutput]:
+    """Return what knows the peak of all that is written, and what takes the vibration.
 
-    Between them and the output is what the settings want done for rigs. latency_frames: of the
-    vibration; it is taken out, and all that is done adds.
+    The drive stands between them, and the latency of transform and drive is taken out.
     """
-    actuators = actuators_of(settings, output.samplerate)
-    if actuators is not None:
-        # Behind them: an actuator that is to be late begins with what comes before the sound.
-        written = Aligned(output, latency_frames + actuators.latency_frames)
-        return written, Driven(written, actuators, settings.numbered_channels)
-    driving = driving_of(settings, output.samplerate, output.channels)
-    if driving is None:
-        written = Aligned(output, latency_frames)
-        return written, written
-    written = Aligned(output, driving.latency_frames)
-    return written, Aligned(Processed(written, [driving]), latency_frames)
+    drive = drive_of(framework.settings, framework.samplerate, framework.haptic_channels)
+    if drive.sources:
+        # Behind the drive: a delayed actuator starts with what precedes the sound.
+        written = AlignedOutput(output, framework.latency_frames + drive.latency_frames)
+        return written, DrivenOutput(written, drive, channel_map)
+    written = AlignedOutput(output, drive.latency_frames)
+    driven = DrivenOutput(written, drive, channel_map)
+    return written, AlignedOutput(driven, framework.latency_frames)
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:

@@ -1,43 +1,24 @@
-"""What stands between the vibration and its output, as the settings want it."""
+"""The drive path as the settings ask for it."""
 
 from __future__ import annotations
 
 from audioflinger_hook.config.settings import Settings
-from device.drive.actuators import Actuators
-from device.drive.driving import Driving, driving_for
-from device.drive.twins import Twins, twins_for
+from device.drive.channel_map import ChannelMap
+from device.drive.drive import Drive
 from device.output import VibrationOutput
 from device.rig import rig_by_name
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 
 
-def driving_of(settings: Settings, samplerate: int, channels: int) -> Driving | None:
-    """Return what is done for the one rig on all channels; None where nothing is, or no such rig.
+def drive_of(settings: Settings, samplerate: int, haptic_channels: int) -> Drive:
+    """Return the drive for a mix of this rate in Hz and as many channels of vibration.
 
-    samplerate: of the mix, Hz; channels: of the vibration. UsageError: the samplerate is too low.
+    UsageError: there is no such rig, or the sample rate is too low for its processing.
     """
-    if settings.actuators:
-        return None
-    return driving_for(
-        settings.rig,
-        samplerate,
-        channels,
-        damping=settings.damping,
-        protection=settings.protection,
-        exposure_cap=settings.exposure_cap,
-    )
-
-
-def actuators_of(settings: Settings, samplerate: int) -> Actuators | None:
-    """Return the actuators that the settings name, for a mix of this rate, Hz; None without any.
-
-    UsageError: the samplerate is too low for what is to be done for one of them.
-    """
-    if not settings.actuators:
-        return None
-    return Actuators(
+    return Drive(
         settings.actuators,
         samplerate,
+        haptic_channels,
         rig=settings.rig,
         damping=settings.damping,
         protection=settings.protection,
@@ -45,19 +26,25 @@ def actuators_of(settings: Settings, samplerate: int) -> Actuators | None:
     )
 
 
-def twin_of(
+def channel_map_of(settings: Settings, haptic_channels: int) -> ChannelMap:
+    """Return which actuator each channel of a file or simulated rig plays.
+
+    Where no actuators are named, each channel of the vibration has its own. UsageError: an
+    actuator's channel goes by a position, which files do not have.
+    """
+    if not settings.actuators:
+        return ChannelMap.repeated(haptic_channels, haptic_channels)
+    return settings.numbered_channels
+
+
+def simulated_rig_of(
     settings: Settings,
     samplerate: int,
-    channels: int,
+    channel_map: ChannelMap,
     recorder: VibrationOutput | None = None,
-) -> Twin | Twins:
-    """Return the simulated rig, or those of all actuators, on as many channels as a device has."""
-    if not settings.actuators:
-        return Twin(rig_by_name(settings.rig), samplerate, channels, recorder=recorder)
-    return twins_for(
-        settings.actuators,
-        settings.numbered_channels,
-        samplerate,
-        rig=settings.rig,
-        recorder=recorder,
-    )
+) -> SimulatedRig:
+    """Return the simulated rig that each channel of the map plays to."""
+    names = [actuator.rig or settings.rig for actuator in settings.actuators]
+    rigs = [rig_by_name(name) for name in names or [settings.rig] * channel_map.actuators]
+    connected = [None if source is None else rigs[source] for source in channel_map.sources]
+    return SimulatedRig(connected, samplerate, recorder=recorder)

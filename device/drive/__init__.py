@@ -1,17 +1,23 @@
-"""Several actuators: each its own vibration, rig, level, polarity, delay and channels.
+"""The drive path: from the vibration of the sources to the channels of a device.
 
-    settings.py     what a user may choose of one actuator
-    past.py         the vibration of the last half second, read at any delay
-    path.py         one actuator's way: source, delay, level and polarity, changed without a click
-    actuators.py    all of them as one processor: vibration of the sources in, of the actuators out
-    channel_map.py  which actuator each channel of a device drives
-    spread.py       that map in the live path, changed without a click
+| module                | holds                                                                |
+| --------------------- | -------------------------------------------------------------------- |
+| drive.py              | `Drive`: vibration of the sources in, what each actuator plays out   |
+| actuator_feed.py      | one actuator's source, delay, level and polarity                     |
+| delay_buffer.py       | the last half second of vibration                                    |
+| rig_processor.py      | damping, protection and exposure meter of one rig                    |
+| channel_map.py        | which actuator each channel of a device plays                        |
+| channel_positions.py  | the same for a sink of a sound server                                |
+| channel_router.py     | a channel map in the live path, changed without a click              |
+| outputs.py            | outputs behind a drive, and without the latency                      |
+| settings.py           | what a user may choose for one actuator                              |
+| damping, protection, exposure | what is done for a rig                                       |
 
-Pure: no I/O, no clock. `driven.py` and `twins.py` are the outputs of files and of the simulated
-rigs; they need SciPy, and so does `actuators.py`: import them from there.
+`drive` and `rig_processor` need SciPy, which loads slowly: import them from their modules.
 """
 
 from device.drive.channel_map import ChannelMap, Wiring, channels_needed
+from device.drive.channel_router import ChannelRouter
 from device.drive.settings import (
     POLARITIES,
     SOURCES,
@@ -21,14 +27,13 @@ from device.drive.settings import (
     sources_of,
     wiring_of,
 )
-from device.drive.spread import Spread
 
 __all__ = [
     "POLARITIES",
     "SOURCES",
     "ActuatorSettings",
     "ChannelMap",
-    "Spread",
+    "ChannelRouter",
     "Wiring",
     "channels_needed",
     "problems",

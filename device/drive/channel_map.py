@@ -1,28 +1,33 @@
-"""Which actuator each channel of a device drives."""
+"""Which actuator each channel of a device plays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from device.errors import UsageError
-from device.units import Float32Array
+from device.units import Float32Array, FloatArray
 
 CHANNELS_MAX = 32
-"""As of every stream."""
+"""The most channels that a stream can have."""
 
 Wiring = tuple[tuple[int | str, ...], ...]
-"""For every actuator the device's channels: counted from 0, or by position ("front-left")."""
+"""The device's channels of each actuator: numbers from 0, or positions such as "front-left"."""
 
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """Channels of a device, and whose vibration they get. Any thread.
+    """Which actuator each channel of a device plays. Any thread may use it.
 
-    actuators: how many there are. sources: for every channel of the device the index of its
-    actuator, from 0 on, None for silence.
+    Attributes
+    ----------
+    actuators : int
+        Number of actuators.
+    sources : tuple[int | None, ...]
+        For every channel of the device its actuator, counted from 0; None for silence.
     """
 
     actuators: int
@@ -30,64 +35,90 @@ class ChannelMap:
 
     @classmethod
     def repeated(cls, actuators: int, channels: int) -> ChannelMap:
-        """One that leaves no channel silent: actuators repeat where there are more channels."""
+        """Return the map where no channel is silent: actuators repeat over the channels."""
         return cls(actuators, tuple(channel % actuators for channel in range(channels)))
 
     @classmethod
     def of(
         cls,
-        wired: Sequence[Sequence[int | str]],
+        wiring: Sequence[Sequence[int | str]],
         channels: int,
         positions: Sequence[str] = (),
         device: str = "the device",
     ) -> ChannelMap:
-        """One by wiring: wired[k] are the device's channels that drive actuator k.
+        """Return the map of actuators by their channels; channels without actuator are silent.
 
-        positions: what the device calls its channels, in their order; none where it has no names.
-        device: its name, for messages, which count actuators from 1 and channels from 0. All
-        channels that nobody names stay silent.
+        Parameters
+        ----------
+        wiring : Sequence[Sequence[int | str]]
+            The channels of each actuator.
+        channels : int
+            Channels of the device.
+        positions : Sequence[str]
+            Names of the device's channels in their order; empty where they have none.
+        device : str
+            The device's name, for messages.
 
         Raises
         ------
         UsageError
-            An actuator has no channel, a channel two actuators, or the device has no such channel.
+            An actuator has no channel, a channel has two actuators, or the device has no such
+            channel.
         """
         numbered = [
             [_number(channel, channels, positions, device, actuator) for channel in its_channels]
-            for actuator, its_channels in enumerate(wired, 1)
+            for actuator, its_channels in enumerate(wiring, 1)
         ]
-        for actuator, (wrong, allowed) in wrong_wiring(numbered).items():
+        for actuator, (wrong, allowed) in check_wiring(numbered).items():
             raise UsageError(f"actuator {actuator} {wrong}; allowed: {allowed}")
         sources: list[int | None] = [None] * channels
         for index, its_numbers in enumerate(numbered):
             for channel in its_numbers:
                 sources[channel] = index
-        return cls(len(wired), tuple(sources))
+        return cls(len(wiring), tuple(sources))
 
     @property
     def channels(self) -> int:
         """Channels of the device."""
         return len(self.sources)
 
-    def spread(self, vibration: Float32Array, out: Float32Array) -> None:
+    @cached_property
+    def is_identity(self) -> bool:
+        """Whether each channel plays the actuator of its own number."""
+        return self.sources == tuple(range(self.actuators))
+
+    @cached_property
+    def is_direct(self) -> bool:
+        """Whether each channel plays the actuator of its number, or all the only one."""
+        return self.is_identity or (self.actuators == 1 and set(self.sources) == {0})
+
+    def write(self, vibration: Float32Array | FloatArray, out: Float32Array) -> None:
         """Write vibration, (frames, actuators), into all of `out`, (frames, channels)."""
         for channel, source in enumerate(self.sources):
             out[:, channel] = np.float32(0.0) if source is None else vibration[:, source]
 
+    def mapped(self, vibration: Float32Array | FloatArray) -> Float32Array | FloatArray:
+        """Return vibration, (frames, actuators), as (frames, channels); itself if identical."""
+        if self.is_identity:
+            return vibration
+        out = np.empty((len(vibration), self.channels), np.float32)
+        self.write(vibration, out)
+        return out
 
-def channels_needed(wired: Sequence[Sequence[int | str]]) -> int:
-    """How many channels a device needs for it at least; 1 for names alone."""
-    return 1 + max((c for channels in wired for c in channels if isinstance(c, int)), default=0)
+
+def channels_needed(wiring: Sequence[Sequence[int | str]]) -> int:
+    """Return the least number of channels that a device needs; 1 if all go by position."""
+    return 1 + max((c for channels in wiring for c in channels if isinstance(c, int)), default=0)
 
 
-def wrong_wiring(wired: Sequence[Sequence[int | str]]) -> dict[int, tuple[str, str]]:
-    """What is wrong with the channels, by the actuator's number from 1: (what, what is allowed).
+def check_wiring(wiring: Sequence[Sequence[int | str]]) -> dict[int, tuple[str, str]]:
+    """Return what is wrong with the channels: actuator from 1 -> (what, what is allowed).
 
-    Whether a device has such channels is not looked at, nor which number a name means.
+    Whether a device has such channels is not checked.
     """
     found: dict[int, tuple[str, str]] = {}
     taken: dict[int | str, int] = {}
-    for actuator, channels in enumerate(wired, 1):
+    for actuator, channels in enumerate(wiring, 1):
         if not channels:
             found[actuator] = "has no channel", "one or more"
         for channel in channels:
@@ -103,7 +134,7 @@ def wrong_wiring(wired: Sequence[Sequence[int | str]]) -> dict[int, tuple[str, s
 def _number(
     channel: int | str, channels: int, positions: Sequence[str], device: str, actuator: int
 ) -> int:
-    """The channel's number, from 0. UsageError: there is none of this number or name."""
+    """Return the channel's number from 0. UsageError: there is no such number or position."""
     if isinstance(channel, str):
         if channel in positions:
             return list(positions).index(channel)
@@ -114,6 +145,6 @@ def _number(
         last = f" to {channels - 1}" if channels > 1 else ""
         there = f"it has {channels}, counted from 0: 0{last}"
     raise UsageError(
-        f"actuator {actuator} wants channel {channel}, but {device} has none such: {there}; name "
-        "another channel in its [[actuator]], or a device with more of them"
+        f"actuator {actuator} wants channel {channel}, but {device} has no such channel: {there}; "
+        "name another channel in its [[actuator]], or a device with more channels"
     )

@@ -1,10 +1,11 @@
-"""Which channel of a sink each channel of our stream becomes: the server goes by positions."""
+"""Channel maps for sinks of a sound server, which matches channels by their positions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from device.drive import ActuatorSettings, ChannelMap, wiring_of
+from device.drive.channel_map import ChannelMap
+from device.drive.settings import ActuatorSettings, wiring_of
 from device.errors import UsageError
 from device.server.snapshot import Sink
 
@@ -14,21 +15,27 @@ _POSITIONS = (
 )
 
 STREAM_POSITIONS = {1: ("mono",)} | {count: _POSITIONS[:count] for count in (2, 4, 5, 6, 8)}
-"""What ALSA's plugin calls the channels of a stream of so many. A sink may have them in another
-order; where it has others, the server mixes as it likes."""
+"""Positions that ALSA's plugin gives the channels of a stream, by their number. The server matches
+them with the sink's positions, and mixes the channels where the sink has others."""
 
 
-def map_on(sink: Sink, actuators: Sequence[ActuatorSettings]) -> ChannelMap:
-    """Which actuator each channel of a stream to this sink drives, so that the sink's own do.
+def sink_channel_map(
+    sink: Sink, actuators: Sequence[ActuatorSettings], haptic_channels: int = 1
+) -> ChannelMap:
+    """Return which actuator each channel of a stream to this sink plays.
+
+    haptic_channels: of the vibration, which repeat over the sink's where no actuators are named.
 
     Raises
     ------
     UsageError
-        The sink has no such channel, or its channels cannot be reached one by one.
+        The sink has no such channel, or a stream cannot reach its channels one by one.
     """
+    if not actuators:
+        return ChannelMap.repeated(haptic_channels, sink.channels)
     name = f"the sink {sink.name!r}"
     wanted = ChannelMap.of(wiring_of(actuators), sink.channels, sink.positions, name)
-    if len({*wanted.sources}) == 1:  # the same in all of them, whatever becomes what
+    if len({*wanted.sources}) == 1:  # any order of the channels gives the same
         return wanted
     stream = STREAM_POSITIONS.get(sink.channels, ())
     if not stream or sorted(stream) != sorted(sink.positions):

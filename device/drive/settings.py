@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
-from device.drive.channel_map import CHANNELS_MAX, Wiring, wrong_wiring
+from device.drive.channel_map import CHANNELS_MAX, Wiring, check_wiring
 from device.errors import UsageError
 from device.units import db_to_amplitude
 
@@ -96,13 +96,13 @@ def problems(values: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
     caller's to look at.
     """
     found = {
-        "channels": _wrong_channels(values.get("channels", ())),
-        "source": _wrong_choice(values.get("source", SOURCES[0]), (*SOURCES, "all")),
-        "polarity": _wrong_choice(values.get("polarity", POLARITIES[0]), POLARITIES),
-        "gain_db": _wrong_number(values.get("gain_db", 0.0), GAIN_MIN_DB, GAIN_MAX_DB, "dB"),
-        "delay_ms": _wrong_number(values.get("delay_ms", 0.0), 0.0, DELAY_MAX_MS, "ms"),
+        "channels": _check_channels(values.get("channels", ())),
+        "source": _check_choice(values.get("source", SOURCES[0]), (*SOURCES, "all")),
+        "polarity": _check_choice(values.get("polarity", POLARITIES[0]), POLARITIES),
+        "gain_db": _check_number(values.get("gain_db", 0.0), GAIN_MIN_DB, GAIN_MAX_DB, "dB"),
+        "delay_ms": _check_number(values.get("delay_ms", 0.0), 0.0, DELAY_MAX_MS, "ms"),
         **{
-            name: _wrong_choice(values.get(name, allowed[0]), allowed)
+            name: _check_choice(values.get(name, allowed[0]), allowed)
             for name, allowed in SWITCHES.items()
         },
     }
@@ -113,7 +113,7 @@ def problems_together(wired: Sequence[Sequence[int | str]]) -> dict[int, tuple[s
     """What is wrong with the channels of several actuators, by the actuator's number from 1."""
     if len(wired) > ACTUATORS_MAX:
         return {ACTUATORS_MAX + 1: ("is one too many", f"up to {ACTUATORS_MAX} actuators")}
-    return wrong_wiring(wired)
+    return check_wiring(wired)
 
 
 def sources_of(actuators: Sequence[ActuatorSettings]) -> tuple[str, ...]:
@@ -127,7 +127,7 @@ def wiring_of(actuators: Sequence[ActuatorSettings]) -> Wiring:
     return tuple(actuator.channels for actuator in actuators)
 
 
-def _wrong_channels(value: Any) -> tuple[str, str] | None:
+def _check_channels(value: Any) -> tuple[str, str] | None:
     allowed = (
         f"a list of the device's channels, counted from 0 (up to {CHANNELS_MAX - 1}), or by "
         'positions such as "front-left"'
@@ -148,13 +148,13 @@ def _wrong_channels(value: Any) -> tuple[str, str] | None:
     return None
 
 
-def _wrong_choice(value: Any, allowed: tuple[str, ...]) -> tuple[str, str] | None:
+def _check_choice(value: Any, allowed: tuple[str, ...]) -> tuple[str, str] | None:
     if isinstance(value, str) and value in allowed:
         return None
     return "is not known", ", ".join(allowed)
 
 
-def _wrong_number(value: Any, low: float, high: float, unit: str) -> tuple[str, str] | None:
+def _check_number(value: Any, low: float, high: float, unit: str) -> tuple[str, str] | None:
     allowed = f"{low:g} to {high:g} {unit}"
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return "is not a number", allowed

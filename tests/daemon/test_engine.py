@@ -78,15 +78,16 @@ def heard(settings: Settings | None, seconds: float = 0.4) -> tuple[Engine, Floa
 
 def test_protection_passes_on_the_same_vibration_whole_as_much_later_as_it_says() -> None:
     plain, usual = heard(None)
-    assert plain.driving is None
+    assert plain.drive.processors == (None,)
     engine, protected = heard(Settings(protection="on"))
-    assert engine.driving is not None
-    late = engine.driving.latency_frames
+    late = engine.drive.latency_frames
     assert late == 192
     assert usual.any()
     assert np.array_equal(protected[late:], usual)
     assert not protected[:late].any()
-    assert engine.driving.protection().limited_blocks == 0
+    processor = engine.drive.processors[0]
+    assert processor is not None
+    assert processor.protection().limited_blocks == 0
 
 
 def test_damping_changes_what_goes_out_and_not_what_recordings_and_levels_are_told() -> None:
@@ -105,12 +106,13 @@ def test_what_protection_holds_when_it_goes_to_rest_does_not_come_with_the_next_
         Settings(protection="on"),
         clocks=Clocks(lambda: 0.0, lambda: 0.0),
     )
-    assert engine.driving is not None
-    engine.driving.process(np.full((256, 1), 0.5, np.float32))
-    blocks = engine.driving.protection().blocks
+    processor = engine.drive.processors[0]
+    assert processor is not None
+    engine.drive.process(np.full((256, 1), 0.5, np.float32))
+    blocks = processor.protection().blocks
     engine.rest()
-    assert not engine.driving.process(np.zeros((256, 1), np.float32)).any()
-    assert engine.driving.protection().blocks > blocks  # counts go on
+    assert not engine.drive.process(np.zeros((256, 1), np.float32)).any()
+    assert processor.protection().blocks > blocks  # counts go on
 
 
 LEFT = ActuatorSettings((0,), "left")
@@ -120,12 +122,11 @@ RIGHT = ActuatorSettings((1,), "right", polarity="inverted", delay_ms=10.0)
 def test_actuators_get_their_sources_and_what_is_recorded_is_the_vibration_before_them() -> None:
     _, each = heard(Settings(channels="each"))
     engine, driven = heard(Settings(actuators=(RIGHT, LEFT)))
-    assert engine.actuators is not None
-    assert engine.driving is None
-    assert engine.outputs == 2
+    assert engine.drive.processors == (None, None)
+    assert engine.drive.outputs == 2
     assert engine.framework.haptic_channels == 2
     assert np.array_equal(driven[: len(each), 1], each[:, 0])
-    late = engine.actuators.delays_frames[0]
+    late = engine.drive.delays_frames[0]
     assert late == 480
     assert np.array_equal(driven[late:, 0], -each[:, 1])
     assert not driven[:late, 0].any()
@@ -135,8 +136,7 @@ def test_one_with_protection_keeps_all_of_them_together() -> None:
     _, plain = heard(Settings(actuators=(LEFT, RIGHT)))
     protected = ActuatorSettings((0,), "left", protection="on")
     engine, driven = heard(Settings(actuators=(protected, RIGHT)))
-    assert engine.actuators is not None
-    late = engine.actuators.latency_frames
+    late = engine.drive.latency_frames
     assert late == 192
     assert np.array_equal(driven[late:], plain)
 
@@ -169,8 +169,7 @@ def test_actuators_follow_another_order_and_each_one_s_level_is_told() -> None:
     assert quiet.rms_dbfs == pytest.approx(loud.rms_dbfs - 7.2, abs=1.0)
     engine.rest()
     assert engine.driven[1].meter.level().rms_dbfs == FLOOR_DBFS
-    assert engine.actuators is not None
-    assert not engine.actuators.process(np.zeros((2_000, 2), np.float32)).any()
+    assert not engine.drive.process(np.zeros((2_000, 2), np.float32)).any()
 
 
 def test_a_device_is_filled_with_a_column_for_each_actuator() -> None:

@@ -11,10 +11,10 @@ from audioflinger_hook.pipeline.step import Chain
 from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
 from audioflinger_hook.sources import FileTap, FramesTap, SceneClient, TapClient, mixdown
 from audioflinger_hook.transform import HapticTransform
-from device.drive.alignment import Aligned
+from device.drive.outputs import AlignedOutput
 from device.errors import WriteError
 from device.rig import PAPER
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
 from tests.support.commands import RATE, listing, noise, sound, vibration
 from tests.support.signals import FORMS
@@ -96,7 +96,7 @@ def run(client, settings, outputs=None):
     if outputs is None:
         outputs = [Collector(client.samplerate, framework.haptic_channels) for _ in range(2)]
     latency = framework.latency_frames
-    chain = Chain(client, framework, [Aligned(output, latency) for output in outputs])
+    chain = Chain(client, framework, [AlignedOutput(output, latency) for output in outputs])
     steps = []
     while step := chain.step():
         steps.append(step)
@@ -161,7 +161,7 @@ def test_the_twin_moves_alike_whatever_the_blocksize(mix, tmp_path):
     felt = []
     for blocksize in (7, 256, 10**6):
         path = tmp_path / "felt.wav"
-        twin = Twin(PAPER, RATE, 1, recorder=WavOutput(path, RATE, 1))
+        twin = SimulatedRig(PAPER, RATE, 1, recorder=WavOutput(path, RATE, 1))
         run(played(mix, blocksize), Settings(form="reference"), [twin])
         felt.append(path.read_bytes())
     assert felt[0] == felt[1] == felt[2]
@@ -222,8 +222,8 @@ def test_abort_leaves_nothing_and_harms_nothing(mix, tmp_path, before, steps):
     for name, content in before.items():
         (tmp_path / name).write_bytes(content)
     recorder = WavOutput(tmp_path / "felt.wav", RATE, 1)
-    felt = Aligned(Twin(PAPER, RATE, 1, recorder=recorder), 10)
-    outputs = [Aligned(WavOutput(tmp_path / "out.wav", RATE, 1), 10), felt]
+    felt = AlignedOutput(SimulatedRig(PAPER, RATE, 1, recorder=recorder), 10)
+    outputs = [AlignedOutput(WavOutput(tmp_path / "out.wav", RATE, 1), 10), felt]
     chain = Chain(played(mix, 256), Framework(RATE, 2), outputs)
     for _ in range(steps):
         chain.step()
@@ -265,7 +265,7 @@ def test_an_output_that_fails_stops_the_chain_and_abort_discards_the_others(mix,
 def test_alignment_drops_exactly_the_first_frames_however_they_come(latency, lengths):
     frames = np.arange(float(sum(lengths)))[:, None] + 1.0
     output = Collector()
-    aligned = Aligned(output, latency)
+    aligned = AlignedOutput(output, latency)
     assert (aligned.samplerate, aligned.channels) == (RATE, 1)
     for block in np.split(frames, np.cumsum(lengths)[:-1]) if lengths else []:
         aligned.write(block)
@@ -276,5 +276,5 @@ def test_alignment_drops_exactly_the_first_frames_however_they_come(latency, len
 
 def test_alignment_passes_an_abort_on():
     output = Collector()
-    Aligned(output, 5).abort()
+    AlignedOutput(output, 5).abort()
     assert output.ended == ["abort"]

@@ -36,7 +36,7 @@ def test_two_actuators_are_felt_where_they_are_wired_as_strong_and_in_phase_as_a
     done = cushion(server, "run", "--device", "haptic", "--config", str(path))
     assert done.returncode == 3
     (line,) = done.stderr.splitlines()
-    assert "actuator 2 wants channel 2, but the sink 'haptic' has none such" in line
+    assert "actuator 2 wants channel 2, but the sink 'haptic' has no such channel" in line
 
     path.write_text(TWO + QUIETER)
     with (

@@ -11,7 +11,7 @@ from audioflinger_hook.transform import FloatArray, HapticTransform
 from device.drive.damping import Damper, Damping, choose_damping
 from device.rig import Rig
 from device.rig.instruments import InstrumentChain
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 
 BAND_HZ = (20.0, 220.0)
 TOLERANCE = 1e-3
@@ -78,7 +78,7 @@ def felt(vibration: FloatArray, rig: Rig, samplerate: int, damping: Damping | No
     drive = vibration[:, None].copy()
     if damping:
         drive = Damper(damping, samplerate, 1).process(drive)
-    twin = Twin(rig, samplerate, 1, tolerance=TOLERANCE)
+    twin = SimulatedRig(rig, samplerate, 1, tolerance=TOLERANCE)
     twin.write(drive)
     instruments = InstrumentChain(rig, samplerate, _SEED)
     shown = instruments.acceleration_m_s2(twin.acceleration_m_s2[:, 0])

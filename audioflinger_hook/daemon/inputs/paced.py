@@ -133,7 +133,7 @@ class _Player:
         self._feed = feed
         self._engine = engine
         self._played = FrameTime(engine.samplerate)
-        self._silence = np.zeros((BLOCK_FRAMES, engine.outputs), np.float32)
+        self._silence = np.zeros((BLOCK_FRAMES, engine.drive.outputs), np.float32)
         self._owed: Float32Array | None = None
         self._led_in_s = 0.0
         self._leads_in = True

@@ -11,7 +11,6 @@ from audioflinger_hook.daemon.device_volume import DeviceVolume, SetVolume
 from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Actuated, Fill
-from audioflinger_hook.daemon.wired import Wired
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_playback, set_card_volume
@@ -19,7 +18,7 @@ from device.alsa.cards import PROC, PlaybackDevice
 from device.alsa.negotiation import CardSetup, list_offers
 from device.alsa.usb_stream import read_usb_stream
 from device.alsa.use import read_hw_params, why_blocked
-from device.drive import ChannelMap, channels_needed, wiring_of
+from device.drive import ChannelMap, ChannelRouter, channels_needed, wiring_of
 from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.stream import AudioPriority, PlaybackStream
@@ -70,7 +69,7 @@ class CardOutput:
         self._pcm = pcm
         self._states = states
         self._recording = recording
-        self._wired = Wired(actuators)
+        self._router = ChannelRouter(actuators)
         self._root = root
         self._usb_root = usb_root
         self._presence: PresenceWatch | None = None
@@ -129,7 +128,7 @@ class CardOutput:
         if choice is not None and actuators:
             with suppress(UsageError):  # more channels are to be opened
                 channel_map = ChannelMap.of(wiring_of(actuators), choice.channels)
-        if not self._wired.change(actuators, channel_map):
+        if not self._router.change(actuators, channel_map):
             self.close()
 
     def suit(self, samplerate: int, channels: int) -> None:
@@ -210,7 +209,7 @@ class CardOutput:
         refused = why_blocked(playback)
         if refused is not None:
             raise NotFoundError(refused)
-        choice = self._choice(playback, self._wired.actuators)
+        choice = self._choice(playback, self._router.actuators)
         return _Place(playback, choice if self._mix else None)
 
     def _choice(self, playback: PlaybackDevice, actuators: Actuated) -> CardSetup:
@@ -236,7 +235,7 @@ class CardOutput:
         self.volume.set(_set_volume_of(place.playback))
         recording = self._recording
         assert self._mix is not None
-        actuators = self._wired.actuators
+        actuators = self._router.actuators
         if actuators:
             channel_map = ChannelMap.of(wiring_of(actuators), choice.channels)
         else:
@@ -252,7 +251,7 @@ class CardOutput:
             self._pcm,
             choice.samplerate,
             choice.channels,
-            self._wired.spread(fill, channel_map, self.block_frames),
+            self._router.connect(fill, channel_map, self.block_frames),
             sent,
             block_frames=self.block_frames,
             priority=self._priority,

@@ -12,15 +12,14 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.pacing import FrameTime, Pacer
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Actuated, Fill
-from audioflinger_hook.daemon.wired import Wired
-from audioflinger_hook.pipeline.drive_factory import twin_of
+from audioflinger_hook.pipeline.drive_factory import channel_map_of, simulated_rig_of
 from device.address import DeviceAddress
 from device.atomic_file import AtomicFile
-from device.drive.twins import Twins
+from device.drive import ChannelRouter
 from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 from device.server import PulseConnection, ServerSnapshot
 from device.wav_output import WavOutput
 
@@ -57,7 +56,7 @@ class PacedOutput:
         self._recording = recording
         self._job: _Taking | None = None
         self._settings = settings or Settings()
-        self._wired = Wired(self._settings.actuators)
+        self._router = ChannelRouter(self._settings.actuators)
         self._make = _maker(address, self._settings)
         self._format: tuple[int, int] | None = None
 
@@ -88,7 +87,7 @@ class PacedOutput:
     def summary(self) -> str:
         """What the rig did, one line; empty for a file, and before the first block."""
         output = self._job.output if self._job else None
-        if not isinstance(output, Twin | Twins):
+        if not isinstance(output, SimulatedRig):
             return ""
         return (
             f"twin (predicted): peak acceleration {output.peak_acceleration_m_s2:.1f} m/s², "
@@ -98,9 +97,7 @@ class PacedOutput:
 
     def suit(self, samplerate: int, channels: int) -> None:
         """Be told the mix's rate, Hz, and the vibration's channels, before the first `keep`."""
-        if self._wired.actuators:
-            channels = self._settings.numbered_channels.channels
-        self._format = (samplerate, channels)
+        self._format = (samplerate, channel_map_of(self._settings, channels).channels)
 
     def refuse(self, actuators: Actuated) -> None:
         """Raise UsageError if these do not fit what is written, or the rigs that are simulated."""
@@ -118,7 +115,7 @@ class PacedOutput:
     def wire(self, actuators: Actuated) -> None:
         """Take these actuators, without a gap."""
         self._settings = replace(self._settings, actuators=tuple(actuators))
-        self._wired.change(self._settings.actuators, self._settings.numbered_channels)
+        self._router.change(self._settings.actuators, self._settings.numbered_channels)
 
     def delay_s(self, snapshot: ServerSnapshot | None) -> float:
         """Nothing is on its way."""
@@ -133,9 +130,8 @@ class PacedOutput:
         job = self._job
         if job is None:
             assert self._format is not None
-            if self._wired.actuators:
-                channel_map = self._settings.numbered_channels
-                fill = self._wired.spread(fill, channel_map, BLOCK_FRAMES)
+            channel_map = channel_map_of(self._settings, self._format[1])
+            fill = self._router.connect(fill, channel_map, BLOCK_FRAMES)
             job = self._job = _Taking(self._make(*self._format), fill, self._recording)
         if job.error is not None:
             raise job.error
@@ -214,5 +210,7 @@ def _maker(address: DeviceAddress, settings: Settings) -> Callable[[int, int], V
     if address.kind == "twin":
         for rig in (settings.rig, *(one.rig for one in settings.actuators if one.rig)):
             rig_by_name(rig)
-        return lambda samplerate, channels: twin_of(settings, samplerate, channels)
+        return lambda samplerate, channels: simulated_rig_of(
+            settings, samplerate, channel_map_of(settings, channels)
+        )
     raise InternalError(f"device {str(address)!r} is none that is paced")

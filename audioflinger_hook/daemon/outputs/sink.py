@@ -8,10 +8,10 @@ from audioflinger_hook.daemon.device_volume import DeviceVolume, SetVolume
 from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.sides import Actuated, Fill
-from audioflinger_hook.daemon.wired import Wired
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.address import DeviceAddress
-from device.drive.channel_positions import map_on
+from device.drive import ChannelRouter
+from device.drive.channel_positions import sink_channel_map
 from device.errors import NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import Sink, output_latency_s
@@ -46,7 +46,8 @@ class SinkOutput:
         actuators: Actuated = (),
     ) -> None:
         self.block_frames = block_frames
-        self._wired = Wired(actuators)
+        self._router = ChannelRouter(actuators)
+        self._haptic_channels = 1
         self._priority = priority
         self.volume = volume or DeviceVolume()
         self._address = address
@@ -93,20 +94,21 @@ class SinkOutput:
 
     def refuse(self, actuators: Actuated) -> None:
         """Raise UsageError if the sink has no channels for these actuators."""
-        if actuators and self._found is not None:
-            map_on(self._found, actuators)
+        if self._found is not None:
+            sink_channel_map(self._found, actuators)
 
     def wire(self, actuators: Actuated) -> None:
         """Take these actuators, without a gap where as many go on."""
         channel_map = None
-        if actuators and self._sink is not None:
+        if self._sink is not None:
             with suppress(UsageError):  # another device is to follow
-                channel_map = map_on(self._sink, actuators)
-        if not self._wired.change(actuators, channel_map):
+                channel_map = sink_channel_map(self._sink, actuators, self._haptic_channels)
+        if not self._router.change(actuators, channel_map):
             self.close()
 
     def suit(self, samplerate: int, channels: int) -> None:
-        """A sink has a format of its own."""
+        """Be told the vibration's channels; a sink has a rate of its own."""
+        self._haptic_channels = channels
 
     def delay_s(self, snapshot: ServerSnapshot | None) -> float:
         """Return what the server adds."""
@@ -123,8 +125,7 @@ class SinkOutput:
         assert snapshot is not None
         found = self._address.sink(snapshot)
         try:
-            if self._wired.actuators:
-                map_on(found, self._wired.actuators)
+            sink_channel_map(found, self._router.actuators)
         except UsageError as error:
             raise NotFoundError(str(error)) from None
         self._found = found
@@ -174,9 +175,8 @@ class SinkOutput:
             def sent(frames: Float32Array, now_s: float) -> None:
                 recording.sent(frames, sink.samplerate, now_s)
 
-        if self._wired.actuators:
-            channel_map = map_on(sink, self._wired.actuators)
-            fill = self._wired.spread(fill, channel_map, self.block_frames)
+        channel_map = sink_channel_map(sink, self._router.actuators, self._haptic_channels)
+        fill = self._router.connect(fill, channel_map, self.block_frames)
         return PlaybackStream(
             self._pcm,
             sink.samplerate,

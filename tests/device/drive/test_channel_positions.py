@@ -3,7 +3,7 @@
 import pytest
 
 from device.drive import ActuatorSettings
-from device.drive.channel_positions import STREAM_POSITIONS, map_on
+from device.drive.channel_positions import STREAM_POSITIONS, sink_channel_map
 from device.errors import UsageError
 from device.server.snapshot import Sink
 
@@ -23,25 +23,30 @@ def actuators(*channels):
 def test_a_sink_in_the_stream_s_own_order_has_its_channels_where_they_are_counted(channels):
     positions = ",".join(STREAM_POSITIONS[channels])
     wanted = actuators(*((channel,) for channel in range(channels)))
-    assert map_on(sink(positions), wanted).sources == tuple(range(channels))
+    assert sink_channel_map(sink(positions), wanted).sources == tuple(range(channels))
 
 
 def test_a_sink_in_another_order_gets_each_actuator_where_it_counts_it():
     # The third of the sink's channels is the fifth of the stream's, and so on.
-    found = map_on(sink(SURROUND), actuators((2,), (3,), ("rear-left",)))
+    found = sink_channel_map(sink(SURROUND), actuators((2,), (3,), ("rear-left",)))
     assert found.sources == (None, None, 2, None, 0, 1)
-    swapped = map_on(sink("front-right,front-left"), actuators((0,)))
+    swapped = sink_channel_map(sink("front-right,front-left"), actuators((0,)))
     assert swapped.sources == (None, 0)
 
 
 def test_names_and_numbers_mean_the_same_channels():
-    by_name = map_on(sink(SURROUND), actuators(("lfe", "front-left"), ("rear-right",)))
-    assert by_name == map_on(sink(SURROUND), actuators((3, 0), (5,)))
+    by_name = sink_channel_map(sink(SURROUND), actuators(("lfe", "front-left"), ("rear-right",)))
+    assert by_name == sink_channel_map(sink(SURROUND), actuators((3, 0), (5,)))
+
+
+def test_without_actuators_the_vibration_repeats_over_the_channels_of_any_sink():
+    assert sink_channel_map(sink(SURROUND), (), 2).sources == (0, 1, 0, 1, 0, 1)
+    assert sink_channel_map(sink("aux0,aux1"), ()).sources == (0, 0)
 
 
 def test_a_mono_sink_and_one_actuator_everywhere_work_whatever_the_positions():
-    assert map_on(sink("mono"), actuators((0,))).sources == (0,)
-    assert map_on(sink("aux0,aux1"), actuators((0, 1))).sources == (0, 0)
+    assert sink_channel_map(sink("mono"), actuators((0,))).sources == (0,)
+    assert sink_channel_map(sink("aux0,aux1"), actuators((0, 1))).sources == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -55,4 +60,4 @@ def test_a_mono_sink_and_one_actuator_everywhere_work_whatever_the_positions():
 )
 def test_what_a_sink_cannot_do_is_said_with_what_helps(channel_map, wanted, words):
     with pytest.raises(UsageError, match=words):
-        map_on(sink(channel_map), wanted)
+        sink_channel_map(sink(channel_map), wanted)

@@ -24,8 +24,8 @@ from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
 from device.rig.model_levels import ModelLevel
 from device.rig.perturbed_rigs import detune, stiffen
+from device.rig.simulated_rig import SimulatedRig
 from device.rig.thermal import COPPER_PER_K
-from device.rig.twin import Twin
 
 ACTUATOR = PAPER.actuator
 assert PAPER.thermal
@@ -172,7 +172,7 @@ def reached_on_the_twin(rig, out, detunings=DETUNINGS):
     """The largest |x| over Xmax of the whole twin, from the DAC on, for each detuned actuator."""
     shares = []
     for share in detunings:
-        twin = Twin(replace(rig, actuator=detune(rig.actuator, share)), RATE, 1)
+        twin = SimulatedRig(replace(rig, actuator=detune(rig.actuator, share)), RATE, 1)
         twin.write(out[:, None])
         assert twin.clipped_samples == 0
         shares.append(twin.peak_displacement_m / rig.actuator.x_max_m)

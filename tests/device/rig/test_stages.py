@@ -13,7 +13,7 @@ from device.rig import CONSUMER, PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
 from device.rig.instruments import InstrumentChain
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 
 FS = 48_000
 
@@ -99,9 +99,9 @@ def test_instruments_that_are_not_there_or_too_slow_are_refused():
 
 def test_a_twin_with_a_tolerance_moves_as_its_adaptive_actuator_does():
     vibration = np.column_stack([0.9 * sine(90.0, 0.2), 0.2 * sine(60.0, 0.2)])
-    twin = Twin(PAPER, FS, 2, tolerance=1e-3)
+    twin = SimulatedRig(PAPER, FS, 2, tolerance=1e-3)
     twin.write(vibration)
-    linear = Twin(PAPER, FS, 2)
+    linear = SimulatedRig(PAPER, FS, 2)
     linear.write(vibration)
     volts = Amplifier(PAPER.amplifier, FS).drive(np.round(vibration * 2**23) / 2**23)
     expected = AdaptiveActuator(PAPER, FS, 1e-3).move(np.ascontiguousarray(volts[:, 0]))
@@ -113,7 +113,7 @@ def test_a_twin_with_a_tolerance_moves_as_its_adaptive_actuator_does():
 
 def test_a_current_beyond_the_amplifiers_limit_is_counted():
     weak = replace(PAPER, amplifier=replace(PAPER.amplifier, current_limit_a=0.3))
-    twin = Twin(weak, FS, 1)
+    twin = SimulatedRig(weak, FS, 1)
     twin.write(0.9 * sine(60.0, 0.1)[:, None])
     assert twin.peak_current_a > 0.3
     assert 0 < twin.overcurrent_samples < 4_800

@@ -8,7 +8,7 @@ from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz
 from device.rig import CONSUMER, PAPER, Rig
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 from tools.bench.cost import interleaved
 from tools.bench.measures.similarity import envelope_correlation, felt_spectrum
 from tools.bench.measures.vibration import onset_lag_s
@@ -123,7 +123,7 @@ def _octave_rows(way: Way, felt: dict[str, FloatArray]) -> list[Row]:
 
 
 def _moved_m_s2(rig: Rig, vibration: FloatArray) -> float:
-    twin = Twin(rig, SAMPLERATE, 1)
+    twin = SimulatedRig(rig, SAMPLERATE, 1)
     twin.write(vibration[:, None].astype(np.float32))
     return float(np.sqrt(np.mean(twin.acceleration_m_s2**2)))
 

@@ -12,7 +12,7 @@ from scipy.signal import sosfreqz
 from audioflinger_hook.transform import FloatArray
 from device.drive.damping import Damper, choose_damping
 from device.drive.exposure import ExposureMeter, wk_response, wk_sections
-from device.drive.processing import BlockProcessor
+from device.drive.outputs import BlockProcessor
 from device.drive.protection import Protector
 from device.drive.protection.protector import BLOCK_S
 from device.rig import PAPER, Rig

@@ -10,7 +10,7 @@ from scipy.signal import lsim
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER, ActuatorParameters
 from device.rig.actuator import LinearActuator, Quantity
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 from tools.bench.cost import in_ffts, interleaved
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE
@@ -39,7 +39,7 @@ def linear_model(bench: Workbench) -> Section:
     duration_s = bench.effort.rig_s
     volts = drive(duration_s)
     vibration = volts[:, None] / max(1.0, float(np.abs(volts).max()))
-    actuator, twin = LinearActuator(PAPER.actuator, SAMPLERATE), Twin(PAPER, SAMPLERATE, 1)
+    actuator, twin = LinearActuator(PAPER.actuator, SAMPLERATE), SimulatedRig(PAPER, SAMPLERATE, 1)
     works = [partial(_move, actuator, volts, blocksize) for blocksize in BLOCKSIZES]
     works += [partial(_write, twin, vibration, blocksize) for blocksize in BLOCKSIZES]
     timings = interleaved(works, REPEATS)
@@ -71,7 +71,7 @@ def _move(actuator: LinearActuator, volts: FloatArray, blocksize: int) -> None:
         actuator.move(volts[first : first + blocksize], ("displacement_m", "acceleration_m_s2"))
 
 
-def _write(twin: Twin, vibration: FloatArray, blocksize: int) -> None:
+def _write(twin: SimulatedRig, vibration: FloatArray, blocksize: int) -> None:
     twin.reset()
     for first in range(0, len(vibration), blocksize):
         twin.write(vibration[first : first + blocksize])

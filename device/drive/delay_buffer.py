@@ -1,4 +1,4 @@
-"""The vibration of the last while, to be read again at any delay."""
+"""The most recent vibration in a ring buffer, readable at any delay."""
 
 from __future__ import annotations
 
@@ -7,18 +7,25 @@ import numpy as np
 from device.units import Float32Array, FloatArray
 
 
-class Past:
-    """The last `frames_max` + `block_max` frames of vibration, (frames, sources), in a ring.
+class DelayBuffer:
+    """The last `delay_max` + `block_max` frames of vibration. One thread uses it.
 
-    All of its memory is taken when it is made. One thread holds it.
+    Parameters
+    ----------
+    sources : int
+        Number of columns of a block.
+    delay_max : int
+        Longest delay in frames.
+    block_max : int
+        Longest block in frames.
     """
 
-    def __init__(self, sources: int, frames_max: int, block_max: int) -> None:
-        self._ring = np.zeros((sources, frames_max + block_max), np.float32)
+    def __init__(self, sources: int, delay_max: int, block_max: int) -> None:
+        self._ring = np.zeros((sources, delay_max + block_max), np.float32)
         self._end = 0
 
     def add(self, vibration: Float32Array | FloatArray) -> None:
-        """Take a block of up to `block_max` frames."""
+        """Store a block, (frames, sources), of up to `block_max` frames."""
         frames, size = len(vibration), self._ring.shape[1]
         first = min(frames, size - self._end)
         self._ring[:, self._end : self._end + first] = vibration[:first].T
@@ -26,9 +33,9 @@ class Past:
         self._end = (self._end + frames) % size
 
     def read(self, source: int, delay: int, out: FloatArray) -> None:
-        """Write into `out` what came `delay` frames, up to `frames_max`, before the last of them.
+        """Fill `out`, as long as the last block, with that source `delay` frames earlier.
 
-        out: as many frames as the block that was added last; silence from before the first one.
+        Frames before the first block are 0.
         """
         frames, size = len(out), self._ring.shape[1]
         start = (self._end - frames - delay) % size
@@ -37,5 +44,5 @@ class Past:
         out[first:] = self._ring[source, : frames - first]
 
     def reset(self) -> None:
-        """Forget everything."""
+        """Set all stored frames to 0."""
         self._ring[:] = 0.0

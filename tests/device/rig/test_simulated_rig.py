@@ -15,7 +15,7 @@ from device.rig import PAPER, AmplifierParameters, DacParameters
 from device.rig.actuator import LinearActuator
 from device.rig.electronics import Amplifier, Dac
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2, AccelerometerChain
-from device.rig.twin import Twin
+from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
 
 
@@ -91,7 +91,7 @@ def test_the_instruments_show_one_volt_for_a_hundred_metres_a_second_squared():
 
 
 def test_steady_full_scale_vibration_at_90_hz_gives_the_acceleration_that_the_rig_states():
-    twin = Twin(PAPER, 48_000, 1)
+    twin = SimulatedRig(PAPER, 48_000, 1)
     twin.write(steady(48_000)[:, None])
     twin.write(steady(48_000)[:, None])  # 90 whole periods each: the second is steady
     last = twin.acceleration_m_s2
@@ -109,7 +109,7 @@ def test_the_twin_is_its_stages_one_after_the_other():
     rig = replace(PAPER, amplifier=source, dac=DacParameters(bits=12, full_scale_v=0.8))
     vibration = np.column_stack([steady(500), 1.5 * steady(500, 60.0)])
     recorder = Recorder()
-    twin = Twin(rig, 48_000, 2, recorder=recorder)
+    twin = SimulatedRig(rig, 48_000, 2, recorder=recorder)
     twin.write(vibration)
     volts = Amplifier(source).drive(Dac(rig.dac).volts(vibration))
     motions = [LinearActuator(rig.actuator, 48_000, 2.0).move(volts[:, c]) for c in range(2)]
@@ -127,7 +127,7 @@ def test_peaks_counts_and_record_do_not_depend_on_the_blocks(sizes):
     twins = []
     for blocks in ([vibration], np.split(vibration, np.cumsum(sizes)[:-1])):
         recorder = Recorder()
-        twin = Twin(PAPER, 48_000, 2, recorder=recorder)
+        twin = SimulatedRig(PAPER, 48_000, 2, recorder=recorder)
         for block in blocks:
             twin.write(block)
         peaks = (twin.peak_acceleration_m_s2, twin.peak_displacement_m, twin.peak_current_a)
@@ -139,7 +139,7 @@ def test_peaks_counts_and_record_do_not_depend_on_the_blocks(sizes):
 
 def test_a_recorded_acceleration_is_a_wav_file_in_volts(tmp_path):
     recorder = WavOutput(tmp_path / "acceleration.wav", 48_000, 1)
-    twin = Twin(PAPER, 48_000, 1, recorder=recorder)
+    twin = SimulatedRig(PAPER, 48_000, 1, recorder=recorder)
     twin.write(steady(4_800).astype(np.float32)[:, None])
     twin.close()
     samples, rate = soundfile.read(tmp_path / "acceleration.wav")
@@ -152,7 +152,7 @@ def test_a_recorded_acceleration_is_a_wav_file_in_volts(tmp_path):
 @pytest.mark.parametrize(("first", "then"), [("close", "abort"), ("abort", "close")])
 def test_the_recorder_is_finished_once_in_the_way_asked_for_first(first, then):
     recorder = Recorder()
-    twin: VibrationOutput = Twin(PAPER, 48_000, 2, recorder=recorder)
+    twin: VibrationOutput = SimulatedRig(PAPER, 48_000, 2, recorder=recorder)
     for name in (first, first, then):
         getattr(twin, name)()
     assert recorder.calls == [first]
@@ -166,11 +166,11 @@ def test_a_failing_recorder_is_heard_of():
             raise WriteError("cannot write a.wav: the disk is full")
 
     with pytest.raises(WriteError, match="disk is full"):
-        Twin(PAPER, 48_000, 2, recorder=Full()).write(np.zeros((1, 2)))
+        SimulatedRig(PAPER, 48_000, 2, recorder=Full()).write(np.zeros((1, 2)))
 
 
 def test_reset_brings_the_twin_to_rest():
-    twin = Twin(PAPER, 48_000, 1)
+    twin = SimulatedRig(PAPER, 48_000, 1)
     twin.write(np.full((100, 1), 2.0))
     first = twin.acceleration_m_s2
     twin.reset()
@@ -182,11 +182,11 @@ def test_reset_brings_the_twin_to_rest():
 
 def test_what_does_not_fit_the_twin_is_refused():
     with pytest.raises(UsageError, match="samplerate=999"):
-        Twin(PAPER, 999, 1)
+        SimulatedRig(PAPER, 999, 1)
     with pytest.raises(InternalError, match="channels=0"):
-        Twin(PAPER, 48_000, 0)
+        SimulatedRig(PAPER, 48_000, 0)
     with pytest.raises(InternalError, match="the recorder takes 2 channels at 48000 Hz"):
-        Twin(PAPER, 44_100, 2, recorder=Recorder())
+        SimulatedRig(PAPER, 44_100, 2, recorder=Recorder())
     for shape in [(10,), (10, 2)]:
         with pytest.raises(InternalError, match="shape"):
-            Twin(PAPER, 48_000, 1).write(np.zeros(shape))
+            SimulatedRig(PAPER, 48_000, 1).write(np.zeros(shape))

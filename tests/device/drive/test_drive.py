@@ -5,16 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from device.drive import ActuatorSettings, ChannelMap, Spread, channels_needed, sources_of
-from device.drive.actuators import Actuators
-from device.drive.alignment import Aligned
-from device.drive.driven import Driven
-from device.drive.driving import driving_for
-from device.drive.path import FADE_S
-from device.drive.twins import Twins, twins_for
+from device.drive import ActuatorSettings, ChannelMap, channels_needed, sources_of
+from device.drive.actuator_feed import FADE_S
+from device.drive.channel_router import ChannelRouter, RoutedFill
+from device.drive.drive import Drive
+from device.drive.outputs import AlignedOutput, DrivenOutput
+from device.drive.rig_processor import make_rig_processor
 from device.errors import InternalError, UsageError
-from device.rig import PAPER
-from device.rig.twin import Twin
+from device.rig import CONSUMER, PAPER
+from device.rig.simulated_rig import SimulatedRig
 
 RATE = 8_000
 LEFT = ActuatorSettings((0,), "left")
@@ -62,16 +61,16 @@ class Kept:
 
 def test_an_actuator_without_wishes_gets_its_source_bit_for_bit_and_at_once():
     vibration = noise(9_000, 2)
-    actuators = Actuators([RIGHT, LEFT], RATE)
-    assert actuators.sources == ("left", "right")
-    assert actuators.latency_frames == 0
-    assert np.array_equal(actuators.process(vibration), vibration[:, ::-1])
+    drive = Drive([RIGHT, LEFT], RATE)
+    assert drive.sources == ("left", "right")
+    assert drive.latency_frames == 0
+    assert np.array_equal(drive.process(vibration), vibration[:, ::-1])
 
 
 def test_level_polarity_and_delay_are_those_asked_for():
     one = ActuatorSettings((0,), "mix", gain_db=-6.0, polarity="inverted", delay_ms=12.5)
     vibration = noise(3_000, 1)
-    out = Actuators([one], RATE).process(vibration)
+    out = Drive([one], RATE).process(vibration)
     late = round(12.5e-3 * RATE)
     assert not out[:late].any()
     expected = -(10.0 ** (-6.0 / 20.0)) * vibration[:-late].astype(float)
@@ -92,9 +91,9 @@ def test_no_byte_depends_on_how_the_stream_is_cut(lengths, delays, gain_db, prot
         ActuatorSettings((2,), "mix"),
     ]
     vibration = noise(5_000, 3)
-    whole = Actuators(wanted, RATE).process(vibration)
-    actuators = Actuators(wanted, RATE)
-    parts = [actuators.process(part) for part in cut(vibration, lengths)]
+    whole = Drive(wanted, RATE).process(vibration)
+    drive = Drive(wanted, RATE)
+    parts = [drive.process(part) for part in cut(vibration, lengths)]
     assert np.concatenate(parts).tobytes() == whole.tobytes()
 
 
@@ -114,13 +113,13 @@ def test_a_change_comes_out_the_same_however_the_stream_is_cut(
     second = [ActuatorSettings((0,), "left", polarity="inverted"), RIGHT]
 
     def through(lengths):
-        actuators = Actuators([LEFT, RIGHT], RATE)
-        out = [actuators.process(part) for part in cut(vibration[:500], lengths)]
-        actuators.change(first)
+        drive = Drive([LEFT, RIGHT], RATE)
+        out = [drive.process(part) for part in cut(vibration[:500], lengths)]
+        drive.change(first)
         middle = 500 + again_after
-        out += [actuators.process(part) for part in cut(vibration[500:middle], lengths)]
-        actuators.change(second)
-        out += [actuators.process(part) for part in cut(vibration[middle:], lengths)]
+        out += [drive.process(part) for part in cut(vibration[500:middle], lengths)]
+        drive.change(second)
+        out += [drive.process(part) for part in cut(vibration[middle:], lengths)]
         return np.concatenate(out)
 
     assert through(lengths).tobytes() == through([10_000]).tobytes()
@@ -139,13 +138,13 @@ def test_a_change_comes_out_the_same_however_the_stream_is_cut(
 def test_a_change_makes_no_step_and_is_done_within_its_time(changed):
     wave = tone(60.0, 1.0).astype(np.float32)
     vibration = np.column_stack([wave, -wave])
-    actuators = Actuators([LEFT, RIGHT, LEFT], RATE)
-    before = actuators.process(vibration[:4_001])
-    actuators.change([changed, RIGHT, LEFT])
-    after = actuators.process(vibration[4_001:])
+    drive = Drive([LEFT, RIGHT, LEFT], RATE)
+    before = drive.process(vibration[:4_001])
+    drive.change([changed, RIGHT, LEFT])
+    after = drive.process(vibration[4_001:])
     heard = np.concatenate([before, after])[:, 0].astype(float)
     done = 4_001 + round(FADE_S * RATE)
-    settled = Actuators([changed, RIGHT, LEFT], RATE).process(vibration)[:, 0]
+    settled = Drive([changed, RIGHT, LEFT], RATE).process(vibration)[:, 0]
     np.testing.assert_allclose(heard[done:], settled[done:], atol=1e-7)
     steepest = np.abs(np.diff(wave.astype(float))).max()
     # From one end of the wave to the other in a straight line over the fade, on top of the wave.
@@ -155,12 +154,12 @@ def test_a_change_makes_no_step_and_is_done_within_its_time(changed):
 
 def test_of_several_changes_within_a_fade_the_last_one_stays():
     wave = tone(60.0, 1.0).astype(np.float32)[:, None]
-    actuators = Actuators([ActuatorSettings((0,))], RATE)
+    drive = Drive([ActuatorSettings((0,))], RATE)
     for delay_ms in (3.0, 90.0, 20.0):
-        actuators.process(wave[:10])
-        actuators.change([ActuatorSettings((0,), delay_ms=delay_ms)])
-    actuators.process(wave[:1_000])
-    heard = actuators.process(wave[1_000:])
+        drive.process(wave[:10])
+        drive.change([ActuatorSettings((0,), delay_ms=delay_ms)])
+    drive.process(wave[:1_000])
+    heard = drive.process(wave[1_000:])
     late = round(20e-3 * RATE)
     assert np.array_equal(heard[late:], wave[1_000:-late])
 
@@ -171,12 +170,12 @@ def test_who_needs_no_protection_waits_for_those_who_do():
         ActuatorSettings((1,), "left"),
         ActuatorSettings((2,), "left", delay_ms=10.0, protection="on"),
     ]
-    actuators = Actuators(wanted, RATE)
-    late = actuators.latency_frames
+    drive = Drive(wanted, RATE)
+    late = drive.latency_frames
     assert late == 2 * round(0.002 * RATE)
-    assert actuators.delays_frames == (0, 0, 80)
+    assert drive.delays_frames == (0, 0, 80)
     vibration = 0.1 * noise(2_000, 1)
-    out = actuators.process(vibration)
+    out = drive.process(vibration)
     assert np.array_equal(out[late:, 0], vibration[:-late, 0])
     assert np.array_equal(out[:, 0], out[:, 1])
     assert np.array_equal(out[80:, 2], out[:-80, 0])
@@ -188,9 +187,9 @@ def test_what_is_owed_is_everything_with_the_longest_delay():
         ActuatorSettings((1,), "right", delay_ms=25.0),
     ]
     vibration = 0.1 * noise(1_000, 2)
-    actuators = Actuators(wanted, RATE)
-    whole = np.concatenate([actuators.process(vibration), actuators.owed()])
-    late = actuators.latency_frames
+    drive = Drive(wanted, RATE)
+    whole = np.concatenate([drive.process(vibration), drive.drain()])
+    late = drive.latency_frames
     assert np.array_equal(whole[late : late + 1_000, 0], vibration[:, 0])
     assert np.array_equal(whole[late + 200 :, 1], vibration[:, 1])
 
@@ -201,15 +200,15 @@ def test_each_has_the_rig_and_the_care_of_its_own():
         ActuatorSettings((1,), "mix", damping="auto", exposure_cap="limit"),
         ActuatorSettings((2,), "mix", protection="off", exposure_cap="off"),
     ]
-    actuators = Actuators(wanted, RATE, rig="paper", protection="on", exposure_cap="action")
+    drive = Drive(wanted, RATE, rig="paper", protection="on", exposure_cap="action")
     vibration = tone(45.0, 0.5, 1.0).astype(np.float32)[:, None]
-    out = actuators.process(vibration)
-    consumer, damped, plain = actuators.drivings
+    out = drive.process(vibration)
+    consumer, damped, plain = drive.processors
     assert consumer is not None
     assert damped is not None
     assert (consumer.rig.name, damped.rig.name, plain) == ("consumer", "paper", None)
     assert (consumer.exposure_cap, damped.exposure_cap) == ("action", "limit")
-    alone = driving_for("consumer", RATE, 1, protection="on")
+    alone = make_rig_processor("consumer", RATE, 1, protection="on")
     assert alone is not None
     assert np.array_equal(out[:, :1], alone.process(vibration.astype(float)).astype(np.float32))
     assert consumer.protection() == alone.protection()
@@ -221,21 +220,21 @@ def test_protection_sees_what_is_left_after_the_level():
 
     def least_gain(gain_db):
         one = ActuatorSettings((0,), rig="consumer", protection="on", gain_db=gain_db)
-        actuators = Actuators([one], RATE)
-        actuators.process(loud)
-        driving = actuators.drivings[0]
-        assert driving is not None
-        return driving.protection().least_gain
+        drive = Drive([one], RATE)
+        drive.process(loud)
+        processor = drive.processors[0]
+        assert processor is not None
+        return processor.protection().least_gain
 
     assert least_gain(0.0) < 1.0
     assert least_gain(-40.0) == 1.0
 
 
 def test_what_is_flushed_never_comes_out():
-    actuators = Actuators([ActuatorSettings((0,), delay_ms=100.0, protection="on")], RATE)
-    actuators.process(noise(2_000, 1))
-    actuators.flush()
-    assert not actuators.process(np.zeros((2_000, 1), np.float32)).any()
+    drive = Drive([ActuatorSettings((0,), delay_ms=100.0, protection="on")], RATE)
+    drive.process(noise(2_000, 1))
+    drive.flush()
+    assert not drive.process(np.zeros((2_000, 1), np.float32)).any()
 
 
 def test_sources_are_named_once_in_their_order_and_all_is_the_mix():
@@ -269,21 +268,21 @@ def test_what_one_actuator_cannot_have_is_refused(choices, words):
 
 
 def test_other_actuators_and_blocks_of_another_shape_are_refused():
-    actuators = Actuators([LEFT], RATE)
-    with pytest.raises(InternalError, match="cannot follow"):
-        actuators.change([LEFT, RIGHT])
-    with pytest.raises(InternalError, match="cannot follow"):
-        actuators.change([RIGHT])
+    drive = Drive([LEFT], RATE)
+    with pytest.raises(InternalError, match="cannot change"):
+        drive.change([LEFT, RIGHT])
+    with pytest.raises(InternalError, match="cannot change"):
+        drive.change([RIGHT])
     with pytest.raises(InternalError, match="shape"):
-        actuators.process(np.zeros((10, 2), np.float32))
+        drive.process(np.zeros((10, 2), np.float32))
     with pytest.raises(UsageError, match="'loud'"):
-        Actuators([ActuatorSettings((0,), rig="loud", protection="on")], RATE)
+        Drive([ActuatorSettings((0,), rig="loud", protection="on")], RATE)
 
 
 def test_actuators_reach_the_channels_they_are_wired_to_and_others_stay_silent():
     vibration = np.array([[1.0, 2.0], [3.0, 4.0]], np.float32)
     out = np.full((2, 5), 9.0, np.float32)
-    ChannelMap.of([[3, 0], [1]], 5).spread(vibration, out)
+    ChannelMap.of([[3, 0], [1]], 5).write(vibration, out)
     assert out.tolist() == [[1.0, 2.0, 0.0, 1.0, 0.0], [3.0, 4.0, 0.0, 3.0, 0.0]]
 
 
@@ -322,19 +321,19 @@ def test_another_wiring_fades_in_over_one_block():
     def fill(out, now_s):
         out[:] = (0.5, -0.25)
 
-    spread = Spread(fill, ChannelMap.of([[0], [1]], 3), 64)
+    routed = RoutedFill(fill, ChannelMap.of([[0], [1]], 3), 64)
     out = np.zeros((64, 3), np.float32)
-    spread.fill(out, 0.0)
+    routed.fill(out, 0.0)
     assert np.array_equal(out, np.tile(np.array([0.5, -0.25, 0.0], np.float32), (64, 1)))
-    spread.change(ChannelMap.of([[2], [0]], 3))
-    spread.fill(out, 0.0)
+    routed.change(ChannelMap.of([[2], [0]], 3))
+    routed.fill(out, 0.0)
     # 0.75 from one level to the other, in 64 steps
     assert np.abs(np.diff(out, axis=0)).max() == pytest.approx(0.75 / 64, rel=1e-3)
     assert np.array_equal(out[-1], np.array([-0.25, 0.0, 0.5], np.float32))
-    spread.fill(out, 0.0)
+    routed.fill(out, 0.0)
     assert np.array_equal(out, np.tile(np.array([-0.25, 0.0, 0.5], np.float32), (64, 1)))
-    with pytest.raises(InternalError, match="cannot follow"):
-        spread.change(ChannelMap.of([[0], [1]], 2))
+    with pytest.raises(InternalError, match="cannot replace"):
+        routed.change(ChannelMap.of([[0], [1]], 2))
 
 
 def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_it():
@@ -344,8 +343,8 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
     ]
     channel_map = ChannelMap.of([actuator.channels for actuator in wanted], 3)
     kept = Kept(3)
-    actuators = Actuators(wanted, RATE)
-    output = Driven(Aligned(kept, actuators.latency_frames), actuators, channel_map)
+    drive = Drive(wanted, RATE)
+    output = DrivenOutput(AlignedOutput(kept, drive.latency_frames), drive, channel_map)
     vibration = 0.1 * noise(1_000, 2)
     for part in cut(vibration, [300, 77]):
         output.write(part)
@@ -359,21 +358,104 @@ def test_files_have_what_each_channel_would_get_under_its_sound_and_as_long_as_i
         output.write(vibration)
 
 
-def test_simulated_rigs_stand_where_the_actuators_are_wired():
-    wanted = [ActuatorSettings((2,), "left", rig="consumer"), ActuatorSettings((0,), "right")]
-    channel_map = ChannelMap.of([actuator.channels for actuator in wanted], 3)
+def test_each_channel_moves_its_own_simulated_rig_or_none():
     kept, alone = Kept(3), Kept(1)
-    twins = twins_for(wanted, channel_map, RATE, rig="paper", recorder=kept)
-    twin = Twin(PAPER, RATE, 1, recorder=alone)
+    rigs = SimulatedRig([PAPER, None, CONSUMER], RATE, recorder=kept)
+    one = SimulatedRig(PAPER, RATE, 1, recorder=alone)
     vibration = noise(2_000, 3)
     for part in cut(vibration, [256]):
-        twins.write(part)
-        twin.write(part[:, :1])
-    twins.close()
+        rigs.write(part)
+        one.write(part[:, :1])
+    rigs.close()
     assert kept.closed
     assert np.array_equal(kept.whole[:, 0], alone.whole[:, 0])
     assert not kept.whole[:, 1].any()
     assert not np.array_equal(kept.whole[:, 2], kept.whole[:, 0])
-    assert twins.peak_acceleration_m_s2 >= twin.peak_acceleration_m_s2
-    assert twins.peak_displacement_m >= twin.peak_displacement_m
-    assert Twins([None], RATE).peak_current_a == 0.0
+    assert rigs.peak_acceleration_m_s2 >= one.peak_acceleration_m_s2
+    assert rigs.peak_displacement_m >= one.peak_displacement_m
+    assert SimulatedRig([None], RATE).peak_current_a == 0.0
+
+
+def test_channels_with_the_same_rig_move_as_each_would_alone():
+    vibration = 1.5 * noise(2_000, 3)
+    together = SimulatedRig([PAPER, CONSUMER, PAPER], RATE)
+    together.write(vibration)
+    for channel, rig in enumerate([PAPER, CONSUMER, PAPER]):
+        alone = SimulatedRig(rig, RATE, 1)
+        alone.write(vibration[:, [channel]])
+        assert np.array_equal(together.acceleration_m_s2[:, channel], alone.acceleration_m_s2[:, 0])
+
+
+@given(
+    frames=st.integers(0, 300),
+    channels=st.integers(1, 8),
+    lengths=st.lists(st.integers(1, 90), min_size=1, max_size=6),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_with_nothing_asked_for_the_drive_is_the_identity_without_a_copy(
+    frames, channels, lengths, seed
+):
+    drive = Drive((), RATE, channels)
+    bits = np.random.default_rng(seed).integers(0, 2**32, (frames, channels), np.uint32)
+    for part in cut(bits.view(np.float32), lengths):  # any bits: infinities and NaNs too
+        before = part.tobytes()
+        out = drive.process(part)
+        assert out is part
+        assert out.tobytes() == before
+    assert drive.latency_frames == 0
+    assert drive.drain().shape == (0, channels)
+
+
+@given(
+    channels=st.integers(1, 4),
+    lengths=st.lists(st.integers(1, 9_000), min_size=1, max_size=4),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_actuators_that_ask_for_nothing_are_the_identity_too(channels, lengths, seed):
+    sources = ("mix", "left", "right", "front")[:channels]
+    drive = Drive([ActuatorSettings((k,), name) for k, name in enumerate(sources)], RATE)
+    vibration = noise(10_000, channels, seed)
+    out = [drive.process(part) for part in cut(vibration, lengths)]
+    assert np.concatenate(out).tobytes() == vibration.tobytes()
+
+
+@pytest.mark.parametrize("asked", [{"protection": "on"}, {"damping": "auto"}])
+def test_one_actuator_for_the_mix_plays_what_an_unnamed_one_does(asked):
+    vibration = noise(6_000, 1).astype(np.float64)
+    named = Drive([ActuatorSettings((0,))], RATE, **asked)
+    unnamed = Drive((), RATE, 1, **asked)
+    whole = np.concatenate([unnamed.process(vibration), unnamed.drain()])
+    routed = np.concatenate([named.process(vibration), named.drain()])
+    assert routed.tobytes() == whole.astype(np.float32).tobytes()
+
+
+def test_an_unnamed_actuator_has_one_protection_for_all_channels_of_the_vibration():
+    drive = Drive((), RATE, 2, protection="on")
+    assert len(drive.processors) == 1
+    assert (drive.inputs, drive.outputs) == (2, 2)
+    vibration = noise(1_000, 2)
+    out = np.concatenate([drive.process(part) for part in cut(vibration, [77])])
+    late = drive.latency_frames
+    assert np.array_equal(out[late:], vibration[:-late])
+    assert np.array_equal(drive.drain(), vibration[-late:])
+    drive.process(vibration)
+    drive.flush()
+    assert not drive.process(np.zeros((100, 2), np.float32)).any()
+
+
+def test_a_direct_map_lets_the_device_be_filled_without_a_copy():
+    filled = []
+
+    def fill(out, now_s):
+        filled.append(out)
+        out[:] = 0.25
+
+    router = ChannelRouter(())
+    for channel_map in (ChannelMap.repeated(1, 3), ChannelMap.repeated(3, 3)):
+        out = np.zeros((64, 3), np.float32)
+        router.connect(fill, channel_map, 64)(out, 0.0)
+        assert filled.pop() is out
+    out = np.zeros((64, 3), np.float32)
+    router.connect(fill, ChannelMap.repeated(2, 3), 64)(out, 0.0)
+    assert filled.pop() is not out
+    assert (out == 0.25).all()

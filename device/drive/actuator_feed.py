@@ -1,4 +1,4 @@
-"""One actuator's way from the sources: which one, how late, how strong; changed without a click."""
+"""One actuator's signal: source, delay and gain, which change without a click."""
 
 from __future__ import annotations
 
@@ -6,50 +6,57 @@ from typing import NamedTuple
 
 import numpy as np
 
-from device.drive.past import Past
+from device.drive.delay_buffer import DelayBuffer
 from device.units import FloatArray
 
 FADE_S = 0.01
-"""Time in which another level is reached, and another source or delay faded to: no step that
-clicks, and nobody waits for it."""
+"""Duration of a change of gain, source or delay: too slow to click, too fast to notice."""
 
 
-class Tap(NamedTuple):
-    """Where it reads: the source's index, and how many frames ago."""
+class TapPoint(NamedTuple):
+    """Where a feed reads: the source's column, and the delay in frames."""
 
     source: int
     delay: int
 
 
-class Path:
-    """What one actuator gets: a source, `delay` frames late, times a factor of -1 to 1.
+class ActuatorFeed:
+    """What one actuator plays: a source, delayed, times a factor. One thread uses it.
 
-    fade_frames: over which a change is made: a line from factor to factor, and from one source or
-    delay to another. A second change of these waits for the end of the first, and of several that
-    wait the last one counts. No byte depends on how the stream is cut into blocks, only on the
-    frame at which a change came. One thread holds it.
+    A change fades linearly. A second change of source or delay starts when the first has ended; of
+    several that wait, the last one counts. The result does not depend on the lengths of blocks,
+    only on the frame at which a change came.
+
+    Parameters
+    ----------
+    tap : TapPoint
+        Where it reads.
+    factor : float
+        What the source is multiplied by, -1 to 1.
+    fade_frames : int
+        Length of a fade.
     """
 
-    def __init__(self, tap: Tap, factor: float, fade_frames: int) -> None:
+    def __init__(self, tap: TapPoint, factor: float, fade_frames: int) -> None:
         self._fade = np.arange(1.0, fade_frames + 1.0) / fade_frames
         self._tap = self._next = self._wanted = tap
         self._tap_faded = fade_frames
         self._from = self._factor = factor
         self._factor_faded = fade_frames
 
-    def change(self, tap: Tap, factor: float) -> None:
-        """Go there from the next frame on."""
+    def change(self, tap: TapPoint, factor: float) -> None:
+        """Fade to another tap point and factor from the next frame on."""
         self._wanted = tap
         if factor != self._factor:
-            self._from, self._factor, self._factor_faded = self._now(), factor, 0
+            self._from, self._factor, self._factor_faded = self._current_factor(), factor, 0
 
-    def read(self, past: Past, out: FloatArray, spare: FloatArray) -> None:
-        """Write into `out`, (frames,), what is due for the block that `past` took last.
+    def read(self, delay_buffer: DelayBuffer, out: FloatArray, spare: FloatArray) -> None:
+        """Fill `out`, (frames,), with what belongs to the last block of `delay_buffer`.
 
-        spare: as long, to be overwritten.
+        spare: scratch memory of the same length.
         """
         frames, whole, start = len(out), len(self._fade), 0
-        past.read(self._tap.source, self._tap.delay, out)
+        delay_buffer.read(self._tap.source, self._tap.delay, out)
         while start < frames:
             if self._tap_faded == whole:
                 if self._wanted == self._tap:
@@ -57,7 +64,7 @@ class Path:
                 self._next, self._tap_faded = self._wanted, 0
             count = min(whole - self._tap_faded, frames - start)
             share = self._fade[self._tap_faded : self._tap_faded + count]
-            past.read(self._next.source, self._next.delay, spare)
+            delay_buffer.read(self._next.source, self._next.delay, spare)
             new, old = spare[start : start + count], out[start : start + count]
             old += share * (new - old)
             self._tap_faded += count
@@ -68,14 +75,14 @@ class Path:
         self._apply_factor(out)
 
     def settle(self) -> None:
-        """Be where it was to go, at once; for the time in which nothing plays."""
+        """End all fades at once; call it only while nothing plays."""
         whole = len(self._fade)
         self._tap = self._next = self._wanted
         self._tap_faded = self._factor_faded = whole
         self._from = self._factor
 
-    def _now(self) -> float:
-        """The factor of the last frame."""
+    def _current_factor(self) -> float:
+        """Return the factor of the last frame."""
         faded, whole = self._factor_faded, len(self._fade)
         if faded == whole:
             return self._factor

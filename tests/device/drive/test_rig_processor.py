@@ -1,4 +1,4 @@
-"""What is done to vibration for a rig: nothing unless asked; with a declared delay, or damped."""
+"""Processing for a rig: none unless asked for; with a declared latency, or damped."""
 
 import math
 from dataclasses import replace
@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from device.drive.driving import Driving, damping_for, driving_for
+from device.drive.rig_processor import RigProcessor, damping_for, make_rig_processor
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import LinearActuator
@@ -20,28 +20,28 @@ def tone(frequency_hz, seconds, level=0.5):
     return wave.astype(np.float32)[:, None]
 
 
-def through(driving, vibration):
+def through(processor, vibration):
     """All that leaves, from the beginning of the vibration on."""
-    whole = np.concatenate([driving.process(vibration.copy()), driving.owed()])
-    return whole[driving.latency_frames :]
+    whole = np.concatenate([processor.process(vibration.copy()), processor.drain()])
+    return whole[processor.latency_frames :]
 
 
 def test_nothing_is_done_unless_somebody_asks_for_it():
-    assert driving_for("paper", RATE, 1) is None
+    assert make_rig_processor("paper", RATE, 1) is None
 
 
 def test_protection_leaves_usual_vibration_as_it_is_two_blocks_later():
-    driving = driving_for("paper", RATE, 1, protection="on")
-    assert driving is not None
-    assert driving.latency_frames == 192
+    processor = make_rig_processor("paper", RATE, 1, protection="on")
+    assert processor is not None
+    assert processor.latency_frames == 192
     vibration = tone(90.0, 0.5)
-    assert np.array_equal(through(driving, vibration), vibration)
-    assert driving.protection().limited_blocks == 0
-    assert driving.exposure().a8_m_s2 > 0.0
+    assert np.array_equal(through(processor, vibration), vibration)
+    assert processor.protection().limited_blocks == 0
+    assert processor.exposure().a8_m_s2 > 0.0
 
 
 def test_damping_brings_protection_along_and_adds_no_delay_of_its_own():
-    damped = driving_for("paper", RATE, 1, damping="auto")
+    damped = make_rig_processor("paper", RATE, 1, damping="auto")
     assert damped is not None
     assert damped.latency_frames == 192
     burst = tone(90.0, 0.05)
@@ -59,11 +59,11 @@ def test_damping_brings_protection_along_and_adds_no_delay_of_its_own():
 
 
 def test_a_damped_drive_stays_within_full_scale_and_is_never_clipped():
-    driving = Driving(PAPER, RATE, 1, damped=True)
+    processor = RigProcessor(PAPER, RATE, 1, damped=True)
     vibration = np.sign(tone(90.0, 0.3, 1.0))
-    out = through(driving, vibration)
+    out = through(processor, vibration)
     assert np.abs(out).max() <= 1.0 + 1e-6
-    assert driving.protection().limited_blocks > 0
+    assert processor.protection().limited_blocks > 0
     at_limit = np.abs(out[:, 0]) > 0.9999
     assert not (at_limit[1:] & at_limit[:-1]).any()
 
@@ -80,13 +80,13 @@ def test_each_rig_has_its_own_damping_chosen_once():
 
 
 def test_after_reset_it_is_as_new():
-    driving = Driving(PAPER, RATE, 1, damped=True)
+    processor = RigProcessor(PAPER, RATE, 1, damped=True)
     vibration = tone(70.0, 0.3)
-    first = driving.process(vibration.copy())
-    counts = driving.protection(), driving.exposure()
-    driving.reset()
-    assert driving.process(vibration.copy()).tobytes() == first.tobytes()
-    assert (driving.protection(), driving.exposure()) == counts
+    first = processor.process(vibration.copy())
+    counts = processor.protection(), processor.exposure()
+    processor.reset()
+    assert processor.process(vibration.copy()).tobytes() == first.tobytes()
+    assert (processor.protection(), processor.exposure()) == counts
 
 
 def test_a_cap_turns_down_what_would_exceed_the_days_dose_and_brings_protection_along():
@@ -104,19 +104,19 @@ def test_a_cap_turns_down_what_would_exceed_the_days_dose_and_brings_protection_
     vibration = 0.5 * np.sin(math.tau * 20.0 * np.arange(12 * rate) / rate)[:, None]
     doses = {}
     for cap in ("off", "action", "limit"):
-        driving = Driving(hard, rate, 1, exposure_cap=cap)
+        processor = RigProcessor(hard, rate, 1, exposure_cap=cap)
         for block in np.split(vibration.copy(), 120):
-            driving.process(block)
-        doses[cap] = driving.exposure()
-        assert driving.exposure_cap == cap
-        assert (driving.exposure_gain < 1.0) == (cap == "action")
-        driving.reset()
-        assert driving.exposure_gain == 1.0
+            processor.process(block)
+        doses[cap] = processor.exposure()
+        assert processor.exposure_cap == cap
+        assert (processor.exposure_gain < 1.0) == (cap == "action")
+        processor.reset()
+        assert processor.exposure_gain == 1.0
     assert doses["off"].above_action
     assert doses["limit"] == doses["off"]  # far from it
     assert not doses["action"].above_action
     assert doses["action"].vdv > 0.85 * 9.1
-    capped = driving_for("paper", RATE, 1, exposure_cap="limit")
+    capped = make_rig_processor("paper", RATE, 1, exposure_cap="limit")
     assert capped is not None
     usual = tone(90.0, 0.5)
     assert np.array_equal(through(capped, usual), usual)
@@ -125,8 +125,8 @@ def test_a_cap_turns_down_what_would_exceed_the_days_dose_and_brings_protection_
 
 def test_what_cannot_be_is_refused_by_name():
     with pytest.raises(UsageError, match="'loud'"):
-        driving_for("loud", RATE, 1, protection="on")
+        make_rig_processor("loud", RATE, 1, protection="on")
     with pytest.raises(UsageError, match="samplerate=4000"):
-        Driving(PAPER, 4_000, 1)
+        RigProcessor(PAPER, 4_000, 1)
     with pytest.raises(InternalError, match="shape"):
-        Driving(replace(PAPER, thermal=None), RATE, 2).process(np.zeros((10, 1)))
+        RigProcessor(replace(PAPER, thermal=None), RATE, 2).process(np.zeros((10, 1)))

@@ -1,0 +1,173 @@
+"""From the vibration of the sources to what each actuator plays: the one drive path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from device.drive.actuator_feed import FADE_S, ActuatorFeed, TapPoint
+from device.drive.delay_buffer import DelayBuffer
+from device.drive.rig_processor import make_rig_processor
+from device.drive.settings import DELAY_MAX_MS, ActuatorSettings, sources_of
+from device.errors import InternalError
+from device.units import Block, Float32Array, FloatArray, check_channels
+
+PART_FRAMES = 4_096
+"""Longer blocks are routed in parts of this length, so that memory stays bounded."""
+
+WHOLE_DEVICE = (ActuatorSettings((0,)),)
+"""Stands for the one actuator there is where none is named; it has all channels."""
+
+
+class Drive:
+    """Routes, delays, scales and protects what the actuators of one device play.
+
+    Blocks come as (frames, inputs) and leave as (frames, outputs). All actuators have the same
+    latency, beside their `delay_ms`: those whose rig needs less wait for the others. Without
+    named actuators there is one, which plays all channels of the vibration, unrouted; if nothing
+    is asked for either, `process` returns each block itself.
+
+    One thread calls `process`, `drain` and `flush`; any thread may call the rest.
+
+    Parameters
+    ----------
+    actuators : Sequence[ActuatorSettings]
+        What each actuator plays; empty for one that plays all channels of the vibration.
+    samplerate : int
+        Rate in Hz.
+    channels : int
+        Channels of the vibration where no actuators are named; else their sources count.
+    rig, damping, protection, exposure_cap : str
+        Used for actuators whose settings leave them open.
+
+    Attributes
+    ----------
+    sources : tuple[str, ...]
+        Names of the input columns; empty where no actuators are named.
+    inputs, outputs : int
+        Columns of the blocks that come and leave.
+    processors : tuple[RigProcessor | None, ...]
+        Processing for each actuator's rig, None where nothing is asked for.
+    latency_frames : int
+        Delay of all actuators in frames, beside the delays asked for.
+
+    Raises
+    ------
+    UsageError
+        There is no such rig, or the sample rate is too low for its processing.
+    """
+
+    def __init__(
+        self,
+        actuators: Sequence[ActuatorSettings],
+        samplerate: int,
+        channels: int = 1,
+        *,
+        rig: str = "paper",
+        damping: str = "off",
+        protection: str = "off",
+        exposure_cap: str = "off",
+    ) -> None:
+        self.samplerate = samplerate
+        self.sources = sources_of(actuators)
+        self.inputs = len(self.sources) or channels
+        self.outputs = len(actuators) or channels
+        self.processors = tuple(
+            make_rig_processor(
+                actuator.rig or rig,
+                samplerate,
+                1 if actuators else channels,
+                damping=actuator.damping or damping,
+                protection=actuator.protection or protection,
+                exposure_cap=actuator.exposure_cap or exposure_cap,
+            )
+            for actuator in actuators or WHOLE_DEVICE
+        )
+        self._latencies = [one.latency_frames if one else 0 for one in self.processors]
+        self.latency_frames = max(self._latencies)
+        self._settings = self._taken = tuple(actuators)
+        fade_frames = max(1, round(FADE_S * samplerate))
+        self._feeds = [
+            ActuatorFeed(self._tap_point(index, actuator), actuator.factor, fade_frames)
+            for index, actuator in enumerate(actuators)
+        ]
+        # Nothing is delayed where nothing is routed.
+        longest = round(1e-3 * DELAY_MAX_MS * samplerate) + self.latency_frames if actuators else 0
+        part_frames = PART_FRAMES if actuators else 0
+        self._delay_buffer = DelayBuffer(len(self.sources), longest, part_frames)
+        self._column, self._spare = np.zeros((part_frames, 1)), np.zeros(part_frames)
+
+    @property
+    def settings(self) -> tuple[ActuatorSettings, ...]:
+        """The named actuators, as they were asked for last."""
+        return self._settings
+
+    @property
+    def delays_frames(self) -> tuple[int, ...]:
+        """Delay that each named actuator was asked to have, in frames."""
+        return tuple(self._delay(actuator) for actuator in self._settings)
+
+    def change(self, settings: Sequence[ActuatorSettings]) -> None:
+        """Fade to other levels, polarities, delays and sources, from the next block on.
+
+        Raises
+        ------
+        InternalError
+            There are more or fewer actuators, or a source is new.
+        """
+        if len(settings) != len(self._feeds) or not {*sources_of(settings)} <= {*self.sources}:
+            raise InternalError("the number of actuators, or their sources, cannot change")
+        self._settings = tuple(settings)
+
+    def process(self, vibration: Block) -> Block | Float32Array:
+        """Return what the actuators play, (frames, outputs), for a block of (frames, inputs).
+
+        The block does not change. What is routed comes as float32, all else in the block's own
+        precision.
+        """
+        check_channels(vibration, self.inputs)
+        return self._routed(vibration) if self._feeds else self._unrouted(vibration)
+
+    def drain(self) -> Float32Array:
+        """Return what is still held back when the signal has ended, the longest delay included."""
+        frames = self.latency_frames + max(self.delays_frames, default=0)
+        return self.process(np.zeros((frames, self.inputs))).astype(np.float32, copy=False)
+
+    def flush(self) -> None:
+        """Drop what is held back; counts and doses stay. Call it only while nothing plays."""
+        self._delay_buffer.reset()
+        for feed in self._feeds:
+            feed.settle()
+        self.process(np.zeros((max(1, self.latency_frames), self.inputs)))
+
+    def _unrouted(self, vibration: Block) -> Block:
+        processor = self.processors[0]
+        return vibration if processor is None else processor.process(vibration.copy())
+
+    def _routed(self, vibration: Float32Array | FloatArray) -> Float32Array:
+        wanted = self._settings
+        if wanted is not self._taken:
+            self._taken = wanted
+            for index, actuator in enumerate(wanted):
+                self._feeds[index].change(self._tap_point(index, actuator), actuator.factor)
+        out = np.empty((len(vibration), self.outputs), np.float32)
+        for start in range(0, len(vibration), PART_FRAMES):
+            part = vibration[start : start + PART_FRAMES]
+            self._delay_buffer.add(part)
+            column, spare = self._column[: len(part)], self._spare[: len(part)]
+            for index, (feed, processor) in enumerate(
+                zip(self._feeds, self.processors, strict=True)
+            ):
+                feed.read(self._delay_buffer, column[:, 0], spare)
+                if processor is not None:
+                    processor.process(column)
+                out[start : start + len(part), index] = column[:, 0]
+        return out
+
+    def _tap_point(self, index: int, actuator: ActuatorSettings) -> TapPoint:
+        waiting = self.latency_frames - self._latencies[index]
+        return TapPoint(self.sources.index(actuator.source), waiting + self._delay(actuator))
+
+    def _delay(self, actuator: ActuatorSettings) -> int:
+        return round(1e-3 * actuator.delay_ms * self.samplerate)

@@ -1,0 +1,192 @@
+"""A simulated rig where a device would be: DAC, amplifier and actuator behind each channel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from device.errors import InternalError, UsageError
+from device.output import VibrationOutput
+from device.rig.actuator import LinearActuator
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.electronics import Amplifier, Dac
+from device.rig.instruments import AccelerometerChain
+from device.rig.rig import Rig
+from device.units import Float32Array, FloatArray, check_channels
+
+
+class SimulatedRig:
+    """A `VibrationOutput` that moves one simulated actuator for each channel.
+
+    One thread calls the methods; any thread may read the attributes meanwhile.
+
+    Parameters
+    ----------
+    rig : Rig | Sequence[Rig | None]
+        The rig of all channels, or that of each channel, None where nothing is connected.
+    samplerate : int
+        Rate in Hz, 1000 or more.
+    channels : int | None
+        Number of channels, 1 or more; None for as many as rigs are listed.
+    recorder : VibrationOutput | None
+        Gets what the accelerometers show, at the same rate and channels, with 1.0 for
+        ACCELERATION_FULL_SCALE_M_S2. It is closed or aborted with the rig.
+    tolerance : float | None
+        None for linear actuators, else the error that `AdaptiveActuator` may make.
+    temperature : bool
+        Whether coils warm up; needs `tolerance`.
+
+    Attributes
+    ----------
+    acceleration_m_s2 : FloatArray
+        (frames, channels) of the last block, a new array each time; 0 without a rig.
+    peak_acceleration_m_s2, peak_displacement_m, peak_current_a : float
+        Largest magnitudes of any channel since the start or `reset`.
+    overcurrent_samples : int
+        Samples beyond the amplifier's current limit; a real one would limit it or switch off.
+
+    Raises
+    ------
+    UsageError
+        The rate is too low.
+    InternalError
+        There are no channels, or the recorder has another rate or number of channels.
+    """
+
+    def __init__(
+        self,
+        rig: Rig | Sequence[Rig | None],
+        samplerate: int,
+        channels: int | None = None,
+        *,
+        recorder: VibrationOutput | None = None,
+        tolerance: float | None = None,
+        temperature: bool = False,
+    ) -> None:
+        if samplerate < 1_000:
+            raise UsageError(f"samplerate={samplerate} Hz is too low; choose 1000 Hz or more")
+        rigs = [rig] * (channels or 0) if isinstance(rig, Rig) else list(rig)
+        if not rigs or channels not in (None, len(rigs)):
+            raise InternalError(f"channels={channels} must be 1 or more, the number of rigs")
+        if recorder and (recorder.samplerate, recorder.channels) != (samplerate, len(rigs)):
+            raise InternalError(
+                f"the recorder takes {recorder.channels} channels at {recorder.samplerate} Hz, "
+                f"the simulated rig gives {len(rigs)} at {samplerate} Hz"
+            )
+        self.samplerate = samplerate
+        self.channels = len(rigs)
+        self._recorder = recorder
+        self._closed = False
+        self._stages = [
+            _Stage(
+                one,
+                [channel for channel, other in enumerate(rigs) if other == one],
+                samplerate,
+                tolerance,
+                temperature=temperature,
+            )
+            for one in dict.fromkeys(rigs)
+            if one is not None
+        ]
+        self._instruments = AccelerometerChain()
+        self.reset()
+
+    @property
+    def actuators(self) -> list[LinearActuator | AdaptiveActuator]:
+        """The actuators, rig by rig."""
+        return [actuator for stage in self._stages for actuator in stage.actuators]
+
+    @property
+    def clipped_samples(self) -> int:
+        """Samples that DACs or amplifiers clipped so far."""
+        stages = self._stages
+        return sum(one.dac.clipped_samples + one.amplifier.clipped_samples for one in stages)
+
+    @property
+    def replaced_samples(self) -> int:
+        """Samples so far that were not finite and became 0."""
+        return sum(stage.dac.replaced_samples for stage in self._stages)
+
+    def reset(self) -> None:
+        """Come to rest and forget peaks and counts; what was recorded stays."""
+        for stage in self._stages:
+            stage.reset()
+        self.acceleration_m_s2: FloatArray = np.zeros((0, self.channels))
+        self.peak_acceleration_m_s2 = 0.0
+        self.peak_displacement_m = 0.0
+        self.peak_current_a = 0.0
+        self.overcurrent_samples = 0
+
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        """Move the actuators by one block of (frames, channels), full scale ±1.0."""
+        if self._closed:
+            raise InternalError("the simulated rig is closed: nothing can be written to it")
+        check_channels(vibration, self.channels)
+        # Channels as rows: each actuator then reads and writes contiguous memory.
+        acceleration = np.zeros(vibration.shape[::-1])
+        for stage in self._stages:
+            volts = stage.volts(vibration)
+            limit_a = stage.rig.amplifier.current_limit_a
+            for channel, actuator, drive in zip(stage.columns, stage.actuators, volts, strict=True):
+                motion = actuator.move(drive, ("acceleration_m_s2", "displacement_m", "current_a"))
+                acceleration[channel] = motion.acceleration_m_s2
+                self.peak_displacement_m = _larger(self.peak_displacement_m, motion.displacement_m)
+                self.peak_current_a = _larger(self.peak_current_a, motion.current_a)
+                over = np.abs(motion.current_a) > limit_a
+                self.overcurrent_samples += int(np.count_nonzero(over))
+        self.peak_acceleration_m_s2 = _larger(self.peak_acceleration_m_s2, acceleration)
+        self.acceleration_m_s2 = acceleration.T
+        if self._recorder:
+            self._recorder.write(self._instruments.volts(self.acceleration_m_s2))
+
+    def close(self) -> None:
+        """Finish, and close the recorder."""
+        if not self._closed and self._recorder:
+            self._recorder.close()
+        self._closed = True
+
+    def abort(self) -> None:
+        """Finish, and discard what was recorded."""
+        if not self._closed and self._recorder:
+            self._recorder.abort()
+        self._closed = True
+
+
+class _Stage:
+    """DAC and amplifier of the channels with one kind of rig, and their actuators."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        columns: list[int],
+        samplerate: int,
+        tolerance: float | None,
+        *,
+        temperature: bool,
+    ) -> None:
+        self.rig = rig
+        self.columns = columns
+        self.dac = Dac(rig.dac)
+        self.amplifier = Amplifier(rig.amplifier, samplerate)
+        source = rig.amplifier.source_impedance_ohm
+        self.actuators: list[LinearActuator | AdaptiveActuator] = [
+            LinearActuator(rig.actuator, samplerate, source)
+            if tolerance is None
+            else AdaptiveActuator(rig, samplerate, tolerance, temperature=temperature)
+            for _ in columns
+        ]
+
+    def reset(self) -> None:
+        for part in (self.dac, self.amplifier, *self.actuators):
+            part.reset()
+
+    def volts(self, vibration: FloatArray | Float32Array) -> FloatArray:
+        """Return the amplifier's output, (columns, frames), contiguous."""
+        own = vibration[:, self.columns]
+        return np.ascontiguousarray(self.amplifier.drive(self.dac.volts(own)).T)
+
+
+def _larger(peak: float, samples: FloatArray) -> float:
+    """Return the larger of a peak and the largest magnitude among the samples."""
+    return max(peak, float(np.max(np.abs(samples), initial=0.0)))
