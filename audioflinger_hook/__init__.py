@@ -1,6 +1,6 @@
 """Feel what a computer plays: sound in, vibration of 20-220 Hz out.
 
-    taps -> clients -> mixer -> effect (transform) -> device.drive.alignment -> device outputs
+    taps -> clients -> mixer -> effect (transform) -> device.drive -> device outputs
 
 `render_file` does a whole file; `HapticTransform` works on arrays, block by block.
 """

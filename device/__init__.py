@@ -1,14 +1,13 @@
 """Everything behind the vibration signal: where it goes, and what it does there.
 
     vibration -> DAC -> power amplifier -> voice-coil actuator -> accelerometer, amplifier
-                 `---------------------- rig/, with its twin.py ----------------------'
+                 `---------------------- rig/simulated_rig.py ----------------------'
 
-Anything that takes vibration is a `VibrationOutput` (output.py): a WAV file (wav_output.py) and
-the twin, the simulated rig, today; sound cards take the same place. Files appear whole or not at
-all (atomic_file.py). Nothing here imports from audioflinger_hook; both share errors.py, units.py.
+Anything that takes vibration is a `VibrationOutput` (output.py), such as a WAV file (wav_output.py)
+or the simulated rig. Files appear whole or not at all (atomic_file.py). Nothing here imports from
+audioflinger_hook; both share errors.py and units.py.
 
-The twin is imported from device.rig.twin: it needs SciPy, which takes half a second to load, and
-whoever wants only an error or a file should not wait for it.
+`device.rig.simulated_rig` needs SciPy, which takes half a second to load: import it from there.
 """
 
 from device.atomic_file import AtomicFile, write_bytes_atomically

@@ -228,10 +228,7 @@ class Engine:
         return self._read[self._start : self._end]
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write what is played next into `out`, (frames, actuators).
-
-        A single actuator fills all columns of `out`.
-        """
+        """Write what is played next into `out`, (frames, actuators)."""
         if now_s - self.filled_s > STALLED_S:  # of before a gap
             self._drop_ahead()
         self.filled_s = now_s

@@ -12,7 +12,7 @@ from device.errors import InternalError
 from device.units import Float32Array
 
 Fill = Callable[[Float32Array, float], None]
-"""(out, now_s): writes what is played next, (frames, actuators); one actuator fills all columns."""
+"""(out, now_s): writes what is played next, (frames, actuators)."""
 
 
 class ChannelRouter:
@@ -91,7 +91,8 @@ class RoutedFill:
         """Write what is played next, (frames, channels)."""
         old, new = self._map, self._wanted
         if new is old and new.is_direct:
-            self._fill(out, now_s)
+            self._fill(out[:, : new.actuators], now_s)
+            out[:, new.actuators :] = out[:, :1]
             return
         if len(self._vibration) != len(out):
             self._take_memory(len(out))
