@@ -1,4 +1,4 @@
-"""The writer's side of a delay line: frames kept, and when each of them was captured."""
+"""The writing side of a delay line: frames, and the times of their capture."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from device.units import Float32Array, FloatArray
 
 
 class Arrivals:
-    """What was captured so far, in a ring, and the clock of its stream.
+    """Stores captured frames in a ring and tracks the clock of their stream.
 
-    ring: to write to; samplerate: nominal, Hz; block_frames: of a usual block; lateness_limit_s:
-    see `Lateness`. `store` is called by the writing thread; the rest by any.
+    ring: to write to. samplerate: nominal, Hz. block_frames: of a usual block. lateness_limit_s:
+    see `Lateness`. `store` is called by the writing thread; any thread may call the rest.
 
-    written: what the reader may know, None before the first frame whose time is known.
+    written: what the reader may know; None until a frame's capture time is known.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Arrivals:
         self.written: Written | None = None
 
     def expect_jump(self) -> None:
-        """Be told that what is stored comes from elsewhere in a moment, after a gap."""
+        """Announce that the source is about to change, with a gap before the next frames."""
         self._jump_wanted = object()
 
     def store(
@@ -43,7 +43,7 @@ class Arrivals:
         now_s: float,
         earlier: Sequence[tuple[float, int]],
     ) -> None:
-        """Take (frames, channels), 1 or more, captured until now_s; see `DelayLine.write`."""
+        """Store (frames, channels), at least 1, captured until now_s; see `DelayLine.write`."""
         first_s = earlier[0][0] if earlier else now_s
         stalled = not first_s - self._last_s < STALLED_S
         end = self._ring.store(frames)
@@ -57,17 +57,17 @@ class Arrivals:
             self._time(part_s, part, start + frames_by_then)
             part = start + frames_by_then
         clock = self._time(now_s, part, end)
-        if clock is None:  # no time has ever been finite
+        if clock is None:  # no time has been finite so far
             return
         before, timing = self.written, self._timing
         run_start = start if stalled or before is None else before.run_start
         self.written = Written(end, clock, run_start, timing.lateness_s, timing.known)
 
     def _time(self, now_s: float, start: int, end: int) -> ClockReading | None:
-        """Learn from when the frames from `start` to `end` were captured."""
+        """Update the clock with the capture time of the frames from `start` to `end`."""
         clock = self._timing.update(now_s, end)
         if clock is not None:
-            # How far what was captured was behind the clock, just before these frames came.
+            # how far the captured frames lagged behind the clock just before these arrived
             late_s = now_s - clock.time_of(start) - self._block_s
             seconds = (end - start) / self._samplerate
             self._timing.add_lateness(late_s, seconds, clock)

@@ -1,4 +1,4 @@
-"""How much faster than nominal to read, so that the delay stays where it should."""
+"""The delay that is aimed at, and the loop that steers the read ratio to it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,16 @@ MAX_DEVIATION = 2_000e-6
 _DAMPING = 1.6
 _SMOOTHING = 20.0
 
+SLEW = 1_000e-6
+"""Greatest speed of the target, in seconds per second: an imperceptible change of pitch."""
+NEAR_S = 1.0
+"""Time constant of the approach, which slows small steps down."""
+
 
 class RateLoop:
-    """The third-order loop of zita-ajbridge, from an error of the delay to a ratio of reading.
+    """The third-order loop of zita-ajbridge, from a delay error to a read ratio.
 
-    samplerate: Hz, of the frames that the error is given in. Called by the reading thread.
+    samplerate: Hz, of the frames that the error counts. Called by the reading thread.
 
     With B the seconds since the last update, e the error in frames and w = 2 pi bandwidth:
 
@@ -25,9 +30,9 @@ class RateLoop:
         z3 += w B / 1.6 z2
         ratio = 1 + z2 + z3
 
-    which is damped by 0.8 and rests without error at any constant drift. The bandwidth is
-    0.128 Hz for 10 s of updates after a restart, then 0.02 Hz; the ratio stays within ±2000 ppm.
-    F. Adriaensen, zita-ajbridge (the same with the signs of error and ratio the other way round).
+    The damping is 0.8, and no error remains at a constant drift. The bandwidth is 0.128 Hz for
+    10 s of updates after a restart, then 0.02 Hz. The ratio stays within ±2000 ppm.
+    F. Adriaensen, zita-ajbridge (there with the opposite signs of error and ratio).
 
     z1, z2: the smoothed error, as a relative rate. z3: the drift between the clocks.
     ratio: frames to read for each nominal one, as of the last update.
@@ -35,28 +40,24 @@ class RateLoop:
 
     def __init__(self, samplerate: float) -> None:
         self._samplerate = samplerate
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget everything, the drift included."""
         self.z3 = 0.0
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew after a jump of the delay; the drift learned so far is kept."""
+        """Start again after a jump of the delay, and keep the drift learned so far."""
         self.z1 = self.z2 = 0.0
         self._age_s = 0.0
         self.ratio = 1.0 + self.z3
 
     @property
     def wide(self) -> bool:
-        """Whether the first, wide bandwidth is in force."""
+        """Whether the initial, wide bandwidth is in use."""
         return self._age_s < WIDE_FOR_S
 
     def update(self, error_frames: float, seconds: float) -> float:
-        """The ratio for the next block, after `seconds`, from delay minus target in frames.
+        """Return the ratio for the next block; the error is delay minus target, in frames.
 
-        An error that is not finite changes nothing.
+        seconds: since the last update. An error that is not finite changes nothing.
         """
         if not math.isfinite(error_frames):
             return self.ratio
@@ -65,7 +66,7 @@ class RateLoop:
         gain = -math.expm1(-_SMOOTHING * omega * seconds)
         self.z1 += gain * (_DAMPING * omega * error_frames / self._samplerate - self.z1)
         self.z2 += gain * (self.z1 - self.z2)
-        # Integrating against the limit would be paid back by an overshoot.
+        # Integration against the limit would cause an overshoot later.
         deviation = self.z2 + self.z3
         if abs(deviation) < MAX_DEVIATION or deviation * self.z2 < 0.0:
             self.z3 += min(1.0, omega * seconds / _DAMPING) * self.z2
@@ -78,22 +79,16 @@ def _limited(deviation: float) -> float:
     return max(-MAX_DEVIATION, min(MAX_DEVIATION, deviation))
 
 
-SLEW = 1_000e-6
-"""How fast the target may move, in seconds a second: a change of pitch that nobody feels."""
-NEARS_S = 1.0
-"""Time constant of the last part of the way: small steps are taken gently."""
-
-
 class TargetDelay:
-    """Blocks, lateness and the user's wish, added up; changes come slowly.
+    """The target delay: blocks, lateness and the user's offset, added up and changed slowly.
 
-    least_s: 1.5 capture blocks and one output block; most_s: what the buffer has room for. One
-    capture block passes before its first frame can be had and one output block is taken at
-    once; the half block is what two unrelated clocks may meet badly. jump_s: a rise of the
-    lateness by more is made at once, or frames would run out before it has an effect. Called by
-    the reading thread.
+    least_s: 1.5 capture blocks and one output block. A capture block passes before its first
+    frame is available, an output block is taken at once, and half a block covers the worst phase
+    between two unrelated clocks. most_s: what the buffer has room for. jump_s: a greater rise of
+    the lateness takes effect at once, or frames would run out first.
+    Called by the reading thread.
 
-    current_s: the target now, least_s to most_s.
+    current_s: the present target, least_s to most_s.
     """
 
     def __init__(self, least_s: float, most_s: float, jump_s: float) -> None:
@@ -103,31 +98,31 @@ class TargetDelay:
         self._offset_s = 0.0
         self.wanted_s = self.current_s = least_s
 
-    def want(self, lateness_s: float, offset_s: float) -> None:
-        """Set what to move to. The user's own change of the offset is made at once."""
+    def set_goal(self, lateness_s: float, offset_s: float) -> None:
+        """Set what to move to. A changed offset takes effect at once."""
         if offset_s != self._offset_s:
             self.current_s += offset_s - self._offset_s
             self._offset_s = offset_s
-        self.wanted_s = self._possible(self._least_s + lateness_s + offset_s)
-        self.current_s = self._possible(self.current_s)
+        self.wanted_s = self._clamp(self._least_s + lateness_s + offset_s)
+        self.current_s = self._clamp(self.current_s)
         if self.wanted_s - self.current_s > self._jump_s:
             self.jump()
 
     def jump(self) -> None:
-        """Be where it should be, at once."""
+        """Reach the goal at once."""
         self.current_s = self.wanted_s
 
     def rebase(self, seconds: float) -> None:
-        """Be told that the delay measures so much more from now on, without any change of it."""
+        """Follow a measurement that reads higher by this much without a change of the delay."""
         self.current_s += seconds
 
     def move(self, seconds: float) -> float:
-        """Move for `seconds`; return how fast that was, in seconds a second."""
-        share = min(1.0, seconds / NEARS_S)
+        """Move for `seconds`; return the speed, in seconds per second."""
+        share = min(1.0, seconds / NEAR_S)
         step_s = share * (self.wanted_s - self.current_s)
         step_s = max(-SLEW * seconds, min(SLEW * seconds, step_s))
         self.current_s += step_s
         return step_s / seconds
 
-    def _possible(self, delay_s: float) -> float:
+    def _clamp(self, delay_s: float) -> float:
         return max(self._least_s, min(self._most_s, delay_s))

@@ -15,53 +15,58 @@ from device.clock.stream_timing import LEAST_S, StreamTiming
 from device.errors import InternalError, UsageError
 from device.units import Float32Array, FloatArray, check_channels
 
+LATENESS_LIMIT_S = 0.03
+"""The most to provide for late callbacks of one side; later ones are underflows."""
 RESYNC_FRAMES = 256
-ASTRAY_S = 0.1
-"""A delay this far from its target is given up at once, before the clocks are known again."""
+FAR_OFF_S = 0.1
+"""An error of the delay that is corrected at once, even before both clocks are settled."""
 LOCK_S = 0.00025
 UNLOCK_S = 0.001
 LOCK_AFTER_S = 1.0
 STARVED_AGAIN_S = 1.0
 HOLD_OFF_S = 0.25
-"""Silence after the second starvation within a second: bursts at a steady rate would buzz."""
+"""Silence after the second starvation within a second: regular bursts would buzz."""
 
 _PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
 
 
 class DelayLine:
-    """What is written comes out of `read` after a delay that stays the same for days.
+    """Gives the frames that were written at the output's rate, after a delay that stays constant.
 
-    channels: of every block. samplerate_in, samplerate_out: nominal, Hz; they may differ.
-    capture_block, output_block: frames of a usual `write` and `read`; others are taken, too, and
-    provided for as if they were late. offset_s: delay on top of what is needed, 0 or more.
-    capacity_s: memory, allocated at once; the target stays within three quarters of it.
-    lateness_limit_s: the most that is provided for late callbacks; later ones are underflows.
-    lateness_least_s: what is provided for anyway, so that the first late callbacks after a calm
-    start do not move the delay.
+    The target is 1.5 capture blocks + one output block + lateness + offset. The lateness is the
+    99.9th percentile of both sides. A delay further off than max(256 frames, half a capture block)
+    is corrected by a jump; otherwise the read ratio is steered (see `RateLoop`). Both counters are
+    interpolated to one instant by `FrameClock`, so block sizes do not show in the measured delay.
+    That delay counts from a frame's capture, which is the end of its block less the frames after
+    it, to its place in the output's block. A fade of 5 ms joins pieces that are not continuous.
 
-    Target: 1.5 capture blocks + an output block + lateness (99.9th percentile, both sides) +
-    offset. A delay further off than max(256 frames, half a capture block) is set anew by a jump;
-    otherwise the ratio of reading is steered (see `RateLoop`). Both counters are interpolated to
-    one instant by `FrameClock`s, so blocks do not show in the measured delay. The delay counts
-    from a frame's capture, that is the end of its block less the frames after it, to its place in
-    the output's block. Whenever the pieces on both sides of a moment do not belong together, a
-    `Joint` of 5 ms makes them one.
+    One thread at a time calls `write` and one calls `read`; any thread may call the rest, and
+    none waits. Frames cross as in `NewestFrames`. Everything else crosses as an immutable object
+    in one attribute, assigned by one side or by the latest caller. Times are seconds of one
+    monotonic clock, taken when the callback began.
 
-    channels, samplerate_in, samplerate_out: as given, not to be changed.
-
-    Threads: one at a time calls `write`, one `read`; any may call the rest at any time. Nobody
-    waits for anybody: see `NewestFrames` for the frames; everything else that crosses is one
-    attribute that holds an immutable object and is assigned by one side only, or by whoever was
-    last.
-    Times are seconds of one monotonic clock, taken when the callback began.
+    Parameters
+    ----------
+    channels : int
+        Of every block.
+    samplerate_in, samplerate_out : float
+        Nominal rates in Hz, 1 or more; they may differ.
+    capacity_s : float
+        Seconds of memory, allocated at once. The target stays within three quarters of it.
+    capture_block, output_block : int
+        Frames of a usual `write` and `read`. Other lengths work and count as lateness.
+    offset_s : float
+        Delay added to the necessary one, in seconds, 0 or more.
+    lateness_least_s : float
+        Least lateness to provide for, so that the first late callbacks do not move the delay.
 
     Raises
     ------
     UsageError
-        offset_s, samplerates or capacity_s out of range.
+        offset_s, a sample rate or capacity_s is out of range.
     InternalError
-        A block has another number of channels, or is not (frames, channels). Nothing else that
-        is passed to `write` or `read` makes them raise; `read` then still gives finite frames.
+        A block has a wrong shape. Nothing else that is passed to `write` or `read` raises, and
+        `read` then still gives finite frames.
     """
 
     def __init__(
@@ -74,7 +79,6 @@ class DelayLine:
         capture_block: int = 256,
         output_block: int = 256,
         offset_s: float = 0.0,
-        lateness_limit_s: float = 0.03,
         lateness_least_s: float = 0.0,
     ) -> None:
         if channels < 1 or capture_block < 1 or output_block < 1:
@@ -83,7 +87,7 @@ class DelayLine:
             if not 1.0 <= rate < math.inf:
                 raise UsageError(f"{name}={rate} Hz is out of range; choose 1 Hz or more")
         least_s = 1.5 * capture_block / samplerate_in + output_block / samplerate_out
-        needed_s = (least_s + 2.0 * lateness_limit_s) / 0.75
+        needed_s = (least_s + 2.0 * LATENESS_LIMIT_S) / 0.75
         if not needed_s <= capacity_s < math.inf:
             raise UsageError(
                 f"capacity_s={capacity_s} is too short for these blocks; "
@@ -97,10 +101,10 @@ class DelayLine:
         self._resync_frames = max(RESYNC_FRAMES, capture_block // 2)
 
         self._ring = NewestFrames(math.ceil(capacity_s * samplerate_in), channels)
-        # the writer's
-        self._arrivals = Arrivals(self._ring, samplerate_in, capture_block, lateness_limit_s)
-        # the reader's
-        self._reads = StreamTiming(samplerate_out, output_block, lateness_limit_s)
+        # the writer's state
+        self._arrivals = Arrivals(self._ring, samplerate_in, capture_block, LATENESS_LIMIT_S)
+        # the reader's state
+        self._reads = StreamTiming(samplerate_out, output_block, LATENESS_LIMIT_S)
         self._output_block = output_block
         self._output_s = output_block / samplerate_out
         self._read_frames = 0
@@ -121,23 +125,22 @@ class DelayLine:
         self._fresh = False
         self._flushed: Flush | None = None
         self._resyncs = self._underflows = self._overflows = 0
-        # anybody's
+        # any thread's state
         self._flush_wanted: Flush | None = None
-        self._silenced = False
         self._offset_s = 0.0
         self.offset_s = self._offset_in_force_s = offset_s
-        self._target.want(2.0 * LEAST_S, self._offset_s)
+        self._target.set_goal(2.0 * LEAST_S, self._offset_s)
         self._target.jump()
-        self._published = self._picture()
+        self._published = self._status_values()
 
     @property
     def status(self) -> DelayStatus:
-        """The picture as of the last read. Any thread; the audio threads do not notice."""
+        """The status as of the last read. Any thread may read it, without effect on the others."""
         return DelayStatus(*self._published)
 
     @property
     def offset_s(self) -> float:
-        """Delay on top of what is needed, in seconds. A change takes effect in the next read."""
+        """Delay added to the necessary one, in seconds. A change takes effect in the next read."""
         return self._offset_s
 
     @offset_s.setter
@@ -150,30 +153,18 @@ class DelayLine:
         self._offset_s = float(offset_s)
 
     def flush(self) -> None:
-        """Drop all that was written so far: the next read fades to silence. Any thread.
+        """Drop everything written so far: the next read fades to silence. Any thread may call it.
 
-        What is written from now on comes out after the target delay.
+        Later frames come out after the target delay.
         """
         self._flush_wanted = Flush(self._ring.claimed)
 
     def expect_jump(self) -> None:
-        """Be told that what is written comes from elsewhere in a moment, after a gap. Any thread.
+        """Announce a change of source with a gap. Any thread may call it.
 
-        The clock then begins anew with the first late callback, instead of waiting for proof.
+        The clock then starts again at the first late callback, without further evidence.
         """
         self._arrivals.expect_jump()
-
-    def silence(self) -> None:
-        """Let the next read and all that follow give exact zeros, from their first frame on.
-
-        Any thread. Not faded, as it is meant for the moment when the output must not sound;
-        `flush` first where there is time to fade. The delay is kept up meanwhile.
-        """
-        self._silenced = True
-
-    def resume(self) -> None:
-        """End `silence`: the next read fades in. Any thread."""
-        self._silenced = False
 
     def write(
         self,
@@ -181,11 +172,10 @@ class DelayLine:
         now_s: float,
         earlier: Sequence[tuple[float, int]] = (),
     ) -> None:
-        """Take (frames, channels), full scale ±1.0, any number of frames, captured until now_s.
+        """Store (frames, channels), full scale ±1.0, any number of frames, captured until now_s.
 
-        earlier: where they were captured in parts, (when, how many of them by then) of each part
-        but the last, in order. The array belongs to the caller again when this returns. Called by
-        one thread at a time.
+        earlier: if they were captured in parts, (time, frames until then) of each part but the
+        last, in order. The array is copied. Called by one thread at a time.
         """
         check_channels(frames, self.channels)
         if len(frames):
@@ -195,7 +185,7 @@ class DelayLine:
     def readable(self) -> int:
         """How many frames a `read` would give now; 0 while it does not play.
 
-        Called by the output's thread. A writer that is asked in time may wait until it needs more.
+        Called by the output's audio thread, to decide whether the writer may wait.
         """
         written = self._arrivals.written
         if written is None or self._state not in _PLAYING:
@@ -203,12 +193,11 @@ class DelayLine:
         return self._head.readable(written.frames, self._step)
 
     def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> int:
-        """Fill (frames, channels), any number of frames, that will be played from now_s on.
+        """Fill (frames, channels), any number of frames, to be played from now_s on.
 
-        Silence where there is nothing to play. ahead: how many of the frames, the last, are only
-        taken because they are there (see `readable`); fewer and larger reads cost less. Returns how
-        many were filled: of these some may not be there any more, after a jump. Called by the
-        output's thread.
+        Silence fills what is missing. ahead: how many of the last frames are optional, taken
+        because they are available (see `readable`); fewer, larger reads cost less. Returns how
+        many frames were filled. Called by the output's audio thread.
         """
         check_channels(out, self.channels)
         frames = len(out)
@@ -233,20 +222,18 @@ class DelayLine:
         self._read_frames += filled
         if played < filled:
             self._head.fall_silent(out[played:])
-        if self._silenced:
-            self._head.cut(out)
-        self._published = self._picture()
+        self._published = self._status_values()
         return filled
 
     def _steer(
         self, written: Written, clock: ClockReading, now_s: float, frames: int, ahead: int
     ) -> None:
-        """Bring state, position and step up to date for a read of `frames`."""
+        """Update state, position and step for a read of `frames`."""
         seconds = frames / self.samplerate_out
         early_s = clock.time_of(clock.frames + frames - ahead) - now_s - self._output_s
         self._reads.add_lateness(early_s, seconds, clock)
         known = clock.settled and written.clock.settled
-        # What the clocks learn of themselves is no change of the delay, and no reason to steer.
+        # A corrected clock changes the measured delay, but not the delay: do not steer.
         stepped_s = clock.stepped_s - written.clock.stepped_s
         if known and self._known:
             self._target.rebase(stepped_s - self._stepped_s)
@@ -254,7 +241,7 @@ class DelayLine:
         late_s = written.lateness_s + self._reads.lateness_s
         lateness_s = max(self._lateness_least_s, late_s)
         wanted_s, self._offset_in_force_s = self._offset_in_force_s, self._offset_s
-        self._target.want(lateness_s, self._offset_in_force_s)
+        self._target.set_goal(lateness_s, self._offset_in_force_s)
         by_user = wanted_s != self._offset_in_force_s
         slew = self._target.move(seconds)
         captured = written.clock.frames_at(clock.time_s)
@@ -264,9 +251,9 @@ class DelayLine:
             if self._state is DelayState.EMPTY:
                 self._state = DelayState.FILLING
             held_off = self._starved_at_s <= now_s < self._not_before_s
-            # A first start too near would run out of frames as soon as the first callback is late.
+            # A start too close to the newest frame would starve at the first late callback.
             provided = written.lateness_known and self._reads.known
-            # After a rest there is no time to lose: what the clocks then tell may take a jump.
+            # Start at once after a flush: the clocks may correct the delay later by a jump.
             fresh = self._state is DelayState.FILLING and self._fresh
             if provided and (known or fresh) and not held_off:
                 self._start(written, captured, frames)
@@ -274,7 +261,7 @@ class DelayLine:
     def _measure(
         self, captured: float, seconds: float, slew: float, known: bool, by_user: bool
     ) -> None:
-        """Steer while playing, or jump, or give up; by_user: who wants another delay now."""
+        """Steer, or stop for a jump; by_user: the user has just changed the delay."""
         held = self._head.behind(captured)
         self._delay_s = held / self.samplerate_in
         error = held - self._target.current_s * self.samplerate_in
@@ -282,7 +269,9 @@ class DelayLine:
         if self._head.overtaken:
             self._overflows += 1
             self._stop(DelayState.FILLING)
-        elif abs(error) > (self._resync_frames if known else ASTRAY_S * self.samplerate_in):
+        elif abs(error) > (
+            self._resync_frames if known else FAR_OFF_S * self.samplerate_in
+        ):
             self._resyncs += not by_user
             self._stop(DelayState.FILLING)
         elif known:
@@ -295,7 +284,7 @@ class DelayLine:
                 self._state = DelayState.SETTLING
 
     def _start(self, written: Written, captured: float, frames: int) -> None:
-        """Play from where the delay is on target, once there is enough for a usual block."""
+        """Play from the target delay, once a usual block is readable from there."""
         self._target.jump()
         position = math.floor(captured - self._target.current_s * self.samplerate_in)
         earliest = max(self._from_frame, written.run_start, self._ring.oldest) + 1
@@ -311,7 +300,7 @@ class DelayLine:
             self._state = DelayState.SETTLING
 
     def _play(self, out: Float32Array, wanted: int, now_s: float) -> int:
-        """Fill `out` with what there is of the frames wanted; return how much was played."""
+        """Fill `out` with the readable part of the frames wanted; return how many were played."""
         if not self._head.play(out, self._step):
             self._overflows += 1
             self._stop(DelayState.FILLING)
@@ -325,13 +314,13 @@ class DelayLine:
         return len(out)
 
     def _stop(self, state: DelayState) -> None:
-        """Go on with silence, without a click."""
+        """Fade to silence."""
         if self._state in _PLAYING:
             self._head.join()
         self._state = state
         self._delay_s = 0.0
 
-    def _picture(self) -> tuple[float, float, float, int, int, int, DelayState, bool]:
+    def _status_values(self) -> tuple[float, float, float, int, int, int, DelayState]:
         return (
             self._target.current_s,
             self._delay_s,
@@ -340,5 +329,4 @@ class DelayLine:
             self._underflows,
             self._overflows,
             self._state,
-            self._silenced,
         )

@@ -1,4 +1,4 @@
-"""When a frame counter really stood where: callback times without their lateness."""
+"""A stream's true clock: callback times without their lateness."""
 
 from __future__ import annotations
 
@@ -8,27 +8,26 @@ from collections import deque
 from typing import NamedTuple
 
 WINDOW_S = 60.0
-"""How far back callbacks are considered: several times the slowest beat between blocks."""
+"""How long callbacks are considered: several times the slowest beat between blocks."""
 BUCKET_S = 0.5
-"""Of each of these only the earliest callback is kept."""
+"""Only the earliest callback of each such interval is kept."""
 SETTLED_S = 0.1
 PREFILL_S = 0.06
-"""A stream that begins fills its buffers at once: those callbacks come too early to be a clock."""
+"""A new stream fills its buffers at once: these early callbacks are no clock."""
 MAX_DEVIATION = 2_000e-6
-"""How far a sound card's rate may lie from nominal; what looks like more is jitter."""
-
+"""Greatest deviation of a sound card's rate from nominal; anything more is jitter."""
 STALLED_S = 0.25
-"""A callback later than this: frames were lost, the line of time begins anew."""
+"""A callback later than this means lost frames: the line starts again."""
 EARLY_S = 0.03
-"""A callback earlier than this: a backlog is delivered; what was learned before it is wrong."""
+"""A callback earlier than this delivers a backlog: the line before it was wrong."""
 ASTRAY_S = 0.3
-"""Outliers for this long are no outliers: the counter has made a jump."""
+"""Callbacks that are outliers for this long mean a jump of the counter."""
 STRANDED_S = 2.0
-"""No callback near the line for this long: the line lies under one that came too early, once."""
+"""No callback near the line for this long: it lies under a single one that came too early."""
 STRANDED_BLOCKS = 1.5
-"""What is not near, in blocks of the stream; beats between blocks stay within one."""
+"""Distance from the line that is not near, in blocks; beats between blocks stay within one."""
 ALERT_S = 0.5
-"""For so long after a jump was announced one outlier suffices."""
+"""For this long after `expect_jump` a single outlier means a jump."""
 
 _OUTLIER = 6.0
 _FIRST_SPREAD_S = 0.005
@@ -41,12 +40,12 @@ _LEAST_NOISE_S = 5e-6
 
 
 class ClockReading(NamedTuple):
-    """A straight line through a counter and time; any thread may use it, it never changes.
+    """A straight line through a counter and time; immutable, for any thread.
 
-    time_s: the earliest at which the counter can have stood at `frames`; frames_per_s: its pace;
-    settled: enough callbacks have been seen to rely on it; astray: the last one was an outlier,
-    perhaps of a new line. stepped_s: by how much the line has moved so far because more is known
-    of it, later is positive; what is measured by two readings differs by that without any change.
+    time_s: the earliest time at which the counter can have reached `frames`. frames_per_s: its
+    rate. settled: enough callbacks were seen to rely on it. astray: the last one was an outlier,
+    perhaps of a new line. stepped_s: how far corrections have moved the line so far, later is
+    positive; measurements by two readings differ by this much without any change.
     """
 
     time_s: float
@@ -57,42 +56,42 @@ class ClockReading(NamedTuple):
     stepped_s: float
 
     def frames_at(self, time_s: float) -> float:
-        """The counter at a time near the last callback, in frames and fractions."""
+        """Return the counter at a time near the last callback, with its fraction."""
         return self.frames + (time_s - self.time_s) * self.frames_per_s
 
     def time_of(self, frames: float) -> float:
-        """The time in seconds at which the counter stands, stood or will stand at `frames`."""
+        """Return the time in seconds at which the counter reaches `frames`."""
         return self.time_s + (frames - self.frames) / self.frames_per_s
 
 
 class FrameClock:
-    """The line that a stream's callbacks are never ahead of: its clock.
+    """The line under a stream's callbacks: its clock.
 
-    samplerate: nominal, Hz; block_frames: of a usual callback. One thread, the stream's own, calls
-    `update`; the reading it returns may go anywhere.
+    samplerate: nominal, Hz. block_frames: of a usual callback. Only the stream's own thread calls
+    `update`; any thread may use the reading that it returns.
 
-    A callback can only be late: by a busy machine, and by a server whose own blocks are no
-    multiple of the stream's. The second kind beats, some ms up and down within seconds or
-    minutes, which no averaging over less removes. So the line lies under all callbacks of the
-    last minute: the lower convex hull of (counter, lateness), the edge of it that is in the
-    middle. S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from network
-    delay measurements" (INFOCOM 1999). While there is less than a minute, and as far as the
-    callbacks leave it open, the pace is the one known before.
+    A callback can only be late: because the machine is busy, or because the server's blocks are no
+    multiple of the stream's. The second kind beats by some ms over seconds or minutes, which a
+    short average does not remove. So the line lies under all callbacks of the last minute: it is
+    the middle edge of the lower convex hull of (counter, lateness). S. Moon, P. Skelly,
+    D. Towsley, "Estimation and removal of clock skew from network delay measurements" (INFOCOM
+    1999). With less than a minute, and as far as the callbacks leave it open, the previous rate
+    holds.
 
-    Lost frames, a backlog or a restarted stream begin a new line; the pace learned is kept. So
-    does a line that no callback comes near any more: a server that fills its buffers late, or
-    once more than it should, would else look like a delay that is shorter than it is.
+    Lost frames, a backlog or a restarted stream start a new line and keep the rate. So does a line
+    that no callback comes near any more. Otherwise a server that fills its buffers late, or once
+    too often, would look like a shorter delay.
 
     reading: the last `ClockReading`; None before the first callback.
-    restarts: lines begun since the start, the first one not counted. strandings: those of them
-    because no callback came near the line: all were said to be later than they were.
+    restarts: lines started after the first one. strandings: those that started because no
+    callback came near the line, so that all callbacks were reported too late.
     """
 
     def __init__(self, samplerate: float, block_frames: int = 256) -> None:
         self._nominal_s = 1.0 / samplerate
         self._near_s = STRANDED_BLOCKS * block_frames / samplerate
         self._stranded_s = 0.0
-        # A line: the counter stood at _frames at _time_s and each frame takes _period_s.
+        # The line starts at counter _frames and time _time_s.
         # Points are (seconds of the counter since then, seconds later than nominal).
         self._deviation = self._known_deviation = 0.0
         self._drift = _USUAL_DRIFT
@@ -109,13 +108,13 @@ class FrameClock:
         self.restarts = self.strandings = 0
 
     def expect_jump(self) -> None:
-        """Be told that the stream is being moved: frames will be lost in a moment."""
+        """Announce that the stream is being moved, which loses frames."""
         self._alert_s = ALERT_S
 
     def update(self, now_s: float, frames: int) -> ClockReading | None:
-        """Take one callback: the counter stood at `frames` at about `now_s`; returns `reading`.
+        """Take a callback at time now_s, with the counter at `frames`; returns `reading`.
 
-        A time that is not finite, or a counter that did not move, changes nothing.
+        A time that is not finite, or an unchanged counter, changes nothing.
         """
         if not math.isfinite(now_s):
             return self.reading
@@ -146,7 +145,7 @@ class FrameClock:
             self._filling = False
             self._forget(now_s, frames, self._spread_s)
             return self._read(frames, now_s, another_line=True)
-        if not outlier:  # what is late on and on must not become the usual
+        if not outlier:  # persistent lateness must not become the usual one
             share = min(1.0, seconds / min(_SPREAD_TIME_S, _FIRST_TIME_S + self._age_s))
             self._spread_s += share * (abs(late_s - self._usual_s) - self._spread_s)
             self._spread_s = max(self._spread_s, _LEAST_SPREAD_S)
@@ -168,13 +167,13 @@ class FrameClock:
         self._begun_s = now_s
         self._age_s = 0.0
         self._filling = True
-        # What was known of the pace is not lost with the line.
+        # The rate outlives the line.
         self._known_deviation = self._deviation
         self._forget(now_s, frames, _FIRST_SPREAD_S)
         return self._read(frames, now_s, another_line=True)
 
     def _forget(self, now_s: float, frames: int, spread_s: float) -> None:
-        """Begin a line at this callback."""
+        """Start a line at this callback."""
         self._time_s, self._frames = now_s, frames
         self._offset_s = self._fallen_s = 0.0
         self._usual_s, self._spread_s = 0.0, spread_s
@@ -184,7 +183,7 @@ class FrameClock:
         self._bucket_s = 0.0
 
     def _fit(self, counted_s: float) -> None:
-        """Lay the line under the earliest callbacks of the last minute."""
+        """Fit the line to the earliest callbacks of the last minute."""
         points = self._points
         assert self._best is not None
         points.append(self._best)
@@ -198,8 +197,8 @@ class FrameClock:
         if slope is not None:
             at = [later_s - slope * point_s for point_s, later_s in points]
             noise_s = sum(at) / len(at) - min(at) + _LEAST_NOISE_S
-            told_s = self._drift * (last_s - first_s)
-            trust = told_s**2 / (told_s**2 + noise_s**2)
+            drift_s = self._drift * (last_s - first_s)
+            trust = drift_s**2 / (drift_s**2 + noise_s**2)
             deviation = self._known_deviation + trust * (slope - self._known_deviation)
             self._deviation = max(-MAX_DEVIATION, min(MAX_DEVIATION, deviation))
             if last_s - first_s > 0.9 * WINDOW_S:
@@ -214,19 +213,15 @@ class FrameClock:
         time_s = self._time_s + self._offset_s + moved * period_s
         if self.reading is not None and not another_line:
             self._stepped_s += time_s - self.reading.time_of(frames)
+        astray = self._astray_s != 0.0
         self.reading = ClockReading(
-            time_s,
-            frames,
-            1.0 / period_s,
-            settled,
-            self._astray_s != 0.0,
-            self._stepped_s,
+            time_s, frames, 1.0 / period_s, settled, astray, self._stepped_s
         )
         return self.reading
 
 
 def _middle_slope(points: deque[tuple[float, float]]) -> float | None:
-    """The slope of the edge of the points' lower convex hull that lies under their mean."""
+    """Return the slope of the lower convex hull's edge under the mean of the points."""
     hull: list[tuple[float, float]] = []
     total = 0.0
     for x, y in points:

@@ -1,4 +1,4 @@
-"""Frames between frames: reading at a ratio that is not whole, and not constant."""
+"""Interpolation between frames: reads at a ratio that is neither whole nor constant."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from device import blocks
 from device.units import Float32Array, FloatArray
 
 LOOKAHEAD = 2
-"""Frames after the one at the position that must be there."""
+"""Frames needed after the one at the position."""
 _CHUNK = 512
 
 _TAPS = 4
@@ -24,32 +24,31 @@ _LAGRANGE = np.array(
         [0.0, -1.0 / 6.0, 0.0, 1.0 / 6.0],
     ]
 )
-"""Weights of the frames at -1, 0, 1 and 2 (rows) by powers 0 to 3 of the place between 0 and 1."""
+"""Weights of the frames at -1, 0, 1 and 2 (rows) by powers 0 to 3 of the fraction."""
 
 
 class CubicReader:
-    """Reads a ring of frames at any ratio, by the cubic through the four nearest frames.
+    """Reads a ring of frames at any ratio, by the Lagrange cubic through the four nearest frames.
 
     ring: float32 (capacity, channels), the frame `position` at row `position % capacity`; not
     copied, and only read. Called by the reading thread; its memory does not grow.
 
-    Lagrange's cubic. Error under a full-scale sine at 48 kHz, over all fractions, float32 on both
-    sides: -130 dB at 500 Hz, -148 at 250 Hz; Hermite's cubic through the same four frames
-    (Catmull-Rom) has -110 and -128. At another rate the error is that of the frequency in
-    proportion: the band must stay well under the rate, as vibration does.
+    The error under a full-scale sine at 48 kHz, over all fractions and with float32 on both sides,
+    is -130 dB at 500 Hz and -148 dB at 250 Hz; Hermite's cubic (Catmull-Rom) has -110 and -128 dB.
+    The error depends on the ratio of frequency to rate: the band must stay well under the rate.
 
-    One function compiled, or some calls of NumPy where that could not be built: the same to the
-    last bits of float32, for six times the cost.
+    One compiled function does it, or NumPy if that could not be built: equal to the last bits of
+    float32, at six times the cost.
 
-    position, fraction: where the next frame is read, `fraction` in 0 to 1. They are kept apart
-    because their sum would lose 20 bits of the fraction in a day.
+    position, fraction: where the next frame is read, with `fraction` in 0 to 1. Their sum would
+    lose 20 bits of the fraction in a day.
     """
 
     def __init__(self, ring: Float32Array) -> None:
         self._ring = ring
         self._capacity = len(ring)
         self._taps = np.arange(_TAPS)[:, np.newaxis]
-        # Tap t of the frame in row r is in row r + t: no copy, as long as no row is past the end.
+        # Tap t of the frame in row r is in row r + t: no copy unless a row is past the end.
         self._near = np.moveaxis(sliding_window_view(ring, _TAPS, axis=0), -1, 0)
         self._memory = _Scratch(_CHUNK, ring.shape[1])
         self._scratch = self._memory
@@ -57,19 +56,19 @@ class CubicReader:
         self.fraction = 0.0
 
     def jump_to(self, position: int) -> None:
-        """Go to a whole frame."""
+        """Move to a whole frame."""
         self.position = position
         self.fraction = 0.0
 
     def readable(self, written: int, step: float) -> int:
-        """How many frames `read` can give at `step`, with `written` frames there; 0 or more."""
+        """Return how many frames `read` can give at `step` after `written` frames; 0 or more."""
         reach = written - self.position - LOOKAHEAD - self.fraction
         return max(0, math.ceil(reach / step))
 
     def read(self, out: Float32Array, step: float) -> None:
-        """Fill (frames, channels), any number of frames, and move on by `step` for each.
+        """Fill (frames, channels), any number of frames, and advance by `step` for each.
 
-        step: frames of the ring for one of `out`, above 0.
+        step: frames of the ring per frame of `out`, above 0.
         """
         if self._read_compiled(out, step):
             self._move(len(out), step)
@@ -91,7 +90,7 @@ class CubicReader:
         row = (self.position - 1) % self._capacity
         try:
             blocks.compiled.cubic(self._ring, out, row, self.fraction, step)
-        except (BufferError, TypeError, ValueError):  # in another layout
+        except (BufferError, TypeError, ValueError):  # `out` has another layout
             return False
         return True
 
@@ -101,7 +100,7 @@ class CubicReader:
             self._scratch = self._memory.shortened(frames)
         now = self._scratch
         row = (self.position - 1) % self._capacity
-        # Nearly always one frame is read for each, and the place between two stays between them.
+        # Usually the step is near 1 and no fraction leaves 0 to 1: then no frame is copied.
         drift = step - 1.0
         beside = 0.0 <= self.fraction + (frames - 1) * drift < 1.0
         if beside and row + frames + _TAPS - 1 <= self._capacity:
@@ -113,7 +112,7 @@ class CubicReader:
         np.add.reduce(now.weighted, axis=0, dtype=np.float64, out=out)
 
     def _gather(self, now: _Scratch, row: int, step: float) -> Float32Array:
-        """Set the weights and copy the frames near each place, wherever they are."""
+        """Set the weights and copy the four frames of every position."""
         at, whole = now.at, now.whole
         np.multiply(now.count, step, out=at)
         at += self.fraction
@@ -127,7 +126,7 @@ class CubicReader:
 
 
 class _Scratch:
-    """Memory for one chunk of `frames`; chunks of all lengths share it."""
+    """Memory for one chunk; chunks of all lengths share it."""
 
     def __init__(self, frames: int, channels: int) -> None:
         self.count = np.arange(frames, dtype=np.float64)
@@ -141,7 +140,7 @@ class _Scratch:
         self.weighted = np.empty((_TAPS, frames, channels))
 
     def shortened(self, frames: int) -> _Scratch:
-        """The same memory for fewer frames."""
+        """Return views of the same memory for fewer frames."""
         short = copy(self)
         short.count, short.at = self.count[:frames], self.at[:frames]
         short.powers, short.whole = self.powers[:, :frames], self.whole[:frames]
@@ -155,25 +154,20 @@ class _Scratch:
 
 
 def _by_count(first: float, drift: float) -> FloatArray:
-    """Weights by powers 0 to 3 of k, (4, 4), for the places `first + k * drift`."""
+    """Return weights (4, 4) by powers 0 to 3 of k, for the fractions `first + k * drift`."""
     square, square_drift = first * first, drift * drift
     by_count = [
         [1.0, 0.0, 0.0, 0.0],
         [first, drift, 0.0, 0.0],
         [square, 2.0 * first * drift, square_drift, 0.0],
-        [
-            square * first,
-            3.0 * square * drift,
-            3.0 * first * square_drift,
-            square_drift * drift,
-        ],
+        [square * first, 3.0 * square * drift, 3.0 * first * square_drift, square_drift * drift],
     ]
     weights: FloatArray = np.matmul(_LAGRANGE, by_count)
     return weights
 
 
 def _lagrange(s: FloatArray, weights: FloatArray) -> None:
-    """Weights (4, frames) of the frames at -1, 0, 1 and 2 for a place `s` between 0 and 1."""
+    """Set weights (4, frames) of the frames at -1, 0, 1 and 2 for fractions `s` from 0 to 1."""
     before, after, beyond = s + 1.0, s - 1.0, s - 2.0
     outer, inner = s * after, before * beyond
     np.multiply(outer, beyond * (-1.0 / 6.0), out=weights[0])

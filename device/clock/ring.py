@@ -1,4 +1,4 @@
-"""The last frames that were written, for a reader that must never wait."""
+"""A ring of the newest frames, for a reader that never waits."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from device.blocks import peak
 from device.units import Float32Array, FloatArray
 
 LARGEST = 1e6
-"""Magnitudes above it are no vibration, but a mistake that arithmetic might turn into inf."""
+"""Greater magnitudes are a mistake that arithmetic might turn into inf."""
 
 
 class NewestFrames:
-    """A bounded ring that the newest frames are always in; the oldest are overwritten.
+    """A bounded ring that always holds the newest frames; the oldest are overwritten.
 
-    One thread writes, one other reads, without locks. The writer announces in `claimed` what it
-    is about to overwrite, stores the frames, and only then lets the reader know of them (in
-    whatever the owner of the ring publishes). So the reader uses frames from `oldest` up to what
-    was published, and asks `oldest` again afterwards: if that is still behind what it read, all
-    of it was whole. This needs only that one attribute is stored or loaded at once and that
-    stores are seen in the order they were made: CPython with a GIL switches threads between byte
-    codes only, and without one attributes are loaded and stored under the object's own lock.
+    One thread writes and one other reads, without locks. The writer sets `claimed` to announce
+    what it overwrites, stores the frames, and then publishes the new count elsewhere. The reader
+    uses frames from `oldest` up to the published count and reads `oldest` again afterwards: if
+    that is still behind what it used, all of it was intact. This needs atomic loads and stores of
+    one attribute, seen in order. CPython has both: with a GIL it switches threads between byte
+    codes only, and without one an object's lock guards its attributes.
 
     frames: float32 (capacity, channels); frame k is in row k % capacity. claimed: frames that
-    were or are being stored since the start. capacity: frames, allocated once.
+    were or are being stored since the start. capacity: in frames, allocated once.
     """
 
     def __init__(self, capacity: int, channels: int) -> None:
@@ -33,13 +32,13 @@ class NewestFrames:
 
     @property
     def oldest(self) -> int:
-        """Number of the oldest frame that is not being overwritten. Any thread may ask."""
+        """Number of the oldest frame that is not being overwritten. Any thread may read it."""
         return self.claimed - self.capacity
 
     def store(self, block: Float32Array | FloatArray) -> int:
         """Store (frames, channels), any number of frames, and return the new count of frames.
 
-        What is not finite or beyond any vibration becomes 0. Called by the writing thread.
+        Samples that are not finite, or beyond LARGEST, become 0. Called by the writing thread.
         """
         count = len(block)
         written = self.claimed
@@ -60,6 +59,6 @@ def _copy(block: Float32Array | FloatArray, rows: Float32Array) -> None:
         return
     with np.errstate(over="ignore", invalid="ignore"):
         rows[:] = block
-        sound = np.abs(rows) <= LARGEST  # False for NaN
-    if not sound.all():
-        rows[~sound] = 0.0
+        valid = np.abs(rows) <= LARGEST  # False for NaN
+    if not valid.all():
+        rows[~valid] = 0.0

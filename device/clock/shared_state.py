@@ -1,4 +1,4 @@
-"""What goes from one side of a delay line to the other, each in one assignment."""
+"""Values that the threads of a delay line share, each handed over in one assignment."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from device.clock.frame_clock import ClockReading
 
 
 class Written(NamedTuple):
-    """What the writer tells the reader.
+    """What the writer publishes for the reader.
 
-    frames: written so far, as of `clock`. run_start: the first frame after the last stall; frames
-    before it are not played after it. lateness_s: to provide for; known: whether it was measured.
+    frames: count written so far, as of `clock`. run_start: the first frame after the last stall;
+    earlier frames are not played after it. lateness_s: what to provide for late callbacks.
+    lateness_known: whether that was measured.
     """
 
     frames: int
@@ -24,19 +25,19 @@ class Written(NamedTuple):
 
 
 class Flush:
-    """A wish to play none of the first `frames`; every one is another wish."""
+    """A request to play none of the first `frames`; requests differ by identity."""
 
     def __init__(self, frames: int) -> None:
         self.frames = frames
 
 
 class DelayState(enum.Enum):
-    """Where a delay line stands. Every recovery leads through FILLING or STARVED."""
+    """The state of a delay line. Every recovery passes FILLING or STARVED."""
 
     EMPTY = "empty"
     """Nothing has been written since the start or the last flush; reads give silence."""
     FILLING = "filling"
-    """Frames come in, but not yet enough for the target, or a clock is not yet known."""
+    """Frames arrive, but there are too few for the target, or a clock is still unknown."""
     SETTLING = "settling"
     """Playing; the delay is being steered to the target."""
     LOCKED = "locked"
@@ -49,14 +50,24 @@ class DelayState(enum.Enum):
 class DelayStatus:
     """One consistent picture of a delay line, as of the last read.
 
-    target_s, delay_s: time from the capture of a frame to its place in the output, latencies of
-    the sound cards themselves not included; delay_s is 0 unless SETTLING or LOCKED.
-    ratio_ppm: how much faster than nominal the frames are read, -2000 to 2000, and up to 1000 more
-    while the target moves.
-    resyncs: jumps because the delay was too far from the target to be steered, those left out that
-    the user's own change of it asks for.
-    underflows: times the frames ran out. overflows: times frames were lost before they were read.
-    silenced: True between `DelayLine.silence` and `DelayLine.resume`.
+    Attributes
+    ----------
+    target_s : float
+        The delay that is steered to, in seconds.
+    delay_s : float
+        From the capture of a frame to its place in the output, in seconds, without the latencies
+        of the sound cards. It is 0 unless the state is SETTLING or LOCKED.
+    ratio_ppm : float
+        How much faster than nominal the frames are read: -2000 to 2000, and up to 1000 more while
+        the target moves.
+    resyncs : int
+        Jumps because the delay was too far from the target. Jumps to a new offset do not count.
+    underflows : int
+        How often the frames ran out.
+    overflows : int
+        How often frames were lost before they were read.
+    state : DelayState
+        The state after that read.
     """
 
     target_s: float
@@ -66,4 +77,3 @@ class DelayStatus:
     underflows: int
     overflows: int
     state: DelayState
-    silenced: bool

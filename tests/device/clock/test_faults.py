@@ -1,4 +1,4 @@
-"""Stalls, starvation, silence, hostile calls: the delay line comes back to its target."""
+"""Stalls, starvation and hostile calls: the delay line returns to its target."""
 
 from __future__ import annotations
 
@@ -147,37 +147,13 @@ def test_ten_stalls_leave_the_delay_that_the_first_one_left() -> None:
         ({}, range(200, 201)),
         ({200: DelayLine.flush}, range(0)),
         ({200: lambda line: setattr(line, "offset_s", 0.05)}, range(0)),
-        ({200: DelayLine.silence, 230: DelayLine.resume}, range(0)),
     ],
-    ids=["starved", "one block missing", "flush", "jump", "resume"],
+    ids=["starved", "one block missing", "flush", "jump"],
 )
 def test_nothing_clicks(act: dict[int, object], missing: range) -> None:
     heard, _, _ = tone_line(2.5, act, missing)
-    if DelayLine.silence in act.values():  # meant to be at once; what follows is not
-        heard = heard[200 * 256 :]
     assert np.abs(heard).max() <= 1.0
     assert bend(heard) < 0.006
-
-
-def test_silence_acts_in_the_very_next_read_and_resume_finds_the_same_delay() -> None:
-    heard, line, states = tone_line(3.0, {200: DelayLine.silence, 300: DelayLine.resume})
-    assert np.abs(heard[199 * 256 : 200 * 256]).max() > 0.1
-    assert not heard[200 * 256 : 300 * 256].any()
-    plain, _, _ = tone_line(3.0)
-    resumed = 302 * 256
-    np.testing.assert_array_equal(heard[resumed:], plain[resumed:])
-    assert DelayState.FILLING not in states[200:]
-    assert not line.status.silenced
-
-
-def test_silence_before_anything_and_between_two_blocks_of_any_size_is_zeros() -> None:
-    line = DelayLine(2, 48_000, 48_000)
-    line.silence()
-    assert not line.status.silenced  # as of the last read
-    out = np.ones((77, 2), np.float32)
-    line.read(out, 0.0)
-    assert not out.any()
-    assert line.status.silenced
 
 
 def test_flush_fades_at_once_and_plays_nothing_that_was_written_before_it() -> None:
@@ -242,7 +218,7 @@ calls = st.lists(
         st.tuples(st.just("write"), st.integers(0, 9_000), numbers),
         st.tuples(st.just("read"), st.integers(0, 9_000), numbers),
         st.tuples(st.just("on"), st.integers(1, 60), st.floats(0.0, 0.02)),
-        st.tuples(st.sampled_from(("flush", "silence", "resume")), st.just(0), st.just(0.0)),
+        st.tuples(st.just("flush"), st.just(0), st.just(0.0)),
         st.tuples(st.just("offset"), st.just(0), st.floats(0.0, 0.2)),
         st.tuples(st.just("spoilt"), st.integers(0, 600), numbers),
     ),

@@ -62,8 +62,6 @@ def test_the_band_narrows_after_ten_seconds_and_a_restart_widens_it_and_keeps_th
     loop.restart()
     assert loop.wide
     assert loop.ratio == pytest.approx(1.0002, abs=1e-6)
-    loop.reset()
-    assert loop.ratio == 1.0
 
 
 @given(st.lists(st.tuples(st.floats(), st.floats(1e-6, 10.0)), max_size=50))
@@ -79,15 +77,15 @@ def test_the_ratio_stays_within_its_limits_whatever_the_error(
 
 def test_the_target_moves_slowly_unless_the_user_moves_it_or_frames_would_run_out() -> None:
     target = TargetDelay(0.01, 0.2, jump_s=0.005)
-    target.want(0.004, 0.0)
+    target.set_goal(0.004, 0.0)
     assert target.move(1.0) == pytest.approx(SLEW)
     assert target.current_s == pytest.approx(0.01 + SLEW)
-    target.want(0.02, 0.0)
+    target.set_goal(0.02, 0.0)
     assert target.current_s == pytest.approx(0.03)
-    target.want(0.001, 0.0)
+    target.set_goal(0.001, 0.0)
     target.move(0.5)
     assert target.current_s == pytest.approx(0.03 - SLEW / 2)
-    target.want(0.001, 0.05)
+    target.set_goal(0.001, 0.05)
     assert target.current_s == pytest.approx(0.08 - SLEW / 2)
-    target.want(0.001, 9.0)
+    target.set_goal(0.001, 9.0)
     assert target.current_s == 0.2
