@@ -269,9 +269,7 @@ class DelayLine:
         if self._head.overtaken:
             self._overflows += 1
             self._stop(DelayState.FILLING)
-        elif abs(error) > (
-            self._resync_frames if known else FAR_OFF_S * self.samplerate_in
-        ):
+        elif abs(error) > (self._resync_frames if known else FAR_OFF_S * self.samplerate_in):
             self._resyncs += not by_user
             self._stop(DelayState.FILLING)
         elif known:

@@ -1,8 +1,8 @@
-"""What Python holds for a thread that a library made, kept from one callback to the next.
+"""Keeps Python's state of a library's thread between callbacks.
 
-Python prepares every call from a thread that it does not know, and tidies up behind it: it asks the
-kernel for memory each time and gives it back. At a few hundred callbacks a second that costs as
-much as the callbacks do.
+Python creates a thread state for every call from a thread that it does not know, and frees it
+afterwards. Each time it allocates memory from the kernel. At some hundred callbacks per second
+that costs as much as the callbacks.
 """
 
 from __future__ import annotations
@@ -10,45 +10,45 @@ from __future__ import annotations
 import ctypes
 import threading
 
-LET_GO_LIMIT_S = 0.05
-"""Some callbacks long: one that does not come within it belongs to a stream that has stopped."""
+RELEASE_LIMIT_S = 0.05
+"""Several callbacks: if none comes in this time, the stream has stopped."""
 
 _LOCKED = 0
-"""PyGILState_LOCKED of Python's C interface: the caller holds the lock already, as here."""
+"""PyGILState_LOCKED of Python's C API: the caller already holds the lock, as in a callback."""
 
-_hold = ctypes.pythonapi.PyGILState_Ensure
-_hold.restype = ctypes.c_int
+_ensure = ctypes.pythonapi.PyGILState_Ensure
+_ensure.restype = ctypes.c_int
 _release = ctypes.pythonapi.PyGILState_Release
 _release.argtypes = [ctypes.c_int]
 _release.restype = None
 
 
 class GilState:
-    """The thread of one stream's callbacks, as long as that runs.
+    """Python's state of the thread that calls one stream's callbacks.
 
-    `hold` and `let_go` are called by that thread, inside a callback. A stream that stops between
-    two callbacks leaves what was held behind, some 20 kB: `wait` avoids that.
+    That thread calls `keep` and `release`, inside a callback. A stream that stops between two
+    callbacks leaks the state, about 20 kB; `wait_released` avoids that.
     """
 
     def __init__(self) -> None:
-        self._held = False
-        self._free = threading.Event()
-        self._free.set()
+        self._kept = False
+        self._released = threading.Event()
+        self._released.set()
 
-    def hold(self) -> None:
-        """Keep what Python holds for this thread when the callback returns. Once is enough."""
-        if not self._held:
-            self._held = True
-            self._free.clear()
-            _hold()
+    def keep(self) -> None:
+        """Keep the state after this callback returns. Further calls do nothing."""
+        if not self._kept:
+            self._kept = True
+            self._released.clear()
+            _ensure()
 
-    def let_go(self) -> None:
-        """Let Python tidy up after this callback and every other one."""
-        if self._held:
-            self._held = False
+    def release(self) -> None:
+        """Let Python free the state after this callback and every later one."""
+        if self._kept:
+            self._kept = False
             _release(_LOCKED)
-            self._free.set()
+            self._released.set()
 
-    def wait(self) -> bool:
-        """Wait until it was let go, LET_GO_LIMIT_S at most; whether it was. Any other thread."""
-        return self._free.wait(LET_GO_LIMIT_S)
+    def wait_released(self) -> bool:
+        """Wait until released, RELEASE_LIMIT_S at most; whether it was. Any other thread."""
+        return self._released.wait(RELEASE_LIMIT_S)

@@ -1,13 +1,13 @@
-"""Named PCMs: the names that PortAudio knows, and the sinks, monitors and cards they lead to.
+"""Named PCMs (ALSA devices), and the sinks, monitors and cards that they open.
 
-PortAudio lists ALSA's devices once, when it starts, and then knows nothing but their names. So its
-list is made of names of our own, from a private ALSA configuration. ALSA reads that again whenever
-its path has changed: a PCM can be led elsewhere before each opening, with the same PortAudio. So
-a card that was pulled out and plugged in again needs no new list either, whatever its number is.
+PortAudio lists ALSA's devices once, when it starts, by name. So a private ALSA configuration
+defines the names. ALSA reads the configuration again when its path changes, so a PCM can open
+another device each time, with the same PortAudio. A card that returns under another number needs
+no new list either.
 
-Until then every PCM leads to ALSA's `null`, and PCMs called `default` always do, so that PortAudio
-starts without a sound server, and nothing can play or record what nobody named. (PortAudio 19.6
-aborts the process if it finds no `default`.)
+At first every PCM opens ALSA's `null`, and the PCM called `default` always does. So PortAudio
+starts without a sound server, and no unnamed device can play or record. (PortAudio 19.6 aborts the
+process if there is no `default`.)
 """
 
 from __future__ import annotations
@@ -23,27 +23,28 @@ from device.errors import InternalError, UsageError
 from device.stream.private_dir import PrivateDir
 
 ROLE = "haptic"
-"""media.role of all our streams; the server's other programs have no such role."""
+"""media.role of all our streams; other programs do not use it."""
 
 APPLICATION_ID = "haptic-cushion"
 """application.id of all our streams."""
 
 APPLICATION_NAME = "Haptic Cushion"
-"""What mixers show for our streams."""
+"""The name of our streams in mixers."""
 
 FALLBACK_SINK = "cushion_refuge"
-"""Name of the silent sink that stands by for our output: see `guard`."""
+"""Name of the silent sink that catches our output: see `FallbackSink`."""
 
 TAG = "cushion.stream"
-"""The property that holds the tag of one opening of one stream."""
+"""Property of a stream that identifies one opening of it."""
 
 _REWRITTEN = ("ALSA_CONFIG_PATH", "PULSE_PROP", "PULSE_PROP_OVERRIDE")
 
 
 class Pcm:
-    """One name that PortAudio knows. Made by `PcmConfig`; the thread that opens streams leads it.
+    """One name that PortAudio knows, made by `PcmConfig`.
 
-    name: for PortAudio; target: what the next opening leads to.
+    name: for PortAudio. target: the device that the next opening opens, set by the thread that
+    opens streams; its existence is not checked. Open streams stay where they are.
     """
 
     def __init__(self, config: PcmConfig, name: str) -> None:
@@ -51,26 +52,33 @@ class Pcm:
         self.name = name
         self.target: Target = Nowhere()
 
-    def __repr__(self) -> str:
-        return f"Pcm({self.name} -> {self.target})"
-
 
 class PcmConfig:
-    """The private ALSA configuration with PCMs of the given names, in a folder of its own.
+    """A private ALSA configuration that defines PCMs of the given names.
 
-    Make it before PortAudio starts and before other threads do: it sets the environment, for the
-    whole process and its children. PULSE_LATENCY_MSEC is dropped (it would hang the output), a
-    JACK server is never started. PULSE_PROP of the user is kept, ours come after it. `close`
-    removes the folder and restores the environment.
+    Make it before PortAudio and other threads start: it sets the environment of the process and
+    its children. PULSE_LATENCY_MSEC is removed, as it would block the output, and no JACK server
+    is started. The user's PULSE_PROP stays, and ours follows it. `close` removes the directory and
+    restores the environment. One thread at a time calls the methods.
 
-    folder: holds ours, made if missing; None for $XDG_RUNTIME_DIR/cushion, or the one for
-    temporary files where that cannot be had. What processes that were killed have left there is
-    removed. One thread at a time calls the methods.
+    Parameters
+    ----------
+    names : str
+        Of the PCMs, one word each.
+    folder : Path or None
+        Parent of the private directory, made if missing. None stands for $XDG_RUNTIME_DIR/cushion,
+        or the directory for temporary files where that is not possible. Directories that killed
+        processes have left there are removed.
+
+    Attributes
+    ----------
+    pcms : Mapping[str, Pcm]
+        The PCMs by name.
 
     Raises
     ------
     UsageError
-        The folder cannot be written.
+        The directory cannot be written.
     """
 
     def __init__(self, *names: str, folder: Path | None = None) -> None:
@@ -86,24 +94,23 @@ class PcmConfig:
         }
         os.environ.pop("PULSE_LATENCY_MSEC", None)
         os.environ["JACK_NO_START_SERVER"] = "1"
-        # Later on values are only exchanged, which no thread of a library can trip over; a new
-        # variable would move the whole environment under one that is reading it.
+        # Later changes only exchange values, which is safe while a library's thread reads them.
+        # A new variable would reallocate the whole environment.
         for name in _REWRITTEN:
             os.environ[name] = self._before[name] or ""
         self._write()
 
     @contextmanager
     def opening(self, pcm: Pcm, tag: str, *, output: bool) -> Iterator[None]:
-        """A context in which opening `pcm` leads to its device, with our properties and this tag.
+        """Return a context in which opening `pcm` opens its target with our properties and tag.
 
-        output: whether it is opened for playback.
-
-        Connections to the server made meanwhile by other threads carry these properties as well;
-        only streams mind. One thread at a time may be in this context.
+        output: whether it is opened for playback. One thread at a time may be in this context.
+        Connections that other threads make in the meantime get these properties too, without
+        effect, as only streams use them.
         """
         self._write()
         theirs = self._before["PULSE_PROP"] or ""
-        # ALSA names itself as the application: only an override changes that.
+        # ALSA's plugin sets its own application name; only an override replaces it.
         os.environ["PULSE_PROP"] = f"{theirs} {_properties(tag, output)}".strip()
         os.environ["PULSE_PROP_OVERRIDE"] = f'application.name="{APPLICATION_NAME}"'
         try:
@@ -113,7 +120,7 @@ class PcmConfig:
             os.environ["PULSE_PROP_OVERRIDE"] = self._before["PULSE_PROP_OVERRIDE"] or ""
 
     def close(self) -> None:
-        """Remove the folder and restore the environment, once PortAudio has ended."""
+        """Remove the directory and restore the environment, after PortAudio has ended."""
         self._folder.close()
         for name, value in self._before.items():
             if value is None:
@@ -122,7 +129,7 @@ class PcmConfig:
                 os.environ[name] = value
 
     def _write(self) -> None:
-        """Write the configuration under a new name: ALSA could take a changed file for the old."""
+        """Write the configuration to a new path, as ALSA may not notice a changed file."""
         old = self._folder.path / f"{self._version}.conf"
         self._version += 1
         new = self._folder.path / f"{self._version}.conf"
@@ -139,35 +146,35 @@ class PcmConfig:
 
 
 def _properties(tag: str, output: bool) -> str:
-    """The properties by which a stream is known, in the form that PULSE_PROP takes.
+    """Return our stream's properties in the form of PULSE_PROP.
 
-    node.dont-reconnect is PipeWire's: an output whose sink is missing or vanishes then ends, where
-    it would be led to the default sink. A tap goes without: it could not be moved any more.
+    node.dont-reconnect is PipeWire's: without it, an output that loses its sink would move to the
+    default sink; with it, the output ends. A tap does without, as it could not be moved any more.
     """
     ending = " node.dont-reconnect=true" if output else ""
     return f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}{ending}"
 
 
 class Target(Protocol):
-    """Where one opening of a PCM leads; `str()` of it is its name for people."""
+    """The device that a PCM opens; `str()` gives its name for messages."""
 
     @property
     def definition(self) -> str:
-        """What stands between the braces of `pcm.NAME { }`."""
+        """The content of `pcm.NAME { }` in ALSA's configuration."""
         ...
 
     @property
     def trouble(self) -> str:
-        """What may be wrong if it cannot be opened, and what to do."""
+        """Why opening it may fail, and what to do."""
         ...
 
 
 @dataclass(frozen=True)
 class Nowhere:
-    """Nothing is played there, and nothing recorded."""
+    """A device that plays and records nothing."""
 
     definition = "type null"
-    trouble = "nobody has said where it leads"
+    trouble = "no device was set for this PCM"
 
     def __str__(self) -> str:
         return "nowhere"
@@ -175,9 +182,9 @@ class Nowhere:
 
 @dataclass(frozen=True)
 class ServerDevice:
-    """A sink or source of the sound server, by the server's name for it.
+    """A sink or source of the sound server.
 
-    server: its address, None for the usual one.
+    device: the server's name for it. server: the server's address, None for the default one.
 
     Raises
     ------
@@ -202,24 +209,24 @@ class ServerDevice:
 
     @property
     def definition(self) -> str:
-        """ALSA's plugin for sound servers."""
+        """For ALSA's plugin for sound servers."""
         server = f" server {_quoted(self.server)}" if self.server else ""
         return f"type pulse device {_quoted(self.device)}{server}"
 
 
 @dataclass(frozen=True)
 class CardDevice:
-    """A sound card itself, by the numbers of card and device.
+    """A sound card without a server, by the numbers of card and device.
 
-    No plugin stands in between: rate, format and channels are the card's own, or it does not open.
+    Without a plugin in between, rate, format and channels must be the card's own.
     """
 
     card: int
     device: int = 0
 
     trouble = (
-        "the card was pulled out, something else plays there, or it has no such format, rate or "
-        "channels; /proc/asound/cards lists what there is"
+        "the card was unplugged, another program uses it, or it does not support this format, "
+        "rate or channel count; /proc/asound/cards lists the cards"
     )
 
     def __str__(self) -> str:
@@ -227,14 +234,14 @@ class CardDevice:
 
     @property
     def definition(self) -> str:
-        """ALSA's way to the kernel."""
+        """For ALSA's direct access to the kernel."""
         return f"type hw card {self.card} device {self.device}"
 
 
 def _quoted(text: str) -> str:
-    """Text as ALSA reads it from a configuration, whatever is in it.
+    """Quote any text for ALSA's configuration.
 
-    PipeWire lets anything be a sink's name, and the default sink is not ours to choose.
+    PipeWire accepts any sink name, and the default sink may have any of them.
     """
     octal = (f"\\{byte:03o}" for byte in text.encode("utf-8", "surrogateescape"))
     plain = text.isascii() and text.isprintable() and not set(text) & set('"\\')

@@ -1,7 +1,7 @@
-"""The process's one PyAudio instance: opening and closing streams, each within a time limit.
+"""The process's one PyAudio instance: opens and closes streams within time limits.
 
-PyAudio is loaded at the first opening. Every call into it that may wait for a sound server runs on
-a thread of its own: a server that hangs then costs that thread, not the caller's.
+PyAudio is loaded by the first opening. Each call that may wait for a sound server runs on a thread
+of its own, so a server that hangs blocks that thread and not the caller.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from device.stream.pcms import Pcm
 from device.stream.sample_format import SampleFormat
 
 BLOCK_FRAMES = 256
-"""Frames a callback, usually. Fewer are unstable through ALSA's pulse plugin, more add 30 ms and
-above."""
+"""Default frames per callback. Fewer are unstable with ALSA's pulse plugin; more add 30 ms."""
 
 OPEN_LIMIT_S = 5.0
 START_LIMIT_S = 1.5
@@ -35,15 +34,15 @@ _NAMES = {
     SampleFormat.S24_3: "paInt24",
     SampleFormat.S32: "paInt32",
 }
-"""PortAudio's are in the machine's order of bytes, which has to be little endian."""
+"""PortAudio's formats have the machine's byte order, which must be little endian."""
 
 Callback = Callable[[bytes | None, int, Any, int], tuple[bytes | None, int]]
-"""PyAudio's: (input, frames, times, flags) to (output, continue)."""
+"""PyAudio's callback: (input, frames, times, flags) to (output, continue)."""
 
 Result = TypeVar("Result")
 
 _lock = threading.Lock()
-"""Held while PortAudio starts, ends or opens a stream: it cannot do two of these at once."""
+"""Held while PortAudio starts, ends or opens a stream: it does one of these at a time."""
 
 _count = threading.Lock()
 _pyaudio: Any = None
@@ -76,36 +75,35 @@ def open_stream(
     block_frames: int = BLOCK_FRAMES,
     sample_format: SampleFormat = SampleFormat.FLOAT32,
 ) -> OpenStream:
-    """A running stream of the PCM's device; `callback` is called by a thread of PortAudio.
+    """Return a running stream of the PCM's target; a thread of PortAudio calls `callback`.
 
-    samplerate: Hz; block_frames: how many a callback. sample_format: of the callback's bytes; a
-    card that has another one only gets them converted by PortAudio, with dither. Any thread but a
-    callback's may call this; openings go one after another.
+    samplerate: Hz. block_frames: per callback. sample_format: of the callback's bytes; PortAudio
+    converts them, with dither, for a card that has only another format. Any thread but a callback's
+    may call this; openings are serialised.
 
     Raises
     ------
     LostError
-        No server answers, there is no such device (or it ended meanwhile) or it is in use, or it
-        takes longer than OPEN_LIMIT_S and START_LIMIT_S.
+        No server answers, the device is missing, ended or in use, or the time limit has passed.
     NotFoundError
         PyAudio or PortAudio is not installed.
     """
     what = f"{pcm.target} for {'playback' if output else 'capture'}"
-    shape = _Shape(samplerate, channels, block_frames, sample_format)
+    setup = _StreamSetup(samplerate, channels, block_frames, sample_format)
     try:
         for attempt in range(1, ATTEMPTS + 1):
-            opened = _within(
+            opened = _call_within(
                 OPEN_LIMIT_S,
                 f"open {what}",
-                lambda: _open_still(pcm, output, shape, callback),
+                lambda: _open_stopped(pcm, output, setup, callback),
                 close_stream,
             )
             try:
-                return _within(START_LIMIT_S, f"start {what}", opened.start, _close_late)
+                return _call_within(START_LIMIT_S, f"start {what}", opened.start, _close_late)
             except LostError:
-                # PortAudio 19.6 waits for ever if its thread fails to start, as happens now and
-                # then on PipeWire. That stream cannot be closed: leave it.
-                _note(opened=-1, abandoned=1)
+                # PortAudio 19.6 never returns if its thread fails to start, which happens
+                # occasionally on PipeWire. That stream cannot be closed: abandon it.
+                _count_streams(opened=-1, abandoned=1)
                 if attempt == ATTEMPTS:
                     raise
             except OSError:
@@ -113,14 +111,14 @@ def open_stream(
                 raise
     except (OSError, ValueError) as error:
         raise LostError(
-            f"cannot open {what} with {shape} ({_reason(error)}): {pcm.target.trouble}"
+            f"cannot open {what} with {setup} ({_reason(error)}): {pcm.target.trouble}"
         ) from None
     raise InternalError("unreachable")
 
 
 @dataclass(frozen=True)
-class _Shape:
-    """What a stream is made of."""
+class _StreamSetup:
+    """Rate, channels, block and format of a stream."""
 
     samplerate: int
     channels: int
@@ -133,11 +131,11 @@ class _Shape:
         return f"{self.channels} channels at {self.samplerate} Hz{in_format}"
 
 
-def _open_still(pcm: Pcm, output: bool, shape: _Shape, callback: Callback) -> OpenStream:
-    """The stream, opened and not started yet."""
+def _open_stopped(pcm: Pcm, output: bool, setup: _StreamSetup, callback: Callback) -> OpenStream:
+    """Return the stream, opened but not started."""
     if not _lock.acquire(timeout=OPEN_LIMIT_S):
         raise LostError(
-            f"cannot open {pcm.target}: an earlier opening has not come back; the sound server or "
+            f"cannot open {pcm.target}: an earlier opening has not returned; the sound server or "
             "the card hangs, restart it"
         )
     try:
@@ -146,45 +144,45 @@ def _open_still(pcm: Pcm, output: bool, shape: _Shape, callback: Callback) -> Op
         side = "output" if output else "input"
         with pcm.config.opening(pcm, tag, output=output):
             stream = instance.open(
-                rate=shape.samplerate,
-                channels=shape.channels,
-                format=getattr(pyaudio, _NAMES[shape.sample_format]),
-                frames_per_buffer=shape.block_frames,
+                rate=setup.samplerate,
+                channels=setup.channels,
+                format=getattr(pyaudio, _NAMES[setup.sample_format]),
+                frames_per_buffer=setup.block_frames,
                 stream_callback=callback,
                 start=False,
                 **{side: True, f"{side}_device_index": index},
             )
-        _note(opened=1)
-        return OpenStream(stream, tag, shape.sample_format)
+        _count_streams(opened=1)
+        return OpenStream(stream, tag, setup.sample_format)
     finally:
         _lock.release()
 
 
 def close_stream(opened: OpenStream) -> bool:
-    """Close the stream; whether that was done within CLOSE_LIMIT_S, else it goes on by itself.
+    """Close the stream; whether that took less than CLOSE_LIMIT_S, else it continues in background.
 
     Any thread but a callback's may call this, once. It raises nothing.
     """
 
     def work() -> None:
-        with suppress(OSError, ValueError, SystemError):  # PortAudio gave it up already
+        with suppress(OSError, ValueError, SystemError):  # PortAudio has closed it already
             opened.stream.close()
-        _note(opened=-1)
+        _count_streams(opened=-1)
 
     try:
-        _within(CLOSE_LIMIT_S, "close a stream", work)
+        _call_within(CLOSE_LIMIT_S, "close a stream", work)
     except LostError:
         return False
     return True
 
 
 def _close_late(opened: OpenStream) -> None:
-    """Close a stream that was given up and has started after all."""
-    _note(opened=1, abandoned=-1)
+    """Close an abandoned stream that has started after all."""
+    _count_streams(opened=1, abandoned=-1)
     close_stream(opened)
 
 
-def _note(opened: int = 0, abandoned: int = 0) -> None:
+def _count_streams(opened: int = 0, abandoned: int = 0) -> None:
     global _open, _abandoned
     with _count:
         _open += opened
@@ -192,9 +190,9 @@ def _note(opened: int = 0, abandoned: int = 0) -> None:
 
 
 def terminate() -> bool:
-    """End PortAudio and unload its device list; False, and nothing done, while streams are open.
+    """End PortAudio and its device list; False, and no effect, while streams are open.
 
-    Any thread but a callback's may call this; it raises nothing. `open_stream` starts it anew.
+    `open_stream` starts it again. Any thread but a callback's may call this; it raises nothing.
     """
     global _pyaudio
     if not _lock.acquire(timeout=CLOSE_LIMIT_S):
@@ -210,18 +208,18 @@ def terminate() -> bool:
         _lock.release()
 
 
-def open_streams() -> int:
-    """How many streams are open, those included whose closing has not come back."""
+def count_open() -> int:
+    """Return how many streams are open or still being closed."""
     return _open
 
 
-def abandoned_streams() -> int:
-    """How many streams never started and cannot be closed: each holds a thread until the end."""
+def count_abandoned() -> int:
+    """Return how many streams never started and cannot be closed; each holds a thread."""
     return _abandoned
 
 
 def _instance(pcm: Pcm) -> tuple[Any, Any, int]:
-    """PyAudio's module, the one instance, and the index that it has for this PCM."""
+    """Return PyAudio's module, the one instance, and its index of this PCM."""
     global _pyaudio
     try:
         import pyaudio
@@ -233,7 +231,9 @@ def _instance(pcm: Pcm) -> tuple[Any, Any, int]:
         _pyaudio = pyaudio.PyAudio()
     elif _index(_pyaudio, pcm) is None:  # its list is older than this PCM
         if _open or _abandoned:
-            raise InternalError(f"PortAudio learns of {pcm.name} only without open streams")
+            raise InternalError(
+                f"PortAudio cannot reload its list for {pcm.name} while streams are open"
+            )
         _pyaudio.terminate()
         _pyaudio = pyaudio.PyAudio()
     index = _index(_pyaudio, pcm)
@@ -249,15 +249,15 @@ def _index(instance: Any, pcm: Pcm) -> int | None:
     return None
 
 
-def _within(
+def _call_within(
     limit_s: float,
     what: str,
     work: Callable[[], Result],
     late: Callable[[Result], object] = lambda _: None,
 ) -> Result:
-    """What `work` returns or raises on a thread of its own, LostError if that takes longer.
+    """Return or raise what `work` does on another thread; LostError if it takes longer.
 
-    late: called with the result, on that thread, if nobody waits for it any more.
+    late: called on that thread with a result that comes too late.
     """
     outcome: list[Result] = []
     errors: list[BaseException] = []
@@ -267,7 +267,7 @@ def _within(
     def run() -> None:
         try:
             result = work()
-        except BaseException as error:  # raised again below, for the caller
+        except BaseException as error:  # raised below, in the caller's thread
             errors.append(error)
             return
         with claim:
@@ -292,5 +292,5 @@ def _within(
 
 
 def _reason(error: Exception) -> str:
-    """What PyAudio says: its text where there is one, else its number."""
+    """Return PyAudio's text for an error, or its number."""
     return str(error.args[-1]) if error.args else type(error).__name__

@@ -1,10 +1,10 @@
-"""Real-time priority for the threads that sound depends on, where the system grants it.
+"""Real-time priority for audio threads, where the system grants it.
 
-A thread asks for itself, since nobody here knows which threads PortAudio has. It gets a low
-real-time priority, which nothing that it starts inherits, else a better nice level, else nothing;
-asking neither waits nor raises. A real-time thread that never sleeps could freeze the machine, so
-the kernel limits what one may take without a break: after SPIN_S the process is sent SIGXCPU, upon
-which `give_back` is to be called, after KILL_S it is killed.
+Each thread asks for itself, since only PortAudio knows its threads. It gets a low real-time
+priority, which its children do not inherit, else a better nice level, else nothing. Asking neither
+waits nor raises. A real-time thread that never sleeps could freeze the machine, so the kernel
+limits it: after SPIN_S of uninterrupted processor time the process gets SIGXCPU, upon which
+`revoke` must be called; after KILL_S it is killed.
 """
 
 from __future__ import annotations
@@ -18,25 +18,35 @@ from contextlib import suppress
 from pathlib import Path
 
 PRIORITY = 10
-"""Above all that is not real-time, below sound servers (20 and above) and the kernel's own (50)."""
+"""Below sound servers (20 and above) and the kernel's threads (50)."""
 
 NICE = -11
-"""What sound servers run at."""
+"""The nice level of sound servers."""
 
 SPIN_S = 0.2
-"""Of processor time at once. A callback takes a hundredth of it."""
+"""Limit of uninterrupted processor time. A callback takes a hundredth of it."""
 
 KILL_S = 2.0
 
 THREADS_MAX = 64
-"""The newest that asked are remembered; those of streams that were closed are gone."""
+"""The newest threads that asked are remembered; older ones belong to closed streams."""
 
 
 class AudioPriority:
-    """What the threads that call `claim` get. One for all streams of a process.
+    """Grants priority to the threads that call `claim`. One object serves a whole process.
 
-    wanted: whether to ask at all. warning: one line on what is missing and how to get it, "" as
-    long as nobody was refused. Any thread may read it.
+    Parameters
+    ----------
+    wanted : bool
+        Whether threads ask for priority at all.
+
+    Attributes
+    ----------
+    wanted : bool
+        As above; set by `set_wanted`, cleared by `revoke`.
+    warning : str
+        One line on what is missing and how to get it; "" unless a thread was refused. Any thread
+        may read it.
     """
 
     def __init__(self, wanted: bool = True) -> None:
@@ -44,27 +54,24 @@ class AudioPriority:
         self.warning = ""
         self._threads: deque[int] = deque(maxlen=THREADS_MAX)
         self._advice = (
-            "the audio threads have no real-time priority, so that vibration may break up on a "
-            f"busy machine; put `{_user()} - rtprio {2 * PRIORITY}` into "
+            "the audio threads have no real-time priority, so vibration may break up on a busy "
+            f"machine; put `{_user()} - rtprio {2 * PRIORITY}` into "
             "/etc/security/limits.d/cushion.conf and log in again, or set realtime = false"
         )
         self.set_wanted(wanted)
 
     def set_wanted(self, wanted: bool) -> None:
-        """Let threads from now on ask, or none, and those that have it give it back.
-
-        For the main thread.
-        """
+        """Let threads ask from now on, or take priority away from all. For the main thread."""
         if wanted and not self.wanted:
             _use_limits()
             _limit_spinning()
         self.wanted = wanted
         if not wanted:
-            self._return()
+            self._drop_priorities()
             self.warning = ""
 
     def claim(self) -> None:
-        """Give the calling thread what it may have. It may call this again; it raises nothing."""
+        """Raise the calling thread's priority as far as allowed. It raises no exception."""
         if not self.wanted:
             return
         self._threads.append(threading.get_native_id())
@@ -72,24 +79,24 @@ class AudioPriority:
             self.warning = self._advice
 
     def revoke(self) -> None:
-        """Let no thread have it any more: one has taken too much. A signal handler may call it."""
+        """Take priority away from all threads, as one ran too long. For a signal handler."""
         self.wanted = False
-        self._return()
+        self._drop_priorities()
         self.warning = (
-            f"an audio thread has run for {SPIN_S:g} s without a break, so that all of them lost "
-            "their real-time priority; start anew to try again"
+            f"an audio thread ran for {SPIN_S:g} s without a break, so all of them lost their "
+            "real-time priority; restart to try again"
         )
 
-    def _return(self) -> None:
+    def _drop_priorities(self) -> None:
         mine = {int(entry.name) for entry in Path("/proc/self/task").iterdir()}
         for thread in mine.intersection(self._threads):
-            with suppress(OSError):  # it ended meanwhile
+            with suppress(OSError):  # it has ended
                 os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
         self._threads.clear()
 
 
 def _real_time() -> bool:
-    """Give the calling thread a real-time priority; with privileges, limits do not count."""
+    """Set the calling thread's real-time priority; a privileged process ignores the limit."""
     allowed = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     for priority in (PRIORITY, min(PRIORITY, allowed)):
         with suppress(OSError, ValueError):
@@ -100,7 +107,7 @@ def _real_time() -> bool:
 
 
 def _nicer() -> bool:
-    """Give the calling thread a better nice level (Linux has one for each thread)."""
+    """Improve the calling thread's nice level, which Linux keeps per thread."""
     limit = resource.getrlimit(resource.RLIMIT_NICE)[0]
     lowest = -20 if limit == resource.RLIM_INFINITY else 20 - limit
     for level in (NICE, max(NICE, lowest)):
@@ -114,7 +121,7 @@ def _nicer() -> bool:
 
 
 def _use_limits() -> None:
-    """Use what the hard limits leave."""
+    """Raise the soft limits to the hard ones."""
     for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_NICE):
         hard = resource.getrlimit(limit)[1]
         with suppress(OSError, ValueError):
@@ -122,7 +129,7 @@ def _use_limits() -> None:
 
 
 def _limit_spinning() -> None:
-    """Bound what a real-time thread may take at once; a lower limit that is there stays."""
+    """Limit a real-time thread's uninterrupted processor time; a lower limit stays."""
     _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
     kill_us = int(KILL_S * 1e6)
     most_us = kill_us if hard == resource.RLIM_INFINITY else min(hard, kill_us)

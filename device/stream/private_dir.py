@@ -1,7 +1,7 @@
-"""A folder of one process for files of its own, which is removed even if the process is killed.
+"""A private directory of one process, removed even if the process is killed.
 
-It is locked as long as the process lives, by a lock that the kernel lets go of however it dies.
-Whoever makes the next one removes those that nobody holds.
+The process holds a lock on it, which the kernel releases when the process ends. The next process
+that makes such a directory removes those that are not locked.
 """
 
 from __future__ import annotations
@@ -22,43 +22,42 @@ _OPEN = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class PrivateDir:
-    """A new folder that nobody else may enter, held until `close`.
+    """A new directory that only this user may enter, held until `close`.
 
-    inside: where it is made, itself made if missing; None for $XDG_RUNTIME_DIR/cushion, or where
-    that cannot be had, the folder for temporary files. path: the folder's. Made and closed by one
-    thread.
+    inside: its parent, made if missing. None stands for $XDG_RUNTIME_DIR/cushion, or the directory
+    for temporary files where that is not possible. path: of the directory. One thread makes and
+    closes it.
 
     Raises
     ------
     UsageError
-        No folder can be made there.
+        No directory can be made there.
     """
 
     def __init__(self, inside: Path | None = None) -> None:
-        place = inside or runtime_dir() or Path(tempfile.gettempdir())
+        parent = inside or runtime_dir() or Path(tempfile.gettempdir())
         try:
-            place.mkdir(mode=0o700, parents=True, exist_ok=True)
-            sweep(place)
-            self.path, self._held = _made(place)
+            parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+            remove_stale(parent)
+            self.path, self._lock_file = _make(parent)
         except OSError as error:
             raise UsageError(
-                f"the ALSA configuration cannot be written to {place} ({error.strerror}); set "
+                f"the ALSA configuration cannot be written to {parent} ({error.strerror}); set "
                 "XDG_RUNTIME_DIR or TMPDIR to a folder that can be written"
             ) from None
 
     def close(self) -> None:
-        """Remove the folder with all that is in it. Again too; it raises nothing."""
-        if self._held >= 0:
+        """Remove the directory and its content. Further calls do nothing; it raises nothing."""
+        if self._lock_file >= 0:
             shutil.rmtree(self.path, ignore_errors=True)
-            os.close(self._held)
-            self._held = -1
+            os.close(self._lock_file)
+            self._lock_file = -1
 
 
 def runtime_dir() -> Path | None:
-    """Return $XDG_RUNTIME_DIR/cushion, made if missing; None where it is not ours alone.
+    """Return $XDG_RUNTIME_DIR/cushion, made if missing; None if other users may enter it.
 
-    ALSA takes blanks and colons in the path of a configuration for the beginning of another one:
-    a folder with these in its name is none.
+    ALSA splits the path of a configuration at blanks and colons, so a path with these is refused.
     """
     base = os.environ.get("XDG_RUNTIME_DIR", "")
     if not base.startswith("/") or set(base) & set(" :"):
@@ -73,19 +72,14 @@ def runtime_dir() -> Path | None:
     return folder if private and found.st_uid == os.geteuid() else None
 
 
-def sweep(place: Path) -> int:
-    """Remove the folders of ours that no process holds any more; how many there were.
-
-    Those of other users stay. It raises nothing.
-    """
-    swept = 0
+def remove_stale(parent: Path) -> int:
+    """Remove this user's directories that no process holds; return how many. It raises nothing."""
     with suppress(OSError):
-        for folder in place.glob(f"{PREFIX}*"):
-            swept += _swept(folder)
-    return swept
+        return sum(map(_remove_if_stale, list(parent.glob(f"{PREFIX}*"))))
+    return 0
 
 
-def _swept(folder: Path) -> bool:
+def _remove_if_stale(folder: Path) -> bool:
     try:
         held = os.open(folder, _OPEN)
     except OSError:
@@ -96,24 +90,24 @@ def _swept(folder: Path) -> bool:
         fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         shutil.rmtree(folder, ignore_errors=True)
         return True
-    except OSError:  # somebody holds it
+    except OSError:  # a process holds it
         return False
     finally:
         os.close(held)
 
 
-def _made(place: Path) -> tuple[Path, int]:
-    """Return a new folder and the descriptor that holds it."""
+def _make(parent: Path) -> tuple[Path, int]:
+    """Return a new directory and the descriptor that locks it."""
     for _ in range(_ATTEMPTS):
-        path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=place))
+        path = Path(tempfile.mkdtemp(prefix=PREFIX, dir=parent))
         try:
             held = os.open(path, _OPEN)
         except FileNotFoundError:
             continue
         fcntl.flock(held, fcntl.LOCK_EX)
-        # Somebody may have swept it before it was held.
+        # Another process may have removed it before it was locked.
         with suppress(FileNotFoundError):
             if os.path.samestat(path.lstat(), os.fstat(held)):
                 return path, held
         os.close(held)
-    raise UsageError(f"{place} is tidied up over and over; stop what does that")
+    raise UsageError(f"another program keeps removing directories in {parent}; stop that program")

@@ -1,4 +1,4 @@
-"""How a device takes samples; little endian, as every format of a USB device is."""
+"""Sample formats of devices (little endian), and the encoder from float frames to them."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class SampleFormat(Enum):
 
     @property
     def bits(self) -> int:
-        """Bits of resolution: 16, 24, 32; 25 of a float, 24 and a sign."""
+        """Bits of resolution: 16, 24, 32; a float has 25, which are 24 and a sign."""
         return 25 if self is SampleFormat.FLOAT32 else 8 * self.bytes_per_sample
 
     @property
     def full_scale(self) -> float:
-        """The steps of 1.0: 2^15, 2^23, 2^31; 1 for float."""
+        """The integer that stands for 1.0: 2^15, 2^23, 2^31; 1 for float."""
         return 1.0 if self is SampleFormat.FLOAT32 else 2.0 ** (self.bits - 1)
 
 
@@ -48,23 +48,23 @@ _BYTES = {
 
 
 class Encoder:
-    """Bytes of float frames, block after block, and what these bytes stand for.
+    """Encodes float frames as a device takes them, block by block. One thread at a time uses it.
 
-    Integers: round(clip(x 2^n, -2^n, 2^n - 1)) with n = 15, 23, 31, half away from zero, without
-    dither; what is not a number becomes 0. Floats are passed on bit for bit.
+    Integers are round(clip(x 2^n, -2^n, 2^n - 1)) with n = 15, 23, 31, half away from zero, without
+    dither. NaN becomes 0. Floats pass unchanged.
 
-    sample_format: of the bytes. channels: of a frame. block_frames: of most blocks: another length
-    makes the scratch arrays anew, the usual one allocates the result alone. One thread at a time.
+    sample_format: of the bytes. channels: per frame. block_frames: of a usual block. A usual block
+    allocates its result only; another length allocates the scratch arrays again.
     """
 
     def __init__(self, sample_format: SampleFormat, channels: int, block_frames: int) -> None:
         self.sample_format = sample_format
         self.channels = channels
         self._is_float = sample_format is SampleFormat.FLOAT32
-        self._make(block_frames)
+        self._allocate(block_frames)
         self._stored = b""
 
-    def _make(self, frames: int) -> None:
+    def _allocate(self, frames: int) -> None:
         shape = (frames, self.channels)
         self._bytes_per_frame = self.channels * self.sample_format.bytes_per_sample
         self._silence = bytes(frames * self._bytes_per_frame)
@@ -76,12 +76,12 @@ class Encoder:
         self._items = _items(self.sample_format, shape)
 
     def encode(self, frames: Float32Array) -> bytes:
-        """The bytes of `frames`, (frames, channels) float32, full scale ±1."""
+        """Return the bytes of `frames`, (frames, channels) float32, full scale ±1."""
         if self._is_float:
             self._stored = frames.tobytes()
             return self._stored
         if len(frames) != len(self._steps):
-            self._make(len(frames))
+            self._allocate(len(frames))
         whole_steps(frames, self.sample_format.full_scale, self._steps, self._rest, self._unknown)
         if self.sample_format is SampleFormat.S24_3:
             np.copyto(self._words, self._steps, casting="unsafe")
@@ -91,10 +91,10 @@ class Encoder:
             np.copyto(self._items, self._steps, casting="unsafe")
         return self._items.tobytes()
 
-    def take(self, frames: Float32Array) -> bytes | None:
-        """As `encode`, and `frames`, which are contiguous, become 0.
+    def encode_and_clear(self, frames: Float32Array) -> bytes | None:
+        """Return the bytes of contiguous `frames`, and set these to 0.
 
-        None, and nothing has changed, where a sample is not finite.
+        If a sample is not finite, return None and change nothing.
         """
         if self._is_float:
             stored = emptied(frames)
@@ -108,27 +108,26 @@ class Encoder:
         return stored
 
     def silence(self, frames: int) -> bytes:
-        """The bytes of so many frames of silence."""
+        """Return the bytes of this many silent frames."""
         length = frames * self._bytes_per_frame
         return self._silence if len(self._silence) == length else bytes(length)
 
-    def encoded(self) -> Float32Array:
-        """What the bytes of the last `encode` stand for: float32 frames, read only, to be kept.
+    def decode_last(self) -> Float32Array:
+        """Return the last encoded block as float32 frames, read only; the caller may keep them.
 
-        They would be encoded as the same bytes again. The last step of 32 bits has no float32 of
-        its own and stands as 1.0.
+        They encode to the same bytes again. The highest step of 32 bits becomes 1.0.
         """
         if self._is_float:
             return np.frombuffer(self._stored, np.float32).reshape(-1, self.channels)
         frames = np.empty(self._steps.shape, np.float32)
-        # a power of two, in float64: only the store can round
+        # exact in float64, as the factor is a power of two; only the store can round
         np.multiply(self._steps, 1.0 / self.sample_format.full_scale, out=frames, casting="unsafe")
         frames.setflags(write=False)
         return frames
 
 
 def _items(sample_format: SampleFormat, shape: tuple[int, int]) -> NDArray[Any]:
-    """An array that lies in memory as the bytes of `shape` frames and channels do."""
+    """Return an array with the memory layout of the encoded bytes."""
     if sample_format is SampleFormat.S24_3:
         return np.zeros((*shape, 3), np.uint8)
     return np.zeros(shape, {SampleFormat.S16: "<i2", SampleFormat.S32: "<i4"}[sample_format])

@@ -1,11 +1,11 @@
-"""Sound from and to the server, or to a card, a block at a time, on threads of PortAudio.
+"""Capture and playback streams on a server or a card, one block per callback of PortAudio.
 
-Two separate streams: one that captures and plays at once would poll. A callback never raises and
-always delivers its full length, since an exception or a short block would end the stream without a
-word; what goes wrong in it is counted by name. The clock is time.monotonic().
+Capture and playback are separate, as a duplex stream would poll. A callback never raises and
+always delivers its full length, since an exception or a short block would end the stream silently;
+its errors are counted by name. The clock is time.monotonic().
 
-Whether a stream still runs shows in the age of its last callback: a server that dies or suspends
-its device raises nothing. Ask `is_lost`, close the stream, open another one.
+The age of the last callback shows whether a stream still runs: a server that dies or suspends its
+device raises nothing. Check `is_lost`, close the stream and open another one.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from device.errors import UsageError
-from device.stream.gil_state import LET_GO_LIMIT_S, GilState
+from device.stream.gil_state import RELEASE_LIMIT_S, GilState
 from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES, OpenStream, close_stream, open_stream
 from device.stream.priority import AudioPriority
@@ -26,12 +26,12 @@ from device.stream.sample_format import Encoder, SampleFormat
 from device.units import Float32Array
 
 LOST_AFTER_S = 0.5
-"""Callbacks come 20 ms apart at worst on an idle machine, 25 ms with a thread that hogs Python."""
+"""Callbacks are at most 20 ms apart on an idle machine, 25 ms if a thread holds the GIL."""
 
 BEGUN_AFTER_S, BEGINS_WITHIN_S = 0.05, 2.5
-"""A sink of PulseAudio without norewinds has played up to 2 s ahead while nobody played to it. What
-begins there gets its first callbacks at once and the next when those 2 s are over; what captures,
-the first."""
+"""An idle sink of PulseAudio without norewinds has rendered up to 2 s ahead. A new playback stream
+gets its first callbacks at once and the next after these 2 s; a capture stream waits for its
+first."""
 
 _CONTINUE = 0
 _INPUT_UNDERFLOW, _INPUT_OVERFLOW, _OUTPUT_UNDERFLOW, _OUTPUT_OVERFLOW = 1, 2, 4, 8
@@ -43,18 +43,7 @@ OnSent = Callable[[Float32Array, float], None]
 
 
 class _Stream:
-    """What both streams have in common.
-
-    Any thread may read, while the stream runs:
-
-    tag: what the server shows of this stream (property `pcms.TAG`). opened_s: when it was opened.
-    last_callback_s: start of the last callback, opened_s before the first. callbacks, frames: how
-    many there were. xruns: overflows and underflows that PortAudio flagged; it flags few of them.
-    errors: exceptions in callbacks, how many by name.
-
-    audible: any thread may set it. While it is False there is silence instead of sound, from the
-    very next block on. silenced: how many blocks that concerned.
-    """
+    """The common part of both streams. Any thread may read its attributes."""
 
     def __init__(
         self,
@@ -80,7 +69,7 @@ class _Stream:
         self.xruns = 0
         self.errors: dict[str, int] = {}
         self._closing = False
-        self._thread = GilState()
+        self._gil_state = GilState()
         self._close_lock = threading.Lock()
         self._on_server = isinstance(pcm.target, ServerDevice)
         self._output = output
@@ -97,10 +86,10 @@ class _Stream:
         self.tag = self._open.tag
 
     def is_lost(self, now_s: float | None = None) -> bool:
-        """Whether no callback came for LOST_AFTER_S, or the stream ended. Any thread may call it.
+        """Whether no callback came for LOST_AFTER_S, or the stream was closed or ended.
 
-        On a server a stream that has hardly begun has BEGINS_WITHIN_S. now_s: time.monotonic() if
-        the caller has it at hand. A closed stream is lost.
+        A new stream on a server has BEGINS_WITHIN_S. now_s: time.monotonic(), if at hand. Any
+        thread may call it.
         """
         now = time.monotonic() if now_s is None else now_s
         limit_s = BEGINS_WITHIN_S if self._begins else LOST_AFTER_S
@@ -108,29 +97,29 @@ class _Stream:
 
     @property
     def _begins(self) -> bool:
-        """Whether it is so young that the server's sink may be ahead of it."""
+        """Whether it is so new that the server's sink may have rendered ahead."""
         young = self.last_callback_s - self.opened_s < BEGUN_AFTER_S
         return young and self._on_server and (self.callbacks > 0 or not self._output)
 
     def is_active(self) -> bool:
-        """Whether PortAudio takes the stream for running, which it does of a suspended one too."""
+        """Whether PortAudio reports the stream as running, even if suspended."""
         opened = self._open
         try:
             return opened is not None and bool(opened.stream.is_active())
-        except (OSError, ValueError, SystemError):  # closed meanwhile
+        except (OSError, ValueError, SystemError):  # closed by another thread
             return False
 
     def close(self) -> bool:
-        """End the stream; whether it came back in time, else it ends by itself, later.
+        """End the stream; whether that was in time, else it ends in the background.
 
-        Any thread but the callback's may call this, again too; it raises nothing. Once it returns
-        True no callback runs any more.
+        After True, no callback runs any more. Any thread but the callback's may call this, more
+        than once; it raises nothing.
         """
         self._closing = True
         with self._close_lock:
             opened, self._open = self._open, None
-        if opened is not None and time.monotonic() - self.last_callback_s < LET_GO_LIMIT_S:
-            self._thread.wait()
+        if opened is not None and time.monotonic() - self.last_callback_s < RELEASE_LIMIT_S:
+            self._gil_state.wait_released()
         return opened is None or close_stream(opened)
 
     def _callback(
@@ -139,7 +128,7 @@ class _Stream:
         now_s = time.monotonic()
         try:
             if not self.callbacks:
-                self._thread.hold()
+                self._gil_state.keep()
                 if self._priority is not None:
                     self._priority.claim()
             self.last_callback_s = now_s
@@ -148,10 +137,10 @@ class _Stream:
             if flags & (_INPUT_UNDERFLOW | _INPUT_OVERFLOW | _OUTPUT_UNDERFLOW | _OUTPUT_OVERFLOW):
                 self.xruns += 1
             if self._closing:
-                self._thread.let_go()
+                self._gil_state.release()
             else:
                 self._exchange(data, frames, now_s)
-        except BaseException as error:  # nothing may pass: PortAudio would end the stream
+        except BaseException as error:  # PortAudio would end the stream
             self._count(error)
         return self._result(frames), _CONTINUE
 
@@ -169,22 +158,52 @@ class _Stream:
 
 
 class CaptureStream(_Stream):
-    """Frames of a PCM's source as they are delivered; runs from the moment it is made.
+    """Delivers the frames of a PCM's source; runs from the moment it is made.
 
-    on_frames(frames, now_s): called by a thread of PortAudio with float32 (frames, channels), read
-    only, which may be kept, and the time of their arrival, in seconds of time.monotonic(). It must
-    neither block nor close the stream; what it raises is counted in `errors`.
+    `on_frames(frames, now_s)` gets float32 (frames, channels), read only, which it may keep, and
+    the time of arrival. PortAudio's thread calls it: it must neither block nor close the stream.
 
-    audible: True from the start, unless given otherwise; while False the frames are all 0.
-    block_frames: of a callback. priority: what its thread asks for, None for nothing.
+    Parameters
+    ----------
+    pcm : Pcm
+        Its target is what the stream captures.
+    samplerate : int
+        Hz.
+    channels : int
+        Per frame.
+    on_frames : Callable
+        Receives every block.
+    audible : bool
+        Initial value of the attribute.
+    block_frames : int
+        Frames per callback.
+    priority : AudioPriority or None
+        What the callback's thread asks for; None for nothing.
+
+    Attributes
+    ----------
+    audible : bool
+        Any thread may set it. While it is False, the frames are 0 from the next block on.
+    silenced : int
+        Blocks that were silenced.
+    tag : str
+        Value of the property `pcms.TAG` by which the server shows this stream.
+    opened_s, last_callback_s : float
+        Time of opening and of the last callback; the same before the first callback.
+    callbacks, frames : int
+        Counts so far.
+    xruns : int
+        Overflows and underflows that PortAudio reported, which are few of them.
+    errors : dict[str, int]
+        Exceptions in callbacks, counted by name.
 
     Raises
     ------
     LostError, NotFoundError
-        See `open_stream`. PipeWire may let a device be opened that is not there and end the
-        stream only then: look names up first (`identity`).
+        See `open_stream`. PipeWire may open a missing device and end the stream later: look the
+        name up first.
     UsageError
-        samplerate (Hz) or channels cannot be had.
+        samplerate or channels is out of range.
     """
 
     def __init__(
@@ -222,24 +241,39 @@ class CaptureStream(_Stream):
 
 
 class PlaybackStream(_Stream):
-    """Frames to a PCM's sink as it asks for them; silent until `audible` is set.
+    """Plays frames to a PCM's sink as it asks for them; silent until `audible` is set.
 
-    fill(out, now_s): called by a thread of PortAudio to write float32 into out (frames, channels),
-    which is all 0 and belongs to the caller again afterwards; now_s in seconds of
-    time.monotonic(). It must neither block nor close the stream. If it raises, or leaves a sample
-    that is not finite, the block becomes silence and is counted in `errors`.
+    `fill(out, now_s)` writes float32 into out (frames, channels), which is all 0 and must not be
+    kept. If it raises, or leaves a sample that is not finite, the block becomes silence and counts
+    in `errors`. `on_sent(frames, now_s)` gets the frames that were sent, silence included, as
+    read-only float32, which it may keep. PortAudio's thread calls both: they must neither block
+    nor close the stream.
 
-    on_sent(frames, now_s): called likewise with what went to PortAudio for that block, silence too,
-    as float32 whatever the format; the array is read only and may be kept.
+    Parameters
+    ----------
+    pcm : Pcm
+        Its target is where the stream plays.
+    samplerate : int
+        Hz.
+    channels : int
+        Per frame.
+    fill : Callable
+        Fills every block, also while nothing is audible.
+    on_sent : Callable or None
+        Receives every block that was sent.
+    block_frames : int
+        Frames per callback.
+    priority : AudioPriority or None
+        What the callback's thread asks for; None for nothing.
+    sample_format : SampleFormat
+        Of the bytes for PortAudio; `Encoder` clamps and rounds to integers.
 
-    audible: False at first; while it is, fill is called and 0 is played. block_frames: of a
-    callback. priority: what its thread asks for, None for nothing. sample_format: of what goes to
-    PortAudio; integers are clamped and rounded as `Encoder` does.
+    Attributes
+    ----------
+    audible : bool
+        Any thread may set it. While it is False, silence is played from the next block on.
 
-    Raises
-    ------
-    LostError, NotFoundError, UsageError
-        As `CaptureStream`.
+    The other attributes and the exceptions are those of `CaptureStream`.
     """
 
     def __init__(
@@ -258,7 +292,7 @@ class PlaybackStream(_Stream):
         self._fill = fill
         self._on_sent = on_sent
         self._out = np.zeros((block_frames, channels), np.float32)
-        self._used = False  # whether it is not all 0: the last block came to nothing
+        self._used = False  # not all 0, because the last block failed
         self._encoder = Encoder(sample_format, channels, block_frames)
         self._sound: bytes | None = None
         super().__init__(
@@ -277,7 +311,7 @@ class PlaybackStream(_Stream):
             self._out = np.zeros((frames, self.channels), np.float32)
         self._used = True
         self._fill(self._out, now_s)
-        self._sound = self._encoder.take(self._out)
+        self._sound = self._encoder.encode_and_clear(self._out)
         if self._sound is None:
             raise FloatingPointError("samples that are not finite")
         self._used = False
@@ -290,9 +324,9 @@ class PlaybackStream(_Stream):
             self.silenced += 1
         if self._on_sent is not None:
             try:
-                sent = self._silence(frames) if sound is None else self._encoder.encoded()
+                sent = self._silence(frames) if sound is None else self._encoder.decode_last()
                 self._on_sent(sent, self.last_callback_s)
-            except BaseException as error:  # nothing may pass, as above
+            except BaseException as error:  # PortAudio would end the stream
                 self._count(error)
         return self._encoder.silence(frames) if sound is None else sound
 
@@ -303,8 +337,8 @@ class PlaybackStream(_Stream):
 
 
 def check_format(samplerate: int, channels: int) -> None:
-    """Refuse what no stream can have: UsageError. Any thread may call it."""
+    """Raise UsageError if no stream can have this format. Any thread may call it."""
     if not 1_000 <= samplerate <= 768_000:
-        raise UsageError(f"samplerate={samplerate} Hz is not possible; 1000 to 768000 Hz are")
+        raise UsageError(f"samplerate={samplerate} Hz is out of range; choose 1000 to 768000 Hz")
     if not 1 <= channels <= 32:
-        raise UsageError(f"channels={channels} is not possible; 1 to 32 are")
+        raise UsageError(f"channels={channels} is out of range; choose 1 to 32")

@@ -52,8 +52,8 @@ def pcms(server: SoundServer) -> Iterator[PcmConfig]:
     for item in gc.get_objects():  # what a failed test left open must not fail the next one
         if isinstance(item, (CaptureStream, PlaybackStream)):
             item.close()
-    assert portaudio.open_streams() == 0
-    assert portaudio.terminate() or portaudio.abandoned_streams()
+    assert portaudio.count_open() == 0
+    assert portaudio.terminate() or portaudio.count_abandoned()
     config.close()
 
 

@@ -177,7 +177,7 @@ def test_a_server_that_hangs_costs_neither_the_caller_nor_the_process(
     with pytest.raises(LostError, match=r"not answered|not come back|does not answer"):
         output(pcms)
     server.resume()
-    wait_for(lambda: portaudio.open_streams() == 0, "end of the streams")
+    wait_for(lambda: portaudio.count_open() == 0, "end of the streams")
     stream = output(pcms)
     wait_for(lambda: stream.callbacks > 20, "callbacks")
     assert stream.close()
@@ -280,10 +280,10 @@ def test_opening_and_closing_leaves_nothing_behind(server: SoundServer, pcms: Pc
 
     def grown() -> int | None:
         """Memory after 20 cycles; None if one of them had to leave a stream behind."""
-        before, before_kb, abandoned = held(), memory_kb(), portaudio.abandoned_streams()
+        before, before_kb, abandoned = held(), memory_kb(), portaudio.count_abandoned()
         for _ in range(20):
             cycle()
-        if portaudio.abandoned_streams() != abandoned:
+        if portaudio.count_abandoned() != abandoned:
             return None
         wait_for(lambda: held() == before, f"return to {before}", 3.0)
         return memory_kb() - before_kb

@@ -45,7 +45,7 @@ def portaudio_with(name: str) -> Iterator[PcmConfig]:
     finally:
         ended = portaudio.terminate()
         config.close()
-    assert ended, f"{portaudio.open_streams()} streams were left open"
+    assert ended, f"{portaudio.count_open()} streams were left open"
 
 
 def until(condition, limit_s: float = 10.0) -> None:

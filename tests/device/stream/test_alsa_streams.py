@@ -102,7 +102,7 @@ def test_a_card_that_is_not_there_is_an_error_that_says_what_may_be_wrong(
     with pytest.raises(LostError, match="cannot open hw:31,2 for playback") as error:
         PlaybackStream(pcm, RATE, 2, lambda *_: None, sample_format=SampleFormat.S16)
     assert "2 channels at 48000 Hz in S16_LE" in str(error.value)
-    assert "the card was pulled out" in str(error.value)
+    assert "the card was unplugged" in str(error.value)
 
 
 def test_a_name_is_led_to_another_card_without_a_new_list_of_devices(

@@ -146,4 +146,4 @@ with Wake() as wake, Signals(wake) as signals:
 @needs_real_time
 def test_a_thread_that_spins_loses_it_and_the_process_goes_on() -> None:
     lines = told(SPIN).splitlines()
-    assert lines[0].startswith("0 False an audio thread has run for 0.2 s without a break")
+    assert lines[0].startswith("0 False an audio thread ran for 0.2 s without a break")

@@ -14,7 +14,7 @@ import pytest
 
 from device.errors import UsageError
 from device.stream.pcms import PcmConfig
-from device.stream.private_dir import PREFIX, PrivateDir, runtime_dir, sweep
+from device.stream.private_dir import PREFIX, PrivateDir, remove_stale, runtime_dir
 from tests.support.recordings import ROOT
 
 HOLDER = """
@@ -90,19 +90,19 @@ def test_what_killed_processes_left_is_swept_and_what_is_in_use_is_not(tmp_path:
             (place / "daemon.lock").touch()
             (place / f"{PREFIX}file").touch()
             (place / f"{PREFIX}link").symlink_to(tmp_path)
-            assert sweep(place) == 1
+            assert remove_stale(place) == 1
             names = inside(place)
             assert len([name for name in names if (place / name).is_dir()]) == 2  # with the link
             assert {"daemon.lock", f"{PREFIX}file", f"{PREFIX}link"} < set(names)
-            assert sweep(place) == 0
+            assert remove_stale(place) == 0
             folder = PrivateDir(place)
             assert len(inside(place)) == len(names) + 1
             folder.close()
             assert inside(place) == names
         finally:
             living.kill()
-    assert sweep(place) == 1
-    assert sweep(tmp_path / "nowhere") == 0
+    assert remove_stale(place) == 1
+    assert remove_stale(tmp_path / "nowhere") == 0
 
 
 def test_a_folder_that_cannot_be_made_is_an_error_of_one_line(tmp_path: Path) -> None:
