@@ -21,3 +21,8 @@ def no_such(kind: str, name: str, names: Iterable[str], where_none: str) -> str:
     else:
         offer = f"there is none at all: {where_none}"
     return f"there is no {kind} {name!r}; {offer}"
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """The known name that is most like another, "" if none is."""
+    return next(iter(get_close_matches(name, list(names), n=1)), "")

@@ -15,12 +15,17 @@ import soundfile
 
 from audioflinger_hook.cli.parser import build_parser
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.schema import ACTUATOR, KEYS
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.transform import CHOICES, LIMITS, TransformParameters
-from device.drive.settings import DELAY_MAX_MS, GAIN_MIN_DB, KEYS
+from audioflinger_hook.transform import TransformParameters
+from device.drive import ActuatorSettings
+from device.drive.settings import DELAY_MAX_MS, GAIN_MIN_DB
+from tests.support.parameters import CHOICES, LIMITS
+from tools.readme_keys import with_table
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
+ACTUATOR_KEYS = tuple(ActuatorSettings.DESCRIPTIONS)
 OWN_EFFECT = "An effect of your own"
 
 
@@ -49,14 +54,19 @@ def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) ->
     found, problems = config.check(path)
     assert problems == []
     assert found == config.Config(Settings(), LiveSettings(device="sink:NAME"))
-    keys = (*config.TOP_LEVEL, config.GAIN, *config.LIVE)
-    for key in (*keys, *(key for section in config.SECTIONS.values() for key in section)):
-        # what is off without a value stands there as a comment
-        off = key in config.LIVE and getattr(LiveSettings(device="a"), key) is None
-        # and so may what is the profile's to say
-        said = "(# )?" if key in config.PARAMETERS else "# " * off
-        shown = rf"^{said}{key} = "
-        assert re.search(shown, block("toml"), re.MULTILINE), f"{key} is missing"
+    for key in KEYS:
+        if key.section == ACTUATOR:
+            continue
+        # A key without a default stands there as a comment, and so may a profile's.
+        comment = "(# )?" if key.owner is TransformParameters or key.default is None else ""
+        shown = rf"^{comment}{key.name} = "
+        assert re.search(shown, block("toml"), re.MULTILINE), f"{key.name} is missing"
+
+
+def test_the_table_of_keys_is_that_of_the_schema() -> None:
+    assert with_table(README) == README, "run `python -m tools.readme_keys --write`"
+    for key in KEYS:
+        assert f"\n| `{key.name}` |" in README
 
 
 def test_the_example_of_several_actuators_is_valid_and_names_every_key(tmp_path: Path) -> None:
@@ -69,8 +79,8 @@ def test_the_example_of_several_actuators_is_valid_and_names_every_key(tmp_path:
     assert problems == []
     assert done is not None
     assert [actuator.source for actuator in done.settings.actuators] == ["left", "right"]
-    told = {key for key in KEYS if re.search(rf"^{key} = ", found[1], re.MULTILINE)}
-    assert told == {*KEYS} - {"damping"}  # named beside rig and protection
+    told = {key for key in ACTUATOR_KEYS if re.search(rf"^{key} = ", found[1], re.MULTILINE)}
+    assert told == {*ACTUATOR_KEYS} - {"damping"}  # named beside rig and protection
     for limit in (GAIN_MIN_DB, DELAY_MAX_MS):
         assert f"{limit:g}" in found[1]
 
@@ -81,14 +91,14 @@ def test_every_limit_in_the_config_example_is_the_real_one() -> None:
 
 
 def test_every_parameter_of_the_config_example_stands_there_with_its_default() -> None:
-    for key in config.PARAMETERS:
+    for key in TransformParameters.DESCRIPTIONS:
         said = line_of(key).removeprefix("# ")
         assert tomllib.loads(said)[key] == getattr(TransformParameters(), key)
 
 
 def test_every_choice_of_the_config_example_names_all_its_words() -> None:
     for key, choice in CHOICES.items():
-        assert all(f'"{word}"' in line_of(key) for word in choice.values)
+        assert all(f'"{word}"' in line_of(key) for word in choice.words)
 
 
 def line_of(key: str) -> str:

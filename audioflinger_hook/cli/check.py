@@ -1,4 +1,4 @@
-"""`cushion check`: every mistake of a config file at once."""
+"""`cushion check`: every mistake of a config file at once, or the schema of its keys."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import argparse
 import dataclasses
 import json
 import sys
+from functools import cache
 from pathlib import Path
 
+from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.schema import json_schema
 from device.errors import UsageError
 
 
@@ -16,16 +19,40 @@ def run(options: argparse.Namespace) -> int:
     """Check a config file; exit 2 where it has mistakes."""
     path: Path | None = options.config
     as_json: bool = options.json
+    if options.schema:
+        print(json.dumps(json_schema(), indent=2))
+        return 0
     if path is None:
         path = config.default_path()
         if not path.exists():
             print("[]" if as_json else f"{path} does not exist: the defaults apply")
             return 0
-    found, problems = config.check(path)
+    found, mistakes = config.check(path)
     if as_json:
-        print(json.dumps([dataclasses.asdict(problem) for problem in problems], indent=2))
+        print(json.dumps([dataclasses.asdict(mistake) for mistake in mistakes], indent=2))
     elif found is not None:
         print(f"{path}: no mistakes")
-    for problem in problems:
-        print(f"cushion: error: {path}: {problem}", file=sys.stderr)
-    return UsageError.exit_code if problems else 0
+    if found is not None and found.warning:
+        warn(f"{path}: {found.warning}")
+    for mistake in mistakes:
+        print(f"cushion: error: {path}: {mistake}", file=sys.stderr)
+    return UsageError.exit_code if mistakes else 0
+
+
+def load_config(path: Path) -> config.Config:
+    """Return what a config file says, and warn of keys with old names.
+
+    Raises
+    ------
+    UsageError
+        As `config.load`.
+    """
+    found = config.load(path)
+    if found.warning:
+        _warn_once(f"{path}: {found.warning}")
+    return found
+
+
+@cache  # a running daemon loads its config again
+def _warn_once(message: str) -> None:
+    warn(message)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import time
 
+from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import warn
-from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Chain
@@ -15,7 +15,7 @@ from audioflinger_hook.sources import open_client, parse_tap
 
 def run(options: argparse.Namespace) -> int:
     """Play a tap up to a moment, as fast as it goes, and print the framework as it then is."""
-    settings = config.load(options.config).settings if options.config else Settings()
+    settings = load_config(options.config).settings if options.config else Settings()
     client = open_client(parse_tap(options.tap))
     try:
         framework = Framework(client.samplerate, client.channels, settings, clock=time.thread_time)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.config import file as config
 from audioflinger_hook.service.install import install, remove, systemd_version
 from audioflinger_hook.service.unit import udev_command, udev_rule
@@ -41,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
 def _refuse_without_device() -> None:
     """Raise UsageError where the config names no device either, or has mistakes."""
     path = config.default_path()
-    if not path.exists() or config.load(path).live.device is None:
+    if not path.exists() or load_config(path).live.device is None:
         raise UsageError(
             f"no device given; name it with --device, or with the key device in {path}; "
             "`cushion devices` lists them"

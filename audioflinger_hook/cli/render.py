@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
-from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.batch import Rendered, render_files, targets_in
 from audioflinger_hook.offline.render import RenderReport, render_file
@@ -107,7 +107,7 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
 
     recorded: taken where no file is named.
     """
-    settings = config.load(options.config).settings if options.config else recorded or Settings()
+    settings = load_config(options.config).settings if options.config else recorded or Settings()
     given = {
         name: getattr(options, name)
         for name in ("form", "channels", "profile", "damping", "protection", "rig")

@@ -11,6 +11,7 @@ from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 
+from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
 from audioflinger_hook.cli.signals import Signals
@@ -90,7 +91,7 @@ def _order(options: argparse.Namespace) -> RunConfig:
         One of them has a mistake, or asks for what there is not.
     """
     path = options.config or config.default_path()
-    found = config.load(path) if options.config or path.exists() else config.Config()
+    found = load_config(path) if options.config or path.exists() else config.Config()
     settings, live = found.settings, found.live
     chosen = {name: getattr(options, name) for name in ("profile", "rig", "damping", "protection")}
     settings = settings.choosing(**{name: c for name, c in chosen.items() if c})

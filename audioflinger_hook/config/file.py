@@ -5,68 +5,69 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config import actuator_tables
-from audioflinger_hook.config.profiles import PROFILES, parameters_of, values_of
-from audioflinger_hook.config.settings import (
-    CHOICES,
-    LISTS,
-    RENAMED_PARAMETERS,
-    LiveSettings,
-    Settings,
-    live_from_document,
-    live_problems,
-    wrong_gain,
-    wrong_rig,
-)
-from audioflinger_hook.transform import CHOICES as PARAMETER_CHOICES
-from audioflinger_hook.transform import LIMITS, TransformParameters
-from audioflinger_hook.transform.parameters import Problem as PartProblem
-from device.drive.settings import KEYS as ACTUATOR_KEYS
+from audioflinger_hook.config.profiles import DEFAULT_PROFILE, parameters_of, values_of
+from audioflinger_hook.config.schema import ACTUATOR, HEADERS, KEYS, RENAMED, SECTIONS, keys_of
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.transform import TransformParameters
+from device.drive import ActuatorSettings, wiring_refusals
 from device.errors import UsageError
-from device.rig.rig_file import SHIPPED
+from device.suggest import nearest
+from device.values import Described, Refusal
 
-TOP_LEVEL = ("profile", "damping", "protection", "exposure_cap")
-RIG = "rig"
-GAIN = "gain_db"
-EFFECTS_FILE = "effects_file"
-LIVE = ("tap", "device", "offset_ms", "drop_in", "block_frames", "realtime", "device_volume_db")
-TRANSFORM_CHOICES = ("form", "channels")
-SECTION = "transform"
-LIVE_SECTION = "applications"
-PARAMETERS = (*LIMITS, *PARAMETER_CHOICES)
-SECTIONS = {SECTION: (*TRANSFORM_CHOICES, *PARAMETERS), LIVE_SECTION: LISTS}
 SYNTAX_ERRORS_MAX = 50
 CONFIG_BYTES_MAX = 1 << 20
 SHOWN_MAX = 200
 
 
 @dataclass(frozen=True)
-class Problem:
-    """One mistake: the key as `section.key`, its line from 1 (0: none), value and what goes."""
+class Mistake:
+    """One mistake of a config file.
+
+    Attributes
+    ----------
+    key : str
+        The key as `section.key`.
+    line : int
+        Its line, counted from 1; 0 if it has none.
+    value, problem, allowed, nearest : str
+        What stands there, what is wrong with it, what is allowed, and the known name most like it.
+    """
 
     key: str
     line: int
     value: str
     problem: str
     allowed: str
+    nearest: str = ""
 
     def __str__(self) -> str:
         where = f"line {self.line}: " if self.line else ""
         value = f" = {self.value}" if self.value else ""
-        return f"{where}{self.key}{value} {self.problem}; allowed: {self.allowed}"
+        return f"{where}{self.key}{value} {Refusal(self.problem, self.allowed, self.nearest)}"
 
 
 @dataclass(frozen=True)
 class Config:
-    """What a config file says: how vibration is made of sound, and what live sound does."""
+    """What a config file says.
+
+    Attributes
+    ----------
+    settings : Settings
+        How vibration is made of sound.
+    live : LiveSettings
+        Where live sound comes from, and where the vibration goes.
+    warning : str
+        Which keys have old names, "" if none has.
+    """
 
     settings: Settings = field(default_factory=Settings)
     live: LiveSettings = field(default_factory=LiveSettings)
+    warning: str = ""
 
 
 def default_path() -> Path:
@@ -83,14 +84,14 @@ def load(path: Path) -> Config:
     UsageError
         The file cannot be read, or has mistakes; the message names the first and how many.
     """
-    config, problems = check(path)
+    config, mistakes = check(path)
     if config is None:
-        more = f" (and {len(problems) - 1} more; see `cushion check`)" if problems[1:] else ""
-        raise UsageError(f"{path}: {problems[0]}{more}")
+        more = f" (and {len(mistakes) - 1} more; see `cushion check`)" if mistakes[1:] else ""
+        raise UsageError(f"{path}: {mistakes[0]}{more}")
     return config
 
 
-def check(path: Path) -> tuple[Config | None, list[Problem]]:
+def check(path: Path) -> tuple[Config | None, list[Mistake]]:
     """Return what a file says and an empty list, or None and every mistake in order of lines.
 
     Raises
@@ -98,6 +99,166 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
     UsageError
         The file cannot be read, or is no text.
     """
+    text = _text_of(path)
+    document, mistakes = _parse(text)
+    reading = _Reading(_lines_of_keys(text), path.parent, mistakes)
+    reading.read(document)
+    reading.find_contradictions()
+    if mistakes:
+        return None, sorted(mistakes, key=lambda mistake: mistake.line)
+    return reading.config(), []
+
+
+class _Reading:
+    """What is found in one document: accepted values, mistakes and keys with old names."""
+
+    def __init__(self, lines: dict[str, int], folder: Path, mistakes: list[Mistake]) -> None:
+        self.lines = lines
+        self.folder = folder
+        self.mistakes = mistakes
+        self.shown: dict[str, str] = {}
+        self.renamed: list[str] = []
+        # By class, the accepted values of its fields; of [[actuator]] there may be several.
+        self.accepted: dict[type[Described], dict[str, Any]] = {key.owner: {} for key in KEYS}
+        self.actuators: list[dict[str, Any]] = []
+        self.refused: set[tuple[type[Described], str]] = set()
+
+    def read(self, document: dict[str, Any]) -> None:
+        """Check every value by itself."""
+        top = {name: value for name, value in document.items() if name not in HEADERS}
+        self._table("", "", top, {owner: self.accepted[owner] for owner in self.accepted})
+        for section in SECTIONS[1:]:
+            for prefix, table in self._tables(section, document):
+                accepted = self.accepted
+                if section == ACTUATOR:
+                    self.actuators.append({})
+                    accepted = {ActuatorSettings: self.actuators[-1]}
+                self._table(section, prefix, table, accepted)
+                if section == ACTUATOR and "channels" not in table:
+                    allowed = ActuatorSettings.DESCRIPTIONS["channels"].allowed
+                    self._add(f"{prefix}channels", Refusal("is missing", allowed))
+
+    def _tables(
+        self, section: str, document: dict[str, Any]
+    ) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Return every table of a section with the prefix of its keys."""
+        found = document.get(section, {})
+        if section != ACTUATOR:
+            if isinstance(found, dict):
+                yield f"{section}.", found
+            else:
+                self.shown[section] = _shown(found)
+                self._add(section, Refusal("is not a section", HEADERS[section]))
+            return
+        tables = found if isinstance(found, list) else []
+        good = [table for table in tables if isinstance(table, dict)]
+        if section in document and (not good or len(good) < len(tables)):
+            self._add(section, Refusal("is no array of tables", HEADERS[section]))
+        for number, table in enumerate(good, 1):
+            yield f"{section}[{number}].", table
+
+    def _table(
+        self,
+        section: str,
+        prefix: str,
+        table: dict[str, Any],
+        accepted: dict[type[Described], dict[str, Any]],
+    ) -> None:
+        known, renamed = keys_of(section), RENAMED.get(section, {})
+        for written, value in table.items():
+            shown = f"{prefix}{written}"
+            if not isinstance(value, dict):
+                self.shown[shown] = _shown(value)
+            name = renamed.get(written, written)
+            if name not in known:
+                self._add(shown, _unknown(section, name))
+                continue
+            key = known[name]
+            if name != written:
+                self.lines[f"{prefix}{name}"] = self._line(shown)
+                if name in table:
+                    wrong = f"is the old name of {prefix}{name}, which is given, too"
+                    self._add(shown, Refusal(wrong, f"{name} alone"))
+                    continue
+                self.shown[f"{prefix}{name}"] = self.shown.get(shown, "")
+                self.renamed.append(f"line {self._line(shown)}: {shown} is now {prefix}{name}")
+            resolved = key.description.resolved(value, self.folder)
+            if refusal := key.description.refuse(resolved):
+                self._add(shown, refusal)
+                self.refused.add((key.owner, key.field))
+            else:
+                accepted[key.owner][key.field] = key.description.typed(resolved)
+
+    def find_contradictions(self) -> None:
+        """Check the accepted values against one another."""
+        self.accepted[Settings]["actuators"] = self.actuators
+        owners: tuple[type[Described], ...] = (TransformParameters, Settings, LiveSettings)
+        for owner in owners:
+            base = values_of(self.profile) if owner is TransformParameters else {}
+            values = owner.defaults() | base | self.accepted[owner]
+            values = {n: value for n, value in values.items() if (owner, n) not in self.refused}
+            for name, refusal in owner.contradictions(values).items():
+                section = next(k.section for k in KEYS if (k.owner, k.field) == (owner, name))
+                self._add(f"{section}.{name}" if section else name, refusal)
+        wired = [actuator.get("channels", ()) for actuator in self.actuators]
+        for number, refusal in wiring_refusals(wired).items():
+            if wired[number - 1]:  # others are reported already
+                self._add(f"{ACTUATOR}[{number}].channels", refusal)
+
+    @property
+    def profile(self) -> str:
+        """The profile that is named, the default where none is that exists."""
+        return str(self.accepted[Settings].get("profile", DEFAULT_PROFILE))
+
+    def config(self) -> Config:
+        """Return what the document says; it has no mistakes."""
+        chosen = self.accepted[TransformParameters]
+        settings = Settings(
+            **self.accepted[Settings]
+            | {
+                "parameters": parameters_of(self.profile, chosen),
+                "said": tuple(chosen),
+                "actuators": tuple(ActuatorSettings(**actuator) for actuator in self.actuators),
+            }
+        )
+        warning = ""
+        if self.renamed:
+            warning = f"{', '.join(self.renamed)}; the next release knows the new names only"
+        return Config(settings, LiveSettings(**self.accepted[LiveSettings]), warning)
+
+    def _line(self, key: str) -> int:
+        """Return the line of a key, or of the section that holds it inline; 0 if unknown."""
+        section = key.partition(".")[0]
+        lines = self.lines
+        return lines.get(key) or lines.get(section) or lines.get(section.partition("[")[0], 0)
+
+    def _add(self, key: str, refusal: Refusal) -> None:
+        value = self.shown.get(key, "")
+        mistake = Mistake(
+            _printable(key),
+            self._line(key),
+            value,
+            refusal.wrong,
+            refusal.allowed,
+            refusal.nearest,
+        )
+        self.mistakes.append(mistake)
+
+
+def _unknown(section: str, name: str) -> Refusal:
+    """Return the refusal of a key that a section does not know, with the nearest that exists."""
+    known = [*keys_of(section), *(HEADERS.values() if not section else ())]
+    elsewhere = [
+        f"{name} in {HEADERS[key.section]}" if key.section else f"{name} above all sections"
+        for key in KEYS
+        if key.name == name
+    ]
+    guess = elsewhere[0] if elsewhere else nearest(name, [*keys_of(section), *SECTIONS[1:]])
+    return Refusal("is an unknown key", ", ".join(known), HEADERS.get(guess, guess))
+
+
+def _text_of(path: Path) -> str:
+    """Return the text of a file. UsageError: it cannot be read, is too long or is no text."""
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise UsageError(f"{path} is not a regular file; give the path of a config file")
@@ -105,7 +266,7 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
             content = file.read(CONFIG_BYTES_MAX + 1)
         if len(content) > CONFIG_BYTES_MAX:
             raise UsageError(f"{path} is over {CONFIG_BYTES_MAX} bytes; a config file is smaller")
-        text = content.decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise UsageError(
             f"{path} is not UTF-8 text (byte {error.start}); save it as UTF-8"
@@ -114,114 +275,38 @@ def check(path: Path) -> tuple[Config | None, list[Problem]]:
         raise UsageError(
             f"{path} cannot be read ({error.strerror}); give the path of a config file"
         ) from None
-    document, problems = _parse(text)
-    lines = _lines_of_keys(text)
-    section = _section(document, SECTION)
-    for old, new in RENAMED_PARAMETERS.items():
-        if old in section and new not in section:
-            section[new] = section.pop(old)
-            lines[f"{SECTION}.{new}"] = lines.get(f"{SECTION}.{old}", 0)
-    problems += _unknown_keys(document, lines)
-    problems += _wrong_choices(document, lines)
-    problems += _wrong_effects_file(document, lines, path.parent)
-    if RIG in document and (wrong := wrong_rig(document[RIG], path.parent)):
-        problems.append(_problem(RIG, lines, _shown(document[RIG]), wrong.wrong, wrong.allowed))
-    if GAIN in document and (wrong := wrong_gain(document[GAIN])):
-        problems.append(_problem(GAIN, lines, _shown(document[GAIN]), wrong.wrong, wrong.allowed))
-    parameters = _section(document, SECTION)
-    chosen = {name: value for name, value in parameters.items() if name in PARAMETERS}
-    profile = _profile(document)
-    wrong_together = TransformParameters.problems(values_of(profile) | chosen)
-    problems += _from_part(wrong_together, chosen, f"{SECTION}.", lines)
-    live = {name: document[name] for name in LIVE if name in document}
-    rules = {
-        name: value for name, value in _section(document, LIVE_SECTION).items() if name in LISTS
-    }
-    problems += _from_part(live_problems(live), live, "", lines)
-    problems += _from_part(live_problems(rules), rules, f"{LIVE_SECTION}.", lines)
-    tables = actuator_tables.tables_of(document)
-    wrong_tables = actuator_tables.problems(tables, path.parent)
-    problems += _from_part(wrong_tables, actuator_tables.values_of(tables), "", lines)
-    if tables and parameters.get("channels") == "each":
-        allowed = f"mono: the source of every {actuator_tables.HEADER} says what it plays"
-        key = f"{SECTION}.channels"
-        problems.append(_problem(key, lines, '"each"', "cannot be with actuators", allowed))
-    if problems:
-        return None, sorted(problems, key=lambda problem: problem.line)
-    choices = {name: document[name] for name in (*TOP_LEVEL, GAIN) if name in document}
-    choices |= {name: parameters[name] for name in TRANSFORM_CHOICES if name in parameters}
-    if RIG in document:
-        named = document[RIG]
-        choices[RIG] = named if named in SHIPPED else str(path.parent / named)
-    effects_file = path.parent / document[EFFECTS_FILE] if EFFECTS_FILE in document else None
-    settings = Settings(
-        **choices,
-        effects_file=effects_file,
-        parameters=parameters_of(profile, chosen),
-        said=tuple(chosen),
-        actuators=actuator_tables.from_tables(tables, path.parent),
-    )
-    return Config(settings, live_from_document(live | rules)), []
 
 
-def _profile(document: dict[str, Any]) -> str:
-    """Return the profile that a document names, the default where it names none that exists."""
-    named = document.get("profile")
-    return named if isinstance(named, str) and named in PROFILES else CHOICES["profile"][0]
-
-
-def _section(document: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return a section's keys, none where it is missing or is no section."""
-    section = document.get(name, {})
-    return section if isinstance(section, dict) else {}
-
-
-def _from_part(
-    found: Mapping[str, PartProblem], values: dict[str, Any], prefix: str, lines: dict[str, int]
-) -> list[Problem]:
-    """Return what one part of the program found wrong with its share of the file."""
-    return [
-        _problem(
-            prefix + name,
-            lines,
-            _shown(values[name]) if name in values else "",
-            problem.wrong,
-            problem.allowed,
-        )
-        for name, problem in found.items()
-    ]
-
-
-def _parse(text: str) -> tuple[dict[str, Any], list[Problem]]:
+def _parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
     """Return what can be read, and the syntax errors: each line that has one is left out.
 
     Of a section's broken headline the name is kept where there is one, so that the keys below
     are still taken for that section's.
     """
     lines = text.split("\n")
-    problems: list[Problem] = []
+    mistakes: list[Mistake] = []
     for _ in range(SYNTAX_ERRORS_MAX):
         try:
-            return tomllib.loads("\n".join(lines)), problems
+            return tomllib.loads("\n".join(lines)), mistakes
         except RecursionError:
-            problems.append(Problem("this file", 0, "", "is nested too deeply", "flat values"))
-            return {}, problems
+            mistakes.append(Mistake("this file", 0, "", "is nested too deeply", "flat values"))
+            return {}, mistakes
         except ValueError as error:  # TOMLDecodeError, and numbers of thousands of digits
             number = _line_of_error(str(error), lines)
             reason = str(error).partition(" (at")[0].partition(";")[0]
             shown = _printable(lines[number - 1].strip())
-            problems.append(
-                Problem(shown or "(empty)", number, "", f"is not TOML ({reason})", "key = value")
+            mistakes.append(
+                Mistake(shown or "(empty)", number, "", f"is not TOML ({reason})", "key = value")
             )
             header = re.match(r"\s*(\[+)\s*([\w-]+)", lines[number - 1])
             repaired = f"[{header[2]}]" if header else ""
             if header and header[1] == "[[":
                 repaired = f"[{repaired}]"
             lines[number - 1] = repaired if repaired != lines[number - 1] else ""
-    problems.append(
-        Problem("the rest", len(lines), "", "was not read, so broken is this file", "TOML")
+    mistakes.append(
+        Mistake("the rest", len(lines), "", "was not read, so broken is this file", "TOML")
     )
-    return {}, problems
+    return {}, mistakes
 
 
 def _line_of_error(message: str, lines: list[str]) -> int:
@@ -264,67 +349,6 @@ def _lines_of_keys(text: str) -> dict[str, int]:
 def _bare(key: str) -> str:
     """Return a dotted key without quotes and blanks."""
     return ".".join(part.strip().strip("\"'") for part in key.split("."))
-
-
-def _problem(key: str, lines: dict[str, int], value: str, problem: str, allowed: str) -> Problem:
-    """Return a problem with its line: that of the key, or of the section that holds it inline."""
-    section = key.partition(".")[0]
-    line = lines.get(key) or lines.get(section) or lines.get(section.partition("[")[0], 0)
-    return Problem(_printable(key), line, value, problem, allowed)
-
-
-def _unknown_keys(document: dict[str, Any], lines: dict[str, int]) -> list[Problem]:
-    problems = []
-    for name, value in document.items():
-        if name in SECTIONS and isinstance(value, dict):
-            known: tuple[str, ...] = SECTIONS[name]
-            unknown = {f"{name}.{key}": value[key] for key in value if key not in known}
-        elif name in SECTIONS:
-            problems.append(_problem(name, lines, _shown(value), "is not a section", f"[{name}]"))
-            continue
-        elif name == actuator_tables.ACTUATOR:
-            if actuator_tables.are_no_tables(document):
-                allowed = actuator_tables.HEADER
-                problems.append(_problem(name, lines, "", "is no array of tables", allowed))
-            known = ACTUATOR_KEYS
-            unknown = actuator_tables.unknown_of(actuator_tables.tables_of(document))
-        else:
-            sections = (f"[{section}]" for section in SECTIONS)
-            known = (*TOP_LEVEL, RIG, GAIN, EFFECTS_FILE, *LIVE, *sections, actuator_tables.HEADER)
-            unknown = {} if name in known else {name: value}
-        for key, found in unknown.items():
-            shown = "" if isinstance(found, dict) else _shown(found)
-            problems.append(_problem(key, lines, shown, "is an unknown key", ", ".join(known)))
-    return problems
-
-
-def _wrong_choices(document: dict[str, Any], lines: dict[str, int]) -> list[Problem]:
-    inner = _section(document, SECTION)
-    chosen = {name: document[name] for name in TOP_LEVEL if name in document}
-    chosen |= {f"{SECTION}.{name}": inner[name] for name in TRANSFORM_CHOICES if name in inner}
-    problems = []
-    for key, value in chosen.items():
-        allowed = CHOICES[key.rpartition(".")[2]]
-        if value not in allowed:
-            problems.append(_problem(key, lines, _shown(value), "is not known", ", ".join(allowed)))
-    return problems
-
-
-def _wrong_effects_file(
-    document: dict[str, Any], lines: dict[str, int], folder: Path
-) -> list[Problem]:
-    """Return what is wrong with the effects file's name; what is in it is told when it is used."""
-    if EFFECTS_FILE not in document:
-        return []
-    value = document[EFFECTS_FILE]
-    allowed = "the path of an audio_effects.xml, from this file's folder on"
-    if not isinstance(value, str) or not value:
-        wrong = "is not a path"
-    elif "\0" in value or not (folder / value).is_file():
-        wrong = "is not a file"
-    else:
-        return []
-    return [_problem(EFFECTS_FILE, lines, _shown(value), wrong, allowed)]
 
 
 def _shown(value: Any) -> str:

@@ -14,17 +14,19 @@ from audioflinger_hook.transform import TransformParameters
 
 
 @dataclass(frozen=True)
-class Choice:
+class ProfileValue:
     """What a profile says of one parameter, and why."""
 
     value: float | int | str
     reason: str
 
 
-BY_ENERGY = Choice("energy", "noise and chords as strong as a tone that holds as much")
-FOLLOWED = Choice(30.0, "felt the same from full volume down to 20 dB under it, and some to spare")
+BY_ENERGY = ProfileValue("energy", "noise and chords as strong as a tone that holds as much")
+FOLLOWED = ProfileValue(
+    30.0, "felt the same from full volume down to 20 dB under it, and some to spare"
+)
 
-PROFILES: dict[str, dict[str, Choice]] = {
+PROFILES: dict[str, dict[str, ProfileValue]] = {
     "paper": {},
     "cinema": {
         "level_law": BY_ENERGY,
@@ -33,19 +35,23 @@ PROFILES: dict[str, dict[str, Choice]] = {
     "game": {
         "level_law": BY_ENERGY,
         "loudness_db": FOLLOWED,
-        "window_s": Choice(
+        "window_s": ProfileValue(
             0.03, "what lasts, and its end, is felt 13 ms earlier; vibration begins at 33 Hz"
         ),
-        "partials_max": Choice(8, "as many as so short a window tells apart"),
+        "partials_max": ProfileValue(8, "as many as so short a window tells apart"),
     },
     "music": {
         "level_law": BY_ENERGY,
         "loudness_db": FOLLOWED,
-        "loudness_slope_db": Choice(10.0, "music has few phons between soft and loud: keep half"),
-        "partials_max": Choice(6, "a chord's strongest, with room between them"),
+        "loudness_slope_db": ProfileValue(
+            10.0, "music has few phons between soft and loud: keep half"
+        ),
+        "partials_max": ProfileValue(6, "a chord's strongest, with room between them"),
     },
 }
-"""Every profile by its name; the first is the default."""
+"""Every profile by its name."""
+
+DEFAULT_PROFILE = "paper"
 
 
 def parameters_of(profile: str, said: Mapping[str, Any] | None = None) -> TransformParameters:

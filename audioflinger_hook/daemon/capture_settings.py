@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.capture.format import Facts
-from audioflinger_hook.config.settings import RENAMED_PARAMETERS, Settings
+from audioflinger_hook.config.schema import RENAMED_PARAMETERS
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
 from device.errors import UsageError
@@ -68,7 +69,7 @@ def settings_from(facts: Facts) -> Settings | None:
             chosen[SAID] = tuple(RENAMED_PARAMETERS.get(name, name) for name in said)
         if ACTUATORS in chosen:
             tables = json.loads(chosen[ACTUATORS])
-            chosen[ACTUATORS] = tuple(ActuatorSettings.from_document(table) for table in tables)
+            chosen[ACTUATORS] = tuple(ActuatorSettings.from_values(table) for table in tables)
         return Settings(**chosen, parameters=parameters)
     except (UsageError, TypeError, ValueError, KeyError) as error:
         raise UsageError(

@@ -5,40 +5,37 @@ from __future__ import annotations
 from dataclasses import asdict, fields
 from typing import Any
 
-from audioflinger_hook.config.settings import CHOICES, GAIN_MAX_DB, GAIN_MIN_DB, Settings
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.effect.parameters import Parameter, Value, Values
-from audioflinger_hook.transform import CHOICES as TRANSFORM_CHOICES
-from audioflinger_hook.transform import LIMITS, TransformParameters
+from audioflinger_hook.transform import TransformParameters
 from device.drive import SOURCES
+from device.errors import UsageError
 from device.units import db_to_amplitude
+from device.values import Choice, Description, Number
 
 TRANSFORM_FIELDS = tuple(field.name for field in fields(TransformParameters))
 
 
-def _parameter(name: str, default: Value) -> Parameter:
-    """Return one of the transform's as the effect has it."""
-    if choice := TRANSFORM_CHOICES.get(name):
-        return Parameter(name, str, default, choices=choice.values, meaning=choice.meaning)
-    limits = LIMITS[name]
-    return Parameter(
-        name,
-        type(default),
-        default,
-        limits.low,
-        limits.high,
-        unit=limits.unit,
-        meaning=limits.meaning,
-    )
+def _parameter(name: str, described: Description, default: Value, meaning: str = "") -> Parameter:
+    """Return a setting as a parameter of the effect."""
+    meaning = meaning or described.meaning
+    if isinstance(described, Number):
+        low, high, unit = described.low, described.high, described.unit
+        return Parameter(name, type(default), default, low, high, unit=unit, meaning=meaning)
+    assert isinstance(described, Choice)
+    words = tuple(map(str, described.words))
+    return Parameter(name, str, default, choices=words, meaning=meaning)
 
 
 RESTARTING = frozenset({*TRANSFORM_FIELDS, "form", "per_channel", "sources"})
 """Parameters whose change takes another transform."""
 
 HAPTIC_PARAMETERS = (
-    *(_parameter(name, default) for name, default in asdict(TransformParameters()).items()),
-    Parameter(
-        "form", str, CHOICES["form"][0], choices=CHOICES["form"], meaning="form of the transform"
+    *(
+        _parameter(name, described, getattr(TransformParameters, name))
+        for name, described in TransformParameters.DESCRIPTIONS.items()
     ),
+    _parameter("form", Settings.DESCRIPTIONS["form"], Settings.form),
     Parameter(
         "per_channel",
         bool,
@@ -51,14 +48,11 @@ HAPTIC_PARAMETERS = (
         "",
         meaning="what each haptic channel is made of instead, such as left,right; empty: the above",
     ),
-    Parameter(
+    _parameter(
         "gain_db",
-        float,
-        GAIN_MAX_DB,
-        GAIN_MIN_DB,
-        GAIN_MAX_DB,
-        unit="dB",
-        meaning="level of the vibration; reached over one buffer",
+        Settings.DESCRIPTIONS["gain_db"],
+        Settings.gain_db,
+        "level of the vibration; reached over one buffer",
     ),
     Parameter(
         "mute", bool, False, meaning="down to silence over one buffer, and back in the same way"
@@ -86,7 +80,11 @@ def is_possible(values: Values) -> bool:
     """Return whether the values go together."""
     if not {*sources(values)} <= {*SOURCES} or (values["sources"] and values["per_channel"]):
         return False
-    return not TransformParameters.problems({name: values[name] for name in TRANSFORM_FIELDS})
+    try:
+        transform_parameters(values)
+    except UsageError:
+        return False
+    return True
 
 
 def sources(values: Values) -> tuple[str, ...]:

@@ -16,11 +16,9 @@ Pure: samples in, samples out; no clock, no I/O, no mixer.
 from audioflinger_hook.transform.arrays import FloatArray, Frames, IntArray
 from audioflinger_hook.transform.haptic import Form, HapticTransform, Implementation
 from audioflinger_hook.transform.kernel import kernel_warning
-from audioflinger_hook.transform.parameters import CHOICES, LIMITS, TransformParameters
+from audioflinger_hook.transform.parameters import TransformParameters
 
 __all__ = [
-    "CHOICES",
-    "LIMITS",
     "FloatArray",
     "Form",
     "Frames",

@@ -22,10 +22,9 @@ from device.drive.settings import (
     POLARITIES,
     SOURCES,
     ActuatorSettings,
-    problems,
-    problems_together,
     sources_of,
     wiring_of,
+    wiring_refusals,
 )
 
 __all__ = [
@@ -36,8 +35,7 @@ __all__ = [
     "ChannelRouter",
     "Wiring",
     "channels_needed",
-    "problems",
-    "problems_together",
     "sources_of",
     "wiring_of",
+    "wiring_refusals",
 ]

@@ -6,9 +6,9 @@ import re
 import pytest
 
 from audioflinger_hook.config.file import load
-from audioflinger_hook.transform import LIMITS
 from device.drive import ActuatorSettings
 from tests.support.commands import call, listing, noise, refused, sound
+from tests.support.parameters import LIMITS
 
 TOP_LEVEL = (
     "profile, damping, protection, exposure_cap, rig, gain_db, effects_file, tap, device, "
@@ -53,7 +53,7 @@ rig = "consumer"
 gain_db = -3
 
 [transform]
-form = "reference"
+transform = "reference"
 channels = "each"
 window_s = 0.05
 band_low_hz = 60
@@ -128,12 +128,12 @@ def test_mistakes_of_live_keys_are_found_together_with_all_others(config):
         'tap = ["app:Game", "default"] are several taps that are not all applications',
         'device = "usb:12" is none: a USB device is written usb:VID:PID',
         "offset_ms = -5 is below 0 without drop_in; allowed: 0 to 1000 ms, or drop_in = true",
-        "block_frames = 300 is no length of a block; allowed: 128, 256, 512, 1024 frames",
+        "block_frames = 300 is not known; allowed: 128, 256, 512, 1024 frames",
         "gain_db = 3 is out of range; allowed: -60 to 0 dB",
         "realtime = 1 is not true or false; allowed: true, false",
         f"volume = 3 is an unknown key; allowed: {TOP_LEVEL}",
-        'applications.include = ["Game", ""] is no list of texts that are not empty',
-        'applications.exclude = "Game" is no list of texts that are not empty; allowed: ["NAME"',
+        'applications.include = ["Game", ""] must be a list of non-empty strings',
+        'applications.exclude = "Game" must be a list of non-empty strings; allowed: ["NAME"',
         "applications.loud = 1 is an unknown key; allowed: include, exclude",
         "transform.window_s = 9 is out of range",
     )
@@ -158,14 +158,14 @@ def test_mistakes_of_live_keys_are_found_together_with_all_others(config):
         ("offset_ms = nan", "is out of range"),
         ("offset_ms = 1000.5", "is out of range"),
         ('drop_in = "no"', "is not true or false"),
-        ("block_frames = 256.0", "is no length of a block"),
-        ("block_frames = true", "is no length of a block"),
+        ("block_frames = 256.0", "is not known"),
+        ("block_frames = true", "is not known"),
         ("gain_db = -60.5", "is out of range"),
         ("gain_db = false", "is not a number"),
         ("gain_db = nan", "is out of range"),
         ("applications = 3", "is not a section"),
-        ("applications.include = 3", "is no list of texts"),
-        ('applications.exclude = [["a"]]', "is no list of texts"),
+        ("applications.include = 3", "must be a list"),
+        ('applications.exclude = [["a"]]', "must be a list"),
     ],
 )
 def test_every_live_key_takes_what_it_takes_and_nothing_else(config, line, wrong):
@@ -265,10 +265,11 @@ def test_numbers_that_contradict_each_other_are_a_mistake(config):
 
 
 def test_names_that_are_no_names_are_mistakes(config):
-    found = mistakes(config('profile = 3\n[transform]\nform = "Live"\nchannels = true\n'))
+    refused_form = "is not known; allowed: live, reference; did you mean live?"
+    found = mistakes(config('profile = 3\n[transform]\ntransform = "Live"\nchannels = true\n'))
     assert found == [
         (1, "profile = 3 is not known; allowed: paper, cinema, game, music"),
-        (3, 'transform.form = "Live" is not known; allowed: live, reference'),
+        (3, f'transform.transform = "Live" {refused_form}'),
         (4, "transform.channels = true is not known; allowed: mono, each"),
     ]
 
@@ -421,7 +422,7 @@ def test_every_key_of_a_config_has_its_effect(config, tmp_path):
     source = sound(tmp_path / "in.wav", noise(20_000, 2))
     lines = EVERY_KEY.splitlines()
     rendered = set()
-    for left_out in [line for line in lines if "_" in line] + ["form", "mapping"]:
+    for left_out in [line for line in lines if "_" in line] + ["transform", "mapping"]:
         path = config("\n".join(line for line in lines if not line.startswith(left_out)))
         assert call("render", source, tmp_path / "out.wav", "--config", path).code == 0
         rendered.add((tmp_path / "out.wav").read_bytes())
@@ -537,7 +538,7 @@ def test_mistakes_of_actuators_are_found_at_once_with_the_table_s_number(config)
         (7, 'actuator[2].channels = [0, "front-left"] wants channel 0, which drives actuator 1'),
         (8, "actuator[2].delay_ms = 900 is out of range; allowed: 0 to 500 ms"),
         (9, "actuator[2].volume = 3 is an unknown key; allowed: channels, source, rig"),
-        (11, "actuator[3].channels names no channel; allowed: a list of the device's channels"),
+        (11, "actuator[3].channels is missing; allowed: a list of channels"),
         (12, 'actuator[3].polarity = "up" is not known; allowed: normal, inverted'),
         (13, 'actuator[3].rig = "loud" is not known'),
         (14, 'actuator[3].damping = "on" is not known; allowed: off, auto'),

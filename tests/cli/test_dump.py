@@ -95,7 +95,7 @@ def test_a_dump_shows_the_mix_and_the_effect_after_a_second_if_nothing_is_said()
 
 def test_a_file_is_one_track_and_its_end_ends_the_dump(tmp_path):
     sound(tmp_path / "in.wav", noise(11_025, 3), 44_100)
-    (tmp_path / "c.toml").write_text('[transform]\nform = "reference"\nchannels = "each"\n')
+    (tmp_path / "c.toml").write_text('[transform]\ntransform = "reference"\nchannels = "each"\n')
     done = cushion("dump", "--tap", "file:in.wav", "--config", "c.toml", cwd=tmp_path)
     assert (done.code, done.stderr) == (0, "")
     lines = [line.strip() for line in done.stdout.splitlines()]

@@ -144,7 +144,7 @@ def test_the_same_command_gives_the_same_bytes_in_any_process_and_folder(tmp_pat
 def test_options_override_the_config_and_the_config_the_defaults(tmp_path, out):
     source = sound(tmp_path / "in.wav", noise(9_000, 2))
     config = tmp_path / "config.toml"
-    config.write_text('[transform]\nform = "reference"\nchannels = "each"\n')
+    config.write_text('[transform]\ntransform = "reference"\nchannels = "each"\n')
     assert rendered(source, out)["transform"] == "live"
     report = rendered(source, out, "--config", config)
     assert (report["transform"], report["channels"]) == ("reference", 2)
@@ -154,7 +154,7 @@ def test_options_override_the_config_and_the_config_the_defaults(tmp_path, out):
 
 def test_the_users_own_config_does_not_change_what_render_publishes(tmp_path, out, monkeypatch):
     (tmp_path / "cushion").mkdir()
-    (tmp_path / "cushion/config.toml").write_text('[transform]\nform = "reference"\n')
+    (tmp_path / "cushion/config.toml").write_text('[transform]\ntransform = "reference"\n')
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     source = sound(tmp_path / "in.wav", noise(9_000))
     assert rendered(source, out)["transform"] == "live"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.config.settings import LiveSettings, live_from_document, live_problems
+from audioflinger_hook.config.settings import LiveSettings
 from device.errors import UsageError
 from tests.support.commands import call, refused
 
@@ -16,9 +16,9 @@ def test_every_mistake_is_named_at_once() -> None:
         LiveSettings(tap=("default", "sink:a"), device="usb:x", offset_ms=2e3, block_frames=3)
     for part in (
         "tap=default,sink:a are several",
-        "device=usb:x is none",
-        "offset_ms=2000.0 is out of range; allowed: -1000 to 1000 ms",
-        "block_frames=3 is no length",
+        "device='usb:x' is none",
+        "offset_ms=2000 is out of range; allowed: -1000 to 1000 ms",
+        "block_frames=3 is not known",
     ):
         assert part in str(error.value)
 
@@ -33,7 +33,7 @@ def test_a_negative_offset_takes_drop_in() -> None:
 def test_the_device_is_never_set_above_0_db(volume_db: object) -> None:
     with pytest.raises(UsageError, match=r"device_volume_db=.* allowed: -96 to 0 dB"):
         LiveSettings(device_volume_db=volume_db)  # type: ignore[arg-type]
-    assert live_problems({"device_volume_db": volume_db}).keys() == {"device_volume_db"}
+    assert LiveSettings.refusals({"device_volume_db": volume_db}).keys() == {"device_volume_db"}
 
 
 def test_a_document_of_no_mistakes_becomes_settings() -> None:
@@ -44,11 +44,11 @@ def test_a_document_of_no_mistakes_becomes_settings() -> None:
         "include": ["a"],
         "device": "b",
     }
-    assert live_problems(document) == {}
-    assert live_from_document(document) == LiveSettings(
+    assert LiveSettings.refusals(document) == {}
+    assert LiveSettings.from_values(document) == LiveSettings(
         tap=("app:a",), device_volume_db=-6.0, offset_ms=5.0, include=("a",), device="b"
     )
-    assert live_from_document({}) == LiveSettings()
+    assert LiveSettings.from_values({}) == LiveSettings()
 
 
 @pytest.fixture
@@ -70,9 +70,9 @@ def test_without_a_device_the_error_says_three_ways_to_choose_one(config: Path) 
 
 def test_options_are_checked_as_the_config_is(config: Path) -> None:
     config.write_text('device = "haptic"\n')
-    assert "offset_ms=2000.0 is out of range" in refused(call("run", "--offset-ms", "2000"))
+    assert "offset_ms=2000 is out of range" in refused(call("run", "--offset-ms", "2000"))
     louder = refused(call("run", "--device-volume-db", "6"))
-    assert "device_volume_db=6.0 is out of range; allowed: -96 to 0 dB" in louder
+    assert "device_volume_db=6 is out of range; allowed: -96 to 0 dB" in louder
     assert "below 0 without drop_in" in refused(call("run", "--offset-ms", "-5"))
     assert "tap=app:a,default are several" in refused(
         call("run", "--tap", "app:a", "--tap", "default")

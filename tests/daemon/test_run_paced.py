@@ -106,7 +106,7 @@ def test_what_was_recorded_of_a_capture_with_many_formats_is_the_same_again(
     tmp_path, folder, transform
 ):
     (tmp_path / "c.toml").write_text(
-        f'[transform]\nform = "{transform}"\nchannels = "each"\nwindow_s = 0.06\n'
+        f'[transform]\ntransform = "{transform}"\nchannels = "each"\nwindow_s = 0.06\n'
     )
     buffers = [(480, 2, 48_000), (256, 1, 44_100), (1, 2, 96_000), (3_000, 2, 48_000)]
     with CaptureWriter(tmp_path / "in") as writer:

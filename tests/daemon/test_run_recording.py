@@ -183,7 +183,7 @@ def test_an_effects_file_is_named_by_its_whole_path(tmp_path, monkeypatch):
 def test_facts_that_are_no_settings_are_an_error_that_says_what_to_do(tmp_path):
     with pytest.raises(UsageError, match=r"partials_max.*--config"):
         settings_from({**facts_of(Settings()), "partials_max": 1_000})
-    with pytest.raises(UsageError, match="transform 'dead' is not known"):
+    with pytest.raises(UsageError, match="transform='dead' is not known"):
         settings_from({**facts_of(Settings()), "form": "dead"})
 
 

@@ -19,8 +19,9 @@ from audioflinger_hook.effect.haptic import DRAIN, HAPTIC_CUSHION, HapticEffect
 from audioflinger_hook.effect.haptic_parameters import HAPTIC_PARAMETERS, from_settings
 from audioflinger_hook.effect.interface import EINVAL, ENODATA, ENOSYS, OK, Access, Command
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
-from audioflinger_hook.transform import CHOICES, LIMITS, Form, HapticTransform, TransformParameters
+from audioflinger_hook.transform import Form, HapticTransform, TransformParameters
 from tests.effect.test_engines import CYCLE_S, FRAMES, RATE, FakeClock, config, noise, running
+from tests.support.parameters import CHOICES, LIMITS
 
 SET, GET = Command.SET_PARAM, Command.GET_PARAM
 SLOPE_MAX = 2 * np.pi * 220.0 / RATE
@@ -345,7 +346,7 @@ def possible_values(draw):
     bottom = max(60.0, np.nextafter(2 / values["window_s"], np.inf))
     values["vibration_top_hz"] = draw(st.floats(float(bottom), 400.0))
     for name, choice in CHOICES.items():
-        values[name] = draw(st.sampled_from(choice.values))
+        values[name] = draw(st.sampled_from(choice.words))
     values["form"] = draw(st.sampled_from(["live", "reference"]))
     values["gain_db"] = draw(st.floats(-60.0, 0.0))
     for switch in ("mute", "per_channel", "clip"):

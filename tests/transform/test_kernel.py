@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import mixdown
-from audioflinger_hook.transform import LIMITS, TransformParameters, kernel_warning
+from audioflinger_hook.transform import TransformParameters, kernel_warning
 from audioflinger_hook.transform.design import LiveGrid
 from device.errors import UsageError
+from tests.support.parameters import LIMITS
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
     SAMPLERATES,
@@ -206,7 +207,7 @@ def at_the_limits():
             for window_s in (0.01, 0.04643, 0.2):
                 values = {"window_s": window_s, "vibration_top_hz": 220.0, name: value}
                 values["partials_max"] = int(values.get("partials_max", 16))
-                if not TransformParameters.problems(values):
+                if not TransformParameters.refusals(values):
                     yield values
 
 

@@ -12,9 +12,10 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.transform import CHOICES, LIMITS, HapticTransform, TransformParameters
+from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.parameters import check_format
 from device.errors import CushionError, UsageError
+from tests.support.parameters import CHOICES, LIMITS
 from tests.support.signals import (
     WAYS,
     identical,
@@ -44,7 +45,7 @@ def test_the_defaults_are_the_papers():
 
 def test_every_parameter_has_a_range_and_every_range_a_parameter():
     assert {*LIMITS} | {*CHOICES} == {*NAMES}
-    assert list(LIMITS) == NUMBERS
+    assert list(TransformParameters.DESCRIPTIONS) == NAMES
     for name in NUMBERS:
         assert LIMITS[name].low < LIMITS[name].high
         assert LIMITS[name].low <= getattr(TransformParameters(), name) <= LIMITS[name].high
@@ -76,16 +77,16 @@ def test_both_ends_of_a_range_are_allowed(name):
 
 @pytest.mark.parametrize("name", CHOICES)
 def test_a_choice_is_one_of_its_words_and_its_default_is_the_first(name):
-    assert getattr(TransformParameters(), name) == CHOICES[name].values[0]
-    for word in CHOICES[name].values:
+    assert getattr(TransformParameters(), name) == CHOICES[name].words[0]
+    for word in CHOICES[name].words:
         chosen: dict[str, Any] = {name: word}
         assert getattr(TransformParameters(**chosen), name) == word
-    wrongs: list[Any] = ["loud", "", CHOICES[name].values[0].upper(), 1, ["paper"]]
+    wrongs: list[Any] = ["loud", "", str(CHOICES[name].words[0]).upper(), 1, ["paper"]]
     for wrong in wrongs:
         with pytest.raises(UsageError, match="is not known; allowed: ") as refusal:
             TransformParameters(**dict[str, Any]({name: wrong}))
         assert str(refusal.value).startswith(f"{name}={wrong!r} ")
-        assert str(refusal.value).endswith(", ".join(CHOICES[name].values))
+        assert f"allowed: {', '.join(map(str, CHOICES[name].words))}" in str(refusal.value)
 
 
 @pytest.mark.parametrize("name", NUMBERS)
@@ -157,10 +158,10 @@ def test_all_mistakes_are_named_at_once_in_one_line():
     assert message.count("allowed: ") == len(mistakes)
 
 
-def test_problems_names_what_is_wrong_without_raising():
-    assert TransformParameters.problems({}) == {}
-    assert TransformParameters.problems({"window_s": 0.02, "vibration_top_hz": 300.0}) == {}
-    found = TransformParameters.problems({"window_s": 5, "partials_max": 1.5})
+def test_refusals_names_what_is_wrong_without_raising():
+    assert TransformParameters.refusals({}) == {}
+    assert TransformParameters.refusals({"window_s": 0.02, "vibration_top_hz": 300.0}) == {}
+    found = TransformParameters.refusals({"window_s": 5, "partials_max": 1.5})
     assert list(found) == ["window_s", "partials_max"]
 
 

@@ -254,7 +254,7 @@ def test_sources_are_named_once_in_their_order_and_all_is_the_mix():
         ({"channels": (-1,)}, "no channel; allowed: .*counted from 0"),
         ({"channels": (True,)}, "no channel"),
         ({"channels": (0,), "source": "middle"}, "source='middle' is not known; allowed: mix"),
-        ({"channels": (0,), "gain_db": 1.0}, "gain_db=1.0 is out of range; allowed: -60 to 0 dB"),
+        ({"channels": (0,), "gain_db": 1.0}, "gain_db=1 is out of range; allowed: -60 to 0 dB"),
         ({"channels": (0,), "delay_ms": 501}, "delay_ms=501 is out of range; allowed: 0 to 500"),
         ({"channels": (0,), "delay_ms": float("nan")}, "delay_ms=nan is out of range"),
         ({"channels": (0,), "polarity": "up"}, "polarity='up'"),

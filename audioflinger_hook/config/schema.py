@@ -1,0 +1,179 @@
+"""Every key of the config file: one list for the check, the command line, editors and README."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING, dataclass, replace
+from typing import Any
+
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.transform import TransformParameters
+from device.drive import ActuatorSettings
+from device.values import Choice, Described, Description, Number, Switch
+
+ACTUATOR = "actuator"
+SECTIONS = ("", "transform", "applications", ACTUATOR)
+"""Sections of a config file. The keys of "" come first; [[actuator]] is an array of tables."""
+
+HEADERS = {name: f"[[{name}]]" if name == ACTUATOR else f"[{name}]" for name in SECTIONS[1:]}
+"""How each section but the first is written."""
+
+CHANGES = {
+    "nothing": "no interruption",
+    "next stream": "used by streams opened later",
+    "stream": "opens one stream again",
+    "streams": "opens both streams again",
+    "transform": "restarts the vibration",
+    "engine": "restarts all but the connection",
+}
+"""What a change of a key needs while the daemon runs, with its explanation."""
+
+RENAMED_PARAMETERS = {
+    "follower_db": "loudness_db",
+    "follower_target_db": "loudness_target_db",
+    "follower_slope_db": "loudness_slope_db",
+    "follower_floor_db": "loudness_floor_db",
+    "follower_gate_db": "loudness_gate_db",
+}
+"""The new name of each parameter that older configs and captures call otherwise."""
+
+RENAMED = {"transform": {"form": "transform", **RENAMED_PARAMETERS}}
+"""By section, the new name of each renamed key. Old names work for one release."""
+
+_OWNERS: tuple[tuple[type[Described], str, str], ...] = (
+    (Settings, "", "engine"),
+    (LiveSettings, "", "stream"),
+    (TransformParameters, "transform", "transform"),
+    (ActuatorSettings, ACTUATOR, "nothing"),
+)
+"""The classes that hold the keys, each with the section and change of fields that name none."""
+
+_RIG = Settings.DESCRIPTIONS["rig"]
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of the config file.
+
+    Attributes
+    ----------
+    section, name : str
+        Where it stands, "" for the top, and what it is called there.
+    owner, field : type, str
+        The class and its field that hold the value.
+    description : Description
+        What it means and may hold.
+    default : object
+        None where there is none.
+    change : str
+        What a change of it needs while the daemon runs, one of `CHANGES`.
+    """
+
+    section: str
+    name: str
+    owner: type[Described]
+    field: str
+    description: Description
+    default: Any
+    change: str
+
+    @property
+    def flag(self) -> str:
+        """The command-line option that sets it, "" if none does."""
+        return self.description.flag
+
+    @property
+    def metavar(self) -> str:
+        """What help shows in place of the option's value."""
+        described = self.description
+        words = "|".join(map(str, described.words)) if isinstance(described, Choice) else ""
+        unit = described.unit.upper() if isinstance(described, Number) else ""
+        return described.metavar or words or unit
+
+    @property
+    def shown_default(self) -> str:
+        """The default as help and README show it, "" where there is none."""
+        if self.default is None:
+            return ""
+        if isinstance(self.default, bool):
+            return str(self.default).lower()
+        if isinstance(self.default, tuple):
+            return ", ".join(self.default)
+        return f"{self.default:g}" if isinstance(self.default, float) else str(self.default)
+
+    @property
+    def help(self) -> str:
+        """Its meaning, what is allowed and the default, for the command line."""
+        described = self.description
+        parts = [described.meaning]
+        if not isinstance(described, Switch):
+            words_shown = isinstance(described, Choice) and not described.metavar
+            parts += [] if words_shown else [described.allowed]
+            parts += [f"default: {self.shown_default}"] if self.shown_default else []
+        return "; ".join(parts)
+
+    def json_schema(self) -> dict[str, Any]:
+        """Return the JSON Schema of its value."""
+        schema = {"description": self.help, **self.description.json_schema()}
+        if self.default is None:
+            return schema
+        default = list(self.default) if isinstance(self.default, tuple) else self.default
+        return {**schema, "default": default}
+
+
+def _keys() -> tuple[Key, ...]:
+    found = []
+    for owner, section, change in _OWNERS:
+        for field, described in owner.DESCRIPTIONS.items():
+            if owner is ActuatorSettings and field == "rig":  # with a look at the file
+                named, change_of_rig = described.meaning, described.change
+                described = replace(_RIG, meaning=named, change=change_of_rig, flag="", metavar="")
+            default = getattr(owner, field, MISSING)
+            key = Key(
+                described.section or section,
+                described.name or field,
+                owner,
+                field,
+                described,
+                None if default is MISSING else default,
+                described.change or change,
+            )
+            found.append(key)
+    return tuple(sorted(found, key=lambda key: SECTIONS.index(key.section)))
+
+
+KEYS = _keys()
+"""Every key, section by section."""
+
+
+def keys_of(section: str) -> dict[str, Key]:
+    """Return the keys of a section by name."""
+    return {key.name: key for key in KEYS if key.section == section}
+
+
+def option(field: str) -> Key:
+    """Return the key of a field that the command line can set."""
+    return next(key for key in KEYS if key.field == field and key.flag)
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of the config file, for editors."""
+    root = _table("")
+    for section in SECTIONS[1:]:
+        table = _table(section)
+        if section == ACTUATOR:
+            table = {"type": "array", "minItems": 1, "items": {**table, "required": ["channels"]}}
+        root["properties"][section] = table
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Configuration of Haptic Cushion",
+        **root,
+    }
+
+
+def _table(section: str) -> dict[str, Any]:
+    keys = keys_of(section)
+    properties = {name: key.json_schema() for name, key in keys.items()}
+    for old, new in RENAMED.get(section, {}).items():
+        description = f"Renamed to {new}."
+        properties[old] = {**properties[new], "description": description, "deprecated": True}
+    return {"type": "object", "additionalProperties": False, "properties": properties}

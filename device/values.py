@@ -1,0 +1,263 @@
+"""What a field may hold: described once, beside the field, and checked by one mechanism.
+
+    @dataclass(frozen=True)
+    class Gate(Described):
+        floor_db: Annotated[float, Number("level of a shut gate", -90, -30, "dB")] = -60.0
+
+`Gate(floor_db=0)` raises a UsageError that names every refused field. `Gate.refusals(values)`
+returns the same as a dict. Pure; any thread.
+"""
+
+from __future__ import annotations
+
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, MISSING, dataclass
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self, get_origin, get_type_hints
+
+from device.errors import UsageError
+from device.suggest import nearest
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a value is refused, what is allowed instead, and the allowed name nearest to it."""
+
+    wrong: str
+    allowed: str
+    nearest: str = ""
+
+    def __str__(self) -> str:
+        guess = f"; did you mean {self.nearest}?" if self.nearest else ""
+        return f"{self.wrong}; allowed: {self.allowed}{guess}"
+
+
+@dataclass(frozen=True)
+class Description(ABC):
+    """What one field means and may hold.
+
+    Attributes
+    ----------
+    meaning : str
+        What the field is for, in a few words.
+    name : str
+        The name that users know it by, where that is not the field's name.
+    section : str
+        The section of a config file that holds it, where that is not its class's section.
+    flag : str
+        The command-line option that sets it, if any.
+    metavar : str
+        What help shows in place of the option's value.
+    change : str
+        What a change needs while the program runs, where that is not the same for the whole class.
+    """
+
+    meaning: str
+    _: KW_ONLY
+    name: str = ""
+    section: str = ""
+    flag: str = ""
+    metavar: str = ""
+    change: str = ""
+
+    @property
+    @abstractmethod
+    def allowed(self) -> str:
+        """What is allowed, in words."""
+
+    @abstractmethod
+    def refuse(self, value: object) -> Refusal | None:
+        """Return why a value of any type is refused, None if it is accepted."""
+
+    @abstractmethod
+    def json_schema(self) -> dict[str, Any]:
+        """Return the JSON Schema of the values that are accepted."""
+
+    def resolved(self, value: object, folder: Path) -> object:
+        """Return the value with a path in it made relative to a folder; others as they are."""
+        return value
+
+    def typed(self, value: Any) -> Any:
+        """Return an accepted value in the type that the field has."""
+        return value
+
+
+@dataclass(frozen=True)
+class Number(Description):
+    """A number from low to high, both included. `whole` allows whole numbers only."""
+
+    low: float
+    high: float
+    unit: str = ""
+    whole: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """The range with its unit."""
+        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+    def refuse(self, value: object) -> Refusal | None:
+        """Refuse what is not a number (True is none), and what is out of range, such as NaN."""
+        if isinstance(value, bool) or not isinstance(value, int if self.whole else (int, float)):
+            return Refusal(f"is not a {'whole ' * self.whole}number", self.allowed)
+        return None if self.low <= value <= self.high else Refusal("is out of range", self.allowed)
+
+    def json_schema(self) -> dict[str, Any]:
+        """Return a number with its limits."""
+        kind = "integer" if self.whole else "number"
+        return {"type": kind, "minimum": self.low, "maximum": self.high}
+
+    def typed(self, value: Any) -> Any:
+        """Return a float, or the whole number."""
+        return value if self.whole else float(value)
+
+
+@dataclass(frozen=True)
+class Choice(Description):
+    """One of several words or whole numbers. `aliases` are accepted, too, but not offered."""
+
+    words: tuple[str, ...] | tuple[int, ...]
+    unit: str = ""
+    aliases: tuple[str, ...] = ()
+
+    @property
+    def allowed(self) -> str:
+        """All words."""
+        return f"{', '.join(map(str, self.words))} {self.unit}".rstrip()
+
+    def refuse(self, value: object) -> Refusal | None:
+        """Refuse what is none of the words, or of another type."""
+        if type(value) is type(self.words[0]) and value in (*self.words, *self.aliases):
+            return None
+        guess = nearest(value, map(str, self.words)) if isinstance(value, str) else ""
+        return Refusal("is not known", self.allowed, guess)
+
+    def json_schema(self) -> dict[str, Any]:
+        """Return an enumeration."""
+        return {"enum": [*self.words, *self.aliases]}
+
+
+@dataclass(frozen=True)
+class Switch(Description):
+    """True or false."""
+
+    @property
+    def allowed(self) -> str:
+        """Both words of TOML."""
+        return "true, false"
+
+    def refuse(self, value: object) -> Refusal | None:
+        """Refuse everything but True and False, 0 and 1 included."""
+        return None if isinstance(value, bool) else Refusal("is not true or false", self.allowed)
+
+    def json_schema(self) -> dict[str, Any]:
+        """Return a boolean."""
+        return {"type": "boolean"}
+
+
+@dataclass(frozen=True)
+class Text(Description):
+    """A text that is not empty. `grammar` says in words how it is written."""
+
+    grammar: str = "a text that is not empty"
+
+    @property
+    def allowed(self) -> str:
+        """The grammar."""
+        return self.grammar
+
+    def refuse(self, value: object) -> Refusal | None:
+        """Refuse an empty text and every other type."""
+        return None if isinstance(value, str) and value else Refusal("is no text", self.allowed)
+
+    def json_schema(self) -> dict[str, Any]:
+        """Return a string."""
+        return {"type": "string", "minLength": 1}
+
+
+class Described:
+    """Base of dataclasses whose fields are described: `Annotated[type, Number(...)]`.
+
+    The descriptions are appended to the class's docstring.
+
+    Raises
+    ------
+    UsageError
+        Constructing one with refused values names all of them.
+    """
+
+    DESCRIPTIONS: ClassVar[Mapping[str, Description]] = {}
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        hints = get_type_hints(cls, include_extras=True)
+        hints = {name: hint for name, hint in hints.items() if get_origin(hint) is Annotated}
+        cls.DESCRIPTIONS = {name: hint.__metadata__[0] for name, hint in hints.items()}
+        text = inspect.cleandoc(cls.__doc__ or "")
+        text += "" if "\nAttributes\n---" in text else "\n\nAttributes\n----------"
+        for name, described in cls.DESCRIPTIONS.items():
+            kind = getattr(hints[name].__origin__, "__name__", hints[name].__origin__)
+            meaning = f"{described.meaning[0].upper()}{described.meaning[1:]}"
+            text += f"\n{name} : {kind}\n    {meaning}. Allowed: {described.allowed}."
+        cls.__doc__ = text
+
+    def __post_init__(self) -> None:
+        values = vars(self)
+        found = []
+        for name, refusal in self.refusals(values).items():
+            described = self.DESCRIPTIONS.get(name)
+            shown = f"{described.name or name}={_shown(values[name])}" if described else name
+            found.append(f"{shown} {refusal}")
+        if found:
+            raise UsageError("; ".join(found))
+
+    @classmethod
+    def defaults(cls) -> dict[str, Any]:
+        """Return the default of every described field that has one."""
+        return {name: getattr(cls, name) for name in cls.DESCRIPTIONS if hasattr(cls, name)}
+
+    @classmethod
+    def refusals(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
+        """Return why values of any type are refused, by field; absent ones are the defaults.
+
+        None is accepted where it is the default. Unknown names are the caller's to report.
+        """
+        found: dict[str, Refusal] = {}
+        accepted = {**values}
+        for name, described in cls.DESCRIPTIONS.items():
+            default = getattr(cls, name, MISSING)
+            value = accepted[name] = values.get(name, default)
+            refusal = described.refuse(value)
+            if value is MISSING:
+                refusal = Refusal("is missing", described.allowed)
+            if refusal and not (value is default is None):
+                found[name] = refusal
+                del accepted[name]
+        return found | cls.contradictions(accepted)
+
+    @classmethod
+    def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
+        """Return which fields contradict others. values: those accepted one by one."""
+        return {}
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> Self:
+        """Return an instance of values as a config file or a capture has them.
+
+        Raises
+        ------
+        UsageError
+            One of them is refused.
+        """
+        if found := cls.refusals(values):
+            raise UsageError("; ".join(f"{name} {refusal}" for name, refusal in found.items()))
+        known = cls.DESCRIPTIONS
+        return cls(**{n: known[n].typed(v) if n in known else v for n, v in values.items()})
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, tuple) and value:
+        return ",".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else repr(value)

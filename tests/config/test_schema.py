@@ -1,0 +1,373 @@
+"""The one schema: mistakes of every kind at once, old names, JSON Schema, help, live changes."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import fastjsonschema
+import pytest
+
+from audioflinger_hook.config import file as config
+from audioflinger_hook.config.schema import CHANGES, KEYS, RENAMED, json_schema, keys_of
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.daemon.capture_settings import settings_from
+from audioflinger_hook.effect.haptic_parameters import HAPTIC_PARAMETERS
+from audioflinger_hook.transform import TransformParameters
+from device.drive import ActuatorSettings
+from device.errors import UsageError
+from device.values import Choice, Number
+from tests.support.commands import call, listing, noise, sound
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text()
+
+MISTAKES = """\
+profil = "game"
+damping = "aut"
+gain_db = "loud"
+rig = 3
+tap = []
+block_frames = 300
+[aplications]
+include = ["a"]
+[transform]
+window_s = 9
+threshold = 0.3
+partials_max = 2.5
+band_low_hz = 400
+band_high_hz = 500
+follower_db = 50
+loudness_gate_db = 5
+follower_gate_db = 5
+[[actuator]]
+channels = [0, 0]
+delay_ms = true
+polarity == "normal"
+[[actuator]]
+sorce = "left"
+"""
+
+EXPECTED = [
+    (1, "profil", '"game"', "is an unknown key", "profile, damping, ", "profile"),
+    (2, "damping", '"aut"', "is not known", "off, auto", "auto"),
+    (3, "gain_db", '"loud"', "is not a number", "-60 to 0 dB", ""),
+    (4, "rig", "3", "is not a name", "paper, consumer, or a file, NAME.toml", ""),
+    (5, "tap", "[]", "is a list of no taps", "default, sink:NAME", ""),
+    (6, "block_frames", "300", "is not known", "128, 256, 512, 1024 frames", ""),
+    (7, "aplications", "", "is an unknown key", "profile, damping, ", "[applications]"),
+    (10, "transform.window_s", "9", "is out of range", "0.01 to 0.2 s", ""),
+    (11, "transform.threshold", "0.3", "is an unknown key", "transform, ", "threshold_hz"),
+    (12, "transform.partials_max", "2.5", "is not a whole number", "1 to 64", ""),
+    (14, "transform.band_high_hz", "500", "is under twice band_low_hz=400", "at least 800 Hz", ""),
+    (15, "transform.follower_db", "50", "is out of range", "0 to 40 dB", ""),
+    (
+        17,
+        "transform.follower_gate_db",
+        "5",
+        "is the old name of transform.loudness_gate_db, which is given, too",
+        "loudness_gate_db alone",
+        "",
+    ),
+    (19, "actuator[1].channels", "[0, 0]", "names a channel twice", "each channel once", ""),
+    (20, "actuator[1].delay_ms", "true", "is not a number", "0 to 500 ms", ""),
+    (21, 'polarity == "normal"', "", "is not TOML", "key = value", ""),
+    (22, "actuator[2].channels", "", "is missing", "a list of channels", ""),
+    (23, "actuator[2].sorce", '"left"', "is an unknown key", "channels, source", "source"),
+]
+
+OLD_NAMES = """\
+profile = "game"
+[transform]
+form = "live"
+follower_db = 20
+follower_slope_db = 6.5
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "config.toml"
+    path.write_text(text)
+    return path
+
+
+# --- mistakes
+
+
+def test_mistakes_of_every_kind_are_named_at_once(tmp_path: Path) -> None:
+    path = written(tmp_path, MISTAKES)
+    found, mistakes = config.check(path)
+    assert found is None
+    assert len(mistakes) == len(EXPECTED)
+    for mistake, (line, key, value, problem, allowed, nearest) in zip(
+        mistakes, EXPECTED, strict=True
+    ):
+        assert (mistake.line, mistake.key, mistake.value) == (line, key, value)
+        assert mistake.problem.startswith(problem)
+        assert mistake.allowed.startswith(allowed)
+        assert mistake.nearest == nearest
+    done = call("check", "--config", path)
+    assert done.code == 2
+    lines = done.stderr.splitlines()
+    assert len(lines) == len(EXPECTED)
+    for message, expected in zip(lines, EXPECTED, strict=True):
+        line, key, value, problem, allowed, nearest = expected
+        assert message.startswith(f"cushion: error: {path}: line {line}: {key}")
+        for part in (value, problem, f"; allowed: {allowed}"):
+            assert part in message
+        assert message.endswith(f"; did you mean {nearest}?") == bool(nearest)
+
+
+@pytest.mark.parametrize(
+    ("text", "nearest"),
+    [
+        ("window_s = 0.05\n", "window_s in [transform]"),
+        ('[transform]\nprofile = "game"\n', "profile above all sections"),
+        ("zzz = 1\n", ""),
+    ],
+)
+def test_an_unknown_key_names_the_section_that_knows_it(
+    tmp_path: Path, text: str, nearest: str
+) -> None:
+    _, (mistake,) = config.check(written(tmp_path, text))
+    assert mistake.nearest == nearest
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    [
+        (TransformParameters, {"window_s": 9, "mapping": "jnx", "partials_max": 0.5}),
+        (Settings, {"profile": "loud", "gain_db": 3, "rig": "none", "damping": True}),
+        (LiveSettings, {"tap": ("a", "b"), "device": "usb:x", "realtime": 1, "offset_ms": 1e9}),
+        (ActuatorSettings, {"channels": (), "polarity": "up", "delay_ms": -1.0}),
+    ],
+)
+def test_a_constructor_names_every_refused_value(kind: type[Any], wrong: dict[str, Any]) -> None:
+    with pytest.raises(UsageError) as error:
+        kind(**wrong)
+    for name in wrong:
+        assert re.search(rf"(^|; ){name}=", str(error.value))
+    assert str(error.value).count("allowed: ") == len(wrong)
+
+
+def test_settings_name_the_mistakes_of_several_actuators_together() -> None:
+    with pytest.raises(UsageError) as error:
+        Settings(
+            gain_db=1.0,
+            channels="each",
+            actuators=(ActuatorSettings((0,), rig="none"), ActuatorSettings((0,))),
+        )
+    for part in (
+        "gain_db=1 ",
+        "channels='each'",
+        "actuator[1].rig = 'none' is",
+        "actuator[2] wants",
+    ):
+        assert part in str(error.value)
+
+
+# --- old names
+
+
+def test_old_names_work_with_one_warning_that_names_both(tmp_path: Path) -> None:
+    path = written(tmp_path, OLD_NAMES)
+    expected = (
+        "line 3: transform.form is now transform.transform, "
+        "line 4: transform.follower_db is now transform.loudness_db, "
+        "line 5: transform.follower_slope_db is now transform.loudness_slope_db; "
+        "the next release knows the new names only"
+    )
+    found = config.load(path)
+    new = OLD_NAMES.replace("follower", "loudness").replace("form =", "transform =")
+    assert found.warning == expected
+    assert replace(found, warning="") == config.load(written(tmp_path, new))
+    assert found.settings.parameters.loudness_db == 20.0
+    assert found.settings.said == ("loudness_db", "loudness_slope_db")
+
+    path.write_text(OLD_NAMES)
+    checked = call("check", "--config", path)
+    warned = f"cushion: warning: {path}: {expected}\n"
+    assert (checked.code, checked.stdout, checked.stderr) == (0, f"{path}: no mistakes\n", warned)
+    source = sound(tmp_path / "in.wav", noise(3_000))
+    for _ in range(2):
+        done = call("render", source, tmp_path / "out.wav", "--config", path, "--json")
+        assert (done.code, json.loads(done.stdout)["profile"]) == (0, "game")
+        assert done.stderr in (warned, "")
+    assert "out.wav" in listing(tmp_path)
+
+
+def test_a_capture_with_old_names_is_still_read() -> None:
+    facts: dict[str, str | int | float | bool] = {
+        "form": "live",
+        "profile": "music",
+        "follower_db": 12.0,
+        "follower_gate_db": 7.0,
+        "said": "follower_db,partials_max",
+        "partials_max": 3,
+    }
+    settings = settings_from(facts)
+    assert settings is not None
+    assert settings.parameters.loudness_db == 12.0
+    assert settings.parameters.loudness_gate_db == 7.0
+    assert settings.said == ("loudness_db", "partials_max")
+
+
+# --- JSON Schema
+
+
+def accepts(document: object) -> bool:
+    try:
+        fastjsonschema.validate(json_schema(), document)
+    except fastjsonschema.JsonSchemaValueException:
+        return False
+    return True
+
+
+def test_check_prints_the_schema_and_needs_no_config(tmp_path: Path) -> None:
+    done = call("check", "--schema", "--config", tmp_path / "none.toml")
+    assert (done.code, done.stderr) == (0, "")
+    printed = json.loads(done.stdout)
+    assert printed == json_schema()
+    assert printed["$schema"] == "https://json-schema.org/draft/2020-12/schema"
+
+
+def test_the_schema_uses_words_of_json_schema_with_values_of_their_types() -> None:
+    types: dict[str, type | tuple[type, ...]] = {
+        "$schema": str,
+        "title": str,
+        "type": str,
+        "description": str,
+        "deprecated": bool,
+        "default": object,
+        "properties": dict,
+        "additionalProperties": bool,
+        "required": list,
+        "items": dict,
+        "minItems": int,
+        "uniqueItems": bool,
+        "anyOf": list,
+        "enum": list,
+        "minimum": (int, float),
+        "maximum": (int, float),
+        "minLength": int,
+        "pattern": str,
+    }
+
+    def look(schema: dict[str, Any]) -> None:
+        for word, value in schema.items():
+            assert isinstance(value, types[word]), word
+        assert schema.get("type", "object") in (
+            *("object", "array", "string"),
+            *("number", "integer", "boolean"),
+        )
+        for inner in [*schema.get("properties", {}).values(), *schema.get("anyOf", [])]:
+            look(inner)
+        if "items" in schema:
+            look(schema["items"])
+
+    look(json_schema())
+
+
+def test_the_schema_accepts_the_examples_of_the_readme_and_every_default() -> None:
+    after = README[README.index("\n## The config file") :]
+    examples = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", after, re.DOTALL)]
+    configs = [example for example in examples if "project" not in example]
+    assert len(configs) == 3
+    assert all(map(accepts, configs))
+    # All keys of the example, those in comments included.
+    example = re.findall(r"```toml\n(.*?)```", after, re.DOTALL)[0]
+    document = tomllib.loads(re.sub(r"^# (\w+ = )", r"\1", example, flags=re.MULTILINE))
+    assert accepts(document)
+    assert accepts({})
+    for key in KEYS:
+        if key.section == "":
+            assert key.name in document
+        default = key.json_schema().get("default")
+        if default is not None:
+            fastjsonschema.validate(key.json_schema(), default)
+
+
+@pytest.mark.parametrize(("_line", "key", "_value", "_problem", "_allowed", "_nearest"), EXPECTED)
+def test_the_schema_refuses_what_the_check_refuses_of_single_keys(
+    _line: int, key: str, _value: str, _problem: str, _allowed: str, _nearest: str
+) -> None:
+    text = MISTAKES.replace('polarity == "normal"\n', "")
+    document = tomllib.loads(text)
+    section, _, name = key.rpartition(".")
+    table = re.sub(r"\[\d+\]", "", section)
+    index = int(section[-2]) - 1 if "[" in section else None
+    holder = document if not table else document[table] if index is None else document[table][index]
+    if name not in holder and name != "channels":
+        return  # the line that is no TOML
+    if name in ("band_high_hz", "follower_gate_db"):
+        return  # contradictions are for the check alone
+    one = {name: holder[name]} if name in holder else {}
+    if index is not None and name != "channels":
+        one |= {"channels": [0]}
+    inner: Any = one if index is None else [one]
+    assert not accepts({table: inner} if table else one)
+
+
+@pytest.mark.parametrize("key", KEYS, ids=lambda key: f"{key.section}.{key.name}")
+def test_check_and_schema_agree_on_the_edges_of_every_key(key: Any) -> None:
+    described = key.description
+    values: list[object] = [True, "", "no such thing: x", 1.5, [], ["a"], {}]
+    if isinstance(described, Number):
+        values += [described.low, described.high, described.low - 1, described.high + 1]
+    if isinstance(described, Choice):
+        values += [*described.words]
+    for value in values:
+        in_schema = True
+        try:
+            fastjsonschema.validate(key.json_schema(), value)
+        except fastjsonschema.JsonSchemaValueException:
+            in_schema = False
+        refused = described.refuse(value) is not None
+        # The schema knows no files and no grammar of addresses; else they are the same.
+        if isinstance(described, (Number, Choice)) or not in_schema:
+            assert in_schema != refused, value
+
+
+# --- the rest that comes from the schema
+
+
+def test_every_setting_is_a_key_and_every_key_is_a_setting() -> None:
+    not_keys = {"parameters", "said", "actuators"}
+    for owner in (Settings, LiveSettings, TransformParameters, ActuatorSettings):
+        held = {key.field for key in KEYS if key.owner is owner}
+        assert held == {field.name for field in fields(owner)} - not_keys
+    for key in KEYS:
+        assert key.change in CHANGES
+        assert key.description.meaning
+        assert key.name == key.flag.removeprefix("--").replace("-", "_") or not key.flag
+    for section, renamed in RENAMED.items():
+        assert set(renamed.values()) <= keys_of(section).keys()
+        assert not renamed.keys() & keys_of(section).keys()
+
+
+def test_the_effect_has_the_ranges_of_the_schema() -> None:
+    parameters = {parameter.name: parameter for parameter in HAPTIC_PARAMETERS}
+    for key in (*keys_of("transform").values(), keys_of("")["gain_db"]):
+        if key.field == "channels":
+            continue  # the effect's is called per_channel
+        parameter = parameters[key.field]
+        assert parameter.default == key.default
+        if isinstance(key.description, Number):
+            assert (parameter.low, parameter.high) == (key.description.low, key.description.high)
+            assert parameter.unit == key.description.unit
+        else:
+            assert isinstance(key.description, Choice)
+            assert parameter.choices == key.description.words
+
+
+@pytest.mark.parametrize("command", ["run", "render", "replay", "demo"])
+def test_help_says_of_every_key_what_it_means_and_its_default(command: str) -> None:
+    text = " ".join(call(command, "--help").stdout.split())
+    shown = [key for key in KEYS if key.flag and re.search(rf"{key.flag}\b(?!-)", text)]
+    assert shown
+    for key in shown:
+        assert " ".join(key.help.split()) in text
