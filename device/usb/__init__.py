@@ -1,22 +1,22 @@
-"""USB audio devices: which there are, which one is meant, and whether it is still there.
+"""USB audio devices: finding them, naming them, and following them as they come and go.
 
-    sysfs.py --> identity.py --> mapping.py        what is there, its name, its cards and sinks
-        `------> presence.py, uevents.py           what comes and goes
-        `------> pyusb_access.py                   what only the device itself can tell
-    descriptors/                                   what it says that it is, from raw bytes
+    sysfs.py                    devices, as the kernel lists them
+    identity.py, mapping.py     their names, sound cards and sinks
+    presence.py, uevents.py     devices that appear and vanish
+    pyusb_access.py             descriptors and strings that only the device knows
+    control.py, requests.py     volume, mute and rate of a device without a driver
+    take_over.py, guardian.py   taking a device from its driver, and giving it back
+    descriptors/                raw descriptors, decoded
 
-`find_devices` needs neither permission nor library. PyUSB is imported only when something is asked
-of a device that the kernel does not tell; no driver is ever detached here, since that would take
-the sound card away from whoever plays on it.
+`find_devices` needs neither a permission nor a library. PyUSB is imported only for questions that
+the kernel cannot answer. Only take_over.py detaches a driver.
 """
 
 from device.usb.errors import NoLibusbError, NoUsbBusError, NoUsbDeviceError, UsbAccessError
-from device.usb.identity import UsbIdentity, find_again, find_one, identify, matching
-from device.usb.sysfs import AlsaCard, AudioInterface, Found, UsbAudioDevice, find_devices
+from device.usb.identity import UsbIdentity, find_one, identify
+from device.usb.sysfs import Found, UsbAudioDevice, find_devices
 
 __all__ = [
-    "AlsaCard",
-    "AudioInterface",
     "Found",
     "NoLibusbError",
     "NoUsbBusError",
@@ -24,9 +24,7 @@ __all__ = [
     "UsbAccessError",
     "UsbAudioDevice",
     "UsbIdentity",
-    "find_again",
     "find_devices",
     "find_one",
     "identify",
-    "matching",
 ]

@@ -13,13 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from device.usb import requests
-from device.usb.descriptors import (
-    FeatureControl,
-    PlaybackFormat,
-    RateRange,
-    parse_whole,
-    playback_formats,
-)
+from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
+from device.usb.descriptors.entities import FeatureControl
 from device.usb.errors import NoUsbDeviceError, UsbAccessError
 from device.usb.pyusb_access import open_device, read_descriptors
 from device.usb.requests import Request, VolumeRange

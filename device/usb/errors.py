@@ -1,7 +1,7 @@
 """Why a USB audio device cannot be found or opened: four reasons with four remedies.
 
-They look alike to whoever only sees an empty list, but a container without a bus, a missing
-library, a missing permission and an unplugged cable want different things of the user.
+An empty list would hide them: a container without a bus, a missing library, a missing permission
+and an unplugged cable.
 """
 
 from __future__ import annotations

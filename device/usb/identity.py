@@ -1,8 +1,8 @@
-"""Which USB device is meant: names that last beyond unplugging, and what a name leads to.
+"""Names of USB devices that survive unplugging, and the devices that a name means.
 
-A name is vendor, product and serial; makers who give every unit the same serial, or none, leave
-only the port to tell two of a kind apart. The number of a sound card and the address on the bus
-are no part of it: both change from one plugging in to the next. Pure functions.
+A name is vendor, product and serial. Where a maker gives every unit the same serial, or none, the
+port is added. The number of a sound card and the address on the bus are not part of the name,
+since both change at every plugging. Pure functions.
 
 A port is named as the kernel does: the number of the bus, then a port of each hub. It stays over a
 reboot as long as the machine keeps its USB controllers.
@@ -28,14 +28,21 @@ _NAME = re.compile(
 
 @dataclass(frozen=True)
 class UsbIdentity:
-    """A USB device by name. serial, port: "" for any.
+    """A USB device by name.
 
-    vendor_id, product_id: four hexadecimal digits each, kept in lower case.
+    Parameters
+    ----------
+    vendor_id, product_id : str
+        Four hexadecimal digits each, kept in lower case.
+    serial : str
+        Serial number, "" for any.
+    port : str
+        Port as the kernel names it, "" for any.
 
     Raises
     ------
     UsageError
-        No device can be named like this.
+        No device can have this name.
     """
 
     vendor_id: str
@@ -84,10 +91,16 @@ class UsbIdentity:
 
 
 def identify(device: UsbAudioDevice, present: Iterable[UsbAudioDevice]) -> UsbIdentity:
-    """Return the name to keep of a device: it leads to no other one, now or after plugging.
+    """Return a name that means this device alone, also after it was plugged in again.
 
-    present: all that are there, with this device or without. With a serial of its own a device
-    keeps its name in every port; else the port is a part of it.
+    With a unique serial the name holds for every port, else it includes the port.
+
+    Parameters
+    ----------
+    device : UsbAudioDevice
+        The device.
+    present : iterable of UsbAudioDevice
+        All present devices, with or without this one.
     """
     bare = UsbIdentity(device.vendor_id, device.product_id)
     twins = any(other.port != device.port and _same_kind(other, device) for other in present)
@@ -107,14 +120,21 @@ def matching(
 
 
 def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
-    """Return the device that a name leads to.
+    """Return the device that a name means.
+
+    Parameters
+    ----------
+    identity : UsbIdentity
+        The name.
+    found : Found
+        The present devices.
 
     Raises
     ------
     NoUsbBusError, NoUsbDeviceError
-        There is none. The message lists those that are there.
+        No device has the name; the message lists the present ones.
     NotFoundError
-        There are several; nothing is chosen among them. The message says how to name one.
+        Several devices have it; the message says how to name one.
     """
     matches = matching(identity, found.devices)
     if len(matches) == 1:
@@ -125,9 +145,9 @@ def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
             f"{describe(matches, found.devices)}; name one as written here"
         )
     if not found.devices and found.reason is not None:
-        raise type(found.reason)(f"{identity} is not there: {found.reason}")
+        raise type(found.reason)(f"{identity} is missing: {found.reason}")
     raise NoUsbDeviceError(
-        f"{identity} is not there: plug it in, or name one of "
+        f"{identity} is missing: plug it in, or name one of "
         f"{describe(found.devices, found.devices)}"
     )
 
@@ -137,9 +157,8 @@ def find_again(
 ) -> UsbAudioDevice | None:
     """Return the device that was pulled out, now that it is back; None while that is not sure.
 
-    before: those that were there with it. In the same port it is itself. In another one it is,
-    where it was the only one of its kind and serial, and there is only one now: of two alike
-    nobody can tell which came back.
+    before: the devices that were present with it. In the same port it is the same device. In
+    another port it is the same if its kind and serial were unique, before and now.
     """
     alike = [device for device in now if _same_kind(device, gone)]
     for device in alike:

@@ -1,9 +1,8 @@
 """USB devices, their sound cards, ALSA's names of them and a sound server's sinks, both ways.
 
-Pure functions on what `find_devices` and a snapshot of the server say. A sink's own words are
-taken in the order of how much they can be trusted: the place in /sys, which one device at a time
-can have; the number of its sound card, as long as the ids agree; ids and serial, if they are of
-one device only. A sink whose device has gone never leads to another device.
+Pure functions of `find_devices` and a snapshot of the server. A sink's properties are used in the
+order of their reliability: its path in /sys, then the number of its sound card if the ids agree,
+then ids and serial if they are unique. A sink whose device has gone never leads to another device.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ def device_of_name(name: str, devices: Iterable[UsbAudioDevice]) -> UsbAudioDevi
 
 
 def device_of_sink(sink: Sink, devices: Iterable[UsbAudioDevice]) -> UsbAudioDevice | None:
-    """Return the device that a sink plays on; None if it is none of these, or nobody can tell."""
+    """Return the device that a sink plays on, or None if that is unknown."""
     known = tuple(devices)
     place = sink.properties.get("sysfs.path", "")
     if place:

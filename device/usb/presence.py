@@ -1,9 +1,8 @@
 """Which USB audio devices come and go, noticed at the next poll and at little cost.
 
-There is no thread and no sleep in here: whoever watches calls `poll` as often as it wants to know.
-What polling compares are names, of which the kernel keeps the lists anyway, and of each device its
-folder and node: pulled and plugged within one poll it has the same name, but not the same node.
-Only where something differs are devices read again, in some milliseconds.
+The caller calls `poll`; there is no thread and no sleep. Polling compares the kernel's lists of
+names, and each device's folder and node. A device that was replugged between two polls has the
+same name but another node. Devices are read again only after a difference, in some milliseconds.
 """
 
 from __future__ import annotations
@@ -19,11 +18,10 @@ from device.usb.uevents import Uevents
 
 @dataclass(frozen=True)
 class PresenceChange:
-    """What differs from the poll before; empty, and false, where nothing does.
+    """The differences from the poll before; false where there are none.
 
-    appeared, vanished: devices; one that was pulled and plugged again in between is in both.
-    changed: devices that stayed, as they are now, such as one whose sound card came up at last.
-    time_s: of the poll.
+    appeared, vanished: a device that was replugged in between is in both. changed: the present
+    state of devices that stayed, such as one whose sound card came up. time_s: time of the poll.
     """
 
     time_s: float
@@ -80,12 +78,12 @@ class PresenceWatch:
 
     def poll(self, now_s: float) -> PresenceChange:
         """Return what changed since the poll before. now_s: of any clock; it is only passed on."""
-        told = self._uevents is not None and self._uevents.drain()
+        reported = self._uevents is not None and self._uevents.drain()
         traces = self._look()
-        if traces == self._traces and not told:
+        if traces == self._traces and not reported:
             return PresenceChange(now_s)
         before = self._found.devices
-        # Kept as seen before the reading: what happens meanwhile differs at the next poll.
+        # taken before the reading, so a change during it is a difference at the next poll
         self._traces = traces
         self._read()
         return replace(_difference(before, self._found.devices), time_s=now_s)

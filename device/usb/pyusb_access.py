@@ -1,8 +1,7 @@
-"""What only a device itself can tell, asked through PyUSB: descriptors and strings, no more.
+"""Descriptors and strings that a device is asked for through PyUSB.
 
-The kernel tells nearly all of it in /sys, and is asked first. Opening a device for these questions
-leaves its driver and its sound card alone. Questions take milliseconds, up to seconds from a
-device that does not answer.
+/sys has nearly all of them and is read first. Opening a device for these requests does not affect
+its driver or sound card. Requests take milliseconds, or seconds if the device does not answer.
 """
 
 from __future__ import annotations
@@ -77,9 +76,9 @@ def open_device(device: UsbAudioDevice) -> Any:
     ids = (int(device.vendor_id, 16), int(device.product_id, 16))
     if handle is None or (handle.idVendor, handle.idProduct) != ids:
         raise NoUsbDeviceError(
-            f"libusb does not see {device.label!r} at {device.node}, which the kernel shows; it "
-            "was pulled out, or in a container libusb learns of no changes: plug it in before "
-            "the program starts, and pass on /dev/bus/usb"
+            f"libusb does not see {device.label!r} at {device.node}, which the kernel shows; plug "
+            "it in again; in a container, plug it in before the program starts, and pass on "
+            "/dev/bus/usb"
         )
     return handle
 

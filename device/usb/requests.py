@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from device.errors import UsageError
-from device.usb.descriptors import VOLUME_UNITS_PER_DB, FeatureControl, PlaybackFormat, RateRange
+from device.usb.descriptors import PlaybackFormat, RateRange
+from device.usb.descriptors.entities import VOLUME_UNITS_PER_DB, FeatureControl
 from device.usb.errors import UsbAccessError
 from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 

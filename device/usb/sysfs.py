@@ -1,8 +1,8 @@
-"""What the kernel tells everyone of USB audio devices: no permission, no library, no opening.
+"""USB audio devices as the kernel lists them, without permission, library or opening.
 
-All of it is read from /sys and /proc, below a `root` that is "/" but for tests. A device that is
-pulled out while it is read is left out, never half described. Reading one device takes about a
-millisecond, but may wait for the device where it is just being plugged in: not for audio threads.
+All of it is read from /sys and /proc, below a `root` that only tests change. A device that is
+pulled out while it is read is left out. Reading one takes about a millisecond, or longer while it
+is being plugged in, so audio threads do not call this.
 """
 
 from __future__ import annotations
@@ -62,12 +62,30 @@ class AlsaCard:
 class UsbAudioDevice:
     """One USB device with an audio interface, as it was at one moment.
 
-    port: the socket, as bus and chain of ports, such as "1-2.3". path: below /sys, such as
-    "/devices/pci0000:00/0000:00:14.0/usb1/1-2". vendor_id, product_id: four hexadecimal digits.
-    manufacturer, product, serial: "" where the device has none; what cannot be printed is "�".
-    bus, address: numbers, the latter another one at every plugging in. speed: Mbit/s, 0 if
-    unknown. max_power_ma: None if unknown. descriptors: as the kernel read them, device descriptor
-    first; b"" where they cannot be read. node: the file through which it is opened.
+    Attributes
+    ----------
+    port : str
+        Bus and chain of ports, such as "1-2.3".
+    path : str
+        Path below /sys, such as "/devices/pci0000:00/0000:00:14.0/usb1/1-2".
+    vendor_id, product_id : str
+        Four hexadecimal digits each.
+    manufacturer, product, serial : str
+        The device's strings, "" for none; unprintable characters are "�".
+    bus, address : int
+        Numbers on the bus; the address changes at every plugging.
+    speed : float
+        Mbit/s, 0 if unknown.
+    max_power_ma : int or None
+        mA, None if unknown.
+    descriptors : bytes
+        Device descriptor first, then the configurations; b"" where they are unreadable.
+    node : Path
+        The file through which it is opened.
+    interfaces : tuple of AudioInterface
+        Its audio interfaces.
+    cards : tuple of AlsaCard
+        Its sound cards.
     """
 
     port: str
@@ -99,7 +117,7 @@ class UsbAudioDevice:
 
     @property
     def label(self) -> str:
-        """What a person calls it, without what tells two of a kind apart."""
+        """Maker and product, for people."""
         return " ".join(filter(None, (self.manufacturer, self.product))) or (
             f"{self.vendor_id}:{self.product_id}"
         )
@@ -107,9 +125,14 @@ class UsbAudioDevice:
 
 @dataclass(frozen=True)
 class Found:
-    """What USB audio devices there are, sorted by port.
+    """The present USB audio devices.
 
-    reason: why none of them plays, to be shown or raised; None as soon as one does.
+    Attributes
+    ----------
+    devices : tuple of UsbAudioDevice
+        Sorted by port.
+    reason : NotFoundError or None
+        Why none of them plays; None if one does.
     """
 
     devices: tuple[UsbAudioDevice, ...]
@@ -122,7 +145,13 @@ class Found:
 
 
 def find_devices(root: Path = ROOT) -> Found:
-    """Return every USB device with an audio interface; what cannot be read raises nothing."""
+    """Return every USB device with an audio interface; unreadable ones are left out.
+
+    Parameters
+    ----------
+    root : Path
+        Folder above /sys and /proc; only tests change it.
+    """
     bus = root / "sys/bus/usb/devices"
     names = names_in(bus)
     if not any(name.startswith("usb") for name in names) and not (root / "dev/bus/usb").is_dir():

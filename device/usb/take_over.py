@@ -82,10 +82,10 @@ class _Guardian:
         self.guard(ControlState(), numbers)
 
     def guard(self, state: ControlState, interfaces: list[int]) -> None:
-        """Tell it what there is to give back, in place of what it was told before."""
+        """Send the state and interfaces to restore, in place of those sent before."""
         assert self._process.stdin is not None
-        told = {**self._place, "state": asdict(state), "interfaces": interfaces}
-        self._process.stdin.write(json.dumps(told) + "\n")
+        restored = {**self._place, "state": asdict(state), "interfaces": interfaces}
+        self._process.stdin.write(json.dumps(restored) + "\n")
         self._process.stdin.flush()
 
     def give_back(self) -> str:
@@ -106,7 +106,7 @@ def _refuse_busy(device: UsbAudioDevice, root: Path) -> None:
                 continue  # it went meanwhile
             if user is not None:
                 raise UsbAccessError(
-                    f"{device.label!r} is in use by {user}; end what plays there, then take it over"
+                    f"{device.label!r} is in use by {user}; end that program, then take it over"
                 )
 
 

@@ -89,11 +89,22 @@ class Interface(Descriptor):
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """All that the bytes of a configuration say.
+    """A decoded configuration.
 
-    header: its own descriptor; interfaces: every alternate setting, as they came; others:
-    descriptors outside any interface; rest: bytes behind the last descriptor that could be read;
-    problems: what is not as the specifications have it, none in strict mode.
+    Attributes
+    ----------
+    header : ConfigurationHeader
+        Its first descriptor.
+    associations : tuple of InterfaceAssociation
+        Groups of interfaces.
+    interfaces : tuple of Interface
+        Every alternate setting, in the device's order.
+    others : tuple of Descriptor
+        Descriptors outside any interface.
+    rest : bytes
+        Bytes behind the last readable descriptor.
+    problems : tuple of Problem
+        Violations of the specifications; none in strict mode.
     """
 
     header: ConfigurationHeader

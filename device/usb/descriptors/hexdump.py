@@ -24,14 +24,17 @@ _SHOWN = 40
 
 
 def parse_hex(text: str) -> bytes:
-    """The bytes that a hex dump shows.
+    """Return the bytes of a hex dump.
 
-    Addresses have to go on as the bytes do, so that a line that got lost is noticed.
+    Parameters
+    ----------
+    text : str
+        The dump; its addresses must be continuous, so that a missing line is noticed.
 
     Raises
     ------
     DescriptorError
-        A line holds something else, a dump has a gap, or there is not one byte.
+        A line holds something else, the dump has a gap, or it is empty.
     """
     found = bytearray()
     base: int | None = None

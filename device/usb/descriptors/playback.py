@@ -1,4 +1,4 @@
-"""What can be played, and how: one `PlaybackFormat` for each alternate setting that takes PCM."""
+"""Formats that can be played: one `PlaybackFormat` for each alternate setting that takes PCM."""
 
 from __future__ import annotations
 
@@ -15,20 +15,42 @@ from device.usb.descriptors.topology import Topology, topologies
 class PlaybackFormat:
     """One way to play: choose `alternate` of `interface`, send frames to `endpoint_address`.
 
-    uac: 1 or 2. encodings: what the bits of a sample mean, "PCM" usually. channel_config: a bit a
-    loudspeaker position of the first channels, 0 where unknown (`position_names`).
-    subslot_bytes: of one sample; bits: its upper ones, which mean something.
-    samplerates: Hz, singly or a range; None where `clock_id` has to be asked (2.0).
-    clock_id: the clock that the terminal names, None in 1.0; clock_sources: the clock sources
-    that it can come from.
-    packet_bytes_max: of one (micro)frame; interval: bInterval. synchronisation: whose clock it
-    follows. feedback_endpoint: the address of the endpoint that says how fast the device plays,
-    None without one; implicit_feedback: that is a recording endpoint, whose packets say it.
-    control_interface: the interface that requests to the function's units go to, None where it is
-    not there. path: the ids from the USB terminal to the output terminal, () without a way.
-    feature_unit: of those on the path the first whose volume, or else mute, can be set, or else
-    the first; volume_channels, mute_channels: its channels where the host can set that, 0 is the
-    master. Volumes are in 1/256 dB (`VOLUME_UNITS_PER_DB`).
+    Volumes are in 1/256 dB (`VOLUME_UNITS_PER_DB`).
+
+    Attributes
+    ----------
+    interface, alternate, endpoint_address : int
+        Interface, its alternate setting, and the endpoint for the samples.
+    uac : int
+        Version of USB Audio, 1 or 2.
+    encodings : tuple of str
+        Encodings of a sample, usually "PCM".
+    channels, channel_config : int
+        Channels; one bit a loudspeaker position, 0 where unknown (`position_names`).
+    subslot_bytes, bits : int
+        Bytes of a sample, and its significant upper bits.
+    samplerates : tuple of int, RateRange or None
+        Hz; None where the clock `clock_id` has to be asked (2.0).
+    clock_id : int or None
+        Clock of the terminal, None in 1.0.
+    clock_sources : tuple of int
+        Clock sources that may drive it.
+    packet_bytes_max, interval : int
+        Bytes of one (micro)frame, and bInterval.
+    synchronisation : Synchronisation
+        The clock that the endpoint follows.
+    feedback_endpoint : int or None
+        Address of the endpoint that reports the device's rate.
+    implicit_feedback : bool
+        Whether that is a recording endpoint, whose packets give the rate.
+    control_interface : int or None
+        Interface for requests to the function's units.
+    path : tuple of int
+        Ids from the USB terminal to the output terminal; empty without a path.
+    feature_unit : int or None
+        Unit on the path for volume and mute: the first with a settable volume, else mute.
+    volume_channels, mute_channels : tuple of int
+        Channels of that unit that the host can set; 0 is the master.
     """
 
     interface: int
@@ -56,10 +78,15 @@ class PlaybackFormat:
 
 
 def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]:
-    """Every format of type I that the device plays, as the interfaces came.
+    """Return every format of type I that the device plays, in the order of its interfaces.
 
-    Left out are alternate settings without an isochronous endpoint to the device, those whose
-    descriptors lack or have 0 channels or bytes a sample, and all of USB Audio 3.0.
+    Alternate settings without an isochronous output endpoint, channels or sample size are left
+    out, and so is USB Audio 3.0.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        The decoded configuration.
     """
     functions = topologies(configuration)
     implicit = _implicit_endpoints(configuration, functions)

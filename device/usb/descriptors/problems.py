@@ -1,4 +1,4 @@
-"""What is wrong with descriptors: where, what was found, what is allowed; raised or collected.
+"""Violations of the specifications: place, value and allowed values; raised or collected.
 
 A problem is text for people, in one line:
 
@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from device.errors import UsageError
 
 PROBLEMS_MAX = 200
-"""Collected of one configuration: who reads a bug report needs the first, not 30 000."""
+"""Problems collected from one configuration, enough for a bug report."""
 
 
 class DescriptorError(UsageError):
-    """Descriptors, or a dump of them, that cannot be read or, in strict mode, that lie."""
+    """Descriptors, or a dump of them, cannot be read or, in strict mode, violate the standard."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Problem:
 
 
 class Findings:
-    """Takes problems as they are found: strict, the first is raised; else they are kept."""
+    """Collects problems, or raises the first one in strict mode."""
 
     def __init__(self, strict: bool = False) -> None:
         self._strict = strict
@@ -63,7 +63,7 @@ class Findings:
             self._more += 1
 
     def problems(self) -> tuple[Problem, ...]:
-        """What was found, in the order of finding; of very many the last counts the rest."""
+        """Return the problems in order; the last one counts those beyond the maximum."""
         if not self._more:
             return tuple(self._problems)
         more = Problem(0, "configuration", f"{self._more} more problems", "none")

@@ -43,17 +43,22 @@ BYTES_MAX = 0xFFFF
 
 
 def parse_configuration(raw: bytes, *, strict: bool = False) -> Configuration:
-    """What the bytes of one configuration say, its own descriptor first.
+    """Return the decoded bytes of one configuration.
 
-    strict: whatever deviates from the specifications raises. Otherwise it stands in `problems`,
-    and all that can be understood is there. Descriptors longer than the standard's, and those
-    that nobody knows, are fine either way: they keep their bytes. The time it takes, and the
-    memory, grow with the number of bytes and not faster.
+    Overlong and unknown descriptors are no problems; they keep their bytes. Time and memory grow
+    linearly with the number of bytes.
+
+    Parameters
+    ----------
+    raw : bytes
+        The configuration descriptor and all that follows it.
+    strict : bool
+        Whether a deviation from the specifications raises; else `problems` lists it.
 
     Raises
     ------
     DescriptorError
-        Not even a configuration descriptor stands at the beginning; in strict mode, any problem.
+        The bytes do not begin with a configuration descriptor; in strict mode, any problem.
     """
     raw = bytes(raw)
     findings = Findings(strict)

@@ -157,12 +157,17 @@ class Endpoint(Descriptor):
 
 
 def parse_device(raw: bytes) -> DeviceDescriptor:
-    """The device descriptor that the bytes begin with; what follows it is left alone.
+    """Return the device descriptor at the beginning of the bytes.
+
+    Parameters
+    ----------
+    raw : bytes
+        18 bytes or more.
 
     Raises
     ------
     DescriptorError
-        They do not begin with one of at least 18 bytes.
+        They do not begin with a device descriptor.
     """
     findings = Findings(strict=True)
     length = raw[0] if raw else 0

@@ -41,7 +41,13 @@ SUBSLOT_BYTES = range(1, 5)
 
 @dataclass(frozen=True, slots=True)
 class RateRange:
-    """Every samplerate from lowest to highest, in Hz."""
+    """All sample rates from a lowest to a highest one.
+
+    Attributes
+    ----------
+    lowest, highest : int
+        Hz.
+    """
 
     lowest: int
     highest: int

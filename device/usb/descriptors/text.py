@@ -42,9 +42,17 @@ _LOCK_DELAY_UNITS = {1: "ms", 2: "samples"}
 
 
 def describe(device: DeviceDescriptor | None, configuration: Configuration) -> str:
-    """Lines of text: the device where it is given, the tree, the problems, all bytes in hex.
+    """Return the description of a configuration as lines of text.
 
-    What is not understood stands in the tree in hex. `parse_hex` reads the bytes at the end again.
+    It holds the device, the tree, the problems and all bytes in hex, which `parse_hex` can read.
+    Unknown descriptors are in the tree in hex.
+
+    Parameters
+    ----------
+    device : DeviceDescriptor or None
+        The device, if it is known.
+    configuration : Configuration
+        The decoded configuration.
     """
     lines = [_device(device)] if device else []
     lines += _configuration(configuration)

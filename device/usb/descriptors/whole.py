@@ -1,4 +1,4 @@
-"""All that a device, or a dump of one, holds: its device descriptor and every configuration."""
+"""A whole device, or a dump of one: its device descriptor and every configuration."""
 
 from __future__ import annotations
 
@@ -15,7 +15,17 @@ CONFIGURATION_BYTES = 9
 
 @dataclass(frozen=True, slots=True)
 class WholeDevice:
-    """device: None where the bytes begin with a configuration. rest: what is none, at the end."""
+    """A device with all its configurations.
+
+    Attributes
+    ----------
+    device : DeviceDescriptor or None
+        None where the bytes begin with a configuration.
+    configurations : tuple of Configuration
+        In the device's order.
+    rest : bytes
+        Undecoded bytes at the end.
+    """
 
     device: DeviceDescriptor | None
     configurations: tuple[Configuration, ...]
@@ -23,9 +33,12 @@ class WholeDevice:
 
 
 def parse_whole(raw: bytes) -> WholeDevice:
-    """What the bytes of a device say, as /sys has them, or a dump that begins anywhere in there.
+    """Return the decoded bytes of a device, as forgiving as `parse_configuration`.
 
-    Forgiving, as `parse_configuration` is without strict.
+    Parameters
+    ----------
+    raw : bytes
+        The content of /sys/.../descriptors, or a dump that begins with a configuration.
 
     Raises
     ------

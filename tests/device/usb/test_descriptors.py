@@ -6,26 +6,25 @@ from dataclasses import FrozenInstanceError
 import pytest
 
 from device.usb.descriptors import (
-    Access,
-    ClockKind,
-    ClockSource,
     DescriptorError,
-    Endpoint,
-    FeatureControl,
-    FeatureUnit,
-    OtherDescriptor,
     RateRange,
-    Synchronisation,
-    Transfer,
-    Usage,
-    audio_endpoint,
     describe,
     parse_configuration,
     parse_device,
     parse_hex,
     playback_formats,
-    position_names,
 )
+from device.usb.descriptors.blocks import OtherDescriptor
+from device.usb.descriptors.configuration import audio_endpoint
+from device.usb.descriptors.entities import (
+    Access,
+    ClockKind,
+    ClockSource,
+    FeatureControl,
+    FeatureUnit,
+)
+from device.usb.descriptors.names import position_names
+from device.usb.descriptors.standard import Endpoint, Synchronisation, Transfer, Usage
 from tests.support import usb_builder as usb
 from tests.support.usb_shapes import SHAPES
 

@@ -14,12 +14,11 @@ from device.usb import (
     NoUsbBusError,
     NoUsbDeviceError,
     UsbIdentity,
-    find_again,
     find_devices,
     find_one,
     identify,
-    matching,
 )
+from device.usb.identity import find_again, matching
 from tests.support.usb_tree import UsbTree
 
 DAC = "0d8c:0014"
@@ -157,7 +156,7 @@ def test_a_name_of_nothing_there_is_answered_with_what_is_there_and_its_names(tr
     with pytest.raises(NoUsbDeviceError) as caught:
         find_one(UsbIdentity.parse("usb:0d8c:0014:B1"), find_devices(tree.root))
     assert str(caught.value) == (
-        "usb:0d8c:0014:B1 is not there: plug it in, or name one of "
+        "usb:0d8c:0014:B1 is missing: plug it in, or name one of "
         "usb:0d8c:0014:A42 (C-Media USB Audio, port 1-2, card 1), "
         "usb:1209:dac1@1-3 (C-Media Other, port 1-3)"
     )
@@ -181,7 +180,7 @@ def test_a_name_of_several_is_answered_with_a_name_for_each(tree):
 
 def test_where_there_is_no_bus_the_error_says_that_and_not_that_it_is_unplugged(tmp_path):
     found = find_devices(UsbTree(tmp_path, bus=False).root)
-    with pytest.raises(NoUsbBusError, match=r"usb:0d8c:0014 is not there: no USB bus is visible"):
+    with pytest.raises(NoUsbBusError, match=r"usb:0d8c:0014 is missing: no USB bus is visible"):
         find_one(UsbIdentity.parse(f"usb:{DAC}"), found)
 
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from device.usb import find_again, find_devices, presence
+from device.usb import find_devices, presence
+from device.usb.identity import find_again
 from device.usb.presence import PresenceChange, PresenceWatch
 from device.usb.uevents import Uevents
 from tests.support.usb_tree import UsbTree
