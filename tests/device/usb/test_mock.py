@@ -315,7 +315,7 @@ def test_while_its_driver_holds_it_volume_and_mute_are_told_by_the_card_s_mixer(
 PULLS = """
 import os, time
 from device.errors import CushionError
-from device.usb import find_again, identify
+from device.usb.identity import find_again, identify
 from device.usb.control import open_control
 from device.usb.presence import PresenceWatch
 
