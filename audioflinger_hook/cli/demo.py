@@ -20,8 +20,7 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.inspection import inspect_tap
 from audioflinger_hook.offline.render import ACCELERATION_COMMENT
 from audioflinger_hook.pipeline.framework import Framework
-from audioflinger_hook.pipeline.pace import RealTimePace
-from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.pipeline.step import Pipeline, RealTimePace
 from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.sources import FramesTap, SceneClient, mixdown
 from device.atomic_file import write_bytes_atomically
@@ -69,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
     outputs = (WavOutput(out / "vibration.wav", rate, channels), rig)
     latency = framework.latency_frames
     aligned = [AlignedOutput(output, latency) for output in outputs]
-    chain = Chain(SceneClient(scene, BLOCKSIZE_FRAMES), framework, aligned)
+    chain = Pipeline(SceneClient(scene, BLOCKSIZE_FRAMES), framework, aligned)
     try:
         heard.write(sound)
         played = _play(chain, scene, rig, fast=options.fast)
@@ -102,7 +101,7 @@ def _make_folder(out: Path) -> None:
         ) from None
 
 
-def _play(chain: Chain, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Played:
+def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Played:
     """Step the chain to its end, in real time unless `fast`, showing what goes through it."""
     played = Played()
     pace = RealTimePace(scene.samplerate, time.monotonic())

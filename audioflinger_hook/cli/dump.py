@@ -9,7 +9,7 @@ from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.pipeline.framework import Framework
-from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import open_client, parse_tap
 
 
@@ -19,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
     client = open_client(parse_tap(options.tap))
     try:
         framework = Framework(client.samplerate, client.channels, settings, clock=time.thread_time)
-        chain = Chain(client, framework, ())
+        chain = Pipeline(client, framework, ())
         cycle_times_s = []
         frames = 0
         while frames < options.at * framework.samplerate:

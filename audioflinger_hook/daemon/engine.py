@@ -11,7 +11,7 @@ import numpy as np
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.pipeline.drive_factory import drive_of
 from audioflinger_hook.pipeline.framework import Framework
-from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter
 from audioflinger_hook.sources import Client
 from device.clock import DelayLine
@@ -119,7 +119,7 @@ class Engine:
         self.faded = True
         self.last_sound_s = now_s
         self._into_line = _IntoLine(self)
-        self._chain = Chain(client, self.framework, [self._into_line])
+        self._chain = Pipeline(client, self.framework, [self._into_line])
         if on_mix is not None:
             self.framework.mixer.on_mix = lambda sound: on_mix(sound, self._into_line.now_s)
         self._read = np.zeros((0, self.drive.outputs), np.float32)

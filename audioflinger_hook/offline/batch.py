@@ -1,21 +1,21 @@
-"""Several files at once: each rendered by itself, on as many cores as there are workers."""
+"""Several files at once, each rendered on its own, on several cores."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import RenderReport, render_file
-from audioflinger_hook.offline.workers import Tell, WorkerLost, Workers
+from audioflinger_hook.offline.workers import ReportShare, WorkerLost, Workers
 from device.errors import CushionError, InternalError, UsageError
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """What came of one file: its report, or the error, one line, and the exit code for it."""
+    """The outcome for one file: its report, or an error of one line and its exit code."""
 
     source: Path
     target: Path
@@ -25,12 +25,12 @@ class Rendered:
 
 
 def targets_in(folder: Path, sources: Sequence[Path]) -> list[Path]:
-    """Return where the vibration of each file goes: its name in that folder, ending in .wav.
+    """Return the target of each file: its name in that folder, ending in .wav.
 
     Raises
     ------
     UsageError
-        There is no such folder, two of them would be one file, or one would replace a source.
+        There is no such folder, two targets are the same, or one would replace a source.
     """
     if not folder.is_dir():
         what = "is not a folder" if folder.exists() else "does not exist"
@@ -59,24 +59,34 @@ def render_files(
     targets: Sequence[Path],
     settings: Settings,
     workers: int,
-    tell: Tell | None = None,
+    report_share: ReportShare | None = None,
 ) -> Iterator[Rendered]:
-    """Yield what came of each file, in their order; of each the same bytes as `render_file` gives.
+    """Yield the outcome for each file, in their order, with the same bytes as `render_file`.
 
-    An error of one leaves the others alone. workers: processes at once, 1 for this one alone. tell:
-    told the share of all files that is done. Where this is left half-way, what is under way is
-    discarded. Memory grows with the workers, not with the files.
+    An error in one file does not affect the others. Ending the iteration early discards what is
+    under way. Memory grows with the workers, not with the files.
+
+    Parameters
+    ----------
+    sources, targets : Sequence[Path]
+        The sound files, and where the vibration of each goes.
+    settings : Settings
+        Of all files.
+    workers : int
+        Processes at once; 1 for this process alone.
+    report_share : ReportShare | None
+        Takes the share of all files that is done.
     """
 
-    def work(item: int, tell: Tell) -> Rendered:
-        return _rendered(sources[item], targets[item], settings, tell)
+    def work(item: int, report_share: ReportShare) -> Rendered:
+        return _try_file(sources[item], targets[item], settings, report_share)
 
     if min(workers, len(sources)) <= 1:
         for item in range(len(sources)):
-            yield work(item, _share_of(item, len(sources), tell))
+            yield work(item, _share_of(item, len(sources), report_share))
         return
     with Workers(work, len(sources), workers) as pool:
-        for item, came in enumerate(pool.results(tell)):
+        for item, came in enumerate(pool.results(report_share)):
             if isinstance(came, WorkerLost):
                 error = f"{sources[item]}: the process that rendered it was {came}; render it again"
                 yield Rendered(
@@ -86,10 +96,12 @@ def render_files(
                 yield came
 
 
-def _rendered(source: Path, target: Path, settings: Settings, tell: Tell) -> Rendered:
+def _try_file(
+    source: Path, target: Path, settings: Settings, report_share: ReportShare
+) -> Rendered:
     def progress(frames: int, expected: int | None) -> None:
         if expected:
-            tell(min(1.0, frames / expected))
+            report_share(min(1.0, frames / expected))
 
     try:
         report = render_file(source, target, settings, progress=progress)
@@ -103,16 +115,16 @@ def _rendered(source: Path, target: Path, settings: Settings, tell: Tell) -> Ren
 
 
 def _named(error: CushionError, source: Path) -> str:
-    """Return an error's text, with the file's name where it has not got it."""
+    """Return an error's text, with the file's name added if it is missing."""
     text = str(error)
     return text if str(source) in text else str(type(error)(f"{source}: {text}"))
 
 
-def _share_of(item: int, items: int, tell: Tell | None) -> Callable[[float], None]:
-    """Return what is told the share of one item, and tells that of all."""
+def _share_of(item: int, items: int, report_share: ReportShare | None) -> ReportShare:
+    """Return what takes the share of one item and reports that of all."""
 
     def one(share: float) -> None:
-        if tell:
-            tell((item + share) / items)
+        if report_share:
+            report_share((item + share) / items)
 
     return one

@@ -1,4 +1,4 @@
-"""The principal frequencies of a sound, unit by unit, as the paper's equations give them."""
+"""The principal frequencies of a sound, unit by unit, from the paper's equations."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from device.errors import UsageError
 
 LONGEST_S = 1e9
-"""Thirty years: no sound is longer, and it can still be counted in frames."""
-
+"""Thirty years: no sound is longer, and its frames still fit a float."""
 
 PRINTED_S = 0.6e-6
-"""What a time printed with six places may be short of the one that was meant."""
+"""A time printed with six decimals may be this much too small."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class PrincipalFrequency:
 
 @dataclass(frozen=True)
 class Unit:
-    """One unit sequence: its number from 0, where it starts, and what is principal in it."""
+    """One unit: its number from 0, its start, and its principal frequencies."""
 
     unit: int
     start_s: float
@@ -51,10 +50,10 @@ def inspect_file(
     at_s: float | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> Iterator[Unit]:
-    """Yield the units of a sound file in order, or only the one that holds the time `at_s`.
+    """Yield the units of a sound file in order, or only the one that contains the time `at_s`.
 
-    The channels are mixed first. Memory does not depend on the length. `warn` is told, at the
-    end, what a user should know of the file.
+    The channels are mixed first. Memory does not depend on the length. `warn` takes, at the end,
+    each warning about the file.
 
     Raises
     ------
@@ -76,11 +75,11 @@ def inspect_file(
 def inspect_tap(
     tap: Tap, parameters: TransformParameters, *, at_s: float | None = None
 ) -> Iterator[Unit]:
-    """Yield the units of what a tap delivers, as `inspect_file` does."""
+    """Yield the units of what a tap delivers; see `inspect_file`."""
     transform = ReferenceTransform(parameters, tap.samplerate)
     window = transform.latency_frames
     exact = None if at_s is None else min(at_s, LONGEST_S) * tap.samplerate
-    # A unit's own start, printed with six places and read again, is still that unit's.
+    # The start of a unit, printed with six decimals and read again, must select that unit.
     wanted = None if exact is None else int(exact + PRINTED_S * tap.samplerate) // window
     frames = 0
     done = 0

@@ -1,4 +1,4 @@
-"""Offline: sound in, a vibration file out, through the same chain as everything else."""
+"""Offline rendering: a sound in, a vibration file out, through the same pipeline as live sound."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from audioflinger_hook.mixer import HapticSink
 from audioflinger_hook.offline.sections import Plan, plan_for, sections_of
 from audioflinger_hook.pipeline.drive_factory import channel_map_of, drive_of, simulated_rig_of
 from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework
-from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.channel_map import ChannelMap
 from device.drive.outputs import AlignedOutput, DrivenOutput
@@ -26,10 +26,10 @@ from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
 
 Progress = Callable[[int, int | None], None]
-"""Told, after every buffer, the frames done and the frames in all (None where not known)."""
+"""Takes, after every buffer, the frames done and the frames in all (None if not known)."""
 
 Wait = Callable[[int], None]
-"""Told the frames done, it returns when the next are due."""
+"""Takes the frames done, and returns when the next are due."""
 
 ACCELERATION_COMMENT = (
     f"predicted acceleration, full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2"
@@ -38,7 +38,7 @@ ACCELERATION_COMMENT = (
 
 @dataclass(frozen=True)
 class RenderReport:
-    """What a rendering did. Field names carry their units; frames and samples are counts."""
+    """What was rendered. Field names carry their units; frames and samples are counts."""
 
     frames: int
     samplerate: int
@@ -64,9 +64,9 @@ def render_file(
 ) -> RenderReport:
     """Write the vibration of a sound file as float32 WAV of the same rate and length.
 
-    workers: processes that may share the work, where the form allows it (`sections.py`): the same
-    bytes. For the other parameters and what is raised see `render`. May take long; called from any
-    one thread, with several workers from the main one.
+    workers: processes that may share the work where the form allows it (see `sections.py`); the
+    bytes are the same. For the other parameters and errors see `render`. With several workers,
+    call it from the main thread.
     """
     refuse_same_file(source, target, acceleration)
     settings = settings or Settings()
@@ -95,23 +95,36 @@ def render(
 ) -> RenderReport:
     """Write the vibration of what a client plays as float32 WAV of the mix's rate and length.
 
-    The transform's latency is taken out: the vibration stands under its sound, but for the delays
-    that actuators were given. With actuators the file has the channels of the device, up to the
-    last that one of them drives; else one, or with `channels` = "each" the mix's. `acceleration`
-    also runs the vibration through the simulated rig and writes what its accelerometer records,
-    full scale = 100 m/s^2. wait: called before every buffer, where the pace is to be kept;
-    warnings: what the source has found wrong by the end. Memory does not depend on the length.
-    Files appear whole or not at all, and the client is closed. May take long; called from any one
-    thread.
+    The latency is taken out, so that vibration lies under its sound, apart from the delays that
+    actuators were given. Files appear whole or not at all, and the client is closed. Memory does
+    not depend on the length. Any one thread may call it.
+
+    Parameters
+    ----------
+    client : Client
+        Plays the sound.
+    target : Path
+        The vibration's file. It has the channels of the device up to the last one with an actuator;
+        without named actuators one, or with `channels` = "each" those of the mix.
+    settings : Settings | None
+        How vibration is made.
+    acceleration : Path | None
+        Also simulate the rig, and write here what its accelerometer records, full scale 100 m/s².
+    progress : Progress | None
+        Takes the progress after every buffer.
+    wait : Wait | None
+        Called before every buffer, to keep a pace.
+    warnings : Sequence[str]
+        Warnings about the source, complete when it has ended.
 
     Raises
     ------
     UsageError
-        The source cannot be used or a target cannot be written there.
+        The source cannot be used, or a target cannot be written.
     WriteError
         The disk is full or failed.
     InternalError
-        The haptic effect gave up.
+        The haptic effect failed.
     """
     settings = settings or Settings()
     outputs: list[VibrationOutput] = []
@@ -121,10 +134,10 @@ def render(
         )
         rate = framework.samplerate
         rig, written = _open_outputs(outputs, target, acceleration, settings, framework)
-        chain = Chain(client, framework, [taken for _, taken in written])
+        chain = Pipeline(client, framework, [taken for _, taken in written])
         frames = 0
         while step := chain.step():
-            framework.refuse_without_haptics()
+            framework.check_haptics()
             frames += len(step.audio)
             if progress:
                 progress(frames, client.frames_expected)

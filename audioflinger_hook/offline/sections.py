@@ -1,16 +1,15 @@
-"""One long file in the reference form on several cores: sections of whole units, put together.
+"""One long file in the reference form on several cores, cut into sections of whole units.
 
-Units are independent but for the band-pass ahead of them, which remembers. A section therefore
-begins some seconds early. In that time two band-passes that have heard different things come to the
-same state, to the last bit, as rounding lets them forget; whether they have is not believed but
-compared with the state in which the section before ended, and a section that began in another
-state is rendered again from the right one.
+Units are independent, but the band-pass in front of them has a state. A section therefore starts
+some seconds early: rounding lets two band-passes forget their different pasts within that time, to
+the last bit. Each section's state at its start is compared with the one in which the section before
+ended. A section with another state is rendered again from the right one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 
@@ -18,24 +17,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.offline.workers import Tell, WorkerLost, Workers
+from audioflinger_hook.offline.workers import ReportShare, WorkerLost, Workers
 from audioflinger_hook.sources import FileTap
 from audioflinger_hook.transform import HapticTransform
 from device.errors import CushionError, InternalError
 
 SECTION_SAMPLES = 1_500_000
-"""Of vibration, in all channels: 6 MB."""
+"""Samples of vibration in a section, in all channels: 6 MB."""
 
 EARLY_S = 5.0
-"""So much earlier a section begins. What was tried took up to 3 s to forget another past."""
+"""How much earlier a section starts. Measured: other pasts are forgotten within 3 s."""
 
 WORTH_EARLY = 3.0
-"""Sections are at least so many times longer than they begin early, or it is not worth it."""
+"""A section is at least so many times longer than it starts early; else it gains nothing."""
+
+UNRELATED = ("channels", "parameters", "rig", "damping", "protection", "exposure_cap", "said")
+"""Settings that a section takes as they are, or that only matter after the transform."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Where a file is cut: every `frames`, each begun `early_frames` before; whole units both."""
+    """Where a file is cut: every `frames`, each section `early_frames` before; both whole units."""
 
     source: Path
     settings: Settings
@@ -48,9 +50,20 @@ class Plan:
 
 @dataclass(frozen=True)
 class Section:
-    """Vibration of a section, (frames, channels), aligned with its sound; the pasts at its ends.
+    """A section's vibration, (frames, channels), aligned with its sound.
 
-    ended: the sound ended in it. warnings: what is wrong with the file, once that is known.
+    Attributes
+    ----------
+    vibration : NDArray[np.float32]
+        (frames, channels).
+    before, after : tuple[bytes, ...]
+        State of the transform at both ends.
+    replaced_samples : int
+        Unusable samples of the sound.
+    ended : bool
+        Whether the sound ended in this section.
+    warnings : tuple[str, ...]
+        What is wrong with the file, where that is known.
     """
 
     vibration: NDArray[np.float32]
@@ -62,18 +75,16 @@ class Section:
 
 
 def plan_for(source: Path, settings: Settings) -> Plan | None:
-    """Return how to cut a file, or None where that gains nothing or would change anything.
+    """Return how to cut a file; None where that gains nothing or would change anything.
 
-    Only the reference form, with nothing but the transform between sound and vibration, and files
-    that can be read from any frame on. Raises UsageError as `FileTap` does.
+    The form must be "reference", with nothing but the transform between sound and vibration, and
+    the file must be readable from any frame on. Raises UsageError as `FileTap` does.
     """
-    plain = Settings(form="reference", channels=settings.channels, parameters=settings.parameters)
-    if (settings.form, settings.profile, settings.gain_db) != (
-        "reference",
-        plain.profile,
-        plain.gain_db,
-    ) or (settings.effects_file, settings.actuators) != (None, ()):
-        return None
+    plain = Settings(form="reference")
+    for field in fields(Settings):
+        ours, default = getattr(settings, field.name), getattr(plain, field.name)
+        if field.name not in UNRELATED and ours != default:
+            return None
     tap = FileTap(source)
     tap.close()
     if not tap.divisible:
@@ -89,37 +100,37 @@ def plan_for(source: Path, settings: Settings) -> Plan | None:
 
 
 def sections_of(
-    plan: Plan, workers: int, tell: Tell | None = None
+    plan: Plan, workers: int, report_share: ReportShare | None = None
 ) -> Generator[Section, None, None]:
     """Yield every section in order, as one stream from the beginning gives them.
 
-    workers: processes at once, 2 or more; tell: told the share of the file that is done.
+    workers: processes at once, 2 or more; report_share: takes the share of the file that is done.
 
     Raises
     ------
     CushionError
-        What a worker raised.
+        A worker raised it.
     InternalError
-        A worker was lost.
+        A worker died.
     """
     past: tuple[bytes, ...] | None = None
-    with Workers(partial(_tried, plan), plan.sections, workers) as pool:
-        for index, came in enumerate(pool.results(tell)):
+    with Workers(partial(_try_section, plan), plan.sections, workers) as pool:
+        for index, came in enumerate(pool.results(report_share)):
             if isinstance(came, WorkerLost):
-                raise InternalError(f"the process that rendered a part of it was {came}; try again")
+                raise InternalError(f"the process that rendered a section was {came}; try again")
             if isinstance(came, CushionError):
                 raise came
             if past is not None and came.before != past:
-                came = rendered(plan, index, past)
+                came = render_section(plan, index, past)
             past = came.after
             yield came
             if came.ended:
                 return
 
 
-def _tried(plan: Plan, index: int, _tell: Tell) -> Section | CushionError:
+def _try_section(plan: Plan, index: int, _share: ReportShare) -> Section | CushionError:
     try:
-        return rendered(plan, index)
+        return render_section(plan, index)
     except CushionError as error:
         return error
     except Exception as error:
@@ -127,19 +138,19 @@ def _tried(plan: Plan, index: int, _tell: Tell) -> Section | CushionError:
         return InternalError(f"{said}; this is a fault of cushion, please report it")
 
 
-def rendered(plan: Plan, index: int, past: tuple[bytes, ...] | None = None) -> Section:
-    """Return one section; past: of what came before it, where that is known to the bit."""
+def render_section(plan: Plan, index: int, past: tuple[bytes, ...] | None = None) -> Section:
+    """Return one section. past: the transform's state at its start, where that is known."""
     first = index * plan.frames
     begin = first if past is not None else max(0, first - plan.early_frames)
     end = None if index == plan.sections - 1 else first + plan.frames
     tap = FileTap(plan.source, first=begin)
     try:
-        return _rendered(plan, tap, begin, first, end, past)
+        return _render_section(plan, tap, begin, first, end, past)
     finally:
         tap.close()
 
 
-def _rendered(
+def _render_section(
     plan: Plan,
     tap: FileTap,
     begin: int,
@@ -158,24 +169,24 @@ def _rendered(
     )
     if past is not None:
         transform.past = past
-    place, before, replaced = begin, transform.past, 0
+    position, before, replaced = begin, transform.past, 0
     parts: list[NDArray[np.float32]] = []
-    while (end is None or place < end) and (buffer := tap.read()) is not None:
-        if place < first:
-            early = buffer[: first - place]
+    while (end is None or position < end) and (buffer := tap.read()) is not None:
+        if position < first:
+            early = buffer[: first - position]
             transform.process(early)
-            place += len(early)
-            if place < first:
+            position += len(early)
+            if position < first:
                 continue
             before, replaced = transform.past, transform.replaced_samples
             buffer = buffer[len(early) :]
-        taken = buffer if end is None else buffer[: end - place]
+        taken = buffer if end is None else buffer[: end - position]
         parts.append(transform.process(taken).astype(np.float32))
-        place += len(taken)
-    ended = end is None or place < end
+        position += len(taken)
+    ended = end is None or position < end
     replaced = transform.replaced_samples - replaced
     after = () if ended else transform.past
     parts.append(transform.finish().astype(np.float32))
-    # The first unit that comes out is of what was before.
+    # The first unit that comes out belongs to the section before.
     vibration = np.concatenate(parts)[transform.latency_frames :]
     return Section(vibration, before, after, replaced, ended, tuple(tap.warnings))

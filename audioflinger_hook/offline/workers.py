@@ -1,4 +1,8 @@
-"""Work spread over processes of its own: results in order, whatever ends a worker."""
+"""Work spread over processes: results in order, and a process that dies costs its own item only.
+
+`concurrent.futures` cannot be used here: its pool breaks as a whole when one process dies, cannot
+end work that is under way, and does not say what ended a process.
+"""
 
 from __future__ import annotations
 
@@ -18,25 +22,25 @@ from typing import Generic, TypeVar
 
 Result = TypeVar("Result")
 
-Tell = Callable[[float], None]
-"""Told by the work, as often as it likes, which share of itself is done, 0 to 1."""
+ReportShare = Callable[[float], None]
+"""Takes the share of the work that is done, 0 to 1, as often as it likes."""
 
-TOLD_FROM = 0.02
-"""Smaller steps are not passed on."""
+SHARE_STEP = 0.02
+"""Smaller steps of a share are not passed on."""
 
 END_S = 5.0
-"""How long a worker may take to put away what it has begun."""
+"""How long a process that is ended may take to clean up."""
 
 WORKERS_MAX = 256
 
-LEAD = 2
-"""Items for each process that may be begun before the first of them has been taken."""
+AHEAD = 2
+"""Items a process that may start before the first of them has been taken."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class WorkerLost(Exception):
-    """A worker ended before its work did; the text says by what."""
+    """A process ended before its work did; the text says why."""
 
 
 def usable_cores() -> int:
@@ -53,42 +57,47 @@ class _Worker:
 
 
 class Workers(Generic[Result]):
-    """Does `work(item, tell)` for every item from 0 to `items`, each in a process of its own.
+    """Calls `work(item, report_share)` for every item, each in a process of its own.
 
-    count: how many processes at once, at most. work: runs in a copy of this process as it is when
-    its worker begins, so that it costs nothing to begin and may be any function; what it returns
-    must be picklable, and it may raise nothing but what is told as `WorkerLost`.
+    Use it as a context manager, from one thread. Leaving it ends work that is under way, by
+    KeyboardInterrupt in the process, and waits for it. The processes ignore SIGINT.
 
-    As a context manager: on leaving, work that is under way is ended as by a signal to terminate
-    (KeyboardInterrupt in it), and waited for. To be used from one thread. A worker ignores
-    SIGINT: whoever holds this decides.
+    Parameters
+    ----------
+    work : Callable[[int, ReportShare], Result]
+        Any function whose result can be pickled. It runs in a fork of this process. An error that
+        it raises counts as `WorkerLost`.
+    items : int
+        Items are numbered from 0.
+    count : int
+        The most processes at once.
     """
 
-    def __init__(self, work: Callable[[int, Tell], Result], items: int, count: int) -> None:
-        # Copies of this process: another way to begin one would import everything again.
+    def __init__(self, work: Callable[[int, ReportShare], Result], items: int, count: int) -> None:
+        # A fork starts at once; any other method would import everything again.
         self._context = multiprocessing.get_context("fork")
         self._work = work
         self._items = items
         self._next = 0
-        self._most_ahead = LEAD * count
+        self._most_ahead = AHEAD * count
         self._yielded = 0
         self._running: list[_Worker] = []
         self._done: dict[int, Result | WorkerLost] = {}
         self._count = count
-        self._begin_more()
+        self._start_more()
 
-    def results(self, tell: Tell | None = None) -> Iterator[Result | WorkerLost]:
-        """Yield what came of each item, in their order. tell: told the share of all items."""
+    def results(self, report_share: ReportShare | None = None) -> Iterator[Result | WorkerLost]:
+        """Yield the result of each item, in their order. report_share: takes that of all items."""
         for item in range(self._items):
             while item not in self._done:
                 self._listen()
-                if tell:
+                if report_share:
                     under_way = sum(worker.share for worker in self._running)
                     finished = self._next - len(self._running)
-                    tell((finished + under_way) / self._items)
+                    report_share((finished + under_way) / self._items)
             result = self._done.pop(item)
             self._yielded = item + 1
-            self._begin_more()
+            self._start_more()
             yield result
 
     def __enter__(self) -> Workers[Result]:
@@ -110,23 +119,23 @@ class Workers(Generic[Result]):
             worker.messages.close()
         self._running.clear()
 
-    def _begin_more(self) -> None:
-        """Begin items until all processes are busy or too many results wait to be taken."""
+    def _start_more(self) -> None:
+        """Start items until all processes are busy or too many results wait to be taken."""
         most = min(self._items, self._yielded + self._most_ahead)
         while len(self._running) < self._count and self._next < most:
-            self._begin()
+            self._start()
 
-    def _begin(self) -> None:
-        """Begin the next item."""
+    def _start(self) -> None:
+        """Start the next item."""
         item, self._next = self._next, self._next + 1
         ours, theirs = self._context.Pipe(duplex=False)
-        process = self._context.Process(target=self._do, args=(item, ours, theirs), daemon=True)
-        # A signal that comes while there are two of us waits until each knows what to do with it.
+        process = self._context.Process(target=self._run, args=(item, ours, theirs), daemon=True)
+        # Signals wait until the new process has its own handlers.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         try:
             with warnings.catch_warnings():
-                # Of other threads there are those of the library for linear algebra, which knows
-                # of forks, and that of a progress bar, which no worker touches.
+                # Python warns of forks beside threads. The only ones are those of BLAS, which
+                # handles forks, and of a progress bar, which the work does not use.
                 warnings.simplefilter("ignore", DeprecationWarning)
                 process.start()
         finally:
@@ -134,55 +143,54 @@ class Workers(Generic[Result]):
         theirs.close()
         self._running.append(_Worker(process, ours, item))
 
-    def _do(self, item: int, ours: Connection, theirs: Connection) -> None:
-        """Do one item; runs in the worker."""
-        # So that `theirs` breaks when the process that listens is gone, and that of others, too.
+    def _run(self, item: int, ours: Connection, theirs: Connection) -> None:
+        """Do one item, in its process."""
+        # With these closed, `theirs` breaks as soon as the parent process is gone.
         for connection in (ours, *(worker.messages for worker in self._running)):
             connection.close()
-        # A worker says nothing, and another thread may have held these when it was copied.
+        # Another thread may have held the locks of these when the process was forked.
         sys.stdout = sys.stderr = io.StringIO()
-        told = 0.0
+        sent = 0.0
 
-        def tell(share: float) -> None:
-            nonlocal told
-            if share >= told + TOLD_FROM:
-                told = share
+        def report_share(share: float) -> None:
+            nonlocal sent
+            if share >= sent + SHARE_STEP:
+                sent = share
                 theirs.send((False, share))
 
-        # Broken: who began this is gone, and wants nothing any more.
+        # BrokenPipeError: the parent process is gone, and nobody wants the result.
         with suppress(KeyboardInterrupt, BrokenPipeError):
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             signal.signal(signal.SIGTERM, _interrupt_once)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
-            theirs.send((True, self._work(item, tell)))
+            theirs.send((True, self._work(item, report_share)))
 
     def _listen(self) -> None:
-        """Wait for word of any worker, and begin the next item where one is done."""
+        """Wait for messages, and start the next item where one is done."""
         ready = wait([worker.messages for worker in self._running])
         for worker in [worker for worker in self._running if worker.messages in ready]:
             try:
-                done, told = worker.messages.recv()
+                done, message = worker.messages.recv()
             except EOFError:
                 worker.process.join()
-                done, told = True, WorkerLost(_how_it_ended(worker.process.exitcode))
+                done, message = True, WorkerLost(_how_it_ended(worker.process.exitcode))
             if not done:
-                worker.share = told
+                worker.share = message
                 continue
             self._running.remove(worker)
             worker.process.join()
             worker.messages.close()
-            self._done[worker.item] = told
-        self._begin_more()
+            self._done[worker.item] = message
+        self._start_more()
 
 
 def _interrupt_once(_signal: int, _frame: FrameType | None) -> None:
-    """End the work, and leave what it puts away in peace."""
+    """Raise KeyboardInterrupt, and ignore further signals during the clean-up."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
 def _how_it_ended(exitcode: int | None) -> str:
-    """Return how a process ended, in words."""
     if exitcode is not None and exitcode < 0:
         return f"ended by {signal.Signals(-exitcode).name}"
     return f"ended with exit code {exitcode}"

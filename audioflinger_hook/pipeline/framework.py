@@ -1,4 +1,4 @@
-"""The audio framework: mixer, effect chains and the haptic effect, set up as one."""
+"""The audio framework: mixer, effect chains and the haptic effect."""
 
 from __future__ import annotations
 
@@ -23,30 +23,45 @@ from audioflinger_hook.transform import HapticTransform, kernel_warning
 from device.errors import CushionError, InternalError, UsageError
 
 HAL_FRAMES = 240
-"""Frames that the output is taken to want at once; a whole cycle is 20 ms of them."""
+"""Frames that the output is assumed to take at once; a cycle is 20 ms of them."""
 
 OFFLINE_HAL_FRAMES = 32_768
-"""Where nothing waits for the sound, long cycles cost least."""
+"""Offline, long cycles cost least."""
 
 
 class Framework:
-    """One mix with its effects, as audio_effects.xml declares them, ours running.
+    """One mix with its effects, the haptic effect among them, as audio_effects.xml lists them.
 
-    samplerate: Hz; channels: of the mix. The mix has one haptic channel, or with
-    `settings.channels` = "each" as many as there are channels; with `settings.actuators` one for
-    each of `settings.sources`. clock: seconds, by which an effect
-    that takes too long is bypassed; None for sound that is not played as it is made: then time
-    changes nothing. standby_delay_s: see `Mixer`; a file keeps its silence, a device may rest.
-    `warnings`: what was left out of the effects, or is slower than it could be, a line each.
+    The thread that steps the mix calls all methods but `change`, which another thread calls; any
+    thread may call `dump` and the properties.
 
-    Calls come from the thread that steps the chain; `dump` and the readings from any, `change`
-    from any but that.
+    Parameters
+    ----------
+    samplerate : int
+        Rate of the mix in Hz.
+    channels : int
+        Channels of the mix. It has one haptic channel; with `settings.channels` = "each" as many
+        as channels; with named actuators one for each of their sources.
+    settings : Settings | None
+        How vibration is made.
+    hal_frames : int
+        Frames that the output takes at once.
+    clock : Callable[[], float] | None
+        Seconds, by which an effect that takes too long is bypassed. None offline, where the result
+        must not depend on time.
+    standby_delay_s : float
+        See `Mixer`; infinite for files, which keep their silence.
+
+    Attributes
+    ----------
+    warnings : list[str]
+        Effects that were left out, or are slower than they could be.
 
     Raises
     ------
     UsageError
-        The format or the settings cannot be used together, the effects file cannot be read or
-        does not apply the haptic effect.
+        Format and settings cannot be combined, or the effects file cannot be read or does not
+        apply the haptic effect.
     """
 
     def __init__(
@@ -80,7 +95,7 @@ class Framework:
         )
         if self.haptic.set_parameters(self._taken) != OK or self.haptic.bypassed:
             self._explain()
-        # Sent now, not a cycle later: the first buffer counts.
+        # Applied now, not a cycle later, so that the first buffer has them.
         self._chains.end_of_cycle(0.0)
 
     @property
@@ -105,25 +120,25 @@ class Framework:
 
     @property
     def limited_samples(self) -> int:
-        """Samples of vibration that the limiter or full scale has changed so far."""
+        """Samples of vibration so far that were limited to full scale."""
         return self._reading("limited_samples")
 
     @property
     def replaced_samples(self) -> int:
-        """Unusable samples of sound that were taken for 0 so far."""
+        """Unusable samples of sound so far, which count as 0."""
         return self._reading("replaced_samples")
 
     def change(self, settings: Settings) -> None:
-        """Take other parameters and another level from the next cycle on; nothing else changes.
+        """Take other parameters and another level from the next cycle on.
 
-        settings: as they are, but for `parameters` and `gain_db`. A level is reached over one
-        buffer; other parameters let the vibration fade out over one buffer and begin anew,
-        `latency_frames` later. Parameters are tried here, on the calling thread.
+        All other settings must be as they are. A level is reached within one buffer. With other
+        parameters the vibration fades out within one buffer and restarts `latency_frames` later.
+        Parameters are checked here, on the calling thread.
 
         Raises
         ------
         UsageError
-            They cannot be used with this mix; nothing has changed then.
+            They cannot be used with this mix, and nothing has changed.
         """
         if settings.parameters != self.settings.parameters:
             self._try(self.mixer.samplerate, self.mixer.channels, settings)
@@ -134,7 +149,7 @@ class Framework:
         self.mixer.post(self._take_wanted)
 
     def send_to(self, *sinks: Sink) -> None:
-        """Send what is mixed to these sinks from the next cycle on."""
+        """Send the mix to these sinks from the next cycle on."""
         self.mixer.sinks = sinks
 
     def cycle(self, now_s: float = 0.0, frames: int | None = None) -> CycleReport:
@@ -142,32 +157,32 @@ class Framework:
         return self.mixer.cycle(now_s, frames)
 
     def drain(self) -> NDArray[np.float32]:
-        """Return the vibration still owed after the last sound, (frames, haptic_channels).
+        """Return the vibration held back after the last sound, (frames, haptic_channels).
 
-        Raises InternalError as `refuse_without_haptics` does.
+        Raises InternalError as `check_haptics` does.
         """
-        status, owed = self.haptic.command(DRAIN)
-        self.refuse_without_haptics()
-        if status != OK or not isinstance(owed, np.ndarray):
-            raise InternalError(f"the haptic effect gave up: status {status}")
-        return owed
+        status, drained = self.haptic.command(DRAIN)
+        self.check_haptics()
+        if status != OK or not isinstance(drained, np.ndarray):
+            raise InternalError(f"the haptic effect failed: status {status}")
+        return drained
 
-    def refuse_without_haptics(self) -> None:
-        """Raise InternalError where the haptic effect is bypassed, with the reason.
+    def check_haptics(self) -> None:
+        """Raise InternalError with the reason if the haptic effect is bypassed.
 
-        For files, where half of the vibration is none; a device goes on with silence.
+        A file must be complete; a device continues with silence.
         """
         if self.haptic.bypassed:
-            raise InternalError(f"the haptic effect gave up: {self.haptic.bypassed}")
+            raise InternalError(f"the haptic effect failed: {self.haptic.bypassed}")
 
     def bypassed(self) -> list[str]:
-        """Return `session, effect: reason` of every effect that is passed by."""
+        """Return `session, effect: reason` of every bypassed effect."""
         return self._chains.bypassed()
 
     def dump(self, cycle_times_s: Sequence[float] = ()) -> str:
         """Return thread, tracks, chains and effects as `dumpsys media.audio_flinger` would.
 
-        cycle_times_s: how long the last cycles took, if somebody has measured them.
+        cycle_times_s: durations of the last cycles, if measured.
         """
         return dump(self.mixer, cycle_times_s)
 
@@ -192,35 +207,35 @@ class Framework:
             why = f" ({'; '.join(self.warnings)})" if self.warnings else ""
             raise UsageError(
                 f"{path} does not apply the haptic effect ({HAPTIC_CUSHION.uuid}) to the stream "
-                f"{OUTPUT_MIX_STREAM!r}{why}; without it nothing is felt"
+                f"{OUTPUT_MIX_STREAM!r}{why}; without it there is no vibration"
             )
         return haptic
 
     @staticmethod
     def _parameters(settings: Settings) -> Values:
         parameters = from_settings(settings)
-        # What a paper published is not cut to full scale; what reaches a device always is.
+        # The reference form keeps the published values; what reaches a device is clipped.
         parameters["clip"] = settings.form != "reference"
         return parameters
 
     def _take_wanted(self) -> None:
-        """Tell the effect, on the thread that steps the mixer; of several changes the last one."""
+        """Give the effect the last of the changes, on the thread that steps the mixer."""
         wanted = self._wanted
         if wanted is not self._taken:
             self._taken = wanted
-            # It was tried: only an effect that is bypassed refuses it, and that is told.
+            # It was checked: only a bypassed effect refuses it, which `bypassed` reports.
             self.haptic.set_parameters(wanted)
 
     @staticmethod
     def _try(samplerate: int, channels: int, settings: Settings) -> None:
-        """Raise UsageError where no transform can be made of these."""
+        """Raise UsageError if no transform can have these settings."""
         try:
             HapticTransform(samplerate, channels, settings.parameters, form=settings.form)
-        except ValueError as error:  # a band that a low samplerate cannot hold has no filter
+        except ValueError as error:  # the band does not fit the sample rate
             raise UsageError(f"no transform can be made at {samplerate} Hz: {error}") from error
 
     def _explain(self) -> None:
-        """Raise what is wrong with the format or the settings."""
+        """Raise UsageError with what is wrong with the format or the settings."""
         self._try(self.mixer.samplerate, self.mixer.channels, self.settings)
         raise UsageError(f"the haptic effect {self.haptic.bypassed or 'refused its parameters'}")
 

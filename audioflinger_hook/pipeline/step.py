@@ -1,4 +1,4 @@
-"""The chain: client -> mixer -> effect -> outputs, one cycle a step, whatever paces it."""
+"""Client -> mixer -> effect -> outputs, one cycle a step."""
 
 from __future__ import annotations
 
@@ -15,21 +15,49 @@ from device.output import VibrationOutput
 
 
 class Step(NamedTuple):
-    """What one step moved: the sound as mixed and the vibration as sent, float32.
+    """The sound as mixed and the vibration as sent in one step, float32.
 
-    At the end of the sound comes one step of no sound, with the vibration still owed. Nothing at
-    all where the client has nothing yet.
+    The last step has no sound, only the vibration that was held back. Both are empty where the
+    client has nothing yet.
     """
 
     audio: NDArray[np.float32]
     vibration: NDArray[np.float32]
 
 
-class Chain:
-    """Moves sound from a client through mixer and effect to every output.
+class RealTimePace:
+    """Due times of frames that are played in real time, for sound without a clock of its own.
 
-    A live tap, a replay and a rendering differ only in who calls `step` and when. All calls come
-    from one thread.
+    Parameters
+    ----------
+    samplerate : int
+        Rate in Hz.
+    start_s : float
+        When the first frame is due, in seconds of the caller's clock.
+    """
+
+    def __init__(self, samplerate: int, start_s: float) -> None:
+        self._samplerate = samplerate
+        self._start_s = start_s
+
+    def wait_s(self, frames: int, now_s: float) -> float:
+        """Return how long to wait until `frames` would have been played; 0 if that is over."""
+        return max(0.0, self._start_s + frames / self._samplerate - now_s)
+
+
+class Pipeline:
+    """Moves sound from a client through mixer and effect to every output, from one thread.
+
+    Live sound, a replay and a rendering differ only in who calls `step` and when.
+
+    Parameters
+    ----------
+    client : Client
+        Plays the sound.
+    framework : Framework
+        Mixes it and makes the vibration.
+    outputs : Sequence[VibrationOutput]
+        Each takes the vibration.
     """
 
     def __init__(
@@ -44,9 +72,9 @@ class Chain:
         client.connect(framework.mixer)
 
     def step(self, now_s: float = 0.0) -> Step | None:
-        """Do one cycle and return what it moved, or None once everything has been sent.
+        """Do one cycle and return what it moved; None once everything has been sent.
 
-        now_s: seconds of any clock that does not run backwards.
+        now_s: seconds of any monotonic clock.
         """
         if self._ended:
             return None
@@ -64,16 +92,16 @@ class Chain:
         return Step(audio, self._sink.sent.copy())
 
     def close(self) -> None:
-        """Let go of the client and finish every output, the first one last: what was sent is kept.
+        """Close the client and finish every output, the first one last.
 
-        So where one of the others cannot be finished, the first has not yet replaced anything.
+        If another output cannot be finished, the first has not replaced a file yet.
         """
         self._client.close()
         for output in reversed(self._outputs):
             output.close()
 
     def abort(self) -> None:
-        """Let go of the client and discard what the outputs took."""
+        """Close the client and discard the outputs."""
         self._client.close()
         for output in self._outputs:
             output.abort()

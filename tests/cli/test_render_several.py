@@ -25,7 +25,7 @@ from tests.support.commands import (
     until,
 )
 
-WORKERS = [1, 2]
+WORKERS = [pytest.param(1, marks=pytest.mark.exhaustive), 2]
 
 
 @pytest.fixture
@@ -58,7 +58,14 @@ def children(pid):
     return found
 
 
-@pytest.mark.parametrize(("form", "workers"), [("live", 1), ("live", 2), ("reference", 5)])
+@pytest.mark.parametrize(
+    ("form", "workers"),
+    [
+        pytest.param("live", 1, marks=pytest.mark.exhaustive),
+        ("live", 2),
+        pytest.param("reference", 5, marks=pytest.mark.exhaustive),
+    ],
+)
 def test_each_file_has_the_bytes_that_it_has_alone(sources, folder, tmp_path, workers, form):
     alone = tmp_path / "alone.wav"
     done = cushion(
@@ -191,8 +198,17 @@ def two_under_way(process, folder):
 
 
 @needs_proc
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
-@pytest.mark.parametrize("whom", ["the command", "its whole group, as a terminal does"])
+@pytest.mark.parametrize(
+    ("name", "whom"),
+    [
+        ("SIGINT", "its whole group, as a terminal does"),
+        pytest.param("SIGINT", "the command", marks=pytest.mark.exhaustive),
+        pytest.param("SIGTERM", "the command", marks=pytest.mark.exhaustive),
+        pytest.param(
+            "SIGTERM", "its whole group, as a terminal does", marks=pytest.mark.exhaustive
+        ),
+    ],
+)
 def test_an_interruption_ends_every_worker_and_leaves_nothing_half_written(
     long_sources, folder, name, whom
 ):

@@ -12,7 +12,7 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline import sections
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.offline.sections import Plan, plan_for
-from audioflinger_hook.offline.workers import LEAD, Workers
+from audioflinger_hook.offline.workers import AHEAD, Workers
 from audioflinger_hook.sources import FileTap
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from device.errors import InternalError, UsageError
@@ -91,14 +91,14 @@ def test_a_section_that_began_in_another_state_is_rendered_again_from_the_right_
     monkeypatch.setattr(sections, "EARLY_S", 0.05)
     plan = plan_of(file_of(tmp_path, fading()))
     again: list[int] = []
-    ours = sections.rendered
+    ours = sections.render_section
 
     def noted(plan, index, past=None):
         if past is not None:
             again.append(index)
         return ours(plan, index, past)
 
-    monkeypatch.setattr(sections, "rendered", noted)
+    monkeypatch.setattr(sections, "render_section", noted)
     found = list(sections.sections_of(plan, 2))
     assert again
     for one, next_ in pairwise(found):
@@ -112,7 +112,7 @@ def test_after_some_seconds_a_section_begins_in_the_state_that_the_one_before_en
 ):
     monkeypatch.setattr(sections, "EARLY_S", 4.0)
     plan = plan_of(file_of(tmp_path, noise(20 * RATE)[:, 0]))
-    found = [sections.rendered(plan, index) for index in range(plan.sections)]
+    found = [sections.render_section(plan, index) for index in range(plan.sections)]
     for one, next_ in pairwise(found):
         assert next_.before == one.after
 
@@ -222,7 +222,7 @@ def test_a_worker_that_dies_or_fails_ends_the_rendering_and_leaves_nothing(
         raise ZeroDivisionError("by nothing")
 
     for broken, words in ((dies, "SIGKILL"), (fails, "ZeroDivisionError: by nothing")):
-        monkeypatch.setattr(sections, "_rendered", broken)
+        monkeypatch.setattr(sections, "_render_section", broken)
         with pytest.raises(InternalError, match=words):
             render_file(source, out, REFERENCE, workers=2)
         assert not listing(out.parent)
@@ -239,5 +239,5 @@ def test_no_more_is_begun_than_a_few_results_ahead_of_what_was_taken(tmp_path):
     with Workers(work, 50, 2) as pool:
         for taken, result in enumerate(pool.results(), 1):
             assert result == taken - 1
-            assert begun() <= taken + LEAD * 2
+            assert begun() <= taken + AHEAD * 2
     assert begun() == 50

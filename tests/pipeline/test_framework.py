@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework
-from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import FramesTap, SceneClient, TapClient
 from audioflinger_hook.transform import Form, HapticTransform, TransformParameters
@@ -62,7 +62,7 @@ def transformed(frames, samplerate=RATE, **options):
 
 def steps_of(client, framework):
     """Everything that moves through a chain: (sound, vibration)."""
-    chain = Chain(client, framework, ())
+    chain = Pipeline(client, framework, ())
     steps = list(itertools.takewhile(lambda step: step is not None, iter(chain.step, 0)))
     return tuple(
         np.concatenate([getattr(step, name) for step in steps]) for name in ("audio", "vibration")
@@ -133,7 +133,7 @@ def test_two_frameworks_in_turns_do_not_disturb_one_another():
     chains = []
     for frames, chosen in zip(sounds, choices, strict=True):
         framework = Framework(RATE, frames.shape[1], chosen)
-        chains.append(Chain(TapClient(FramesTap(frames, RATE, 333)), framework, ()))
+        chains.append(Pipeline(TapClient(FramesTap(frames, RATE, 333)), framework, ()))
     felt: list[list[np.ndarray]] = [[], []]
     for _ in range(29):
         for chain, blocks in zip(chains, felt, strict=True):
@@ -189,18 +189,18 @@ def test_a_rendering_whose_effect_fails_is_an_internal_error_and_leaves_no_file(
     (tmp_path / "out.wav").write_bytes(b"old")
     before = listing(tmp_path)
     failing_after(buffers, monkeypatch)
-    with pytest.raises(InternalError, match="gave up: raised ArithmeticError: nothing adds up"):
+    with pytest.raises(InternalError, match="failed: raised ArithmeticError: nothing adds up"):
         render_file(source, tmp_path / "out.wav", acceleration=tmp_path / "felt.wav")
     assert listing(tmp_path) == before
     done = call("render", source, tmp_path / "new.wav")
-    assert "the haptic effect gave up" in refused(done, 5)
+    assert "the haptic effect failed" in refused(done, 5)
     assert listing(tmp_path) == before
 
 
 def test_the_sound_goes_on_and_the_vibration_rests_where_our_effect_fails(monkeypatch):
     frames = music(4_800)
     framework = Framework(RATE, 2)
-    chain = Chain(TapClient(FramesTap(frames, RATE, 480)), framework, ())
+    chain = Pipeline(TapClient(FramesTap(frames, RATE, 480)), framework, ())
     failing_after(4, monkeypatch)
     for first in range(0, 4_800, 480):
         step = chain.step()
@@ -218,7 +218,7 @@ def test_the_sound_goes_on_and_the_vibration_rests_where_our_effect_fails(monkey
 
 def test_the_dump_holds_thread_tracks_chain_and_effect():
     framework = Framework(RATE, 2, Settings(channels="each"))
-    chain = Chain(SceneClient(demo_scene()), framework, ())
+    chain = Pipeline(SceneClient(demo_scene()), framework, ())
     for cycle in range(200):
         chain.step(cycle * 256 / RATE)
     lines = [line.strip() for line in framework.dump([0.001, 0.002]).splitlines()]

@@ -12,7 +12,7 @@ import pytest
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.effect.haptic import HAPTIC_CUSHION
 from audioflinger_hook.pipeline.framework import Framework
-from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import FramesTap, TapClient
 from device.errors import UsageError
 from tests.effect.test_registry import HALVER, HALVER_UUID, entry
@@ -329,7 +329,7 @@ def test_a_config_that_names_no_effects_file_is_a_mistake_with_its_line(tmp_path
 def test_what_came_out_of_a_chain_stays_as_it_was(effects_file):
     path = effects_file("cushion", effects=[OURS], applied=["ours"])
     framework = Framework(RATE, 2, Settings(effects_file=path))
-    chain = Chain(TapClient(FramesTap(music(2_000), RATE, 500)), framework, ())
+    chain = Pipeline(TapClient(FramesTap(music(2_000), RATE, 500)), framework, ())
     first = chain.step()
     assert first
     kept = first.audio.tobytes(), first.vibration.tobytes()

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.pipeline.framework import Framework
-from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
 from audioflinger_hook.sources import FileTap, FramesTap, SceneClient, TapClient, mixdown
 from audioflinger_hook.transform import HapticTransform
@@ -96,7 +96,7 @@ def run(client, settings, outputs=None):
     if outputs is None:
         outputs = [Collector(client.samplerate, framework.haptic_channels) for _ in range(2)]
     latency = framework.latency_frames
-    chain = Chain(client, framework, [AlignedOutput(output, latency) for output in outputs])
+    chain = Pipeline(client, framework, [AlignedOutput(output, latency) for output in outputs])
     steps = []
     while step := chain.step():
         steps.append(step)
@@ -187,7 +187,7 @@ def test_each_channel_has_its_own_column(mix):
 def test_a_step_moves_one_buffer_and_the_last_step_only_what_is_owed(mix):
     framework = Framework(RATE, 2)
     output = Collector()
-    chain = Chain(played(mix, 800), framework, [output])
+    chain = Pipeline(played(mix, 800), framework, [output])
     for _ in range(30):
         step = chain.step()
         assert step
@@ -224,7 +224,7 @@ def test_abort_leaves_nothing_and_harms_nothing(mix, tmp_path, before, steps):
     recorder = WavOutput(tmp_path / "felt.wav", RATE, 1)
     felt = AlignedOutput(SimulatedRig(PAPER, RATE, 1, recorder=recorder), 10)
     outputs = [AlignedOutput(WavOutput(tmp_path / "out.wav", RATE, 1), 10), felt]
-    chain = Chain(played(mix, 256), Framework(RATE, 2), outputs)
+    chain = Pipeline(played(mix, 256), Framework(RATE, 2), outputs)
     for _ in range(steps):
         chain.step()
     chain.abort()
@@ -235,7 +235,7 @@ def test_abort_leaves_nothing_and_harms_nothing(mix, tmp_path, before, steps):
 
 def test_close_keeps_what_was_sent_and_lets_go_of_the_tap(tmp_path):
     tap = UnevenTap(noise(5_000, 2).astype(np.float32), [600, 400])
-    chain = Chain(TapClient(tap), Framework(RATE, 2), [WavOutput(tmp_path / "a", RATE, 1)])
+    chain = Pipeline(TapClient(tap), Framework(RATE, 2), [WavOutput(tmp_path / "a", RATE, 1)])
     chain.step()
     chain.step()
     chain.close()
@@ -247,7 +247,7 @@ def test_close_keeps_what_was_sent_and_lets_go_of_the_tap(tmp_path):
 
 def test_an_output_that_fails_stops_the_chain_and_abort_discards_the_others(mix, tmp_path):
     whole = WavOutput(tmp_path / "out.wav", RATE, 1)
-    chain = Chain(played(mix, 256), Framework(RATE, 2), [whole, Clogged()])
+    chain = Pipeline(played(mix, 256), Framework(RATE, 2), [whole, Clogged()])
     chain.step()
     with pytest.raises(WriteError, match="disk is full"):
         chain.step()

@@ -10,7 +10,7 @@ import numpy as np
 
 from audioflinger_hook.mixer import Mixer, PcmFormat
 from audioflinger_hook.pipeline.framework import Framework
-from audioflinger_hook.pipeline.step import Chain
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import Client, FramesTap, SceneClient, TapClient, mixdown
 from tools.bench.cost import Timings, interleaved
@@ -167,10 +167,10 @@ def _demo_rows(subject: Subject, repeats: int) -> list[Row]:
 def _chain(client: Client) -> Callable[[], None]:
     """Return what plays a client through mixer and effect, to no device."""
     framework = Framework(client.samplerate, client.channels)
-    return partial(_play, Chain(client, framework, ()))
+    return partial(_play, Pipeline(client, framework, ()))
 
 
-def _play(chain: Chain) -> None:
+def _play(chain: Pipeline) -> None:
     while chain.step() is not None:
         pass
 
