@@ -46,10 +46,6 @@ class Description(ABC):
         The name that users know it by, where that is not the field's name.
     section : str
         The section of a config file that holds it, where that is not its class's section.
-    flag : str
-        The command-line option that sets it, if any.
-    metavar : str
-        What help shows in place of the option's value.
     change : str
         What a change needs while the program runs, where that is not the same for the whole class.
     """
@@ -58,8 +54,6 @@ class Description(ABC):
     _: KW_ONLY
     name: str = ""
     section: str = ""
-    flag: str = ""
-    metavar: str = ""
     change: str = ""
 
     @property
@@ -76,7 +70,7 @@ class Description(ABC):
         """Return the JSON Schema of the values that are accepted."""
 
     def resolved(self, value: object, folder: Path) -> object:
-        """Return the value with a path in it made relative to a folder; others as they are."""
+        """Return the value; a path in it becomes one below the folder."""
         return value
 
     def typed(self, value: Any) -> Any:

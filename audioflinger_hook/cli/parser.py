@@ -158,7 +158,7 @@ def _usb(command: Parser) -> None:
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
     command.add_argument("device", nargs="?", metavar="DEVICE", help=names)
     _value(command, "--hex", Path, "FILE", "decode a dump; - is standard input")
-    taken = "also read volumes and sample rates; meanwhile the sound card is gone"
+    taken = "also read volumes and sample rates; the sound card is gone for that time"
     _switch(command, "--take-over", taken)
     _json(command)
 
@@ -258,7 +258,7 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str]] = {
     "demo": (_demo, "play the bundled scene through the whole chain"),
     "render": (_render, "write the vibration of sound files"),
     "inspect": (_inspect, "list the principal frequencies of a sound file"),
-    "capture": (_capture, "record buffers of sound as they are delivered"),
+    "capture": (_capture, "record the buffers that a sound comes in"),
     "replay": (_replay, "write the vibration of a capture"),
     "dump": (_dump, "show threads, tracks, effects and counters"),
     "run": (_run, "feel everything this computer plays"),
@@ -286,12 +286,12 @@ def _seconds(text: str) -> float:
     except ValueError:
         value = math.nan
     if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds from 0")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time; allowed: 0 seconds or more")
     return value
 
 
 def _duration(text: str) -> float:
     value = _seconds(text)
     if not value:
-        raise argparse.ArgumentTypeError(f"{text!r} is no time to listen; allowed: above 0 seconds")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a duration; allowed: above 0 seconds")
     return value

@@ -8,7 +8,7 @@ from typing import Any
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
-from device.values import Choice, Described, Description, Number, Switch
+from device.values import Choice, Described, Description, Switch
 
 ACTUATOR = "actuator"
 SECTIONS = ("", "transform", "applications", ACTUATOR)
@@ -26,6 +26,24 @@ CHANGES = {
     "engine": "restarts all but the connection",
 }
 """What a change of a key needs while the daemon runs, with its explanation."""
+
+OPTIONS = {
+    "form": "",
+    "channels": "",
+    "profile": "NAME",
+    "rig": "NAME|FILE",
+    "damping": "",
+    "protection": "",
+    "tap": "TAP",
+    "device": "DEVICE",
+    "offset_ms": "MS",
+    "drop_in": "",
+    "device_volume_db": "DB",
+}
+"""Fields that a command-line option sets, each with what help shows for its value.
+
+"" stands for the words of a choice, or for a switch.
+"""
 
 RENAMED_PARAMETERS = {
     "follower_db": "loudness_db",
@@ -46,8 +64,6 @@ _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
     (ActuatorSettings, ACTUATOR, "nothing"),
 )
 """The classes that hold the keys, each with the section and change of fields that name none."""
-
-_RIG = Settings.DESCRIPTIONS["rig"]
 
 
 @dataclass(frozen=True)
@@ -79,15 +95,14 @@ class Key:
     @property
     def flag(self) -> str:
         """The command-line option that sets it, "" if none does."""
-        return self.description.flag
+        has_one = self.field in OPTIONS and self.owner is not ActuatorSettings
+        return f"--{self.name.replace('_', '-')}" if has_one else ""
 
     @property
     def metavar(self) -> str:
         """What help shows in place of the option's value."""
-        described = self.description
-        words = "|".join(map(str, described.words)) if isinstance(described, Choice) else ""
-        unit = described.unit.upper() if isinstance(described, Number) else ""
-        return described.metavar or words or unit
+        words = self.description.words if isinstance(self.description, Choice) else ()
+        return OPTIONS[self.field] or "|".join(map(str, words))
 
     @property
     def shown_default(self) -> str:
@@ -106,7 +121,7 @@ class Key:
         described = self.description
         parts = [described.meaning]
         if not isinstance(described, Switch):
-            words_shown = isinstance(described, Choice) and not described.metavar
+            words_shown = isinstance(described, Choice) and not OPTIONS.get(self.field, "-")
             parts += [] if words_shown else [described.allowed]
             parts += [f"default: {self.shown_default}"] if self.shown_default else []
         return "; ".join(parts)
@@ -124,20 +139,13 @@ def _keys() -> tuple[Key, ...]:
     found = []
     for owner, section, change in _OWNERS:
         for field, described in owner.DESCRIPTIONS.items():
-            if owner is ActuatorSettings and field == "rig":  # with a look at the file
-                named, change_of_rig = described.meaning, described.change
-                described = replace(_RIG, meaning=named, change=change_of_rig, flag="", metavar="")
+            if owner is ActuatorSettings and field == "rig":  # `Settings` reads the file
+                meaning = described.meaning
+                described = replace(Settings.DESCRIPTIONS["rig"], meaning=meaning)
             default = getattr(owner, field, MISSING)
-            key = Key(
-                described.section or section,
-                described.name or field,
-                owner,
-                field,
-                described,
-                None if default is MISSING else default,
-                described.change or change,
-            )
-            found.append(key)
+            default = None if default is MISSING else default
+            place = described.section or section, described.name or field
+            found.append(Key(*place, owner, field, described, default, described.change or change))
     return tuple(sorted(found, key=lambda key: SECTIONS.index(key.section)))
 
 

@@ -157,52 +157,34 @@ class Settings(Described):
     Raises
     ------
     UsageError
-        _Names every choice that is refused.
+        Names every choice that is refused.
 
     Attributes
     ----------
     parameters : TransformParameters
         The profile's where not given.
     said : tuple of str
-        _Names of parameters that were chosen one by one. They stay with another profile.
+        Names of parameters that were chosen one by one. They stay with another profile.
     actuators : tuple of ActuatorSettings
         What each actuator plays, and where. Without any, all channels get the same vibration.
     """
 
     profile: Annotated[
-        str,
-        Choice(
-            "named set of transform parameters",
-            tuple(PROFILES),
-            flag="--profile",
-            metavar="NAME",
-            change="transform",
-        ),
+        str, Choice("named set of transform parameters", tuple(PROFILES), change="transform")
     ] = DEFAULT_PROFILE
-    damping: Annotated[
-        str, Choice("reduce the rig's ringing; switches protection on", DAMPING, flag="--damping")
-    ] = DAMPING[0]
+    damping: Annotated[str, Choice("reduce the rig's ringing, with protection on", DAMPING)] = (
+        DAMPING[0]
+    )
     protection: Annotated[
-        str,
-        Choice(
-            "keep the rig within its limits, and count exposure", PROTECTION, flag="--protection"
-        ),
+        str, Choice("keep the rig within its limits, and count exposure", PROTECTION)
     ] = PROTECTION[0]
     exposure_cap: Annotated[
-        str,
-        Choice(
-            "value of 2002/44/EC that vibration is turned down for; switches protection on",
-            EXPOSURE_CAP,
-        ),
+        str, Choice("exposure value of 2002/44/EC to stay under, with protection on", EXPOSURE_CAP)
     ] = EXPOSURE_CAP[0]
     form: Annotated[
         Form,
         Choice(
-            "form of the transform",
-            ("live", "reference"),
-            name="transform",
-            section="transform",
-            flag="--transform",
+            "form of the transform", ("live", "reference"), name="transform", section="transform"
         ),
     ] = "live"
     channels: Annotated[
@@ -211,12 +193,9 @@ class Settings(Described):
             "transform the mean of all channels, or each channel by itself",
             ("mono", "each"),
             section="transform",
-            flag="--channels",
         ),
     ] = "mono"
-    rig: Annotated[
-        str, _RigName("what is driven: a rig or its file", flag="--rig", metavar="NAME|FILE")
-    ] = SHIPPED[0]
+    rig: Annotated[str, _RigName("what is driven: a rig or its file", change="engine")] = SHIPPED[0]
     gain_db: Annotated[
         float, Number("level of the vibration", GAIN_MIN_DB, GAIN_MAX_DB, "dB", change="nothing")
     ] = GAIN_MAX_DB
@@ -239,12 +218,12 @@ class Settings(Described):
     @classmethod
     def refusals(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
         """Return why values are refused, those of the actuators' rigs and wiring included."""
-        found = super().refusals(values)
-        for number, one in enumerate(values["actuators"], 1):
+        found, actuators = super().refusals(values), values.get("actuators", ())
+        for number, one in enumerate(actuators, 1):
             if one.rig is not None and (refusal := cls.DESCRIPTIONS["rig"].refuse(one.rig)):
                 wrong = f"= {one.rig!r} {refusal.wrong}"
                 found[f"actuator[{number}].rig"] = replace(refusal, wrong=wrong)
-        wiring = wiring_refusals(wiring_of(values["actuators"]))
+        wiring = wiring_refusals(wiring_of(actuators))
         return found | {f"actuator[{number}]": refusal for number, refusal in wiring.items()}
 
     @classmethod
@@ -296,51 +275,30 @@ class LiveSettings(Described):
     Raises
     ------
     UsageError
-        _Names every choice that is refused.
+        Names every choice that is refused.
     """
 
     tap: Annotated[
         tuple[str, ...],
-        _Taps(
-            "where the sound comes from",
-            TAPS,
-            parse_tap,
-            "tap",
-            flag="--tap",
-            metavar="TAP",
-            change="stream",
-        ),
+        _Taps("where the sound comes from", TAPS, parse_tap, "tap", change="stream"),
     ] = ("default",)
     device: Annotated[
         str | None,
-        _Address(
-            "where the vibration goes",
-            DEVICES,
-            parse_device,
-            "device",
-            flag="--device",
-            metavar="DEVICE",
-            change="stream",
-        ),
+        _Address("where the vibration goes", DEVICES, parse_device, "device", change="stream"),
     ] = None
     offset_ms: Annotated[
         float,
         Number(
-            "delay the vibration more; below 0, for which drop-in is needed, less",
+            "delay of the vibration; below 0 it is earlier, which needs drop_in",
             -OFFSET_MAX_MS,
             OFFSET_MAX_MS,
             "ms",
-            flag="--offset-ms",
             change="nothing",
         ),
     ] = 0.0
     drop_in: Annotated[
         bool,
-        Switch(
-            "stand between applications and their sink, which can delay the sound",
-            flag="--drop-in",
-            change="stream",
-        ),
+        Switch("stand between applications and their sink, to delay the sound", change="stream"),
     ] = False
     block_frames: Annotated[
         int, Choice("frames of one audio callback", BLOCK_FRAMES, "frames", change="streams")
@@ -355,17 +313,16 @@ class LiveSettings(Described):
             DEVICE_VOLUME_MIN_DB,
             0.0,
             "dB",
-            flag="--device-volume-db",
             change="nothing",
         ),
     ] = None
     include: Annotated[
         tuple[str, ...],
-        _Names("applications that are felt; default: all", section="applications", change="stream"),
+        _Names("applications to play; default: all", section="applications", change="stream"),
     ] = ()
     exclude: Annotated[
         tuple[str, ...],
-        _Names("applications that are not felt", section="applications", change="stream"),
+        _Names("applications to leave out", section="applications", change="stream"),
     ] = ()
 
     @classmethod

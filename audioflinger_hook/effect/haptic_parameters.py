@@ -1,4 +1,4 @@
-"""What one can choose of the haptic effect, and what it tells."""
+"""Parameters of the haptic effect: those that can be set, and those that can only be read."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ HAPTIC_PARAMETERS = (
         "per_channel",
         bool,
         False,
-        meaning="every channel by itself instead of the mean of all",
+        meaning="transform each channel instead of the mean of all",
     ),
     Parameter(
         "sources",

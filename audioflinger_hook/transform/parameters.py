@@ -73,10 +73,10 @@ class TransformParameters(Described):
         float, Number("change of vibration for 20 phon of loudness", 1.0, 20.0, "dB")
     ] = 5.5
     loudness_floor_db: Annotated[
-        float, Number("loudness below which nothing is felt", -90.0, -30.0, "dB")
+        float, Number("loudness below which there is no vibration", -90.0, -30.0, "dB")
     ] = -60.0
     loudness_gate_db: Annotated[
-        float, Number("range above that floor in which vibration fades in", 1.0, 30.0, "dB")
+        float, Number("range above the floor in which vibration fades in", 1.0, 30.0, "dB")
     ] = 10.0
     speech_suppression_db: Annotated[
         float, Number("how much speech is lowered; 0: not at all", 0.0, 24.0, "dB")

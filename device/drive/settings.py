@@ -26,7 +26,7 @@ DELAY_MAX_MS = 500.0
 much is taken from the start."""
 
 ACTUATORS_MAX = CHANNELS_MAX
-"""Each needs a channel of its own."""
+"""One for each channel."""
 
 LIKE_ALL = "; default: as for all actuators"
 

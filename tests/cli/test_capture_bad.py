@@ -228,8 +228,8 @@ def test_a_tap_that_does_not_exist_is_refused(tmp_path, tap, code):
 @pytest.mark.parametrize("seconds", ["-1", "nan", "inf", "soon", ""])
 def test_wrong_seconds_are_refused(tmp_path, source, seconds):
     options = ["capture", tmp_path / "cap", "--tap", f"file:{source}"]
-    assert "is not a time in seconds" in refused(call(*options, f"--seconds={seconds}"))
-    assert "is not a time in seconds" in refused(call("dump", f"--at={seconds}"))
+    assert "is not a time; allowed: 0 seconds" in refused(call(*options, f"--seconds={seconds}"))
+    assert "is not a time; allowed: 0 seconds" in refused(call("dump", f"--at={seconds}"))
     assert "above 0 seconds" in refused(call(*options, "--seconds=0"))
     assert not (tmp_path / "cap").exists()
 
