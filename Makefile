@@ -6,14 +6,16 @@ PYTEST_ARGS ?=
 # another environment's modules must not stand in for those of .venv
 unexport PYTHONPATH PYTHONHOME
 
-.PHONY: help run test test-servers test-usb soak bench clean
+.PHONY: help run test test-all test-exhaustive test-servers test-usb soak bench clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make run     set up and play the demo scene; results in out/'
-	@echo 'make test    set up and run every check and test (PYTEST_ARGS="..." for pytest)'
-	@echo 'make test-servers   live sound, on sound servers started for it'
-	@echo 'make test-usb       USB sound cards of a real kernel, in a virtual machine'
+	@echo 'make test    set up, check style and types, run the fast tests (PYTEST_ARGS="..." for pytest)'
+	@echo 'make test-all    the fast tests and the three sets below'
+	@echo 'make test-exhaustive   more cases of the same properties'
+	@echo 'make test-servers      live sound, on sound servers of its own'
+	@echo 'make test-usb          USB sound cards of a real kernel, in a virtual machine'
 	@echo 'make soak    the tests that take minutes'
 	@echo 'make bench   measure speed and error on this machine'
 	@echo 'make clean   remove what the set-up and the tests made; out/ stays'
@@ -30,6 +32,15 @@ test:
 	.venv/bin/python -m ruff format --check .
 	.venv/bin/python -m mypy --strict
 	.venv/bin/python -m pytest -n auto --dist loadfile $(PYTEST_ARGS)
+
+test-all: test test-exhaustive test-servers test-usb
+
+test-exhaustive:
+	@sh tools/setup.sh test
+	@sh tools/fetch_recordings.sh
+	@sh tools/fetch_usb_mock.sh
+	.venv/bin/python -m pytest -m "exhaustive and not soak and not servers and not usbvm" \
+	    -n auto --dist loadfile $(PYTEST_ARGS)
 
 test-servers:
 	@sh tools/setup.sh test
