@@ -75,7 +75,7 @@ class DeviceAddress:
 def parse_device(text: str) -> DeviceAddress:
     """What the text stands for. A word without a colon is the name of a sink.
 
-    The name is taken as it is written: nothing is trimmed, completed or looked up.
+    Names are taken literally.
 
     Raises
     ------

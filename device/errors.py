@@ -37,7 +37,7 @@ class LostError(CushionError):
 
 
 class InternalError(CushionError):
-    """The program failed; also the root of what goes wrong while it runs."""
+    """The program failed; the root of errors while it runs."""
 
     exit_code = 5
 

@@ -1,4 +1,4 @@
-"""What to say when a name is not there: the nearest ones, or all that there are."""
+"""Suggestions for an unknown name: the nearest names, or all known ones."""
 
 from __future__ import annotations
 

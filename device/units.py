@@ -38,7 +38,7 @@ def finite_or_zero(
 ) -> tuple[FloatArray, int]:
     """The samples with 0 for every NaN and every magnitude above `limit`, and how many those were.
 
-    The array given is returned as it is where there are none; it is never changed.
+    Without any, the same array is returned; it is never changed.
     """
     sound = np.abs(samples) <= limit  # False for NaN
     replaced = samples.size - int(np.count_nonzero(sound))

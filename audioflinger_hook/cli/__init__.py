@@ -18,7 +18,7 @@ from device.errors import CushionError, InternalError, WriteError
 EXIT_INTERRUPTED = 130
 
 STDOUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What printing may fail with; files of ours report these errors by themselves."""
+"""Errors of printing; the program's own files report these errors themselves."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

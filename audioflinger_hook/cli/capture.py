@@ -1,4 +1,4 @@
-"""`cushion capture`: the buffers of a tap, kept exactly as they are delivered."""
+"""`cushion capture`: the buffers of a tap, stored as delivered."""
 
 from __future__ import annotations
 

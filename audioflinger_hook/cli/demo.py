@@ -102,7 +102,7 @@ def _make_folder(out: Path) -> None:
 
 
 def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Played:
-    """Step the chain to its end, in real time unless `fast`, showing what goes through it."""
+    """Step the pipeline to its end, in real time unless `fast`, and show its levels."""
     played = Played()
     pace = RealTimePace(scene.samplerate, time.monotonic())
     frames = 0
@@ -151,7 +151,7 @@ def _draw(
     picture = io.BytesIO()
     draw_report(
         picture,
-        title="Haptic Cushion: what is played, and what is felt",
+        title="Haptic Cushion: sound and vibration",
         samplerate=scene.samplerate,
         audio=sound,
         vibration=vibration[:, 0],
@@ -192,7 +192,7 @@ def _print_table(
     buffer_length_ms = BLOCKSIZE_FRAMES / framework.samplerate * 1e3
     median, tail, worst = np.percentile(buffer_ms, (50, 99, 100))
     share = 100.0 * buffer_ms.sum() / (buffer_length_ms * buffer_ms.size)
-    table = Table(title="What was played and felt", show_header=False, title_justify="left")
+    table = Table(title="Sound and vibration", show_header=False, title_justify="left")
     tracks = framework.mixer.tracks
     formats = ", ".join(f"{t.name} {t.format.value} {t.samplerate / 1e3:g} kHz" for t in tracks)
     table.add_row(f"{len(tracks)} tracks mixed", formats)
@@ -209,7 +209,7 @@ def _print_table(
     )
     written = {
         "scene.wav": "what was played",
-        "vibration.wav": "what is felt, to be heard",
+        "vibration.wav": "the vibration, for headphones",
         "acceleration.wav": f"full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s²",
         "report.png": "all of it as a picture" if drawn else "not drawn",
     }

@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) -> dict[str, Any]:
-    """What is known of a USB device without asking it; `usb describe` tells more."""
+    """Return the data of a USB device that need no request to it; see `usb describe` for more."""
     whole, trouble = None, None
     try:
         whole = parse_whole(device.descriptors)
@@ -94,16 +94,16 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
 
 
 def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int], UsbFormat]:
-    """What the driver offers of a device, by interface and alternate setting.
+    """Return the driver's formats of a device, by interface and alternate setting.
 
-    It asked the clock of a device of class 2 for its rates, which no descriptor tells.
+    The driver knows the rates of class 2, which only the device's clock reports.
     """
     found: dict[tuple[int, int], UsbFormat] = {}
     for name in hw_names(device):
         try:
             playback = find_playback(name.removeprefix("hw:"), root)
         except NotFoundError:
-            continue  # it went meanwhile
+            continue  # it was unplugged in the meantime
         stream = read_usb_stream(playback)
         for each in stream.formats if stream else ():
             found[each.interface, each.altsetting] = each
@@ -113,7 +113,7 @@ def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int
 def _samplerates(
     playback: PlaybackFormat, offered: UsbFormat | None
 ) -> list[int] | dict[str, int] | None:
-    """Rates in Hz, or their range; None where only the device's clock knows, and nobody asked."""
+    """Return rates in Hz, or their range; None where only the device's clock knows them."""
     rates = playback.samplerates
     if isinstance(rates, RateRange):
         return {"lowest": rates.lowest, "highest": rates.highest}

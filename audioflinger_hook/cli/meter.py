@@ -18,7 +18,7 @@ REFRESH_S = 1 / 15
 BAR_CELLS = 40
 BAR_RANGE_DB = 60.0
 SILENCE_DB = -70.0
-"""A peak under this is told as silence."""
+"""Peaks below this level are shown as silence."""
 SPECTRUM_WINDOW_S = 0.1
 SPECTRUM_BANDS_HZ = np.arange(20, 221, 5)
 STEPS = " ▁▂▃▄▅▆▇█"

@@ -11,7 +11,7 @@ from device.usb import UsbAudioDevice
 
 
 def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
-    """Return what the mixers of a device's cards hold, as JSON can tell it.
+    """Return the controls of a device's cards, for JSON.
 
     Levels in dB by channel, None for silence; of a volume whose steps mean nothing in dB they are
     left out. problem: why something could not be read, None where nothing speaks against it.
@@ -57,7 +57,7 @@ def mixer_lines(mixer: dict[str, Any]) -> list[str]:
 
 
 def volume_now(mixer: dict[str, Any]) -> str:
-    """Return the loudest channel's level, or that it is muted, in a word; "" where nobody knows."""
+    """Return the loudest channel's level, or "muted"; "" where it is unknown."""
     if any(each["muted"] and all(each["muted"]) for each in mixer["mutes"]):
         return "muted"
     levels = [level for each in mixer["volumes"] for level in each.get("db", ())]

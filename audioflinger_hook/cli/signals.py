@@ -66,4 +66,4 @@ class Signals:
 
 
 def _nothing() -> None:
-    """Do nothing: nobody minds yet."""
+    """Do nothing: no handler is set yet."""

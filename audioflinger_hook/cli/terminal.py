@@ -40,7 +40,7 @@ class LineConsole(Console):
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[float, float | None], None]]:
-    """Yield a function that is told what is done and what there is (None: not known).
+    """Yield a function of the finished and the total amount (None: unknown).
 
     Drawn on stderr while it is a terminal, and gone afterwards.
     """

@@ -90,7 +90,7 @@ def _settings(device: UsbAudioDevice, taken: bool) -> dict[str, Any] | None:
 
 
 def _asked(control: UsbControl) -> dict[str, Any]:
-    """Return what the device tells; what it does not is left out, and its reason told."""
+    """Return the settings that the device reports; print the reason for missing ones."""
     volumes = []
     for channel in control.volume_channels:
         try:

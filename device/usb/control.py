@@ -121,7 +121,7 @@ class UsbControl:
         return requests.number(self._ask(asked), asked.length)
 
     def samplerates(self) -> tuple[RateRange, ...]:
-        """Return what its clock offers, Hz: of 2.0, where descriptors do not tell."""
+        """Return the rates of its clock, Hz, for version 2.0, whose descriptors lack them."""
         return requests.samplerate_ranges(self._ask(requests.samplerate(self._playback, "range")))
 
     def set_samplerate(self, hertz: int) -> None:
@@ -129,7 +129,7 @@ class UsbControl:
         self._ask(requests.set_samplerate(self._playback, hertz))
 
     def state(self) -> ControlState:
-        """Return all that it is set to; what it does not tell is left out."""
+        """Return all settings that the device reports."""
         volumes, mutes = [], []
         for channel in self.volume_channels:
             answer = self._told(requests.feature(self._playback, FeatureControl.VOLUME, channel))

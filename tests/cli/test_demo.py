@@ -161,7 +161,7 @@ def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(plain, 
     meter, _, warning = drawn.rpartition("\x1b[2K")
     assert "220 Hz" in meter  # it is wiped off at the end, and the rest stands on clean ground
     assert warning.startswith("cushion: warning: no report.png")
-    assert "What was played and felt" in done.stdout
+    assert "Sound and vibration" in done.stdout
     assert "\x1b" not in done.stdout
     unwatched, out = plain
     assert "220 Hz" not in unwatched.stderr
