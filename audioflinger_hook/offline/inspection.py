@@ -10,7 +10,7 @@ import numpy as np
 
 from audioflinger_hook.sources import FileTap, Tap
 from audioflinger_hook.transform import FloatArray
-from audioflinger_hook.transform.input_stage import mono, replace_unusable
+from audioflinger_hook.transform.input_stage import mix_to_mono, replace_unusable
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
@@ -89,7 +89,7 @@ def inspect_tap(
             units = transform.cut_last()
         else:
             frames += len(buffer)
-            units = transform.cut(mono(replace_unusable(buffer)[0]))
+            units = transform.cut(mix_to_mono(replace_unusable(buffer)[0]))
         if wanted is None:
             yield from _units(transform, parameters, units, done, tap.samplerate)
         elif wanted < done + len(units) and exact is not None and exact < frames:

@@ -1,14 +1,18 @@
 """The transform: principal frequencies of sound, mapped to 20-220 Hz of vibration.
 
-    intake -> bandpass -> spectrum -> principal, scaling --------> reference (unit by unit)
-                              |
-                              '---> analysis, scaling -> partials -> oscillators -> smoothing
-                              loudness, follower,        limiter  '-> live (overlapped, early)
-                              levels (also reference)
+    input_stage -> spectrum -> principal, mapping -> reference/  (unit by unit)
+                      '-----> live/                              (overlapped, early)
 
-    haptic (what users hold) -> voices (NumPy: intake, then one transform a channel)
-                             -> kernel (live, compiled: all of it in one call a block)
-                             mixdown (before either, where voices are not the channels)
+| module | what it does |
+| --- | --- |
+| `haptic` | `HapticTransform`, which users hold |
+| `parameters` | what shapes the vibration, and the ranges |
+| `design/` | all numbers and tables of the live form |
+| `kernel`, `native/` | the live form compiled: one call a block |
+| `live/` | the live form in NumPy |
+| `reference/` | the paper's equations, literally |
+| `channel_bank` | the NumPy implementations, one for each channel |
+| `input_stage`, `spectrum`, `principal`, `mapping` | steps that several forms share |
 
 Pure: samples in, samples out; no clock, no I/O, no mixer.
 """

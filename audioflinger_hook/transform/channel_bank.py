@@ -1,7 +1,7 @@
-"""A stream in NumPy: intake, then one transform for each channel of vibration.
+"""A stream in NumPy: the input stage, then one transform for each channel of vibration.
 
-Hops begin with the sound: where it comes after silence, its first frame is the first of a hop. The
-same sound so gives the same vibration however long the silence before it was.
+Hops begin with the sound: the first frame after silence is the first of a hop. So the same sound
+gives the same vibration however long the silence before it was.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames
-from audioflinger_hook.transform.input_stage import fitting, mono, replace_unusable
+from audioflinger_hook.transform.input_stage import fit_block, mix_to_mono, replace_unusable
 from audioflinger_hook.transform.live.loudness import LoudnessFollower
 
 
@@ -27,21 +27,21 @@ class MonoTransform(Protocol):
 
     @property
     def follower(self) -> LoudnessFollower | None:
-        """Of loudness, None where it is not followed."""
+        """The loudness follower; None where loudness is not followed."""
         ...
 
     @property
     def frames_to_hop(self) -> int:
-        """Frames that the hop under way still lacks, the same for all voices."""
+        """Frames that the current hop still lacks, the same for all channels."""
         ...
 
     @property
     def asleep(self) -> bool:
-        """Whether nothing is played, and what was heard has no effect any more."""
+        """Whether nothing is played, and earlier sound has no effect any more."""
         ...
 
     def begin_hop(self) -> None:
-        """Let the next frame be the first of a hop; while it is asleep only."""
+        """Let the next frame be the first of a hop; allowed only while `asleep`."""
         ...
 
     def process(self, mono: FloatArray) -> FloatArray:
@@ -49,84 +49,84 @@ class MonoTransform(Protocol):
         ...
 
     def finish(self) -> FloatArray:
-        """Return the `latency_frames` still owed, and begin anew."""
+        """Return the last `latency_frames`, and start anew."""
         ...
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Start anew."""
         ...
 
 
 class ChannelBank:
-    """Every channel through a voice of its own, or with one voice their mean.
+    """Each channel through a transform of its own, or their mean through the only one.
 
-    channels: of the sound. Counts as it goes: `delivered_frames`, `replaced_samples` that were
-    unusable and taken for 0, `limited_samples` of vibration that the limiter has changed.
+    transforms: one for each channel of vibration. channels: of the sound. Counts as it goes:
+    `delivered_frames`, and `replaced_samples` that were unusable and counted as 0.
     """
 
-    def __init__(self, voices: Sequence[MonoTransform], channels: int) -> None:
-        self.voices = voices
-        self.latency_frames = voices[0].latency_frames
-        self.tonal_latency_frames = voices[0].tonal_latency_frames
+    def __init__(self, transforms: Sequence[MonoTransform], channels: int) -> None:
+        self.transforms = transforms
+        self.latency_frames = transforms[0].latency_frames
+        self.tonal_latency_frames = transforms[0].tonal_latency_frames
         self.delivered_frames = 0
         self.replaced_samples = 0
         self._channels = channels
-        self._onset_after = voices[0].onset_after_frames
+        self._onset_after = transforms[0].onset_after_frames
         self._silent_frames = self._onset_after
-        self._followers = [voice.follower for voice in voices if voice.follower]
+        self._followers = [one.follower for one in transforms if one.follower]
 
     @property
     def limited_samples(self) -> int:
         """Samples of vibration that the limiter has changed, some not delivered yet."""
-        return sum(voice.limited_frames for voice in self.voices)
+        return sum(one.limited_frames for one in self.transforms)
 
     def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, voices) of vibration for sound that `fitting` takes, or raise as it."""
-        frames = fitting(frames, self._channels)
+        """Return (frames, transforms) of vibration for a block; raise as `fit_block`."""
+        frames = fit_block(frames, self._channels)
         usable, replaced = replace_unusable(frames)
         self.replaced_samples += replaced
         self.delivered_frames += len(frames)
         if not self._onset_after:
-            return self._through(usable)
+            return self._transform(usable)
         parts, first = [], 0
-        for onset in self._onsets(frames):
-            parts.append(self._through(usable[first:onset]))
+        for onset in self._find_onsets(frames):
+            parts.append(self._transform(usable[first:onset]))
             first = onset
-            if all(voice.asleep for voice in self.voices):
-                for voice in self.voices:
-                    voice.begin_hop()
-        parts.append(self._through(usable[first:]))
+            if all(one.asleep for one in self.transforms):
+                for one in self.transforms:
+                    one.begin_hop()
+        parts.append(self._transform(usable[first:]))
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
-    def _through(self, usable: Frames) -> FloatArray:
-        if len(self.voices) == 1:
-            return self.voices[0].process(mono(usable))[:, None]
+    def _transform(self, usable: Frames) -> FloatArray:
+        if len(self.transforms) == 1:
+            return self.transforms[0].process(mix_to_mono(usable))[:, None]
         if not self._followers:
-            return self._each(usable)
-        parts = [np.zeros((0, len(self.voices)))]
+            return self._transform_each(usable)
+        parts = [np.zeros((0, len(self.transforms)))]
         while len(usable):
-            frames = self.voices[0].frames_to_hop
-            parts.append(self._each(usable[:frames]))
+            frames = self.transforms[0].frames_to_hop
+            parts.append(self._transform_each(usable[:frames]))
             usable = usable[frames:]
             self._share_programme()
         return np.concatenate(parts)
 
     def _share_programme(self) -> None:
-        """Let the loudest programme be that of all: what is softer on one side stays so."""
+        """Let the loudest programme be that of all: the softer side of a sound stays softer."""
         loudest_db = max(follower.programme_db for follower in self._followers)
         for follower in self._followers:
             follower.programme_db = loudest_db
 
-    def _each(self, usable: Frames) -> FloatArray:
+    def _transform_each(self, usable: Frames) -> FloatArray:
         return np.stack(
             [
-                voice.process(usable[:, channel].astype(np.float64))
-                for channel, voice in enumerate(self.voices)
+                one.process(usable[:, channel].astype(np.float64))
+                for channel, one in enumerate(self.transforms)
             ],
             axis=1,
         )
 
-    def _onsets(self, frames: Frames) -> list[int]:
+    def _find_onsets(self, frames: Frames) -> list[int]:
         """Return the frames that are the first not to be exactly 0 after silence; count that."""
         loud = (frames != 0.0).any(axis=1).nonzero()[0]
         if not loud.size:
@@ -138,19 +138,19 @@ class ChannelBank:
         return [int(onset) for onset in loud[silent >= self._onset_after]]
 
     def finish(self) -> FloatArray:
-        """Return the last `latency_frames` of vibration, (frames, voices), and begin anew."""
+        """Return the last `latency_frames` of vibration, (frames, transforms); start anew."""
         self.delivered_frames += self.latency_frames
         self._silent_frames = self._onset_after
         if len(self._followers) > 1:
-            # Together: the last hops of one voice count for all.
-            owed = self._through(np.zeros((self.latency_frames, self._channels)))
-            for voice in self.voices:
-                voice.reset()
-            return owed
-        return np.stack([voice.finish() for voice in self.voices], axis=1)
+            # Together: the last hops of one channel count for all.
+            rest = self._transform(np.zeros((self.latency_frames, self._channels)))
+            for one in self.transforms:
+                one.reset()
+            return rest
+        return np.stack([one.finish() for one in self.transforms], axis=1)
 
     def reset(self) -> None:
-        """Begin a new stream; the counters go on."""
+        """Start a new stream; the counters go on."""
         self._silent_frames = self._onset_after
-        for voice in self.voices:
-            voice.reset()
+        for one in self.transforms:
+            one.reset()

@@ -1,4 +1,4 @@
-"""The transform as its users meet it: sound of any channels in, vibration out."""
+"""The transform for its users: sound of any channels in, vibration out."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Literal, Protocol
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.channel_bank import ChannelBank
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.input_stage import Mixdown
 from audioflinger_hook.transform.kernel import KernelStream, kernel_warning
 from audioflinger_hook.transform.live.transform import LiveTransform
@@ -16,10 +17,7 @@ from device.errors import UsageError
 Form = Literal["live", "reference"]
 Implementation = Literal["compiled", "numpy"]
 
-FORMS: dict[Form, type[LiveTransform] | type[ReferenceTransform]] = {
-    "live": LiveTransform,
-    "reference": ReferenceTransform,
-}
+FORMS: tuple[Form, ...] = ("live", "reference")
 
 
 class Stream(Protocol):
@@ -35,7 +33,7 @@ class Stream(Protocol):
 
     @property
     def replaced_samples(self) -> int:
-        """Unusable samples that were taken for 0 so far."""
+        """Unusable samples so far, which counted as 0."""
         ...
 
     @property
@@ -48,30 +46,46 @@ class Stream(Protocol):
         ...
 
     def finish(self) -> FloatArray:
-        """Return the `latency_frames` still owed, and begin anew."""
+        """Return the last `latency_frames`, and start anew."""
         ...
 
     def reset(self) -> None:
-        """Begin anew; the counters go on."""
+        """Start anew; the counters go on."""
         ...
 
 
 class HapticTransform:
     """Vibration for a stream of sound, block by block; pure: no clock, no I/O.
 
-    samplerate: Hz, 1 000 to 768 000; channels: 1 to 64. parameters: the paper's where not given.
-    form: `live`, what a cushion plays, or `reference`, the paper's equations literally.
-    per_channel: each channel is transformed by itself instead of their mean. weights: instead of
-    that (channels, voices), by which the channels are mixed, each voice then transformed by itself;
-    the weights of a voice add up to 1 or less, so that none exceeds full scale. Any split of the
-    stream into blocks gives the same bytes. Held by one thread at a time.
+    Any split of the stream into blocks gives the same bytes. Held by one thread at a time.
 
-    single: the vibration is wanted as float32. The reference form then costs a third, and its
-    float64 rounds to the same float32; to the live form it makes no difference.
+    Parameters
+    ----------
+    samplerate : int
+        Frames a second, 1 000 to 768 000.
+    channels : int
+        Channels of the sound, 1 to 64.
+    parameters : TransformParameters, optional
+        What shapes the vibration; default: the paper's.
+    form : {'live', 'reference'}
+        `live` is what a cushion plays, `reference` the paper's equations literally.
+    per_channel : bool
+        Whether each channel is transformed by itself, instead of their mean.
+    weights : ndarray, optional
+        (channels, outputs): the channels are mixed by them, and each output is transformed by
+        itself. The weights of an output sum to 1 or less, so that none exceeds full scale.
+    single : bool
+        Whether the vibration will be rounded to float32. The reference form then costs a third,
+        and its float64 rounds to the same float32. The live form ignores it.
+    implementation : {'compiled', 'numpy'}, optional
+        How the live form is computed: the same within 1e-6 of full scale, `numpy` at about fifteen
+        times the cost. Default: `compiled`, or `numpy` without the kernel (see `kernel_warning`).
+        The reference form is always `numpy`.
 
-    implementation: how the live form is computed. Where it is not given, `compiled`, or `numpy`
-    where the kernel is not there (`kernel_warning` says so): the same within 1e-6 of full scale,
-    at about fifteen times the cost. The reference form is `numpy` always.
+    Attributes
+    ----------
+    channels_out : int
+        Channels of the vibration.
 
     Raises
     ------
@@ -98,40 +112,39 @@ class HapticTransform:
         self.channels = channels
         self.parameters = parameters or TransformParameters()
         self.form = form
-        self.implementation = _implementation(form, implementation)
+        self.implementation = _choose_implementation(form, implementation)
         self._single = single
         self._mixdown = None if weights is None else Mixdown(weights)
-        streamed = self._mixdown.voices if self._mixdown else channels
+        streamed = self._mixdown.outputs if self._mixdown else channels
         per_channel |= self._mixdown is not None
         self.channels_out = streamed if per_channel else 1
-        self._stream = self._begun(streamed, per_channel)
+        self._references: list[ReferenceTransform] = []
+        self._stream = self._open(streamed, per_channel)
 
-    def _begun(self, channels: int, per_channel: bool) -> Stream:
+    def _open(self, channels: int, per_channel: bool) -> Stream:
         """Return a new stream."""
-        if self.implementation == "compiled":
-            settings = LiveTransform(self.parameters, self.samplerate)
-            return KernelStream(settings, channels, per_channel)
-        voices = [self._voice() for _ in range(self.channels_out)]
-        self._references = [voice for voice in voices if isinstance(voice, ReferenceTransform)]
-        return ChannelBank(voices, channels)
-
-    def _voice(self) -> LiveTransform | ReferenceTransform:
-        """Return a new transform of one channel, in NumPy."""
         if self.form == "reference":
-            return ReferenceTransform(self.parameters, self.samplerate, single=self._single)
-        return LiveTransform(self.parameters, self.samplerate)
+            self._references = [
+                ReferenceTransform(self.parameters, self.samplerate, single=self._single)
+                for _ in range(self.channels_out)
+            ]
+            return ChannelBank(self._references, channels)
+        design = LiveDesign.of(self.parameters, self.samplerate)
+        if self.implementation == "compiled":
+            return KernelStream(design, channels, per_channel)
+        return ChannelBank([LiveTransform(design) for _ in range(self.channels_out)], channels)
 
     @property
     def latency_frames(self) -> int:
-        """Frames by which vibration comes after its sound, that of an onset; exact and constant.
+        """Frames by which the vibration of an onset follows its sound; exact and constant.
 
-        To be taken out or waited for: one sees and hears when something begins.
+        Synchronisation uses this one: people see and hear when something begins.
         """
         return self._stream.latency_frames
 
     @property
     def tonal_latency_frames(self) -> int:
-        """Frames by which the level of what lasts follows, and its end; no less, and constant."""
+        """Frames by which sustained levels and endings follow; no less, and constant."""
         return self._stream.tonal_latency_frames
 
     @property
@@ -149,40 +162,48 @@ class HapticTransform:
 
     @property
     def replaced_samples(self) -> int:
-        """Samples of sound that were unusable and counted as 0 so far."""
+        """Unusable samples of sound so far, which counted as 0."""
         return (self._mixdown or self._stream).replaced_samples
 
     @property
     def past(self) -> tuple[bytes, ...]:
-        """Of the reference form between two units: all that what was heard does to what comes.
+        """State of the reference form between two units: all that earlier sound does to later.
 
-        May be set to that of another stream of the same format: what follows is then the same.
+        May be set to that of another stream of the same format, which then goes on the same.
         """
-        return tuple(voice.past for voice in self._references)
+        return tuple(channel.past for channel in self._references)
 
     @past.setter
     def past(self, past: tuple[bytes, ...]) -> None:
-        for voice, its in zip(self._references, past, strict=True):
-            voice.past = its
+        for channel, its in zip(self._references, past, strict=True):
+            channel.past = its
 
     def process(self, frames: Frames) -> FloatArray:
         """Return the vibration due, (frames, channels_out) float64, full scale +-1.
 
-        frames: (frames, channels), or (frames,) for one channel; float32 or float64, 0 frames
-        upwards. Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
+        Parameters
+        ----------
+        frames : ndarray
+            (frames, channels), or (frames,) for one channel; float32 or float64, 0 frames upwards.
+            Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
+
+        Raises
+        ------
+        UsageError
+            The block has another type or shape.
         """
         return self._stream.process(self._mixdown.process(frames) if self._mixdown else frames)
 
     def finish(self) -> FloatArray:
-        """Return the last `latency_frames` of vibration, (frames, channels_out), and begin anew."""
+        """Return the last `latency_frames` of vibration, (frames, channels_out); start anew."""
         return self._stream.finish()
 
     def reset(self) -> None:
-        """Begin a new stream; the counters go on."""
+        """Start a new stream; the counters go on."""
         self._stream.reset()
 
 
-def _implementation(form: Form, wanted: Implementation | None) -> Implementation:
+def _choose_implementation(form: Form, wanted: Implementation | None) -> Implementation:
     """Return how a form is computed, the faster way where there is a choice."""
     missing = kernel_warning()
     if wanted not in (None, "compiled", "numpy"):

@@ -1,8 +1,4 @@
-"""What arrives, made safe: unusable samples become 0 and are counted, channels become mono.
-
-Sound mixed for voices, each to be transformed by itself: weighted sums of its channels.
-
-The band-pass ahead of the analysis: the paper's 50 Hz to 12 kHz, second-order Butterworth."""
+"""The input stage: samples made usable, channels mixed, and the band-pass ahead of the analysis."""
 
 from __future__ import annotations
 
@@ -17,22 +13,25 @@ SAMPLES = (np.dtype(np.float32), np.dtype(np.float64))
 """The types of a sample, in the machine's own byte order."""
 
 MAGNITUDE_MAX = 1e3
-"""Samples above this (60 dB over full scale) are taken for damage, as NaN and Inf are."""
+"""Samples above this (60 dB over full scale) count as damage, as NaN and Inf do."""
 
 DENORMAL_GUARD = 1e-25
 """Added to every sample: too small for any result, large enough that no filter state, however
 long the silence, decays into denormal numbers, whose arithmetic is many times slower."""
 
+NYQUIST_MARGIN = 0.49
+"""A band edge from this fraction of the samplerate up cannot be filtered; the low edge alone is."""
 
-def fitting(frames: Frames, channels: int) -> Frames:
+
+def fit_block(frames: Frames, channels: int) -> Frames:
     """Return a block as (frames, channels) of one of `SAMPLES`.
 
-    frames: (frames, channels) or, of one channel, (frames,); any type with a decimal point.
+    frames: (frames, channels) or, of one channel, (frames,); any floating-point type.
 
     Raises
     ------
     UsageError
-        It is of another type or shape.
+        The block has another type or shape.
     """
     if frames.dtype.kind != "f":
         raise UsageError(
@@ -52,8 +51,8 @@ def fitting(frames: Frames, channels: int) -> Frames:
 def replace_unusable(frames: Frames) -> tuple[Frames, int]:
     """Return the frames with every unusable sample at 0, and how many there were.
 
-    Unusable: not finite, or above `MAGNITUDE_MAX` in magnitude. Sound without one is returned
-    as it is, not copied. Any shape. Called on the audio thread.
+    Unusable samples are not finite, or above `MAGNITUDE_MAX` in magnitude. Sound without one is
+    returned as it is, not copied. Any shape. Called on the audio thread.
     """
     flat = frames.reshape(-1)
     # One product proves most blocks usable: no sample exceeds the root of the sum of squares,
@@ -66,7 +65,7 @@ def replace_unusable(frames: Frames) -> tuple[Frames, int]:
     return np.where(usable, frames, frames.dtype.type(0)), int(usable.size - usable.sum())
 
 
-def mono(frames: Frames) -> FloatArray:
+def mix_to_mono(frames: Frames) -> FloatArray:
     """Return the mean of the channels, (frames,) float64, from (frames, channels).
 
     Channels are added one by one: a sum whose order depended on the block's shape would make
@@ -84,58 +83,71 @@ def mono(frames: Frames) -> FloatArray:
 
 
 class Mixdown:
-    """Sound of some channels as sound of some voices.
+    """Weighted sums of a sound's channels, each to be transformed by itself.
 
-    weights: (channels, voices). Unusable samples count as 0 before they are mixed, and in
+    weights: (channels, outputs). Unusable samples count as 0 before they are mixed, and in
     `replaced_samples`. Held by one thread at a time.
     """
 
     def __init__(self, weights: FloatArray) -> None:
-        self.channels, self.voices = weights.shape
+        self.channels, self.outputs = weights.shape
         self.replaced_samples = 0
         self._routes = [
-            (int(channel), int(voice), float(weights[channel, voice]))
-            for channel, voice in np.argwhere(weights)
+            (int(channel), int(output), float(weights[channel, output]))
+            for channel, output in np.argwhere(weights)
         ]
 
     def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, voices) float64 for sound that `fitting` takes, or raise as it.
+        """Return (frames, outputs) float64 for a block that `fit_block` takes, or raise as it.
 
         Channels are added one by one: the sum must not depend on the block's shape.
         """
-        usable, replaced = replace_unusable(fitting(frames, self.channels))
+        usable, replaced = replace_unusable(fit_block(frames, self.channels))
         self.replaced_samples += replaced
         # Channels as rows: each is one stretch of memory.
         rows = np.asarray(usable.T, np.float64, order="C")
-        mixed, weighted = np.zeros((self.voices, len(usable))), np.empty(len(usable))
-        for channel, voice, weight in self._routes:
-            mixed[voice] += np.multiply(rows[channel], weight, out=weighted)
+        mixed, weighted = np.zeros((self.outputs, len(usable))), np.empty(len(usable))
+        for channel, output, weight in self._routes:
+            mixed[output] += np.multiply(rows[channel], weight, out=weighted)
         return np.ascontiguousarray(mixed.T)
 
 
-NYQUIST_MARGIN = 0.49
-"""A band edge from this fraction of the samplerate up cannot be filtered; the low edge alone is."""
+def design_band_pass(
+    parameters: TransformParameters, samplerate: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return b and a of a second-order Butterworth band-pass as one recursion.
+
+    Raises
+    ------
+    UsageError
+        The whole band lies above what the samplerate in Hz can hold.
+    """
+    low, high = parameters.band_low_hz, parameters.band_high_hz
+    if low >= NYQUIST_MARGIN * samplerate:
+        raise UsageError(
+            f"band_low_hz={low:g} cannot be filtered at samplerate={samplerate} Hz; "
+            f"allowed: under {NYQUIST_MARGIN * samplerate:g} Hz"
+        )
+    if high >= NYQUIST_MARGIN * samplerate:
+        b, a = butter(2, low, "highpass", fs=samplerate)
+    else:
+        b, a = butter(2, (low, high), "bandpass", fs=samplerate)
+    return b, a
 
 
 class BandPass:
     """The band-passed stream, continued from block to block; any split gives the same bytes.
 
-    One direct-form recursion: its rounding stays under 1e-10 of full scale up to 96 kHz (2e-9 at
-    192 kHz, 1e-6 at 768 kHz), and one call a hop costs a quarter of second-order sections.
+    b, a: of `design_band_pass`. One direct-form recursion: its rounding stays under 1e-10 of full
+    scale up to 96 kHz (2e-9 at 192 kHz, 1e-6 at 768 kHz), and one call a hop costs a quarter of
+    second-order sections.
     """
 
-    def __init__(self, parameters: TransformParameters, samplerate: int) -> None:
-        low, high = parameters.band_low_hz, parameters.band_high_hz
-        if low >= NYQUIST_MARGIN * samplerate:
-            raise UsageError(
-                f"band_low_hz={low:g} cannot be filtered at samplerate={samplerate} Hz; "
-                f"allowed: under {NYQUIST_MARGIN * samplerate:g} Hz"
-            )
-        if high >= NYQUIST_MARGIN * samplerate:
-            self._b, self._a = butter(2, low, "highpass", fs=samplerate)
-        else:
-            self._b, self._a = butter(2, (low, high), "bandpass", fs=samplerate)
-        self._guard = DENORMAL_GUARD
+    def __init__(
+        self, b: FloatArray, a: FloatArray, denormal_guard: float = DENORMAL_GUARD
+    ) -> None:
+        self._b, self._a = b, a
+        self._guard = denormal_guard
         self.reset()
 
     def reset(self) -> None:
@@ -144,7 +156,7 @@ class BandPass:
 
     @property
     def past(self) -> bytes:
-        """All that what was heard does to what comes; may be set, of the same samplerate."""
+        """The state, all that earlier sound does to later; may be set, at the same samplerate."""
         return self._state.tobytes()
 
     @past.setter

@@ -133,7 +133,7 @@ class TransformParameters(Described):
         return math.log(self.vibration_top_hz / self.vibration_bottom_hz) / span
 
     @property
-    def heard_threshold_hz(self) -> float:
+    def live_threshold_hz(self) -> float:
         """C_th of the live form: lower with the follower, by what that lifts. Its gate is soft."""
         lowered = self.threshold_hz * math.pow(10.0, -self.loudness_db / 20.0)
         return max(lowered, THRESHOLD_MIN_HZ)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
@@ -12,33 +14,48 @@ from audioflinger_hook.transform.parameters import TransformParameters
 ComplexArray = NDArray[np.complex128]
 
 
+@dataclass(frozen=True, eq=False)
 class Spectrum:
-    """Spectra at one samplerate; pure, holds only its window.
+    """Spectra at one samplerate; pure, holds only its window, which is scaled to a sum of 2."""
 
-    samplerate (Hz), window_frames (N), fft_length (NFFT), bins (NFFT/2 + 1) and bin_hz describe
-    its grid.
-    """
+    samplerate: int
+    window: FloatArray
+    fft_length: int
 
-    def __init__(self, parameters: TransformParameters, samplerate: int) -> None:
-        self.samplerate = samplerate
-        self.window_frames = parameters.window_frames(samplerate)
-        self.fft_length = parameters.fft_length(samplerate)
-        self.bins = self.fft_length // 2 + 1
-        self.bin_hz = samplerate / self.fft_length
-        phase = 2.0 * np.pi * np.arange(self.window_frames) / self.window_frames
+    @classmethod
+    def of(cls, parameters: TransformParameters, samplerate: int) -> Spectrum:
+        """Return the spectra that parameters ask for at a samplerate in Hz."""
+        frames = parameters.window_frames(samplerate)
+        phase = 2.0 * np.pi * np.arange(frames) / frames
         hamming = 0.54 - 0.46 * np.cos(phase)
-        self._window = hamming * (2.0 / hamming.sum())
+        window = hamming * (2.0 / hamming.sum())
+        return cls(samplerate, window, parameters.fft_length(samplerate))
+
+    @property
+    def window_frames(self) -> int:
+        """N: frames in one window."""
+        return self.window.size
+
+    @property
+    def bins(self) -> int:
+        """NFFT/2 + 1."""
+        return self.fft_length // 2 + 1
+
+    @property
+    def bin_hz(self) -> float:
+        """Hz from bin to bin."""
+        return self.samplerate / self.fft_length
 
     def transform(self, windows: FloatArray) -> ComplexArray:
         """Return 2 X[k] / sum(w) of each row: (rows, N) to (rows, bins), complex128.
 
-        Each row of the batch is transformed by itself: its bytes do not depend on its company.
+        Each row is transformed by itself: its bytes do not depend on the other rows.
         """
-        return np.asarray(rfft(windows * self._window, self.fft_length, axis=1))
+        return np.asarray(rfft(windows * self.window, self.fft_length, axis=1))
 
 
 def magnitude(spectra: ComplexArray) -> FloatArray:
-    """Return |X| of any shape, without the overflow guard of `abs`, which costs three times it."""
+    """Return |X| of any shape, without the overflow guard of `abs`, which triples the cost."""
     squares: FloatArray = spectra.real**2
     squares += spectra.imag**2
     return np.sqrt(squares, out=squares)

@@ -11,6 +11,7 @@ import pytest
 from scipy.fft import rfft
 
 from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import Principals
 from device.errors import UsageError
@@ -374,7 +375,7 @@ def test_savings_that_state_no_change_change_nothing(report):
 
 @pytest.mark.parametrize("saving", savings.SAVINGS, ids=lambda saving: saving.name)
 def test_a_saving_is_switched_off_by_what_the_transform_really_has(saving):
-    plain, switched = (LiveTransform(TransformParameters(), RATE) for _ in range(2))
+    plain, switched = (LiveTransform(LiveDesign.of(TransformParameters(), RATE)) for _ in range(2))
     saving.switch_off(switched)
     assert switches(switched).keys() == switches(plain).keys()
     assert any(switches(switched)[name] != switches(plain)[name] for name in switches(plain))

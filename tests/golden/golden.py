@@ -157,10 +157,9 @@ def kernel_settings(samplerate: int, profile: str) -> Callable[[Path], bytes]:
 
 def settings_of_kernel(parameters: object, samplerate: int) -> dict[str, object]:
     """Return the kernel's settings by name; the one place that knows how they are made."""
-    from audioflinger_hook.transform.kernel import settings_of
-    from audioflinger_hook.transform.live.transform import LiveTransform
+    from audioflinger_hook.transform.design import LiveDesign
 
-    return dict(settings_of(LiveTransform(parameters, samplerate)))  # type: ignore[arg-type]
+    return dict(LiveDesign.of(parameters, samplerate).settings())  # type: ignore[arg-type]
 
 
 def demo(folder: Path) -> bytes:

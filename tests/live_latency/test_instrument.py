@@ -15,7 +15,7 @@ from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import mixdown
 from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.design.synthesis import LiveGrid
 from device.errors import UsageError
 from tools.bench.sections import live_latency as live_report
 from tools.bench.sections.live_latency import USUAL_BLOCK_FRAMES, LiveRecord

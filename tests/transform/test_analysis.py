@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import strided_windows
-from audioflinger_hook.transform.input_stage import BandPass
+from audioflinger_hook.transform.design.analysis import AnalysisDesign
+from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
 from audioflinger_hook.transform.live.analysis import LiveAnalysis
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
@@ -33,7 +34,7 @@ _kernel = pytest.importorskip("audioflinger_hook.transform._kernel", exc_type=Im
 
 PARAMETERS = TransformParameters()
 SAMPLERATES = (1_000, 8_000, 44_100, 48_000, 192_000)
-SMALL = Spectrum(TransformParameters(window_s=0.01), 2_000)
+SMALL = Spectrum.of(TransformParameters(window_s=0.01), 2_000)
 """Bins of 50 Hz, 21 of them: a spectrum that can be written down."""
 
 
@@ -72,18 +73,19 @@ class CompiledAnalysis(LiveAnalysis):
 def both(parameters, spectrum, bins=None):
     """Return the compiled analysis and the one in NumPy, of so many bins or of all."""
     bins = bins or spectrum.bins
-    return CompiledAnalysis(parameters, spectrum, bins), LiveAnalysis(parameters, spectrum, bins)
+    design = AnalysisDesign.of(parameters, spectrum, bins)
+    return CompiledAnalysis(design), LiveAnalysis(design)
 
 
 def windows_of(sound, samplerate):
     """Return overlapping band-passed windows of a sound."""
     frames = PARAMETERS.window_frames(samplerate)
-    filtered = BandPass(PARAMETERS, samplerate).process(sound)
+    filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound)
     return strided_windows(filtered, frames, max(1, frames // 4))
 
 
 def spectra_of(sound, samplerate):
-    return Spectrum(PARAMETERS, samplerate).transform(windows_of(sound, samplerate))
+    return Spectrum.of(PARAMETERS, samplerate).transform(windows_of(sound, samplerate))
 
 
 def chord(samplerate):
@@ -129,7 +131,7 @@ def as_spectra(amplitudes):
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 @pytest.mark.parametrize("kind", SOUNDS)
 def test_it_finds_what_numpy_finds(kind, samplerate):
-    spectrum = Spectrum(PARAMETERS, samplerate)
+    spectrum = Spectrum.of(PARAMETERS, samplerate)
     spectra = spectra_of(SOUNDS[kind](samplerate), samplerate)
     for bins in (spectrum.bins, min(spectrum.bins, int(13_000 / spectrum.bin_hz))):
         ours, theirs = both(PARAMETERS, spectrum, bins)
@@ -143,7 +145,7 @@ def test_it_finds_what_numpy_finds_in_recordings():
     found = 0
     for path in require_recordings():
         sound, samplerate = soundfile.read(path, always_2d=True)
-        ours, theirs = both(PARAMETERS, Spectrum(PARAMETERS, samplerate))
+        ours, theirs = both(PARAMETERS, Spectrum.of(PARAMETERS, samplerate))
         spectra = spectra_of(sound.mean(axis=1)[: 3 * samplerate], samplerate)
         assert_the_same(ours.all_principal(spectra), theirs.all_principal(spectra))
         assert_the_same(ours.strongest(spectra), theirs.strongest(spectra))
@@ -166,7 +168,7 @@ def test_it_finds_what_numpy_finds_in_recordings():
 )
 def test_it_finds_what_numpy_finds_for_other_parameters(changes):
     parameters = TransformParameters(**changes)
-    spectrum = Spectrum(parameters, 44_100)
+    spectrum = Spectrum.of(parameters, 44_100)
     ours, theirs = both(parameters, spectrum)
     sound = joined(*(SOUNDS[kind](44_100) for kind in ("white noise", "chord", "low noise")))
     windows = strided_windows(sound, spectrum.window_frames, 1_500)
@@ -179,7 +181,7 @@ def test_it_finds_what_numpy_finds_for_other_parameters(changes):
 @pytest.mark.parametrize("weakest_image", [0.0, 0.05, np.inf])
 @pytest.mark.parametrize("side_lobe", [0.0, 0.3])
 def test_each_rule_is_the_same_rule_however_strict(weakest_image, side_lobe):
-    ours, theirs = both(PARAMETERS, Spectrum(PARAMETERS, 48_000))
+    ours, theirs = both(PARAMETERS, Spectrum.of(PARAMETERS, 48_000))
     ours._weakest_image = theirs._weakest_image = weakest_image
     ours._side_lobe = theirs._side_lobe = side_lobe
     spectra = spectra_of(low_noise(0.5, 48_000, 0.1) + tone(4_000, 0.5, 48_000), 48_000)
@@ -188,7 +190,7 @@ def test_each_rule_is_the_same_rule_however_strict(weakest_image, side_lobe):
 
 def test_without_any_rule_of_the_live_form_it_finds_the_reference_forms_peaks():
     # Frequencies and amplitudes; bandwidths lie on bells instead of lines.
-    spectrum = Spectrum(PARAMETERS, 48_000)
+    spectrum = Spectrum.of(PARAMETERS, 48_000)
     ours, _ = both(PARAMETERS, spectrum)
     ours._weakest_image = np.inf
     spectra = spectra_of(chord(48_000), 48_000)
@@ -261,7 +263,7 @@ def test_of_equal_peaks_the_lower_ones_stay():
 
 
 def test_a_rows_result_does_not_depend_on_its_company_or_on_what_came_before():
-    ours, _ = both(PARAMETERS, Spectrum(PARAMETERS, 48_000))
+    ours, _ = both(PARAMETERS, Spectrum.of(PARAMETERS, 48_000))
     spectra = spectra_of(
         joined(*(SOUNDS[kind](48_000) for kind in SOUNDS)), 48_000
     )  # every kind, and what lies between them
@@ -275,7 +277,7 @@ def test_a_rows_result_does_not_depend_on_its_company_or_on_what_came_before():
 
 
 def test_a_later_call_leaves_earlier_results_alone():
-    ours, _ = both(PARAMETERS, Spectrum(PARAMETERS, 48_000))
+    ours, _ = both(PARAMETERS, Spectrum.of(PARAMETERS, 48_000))
     spectra = spectra_of(white_noise(0.3, 48_000), 48_000)
     first = ours.strongest(spectra)
     kept = [array.copy() for array in fields(first)]
@@ -285,12 +287,12 @@ def test_a_later_call_leaves_earlier_results_alone():
 
 
 def test_no_rows_hold_nothing():
-    ours, _ = both(PARAMETERS, Spectrum(PARAMETERS, 48_000))
+    ours, _ = both(PARAMETERS, Spectrum.of(PARAMETERS, 48_000))
     assert len(ours.strongest(np.zeros((0, 2_251), dtype=np.complex128))) == 0
 
 
 def test_a_copy_and_a_pickle_find_the_same():
-    ours, _ = both(PARAMETERS, Spectrum(PARAMETERS, 44_100))
+    ours, _ = both(PARAMETERS, Spectrum.of(PARAMETERS, 44_100))
     spectra = spectra_of(chord(44_100), 44_100)
     for other in (copy.deepcopy(ours), pickle.loads(pickle.dumps(ours))):
         for one, two in zip(
@@ -306,7 +308,7 @@ def test_a_copy_and_a_pickle_find_the_same():
 def test_a_low_tone_is_found_at_the_same_frequency_in_any_phase(samplerate):
     # Cleared, what is left of the image's pull is what lines between the table's entries leave. A
     # wobble of 5e-4 Hz at 55 Hz, however slow, stands at -70 dB if it lasts 4 s.
-    spectrum = Spectrum(PARAMETERS, samplerate)
+    spectrum = Spectrum.of(PARAMETERS, samplerate)
     phases = np.linspace(0.0, 2 * np.pi, 24, endpoint=False)
     time = (np.arange(spectrum.window_frames) / samplerate)[None]
     for hz in (52.0, 55.5, 60.0, 83.25, 111.0, 138.75, 200.0, 215.0):
@@ -326,7 +328,7 @@ STRANGE = (np.nan, np.inf, -np.inf, 1e308, -1e308, 1e155, 5e-324, 1e-308, 1e-160
 @pytest.mark.parametrize("where", ["everywhere", "one bin", "every third bin", "imaginary"])
 @pytest.mark.parametrize("bound", [True, False])
 def test_strange_numbers_end_in_numbers_and_stay_in_their_row(strange, where, bound):
-    spectrum = Spectrum(PARAMETERS, 8_000)
+    spectrum = Spectrum.of(PARAMETERS, 8_000)
     ours, _ = both(PARAMETERS, spectrum)
     if not bound:
         ours._peak_span_min, ours._weakest_image = -1.0, -1.0
@@ -461,7 +463,7 @@ def test_another_number_of_arguments_is_refused(count):
 
 
 def test_read_only_spectra_are_read():
-    ours, _ = both(PARAMETERS, Spectrum(PARAMETERS, 8_000))
+    ours, _ = both(PARAMETERS, Spectrum.of(PARAMETERS, 8_000))
     spectra = spectra_of(white_noise(0.2, 8_000), 8_000)
     expected = ours.strongest(spectra)
     spectra.flags.writeable = False

@@ -11,12 +11,8 @@ from scipy.signal import freqz
 from audioflinger_hook.scenes.impacts import explosion
 from audioflinger_hook.scenes.speech import speech
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.live.loudness import (
-    LoudnessFollower,
-    bin_weights,
-    k_weight,
-    loudness_db,
-)
+from audioflinger_hook.transform.design.followers import LoudnessDesign, bin_weights, k_weight
+from audioflinger_hook.transform.live.loudness import LoudnessFollower
 from audioflinger_hook.transform.spectrum import Spectrum
 from tests.support.signals import (
     columns,
@@ -50,7 +46,7 @@ def talk(seconds, samplerate=RATE):
 
 def followed(loudness):
     """Return a follower and what it makes of a loudness in dB for each hop."""
-    follower = LoudnessFollower(FOLLOWED, HOP_S)
+    follower = LoudnessFollower(LoudnessDesign.of(FOLLOWED, HOP_S))
     return follower, [follower.strength(each) for each in loudness]
 
 
@@ -71,10 +67,11 @@ def test_the_weighting_is_that_of_bs_1770():
 @pytest.mark.parametrize("samplerate", [8_000, 44_100, 48_000, 96_000])
 @pytest.mark.parametrize("hz", [997.0, 1_003.3])
 def test_a_full_scale_tone_of_1_khz_has_a_loudness_of_0_db(samplerate, hz):
-    spectrum = Spectrum(FOLLOWED, samplerate)
+    spectrum = Spectrum.of(FOLLOWED, samplerate)
     weights = bin_weights(spectrum, spectrum.bins)
     window = tone(hz, 1.0, samplerate)[: spectrum.window_frames]
-    (loudness,) = loudness_db(spectrum.transform(window[None]), weights)
+    follower = LoudnessFollower(LoudnessDesign.of(FOLLOWED, HOP_S, weights))
+    (loudness,) = follower.loudness_db(spectrum.transform(window[None]))
     assert loudness == pytest.approx(0.0, abs=0.05)
 
 
@@ -165,7 +162,7 @@ def test_what_is_under_the_noise_floor_is_not_felt(form):
 def test_quiet_noise_is_lifted_by_no_more_than_was_asked_for(lift_db):
     parameters = TransformParameters(loudness_db=lift_db, level_law="energy")
     sound = white_noise(12.0, 16_000, 10 ** (-54 / 20))
-    plain = TransformParameters(threshold_hz=parameters.heard_threshold_hz, level_law="energy")
+    plain = TransformParameters(threshold_hz=parameters.live_threshold_hz, level_law="energy")
     lifted, as_it_is = (
         level_db(played(sound, 16_000, parameters=each)[-16_000:]) for each in (parameters, plain)
     )
@@ -197,7 +194,7 @@ LOUDNESSES = st.lists(
 
 @given(LOUDNESSES)
 def test_whatever_is_heard_the_programme_s_level_never_moves_faster_than_stated(loudness):
-    follower = LoudnessFollower(FOLLOWED, HOP_S)
+    follower = LoudnessFollower(LoudnessDesign.of(FOLLOWED, HOP_S))
     levels = [follower.programme_db]
     for each in loudness:
         follower.strength(each)
@@ -232,7 +229,7 @@ def test_a_steady_tone_is_felt_steady():
 
 
 def test_a_day_of_hops_leaves_the_follower_as_an_hour_does():
-    follower = LoudnessFollower(FOLLOWED, HOP_S)
+    follower = LoudnessFollower(LoudnessDesign.of(FOLLOWED, HOP_S))
     states = []
     for _ in range(2):
         for hop in range(200_000):

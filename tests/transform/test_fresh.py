@@ -8,6 +8,7 @@ import pytest
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.channel_bank import ChannelBank
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.kernel import KernelStream
 from audioflinger_hook.transform.live.transform import LiveTransform
 from tests.support.signals import burst, energy_above_db, envelope, thinned
@@ -23,8 +24,9 @@ each_way = pytest.mark.parametrize("way", ["compiled", "numpy"])
 
 def felt(sound: FloatArray, way: str, rate: int = RATE, onsets: bool = True) -> FloatArray:
     """Return the vibration of a mono sound, as late as it comes."""
-    form = LiveTransform(PARAMETERS, rate, onsets=onsets)
-    stream = KernelStream(form, 1, False) if way == "compiled" else ChannelBank([form], 1)
+    design = LiveDesign.of(PARAMETERS, rate, find_onsets=onsets)
+    form = LiveTransform(design)
+    stream = KernelStream(design, 1, False) if way == "compiled" else ChannelBank([form], 1)
     return stream.process(sound[:, None])[:, 0]
 
 
@@ -155,8 +157,9 @@ def test_streams_shorter_than_a_tick_or_of_single_frames_are_taken(way: str) -> 
     for frames in (0, 1, 50, 300):
         assert felt(0.5 * noise(frames), way).shape == (frames,)
     sound = burst(300.0, 0.0, 0.02, RATE, 0.5)[:2_000]
-    form = LiveTransform(PARAMETERS, RATE)
-    stream = KernelStream(form, 1, False) if way == "compiled" else ChannelBank([form], 1)
+    design = LiveDesign.of(PARAMETERS, RATE)
+    form = LiveTransform(design)
+    stream = KernelStream(design, 1, False) if way == "compiled" else ChannelBank([form], 1)
     single = [stream.process(sound[at : at + 1, None]) for at in range(sound.size)]
     assert np.concatenate(single)[:, 0].tobytes() == felt(sound, way).tobytes()
 
@@ -193,8 +196,11 @@ def test_steady_sounds_hold_no_onsets(name: str) -> None:
 
 
 def test_the_delay_that_is_declared_is_made_of_its_parts() -> None:
-    form = LiveTransform(PARAMETERS, RATE)
-    smoothing = form._smoother.delay_s(60.0) * RATE
+    form = LiveTransform(LiveDesign.of(PARAMETERS, RATE))
+    smoothing = form.design.synthesis.delay_s(60.0, RATE) * RATE
     assert form.latency_frames == round(2.1 * form._grid.tick_frames + smoothing)
     assert form.latency_frames < form.tonal_latency_frames
-    assert LiveTransform(PARAMETERS, RATE, onsets=False).latency_frames == form.tonal_latency_frames
+    assert (
+        LiveTransform(LiveDesign.of(PARAMETERS, RATE, find_onsets=False)).latency_frames
+        == form.tonal_latency_frames
+    )

@@ -9,8 +9,9 @@ import pytest
 
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import strided_windows
-from audioflinger_hook.transform.design import LiveGrid
-from audioflinger_hook.transform.input_stage import BandPass
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.design.synthesis import LiveGrid
+from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
 from audioflinger_hook.transform.kernel import KernelStream
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.mapping import vibration_hz
@@ -52,7 +53,9 @@ def analysed(sound, samplerate, form):
     """Return what a form finds in a sound's units: for each a list of audio frequencies, Hz."""
     reference = ReferenceTransform(PARAMETERS, samplerate)
     units = reference.cut(sound)
-    finder = reference if form == "reference" else LiveTransform(PARAMETERS, samplerate)
+    finder = (
+        reference if form == "reference" else LiveTransform(LiveDesign.of(PARAMETERS, samplerate))
+    )
     found = finder.analyse(units)
     return [found.audio_hz[found.row == unit] for unit in range(len(units))]
 
@@ -177,7 +180,7 @@ def test_denormal_numbers_cost_no_more_than_quiet_noise(form):
 @pytest.mark.parametrize("level", [0.0, 1e-310, 1e-320])
 def test_no_filter_state_decays_into_denormal_numbers_however_long_the_silence(samplerate, level):
     # Not every processor is slow with them, so that the time alone proves little.
-    band_pass = BandPass(PARAMETERS, samplerate)
+    band_pass = BandPass(*design_band_pass(PARAMETERS, samplerate))
     band_pass.process(joined(tone(300, 0.5, samplerate), white_noise(0.1, samplerate)))
     for _ in range(6):
         filtered = band_pass.process(np.full(samplerate, level))
@@ -344,7 +347,7 @@ def test_frequencies_in_noise_are_found_nearly_as_well_as_can_be(snr_db):
     bound_hz = sigma * samplerate * np.sqrt(24 / (4 * np.pi**2 * frames * (frames**2 - 1)))
     for finder in (
         ReferenceTransform(PARAMETERS, samplerate),
-        LiveTransform(PARAMETERS, samplerate),
+        LiveTransform(LiveDesign.of(PARAMETERS, samplerate)),
     ):
         found = finder.analyse(units)
         edges = found.boundaries(trials)
@@ -476,7 +479,7 @@ def sounding(transform):
     stream = transform._stream
     if isinstance(stream, KernelStream):
         return stream._kernel.partials[0]
-    tracker = stream.voices[0]._tracker
+    tracker = stream.transforms[0]._tracker
     alive = tracker._alive.nonzero()[0]
     slots = (tracker._hz, tracker._amplitude, tracker._phase)
     return [tuple(values[slot] for values in slots) for slot in alive]
@@ -577,9 +580,9 @@ def test_the_live_analysis_sees_a_chirps_frequency_in_every_hop():
     sound = chirp(80, 11_000, 4.0, samplerate)
     window = PARAMETERS.window_frames(samplerate)
     hop = LiveGrid.at(PARAMETERS, samplerate).hop_frames
-    filtered = BandPass(PARAMETERS, samplerate).process(sound)
+    filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound)
     windows = strided_windows(filtered, window, hop)
-    found = LiveTransform(PARAMETERS, samplerate).analyse(windows)
+    found = LiveTransform(LiveDesign.of(PARAMETERS, samplerate)).analyse(windows)
     centre_s = (np.arange(len(windows)) * hop + window / 2) / samplerate
     swept_hz = 80 * np.exp(np.log(11_000 / 80) * centre_s / 4.0)
     # In one window the sweep covers 5.7 % of its frequency; the peak stays well inside.

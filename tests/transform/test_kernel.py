@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import mixdown
 from audioflinger_hook.transform import TransformParameters, kernel_warning
-from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.design.synthesis import LiveGrid
 from device.errors import UsageError
 from tests.support.parameters import LIMITS
 from tests.support.recordings import require_recordings
@@ -74,7 +74,7 @@ def partials_of(transform):
     if transform.implementation == "compiled":
         voices = [[partial[:2] for partial in voice] for voice in stream._kernel.partials]
     else:
-        trackers = [voice._tracker for voice in stream.voices]
+        trackers = [voice._tracker for voice in stream.transforms]
         voices = [list(zip(t._hz[t._alive], t._amplitude[t._alive], strict=True)) for t in trackers]
     return [len(voice) for voice in voices] + list(np.ravel([p for v in voices for p in v]))
 

@@ -1,5 +1,7 @@
 """The kernel's parts by themselves, and what it refuses to be made of or to work on."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.fft import rfft
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.kernel import settings_of
-from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.design import LiveDesign
 from tests.support.signals import SAMPLERATES, identical, joined, silence, tone, white_noise
 from tools.bench.sections.scaling import resident_bytes
 
@@ -16,7 +17,9 @@ _kernel = pytest.importorskip("audioflinger_hook.transform._kernel", exc_type=Im
 
 RATE = 8_000
 # With everything that can be switched on, so that all of it meets what does not fit.
-SETTINGS = settings_of(LiveTransform(TransformParameters(speech_suppression_db=12.0), RATE))
+SETTINGS: dict[str, Any] = LiveDesign.of(
+    TransformParameters(speech_suppression_db=12.0), RATE
+).settings()
 
 
 def made(channels=1, each=False, **changes):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.mapping import law_amplitudes, slope, vibration_hz
+from audioflinger_hook.transform.mapping import VibrationMapping, vibration_hz
 from tests.support.signals import (
     WAYS,
     best_sinusoid,
@@ -34,14 +34,16 @@ def rms_db(vibration):
 def test_a_steady_tone_is_as_strong_as_it_is_under_either_law(amplitude):
     height, r = np.array([amplitude]), np.array([amplitude * FULL_SCALE_R])
     for parameters in (PAPER, ENERGY):
-        level = law_amplitudes(height, r, FULL_SCALE_R, parameters)
+        level = VibrationMapping.of(parameters, FULL_SCALE_R).amplitudes(height, r)
         assert level == pytest.approx([amplitude], rel=1e-12)
 
 
 def test_by_energy_two_tones_have_the_power_of_both_and_by_the_paper_s_law_of_one_shared():
     height = np.array([0.2, 0.2])
     r = height * FULL_SCALE_R
-    tonal, energy = (law_amplitudes(height, r, FULL_SCALE_R, p) for p in (PAPER, ENERGY))
+    tonal, energy = (
+        VibrationMapping.of(p, FULL_SCALE_R).amplitudes(height, r) for p in (PAPER, ENERGY)
+    )
     assert energy == pytest.approx([0.2, 0.2])
     assert tonal == pytest.approx([0.1, 0.1])
 
@@ -49,7 +51,7 @@ def test_by_energy_two_tones_have_the_power_of_both_and_by_the_paper_s_law_of_on
 def test_by_energy_power_follows_height_squared_times_width():
     rng = np.random.default_rng(3)
     height, width = rng.uniform(0.01, 1, 20), rng.uniform(20, 200, 20)
-    level = law_amplitudes(height, height * width, FULL_SCALE_R, ENERGY)
+    level = VibrationMapping.of(ENERGY, FULL_SCALE_R).amplitudes(height, height * width)
     assert level**2 == pytest.approx(height**2 * width / FULL_SCALE_R)
 
 
@@ -106,7 +108,8 @@ def test_with_equal_jnds_every_octave_of_sound_is_the_same_ratio_of_vibration():
 @pytest.mark.parametrize("parameters", [PAPER, JND], ids=["paper", "jnd"])
 def test_the_slope_is_that_of_the_mapping(parameters):
     audio_hz = np.geomspace(60, 10_000, 30)
-    a, b = slope(parameters)
+    mapping = VibrationMapping.of(parameters)
+    a, b = mapping.scale_hz, mapping.scale_ratio
     up, down = (vibration_hz(audio_hz * step, parameters) for step in (1 + 1e-6, 1 - 1e-6))
     felt = vibration_hz(audio_hz, parameters)
     assert (up - down) / 2e-6 == pytest.approx(a + b * felt, rel=1e-6)

@@ -9,6 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
@@ -170,7 +171,7 @@ def agreement_with_reference(sound, samplerate):
     form = ReferenceTransform(PARAMETERS, samplerate)
     units = np.concatenate((form.cut(sound), form.cut_last()))
     theirs = form._finder.all_principal(magnitude(form._spectrum.transform(units)))
-    ours = LiveTransform(PARAMETERS, samplerate).analyse(units)
+    ours = LiveTransform(LiveDesign.of(PARAMETERS, samplerate)).analyse(units)
     reach_hz = samplerate / PARAMETERS.fft_length(samplerate) / 2
     both = 0
     for unit in range(len(units)):

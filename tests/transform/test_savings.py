@@ -3,6 +3,8 @@
 Each is switched off or undone, and the result compared with the transform as it is.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import soundfile
@@ -11,25 +13,30 @@ from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import butter, sosfilt
 
-from audioflinger_hook.transform import TransformParameters, input_stage, kernel_warning
+from audioflinger_hook.transform import TransformParameters, kernel_warning
 from audioflinger_hook.transform.arrays import strided_windows
 from audioflinger_hook.transform.channel_bank import ChannelBank
-from audioflinger_hook.transform.design import LiveGrid
-from audioflinger_hook.transform.input_stage import BandPass, mono, replace_unusable
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.design.analysis import AnalysisDesign
+from audioflinger_hook.transform.design.synthesis import LiveGrid, glide_shape
+from audioflinger_hook.transform.input_stage import (
+    BandPass,
+    design_band_pass,
+    mix_to_mono,
+    replace_unusable,
+)
 from audioflinger_hook.transform.kernel import KernelStream
-from audioflinger_hook.transform.live import partials
 from audioflinger_hook.transform.live import transform as live
 from audioflinger_hook.transform.live.analysis import LiveAnalysis
-from audioflinger_hook.transform.live.partials import Glides
-from audioflinger_hook.transform.live.synthesis import OscillatorBank, Smoother
+from audioflinger_hook.transform.live.synthesis import Glides, OscillatorBank, Smoother
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.principal import PrincipalFinder, parabola
-from audioflinger_hook.transform.reference import transform as reference
+from audioflinger_hook.transform.reference import transform as reference_form
+from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
-    WAYS,
     best_sinusoid,
     burst,
     chirp,
@@ -53,34 +60,39 @@ PARAMETERS = TransformParameters()
 HOP_FRAMES = LiveGrid.at(PARAMETERS, 48_000).hop_frames
 
 
-def clear_no_image(form):
-    """Let every peak of a live form keep its image: none is above this amplitude."""
-    form._analysis._weakest_image = np.inf
+def changed(design, section, **values):
+    """Return a design with other values in one section."""
+    return replace(design, **{section: replace(getattr(design, section), **values)})
 
 
-def leave_out_no_side_lobe(form):
-    """Let a live form keep peaks however far they are under the highest."""
-    form._analysis._side_lobe = 0.0
+def clear_no_image(design):
+    """Let every peak keep its image: none is above this amplitude."""
+    return changed(design, "analysis", weakest_image=np.inf)
+
+
+def leave_out_no_side_lobe(design):
+    """Keep peaks however far they are under the highest."""
+    return changed(design, "analysis", side_lobe=0.0)
 
 
 each_way = pytest.mark.parametrize("way", ["numpy"] if kernel_warning() else ["compiled", "numpy"])
 
 
-def vibration_of(form, sound, way):
-    """Return all vibration of a sound by a live form as it stands, or by a kernel made of it."""
-    stream = KernelStream(form, 1, False) if way == "compiled" else ChannelBank([form], 1)
+def vibration_of(design, sound, way):
+    """Return all vibration of a sound by either implementation of a design."""
+    bank = ChannelBank([LiveTransform(design)], 1)
+    stream = KernelStream(design, 1, False) if way == "compiled" else bank
     return np.concatenate((stream.process(sound[:, None]), stream.finish()))[:, 0]
 
 
 def without_silence_skip(sound, samplerate, way):
     """Return what the live form plays where every hop is analysed, however quiet."""
-    form = LiveTransform(PARAMETERS, samplerate)
-    form._silence = 0.0
-    return vibration_of(form, sound, way)
+    design = LiveDesign.of(PARAMETERS, samplerate)
+    return vibration_of(changed(design, "input", silence=0.0), sound, way)
 
 
 def with_silence_skip(sound, samplerate, way):
-    return vibration_of(LiveTransform(PARAMETERS, samplerate), sound, way)
+    return vibration_of(LiveDesign.of(PARAMETERS, samplerate), sound, way)
 
 
 @pytest.mark.parametrize("saving", SAVINGS, ids=lambda saving: saving.name)
@@ -97,9 +109,10 @@ def test_no_saving_changes_more_than_it_states(saving):
         ),
     ]
     for sound in sounds:
-        switched = LiveTransform(PARAMETERS, 48_000)
+        switched = LiveTransform(LiveDesign.of(PARAMETERS, 48_000))
         saving.switch_off(switched)
-        change = switched.process(sound) - LiveTransform(PARAMETERS, 48_000).process(sound)
+        usual = LiveTransform(LiveDesign.of(PARAMETERS, 48_000))
+        change = switched.process(sound) - usual.process(sound)
         assert np.abs(change).max() <= saving.bound
 
 
@@ -166,7 +179,7 @@ def test_leaving_out_quiet_hops_changes_no_byte_of_a_recording(way):
 @settings(max_examples=60)
 def test_nothing_under_the_silence_threshold_can_be_principal(seed, kind, window_s, samplerate):
     parameters = TransformParameters(window_s=window_s, vibration_top_hz=220.0)
-    form = LiveTransform(parameters, samplerate)
+    form = LiveTransform(LiveDesign.of(parameters, samplerate))
     frames = parameters.window_frames(samplerate)
     rng = np.random.default_rng(seed)
     window = {
@@ -181,7 +194,7 @@ def test_nothing_under_the_silence_threshold_can_be_principal(seed, kind, window
 
 
 def test_silence_is_not_analysed_at_all(monkeypatch):
-    form = LiveTransform(PARAMETERS, 48_000)
+    form = LiveTransform(LiveDesign.of(PARAMETERS, 48_000))
     form.process(tone(300, 0.5, 48_000))
     # A window, and 0.4 s of ringing.
     form.process(silence(0.6, 48_000))
@@ -191,14 +204,15 @@ def test_silence_is_not_analysed_at_all(monkeypatch):
 
 
 @each_way
-def test_cutting_the_ringing_off_changes_less_than_1e_8(monkeypatch, way):
+def test_cutting_the_ringing_off_changes_less_than_1e_8(way):
     # The low-pass rings longest at its edge, to which the top of the band is mapped.
     # The second tone begins with a hop of its own accord: where it wakes what sleeps, one does.
     pause = (100 * HOP_FRAMES - 14_400) / 48_000
     sound = joined(tone(11_900, 0.3, 48_000), silence(pause, 48_000), tone(60, 0.2, 48_000))
-    cut = with_silence_skip(sound, 48_000, way)
-    monkeypatch.setattr(live, "RING_OUT_CYCLES", 440.0)
-    uncut = with_silence_skip(sound, 48_000, way)
+    design = LiveDesign.of(PARAMETERS, 48_000)
+    longer = changed(design, "synthesis", ring_hops=5 * design.synthesis.ring_hops)
+    cut = vibration_of(design, sound, way)
+    uncut = vibration_of(longer, sound, way)
     # -160 dB; the last step of 24-bit sound is at -138 dB.
     assert np.abs(cut - uncut).max() < 1e-8
 
@@ -217,7 +231,7 @@ def test_how_many_windows_are_analysed_at_once_changes_no_byte(monkeypatch, at_o
     forms = ("live in NumPy", "reference")
     usual = {form: played(sound, 48_000, form=form) for form in forms}
     monkeypatch.setattr(live, "TICKS_AT_ONCE", at_once)
-    monkeypatch.setattr(reference, "UNITS_AT_ONCE", at_once)
+    monkeypatch.setattr(reference_form, "UNITS_AT_ONCE", at_once)
     for form in forms:
         assert identical(played(sound, 48_000, form=form), usual[form])
 
@@ -255,9 +269,11 @@ def test_the_mean_of_channels_does_not_depend_on_how_many_frames_come_at_once(
     channels, frames, split, seed
 ):
     sound = np.random.default_rng(seed).uniform(-1, 1, (frames, channels))
-    whole = mono(sound)
+    whole = mix_to_mono(sound)
     split = min(split, frames)
-    assert identical(np.concatenate((mono(sound[:split]), mono(sound[split:]))), whole)
+    assert identical(
+        np.concatenate((mix_to_mono(sound[:split]), mix_to_mono(sound[split:]))), whole
+    )
     np.testing.assert_allclose(whole, sound.mean(axis=1), rtol=0, atol=1e-15)
 
 
@@ -278,19 +294,24 @@ def test_one_recursion_rounds_almost_as_little_as_second_order_sections(samplera
     kind = "highpass" if samplerate <= 24_000 else "bandpass"
     expected = sosfilt(butter(2, band, kind, fs=samplerate, output="sos"), sound)
     # A tenth of what two implementations of the reference form owe each other, or far less.
-    assert np.abs(BandPass(PARAMETERS, samplerate).process(sound) - expected).max() < rounding
+    filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound)
+    assert np.abs(filtered - expected).max() < rounding
 
 
-def test_the_guard_against_denormal_numbers_is_not_felt(monkeypatch):
+def test_the_guard_against_denormal_numbers_is_not_felt():
     sound = joined(silence(0.2, 48_000), white_noise(0.5, 48_000), tone(300, 0.3, 48_000, 0.02))
-    guarded = {form: played(sound, 48_000, form=form) for form in WAYS}
-    monkeypatch.setattr(input_stage, "DENORMAL_GUARD", 0.0)
-    for form in WAYS:
-        assert np.abs(played(sound, 48_000, form=form) - guarded[form]).max() < 1e-12
+    design = LiveDesign.of(PARAMETERS, 48_000)
+    unguarded = changed(design, "input", denormal_guard=0.0)
+    for way in ("numpy",) if kernel_warning() else ("compiled", "numpy"):
+        change = vibration_of(unguarded, sound, way) - vibration_of(design, sound, way)
+        assert np.abs(change).max() < 1e-12
+    reference, plain = (ReferenceTransform(PARAMETERS, 48_000) for _ in range(2))
+    plain._bandpass = BandPass(*design_band_pass(PARAMETERS, 48_000), 0.0)
+    assert np.abs(plain.process(sound) - reference.process(sound)).max() < 1e-12
 
 
 def test_magnitudes_without_an_overflow_guard_are_those_with_one():
-    spectra = Spectrum(PARAMETERS, 48_000).transform(
+    spectra = Spectrum.of(PARAMETERS, 48_000).transform(
         np.stack([white_noise(0.04643, 48_000, level)[:2_229] for level in (1e-6, 1.0, 1e3)])
     )
     # Two roundings of a square and one of a root: 2 units in the last place.
@@ -305,7 +326,7 @@ def test_leaving_out_silent_slots_of_the_oscillator_bank_changes_no_byte(idle):
     for silenced in rng.choice(slots, idle, replace=False):
         glides.start_amplitude[:, silenced] = 0.0
         glides.end_amplitude[:, silenced] = 0.0
-    bank = OscillatorBank(steps, 0.0153)
+    bank = OscillatorBank(glide_shape(steps), glide_shape(steps), 0.0153, 1e-9)
     sounding = glides.start_amplitude.any(axis=0)
     only = Glides(
         *(
@@ -324,16 +345,18 @@ def test_leaving_out_silent_slots_of_the_oscillator_bank_changes_no_byte(idle):
 
 
 def test_a_bank_without_a_sounding_slot_is_silent():
-    assert not OscillatorBank(46, 0.0153).render(Glides.silent(3, 32)).any()
+    bank = OscillatorBank(glide_shape(46), glide_shape(46), 0.0153, 1e-9)
+    assert not bank.render(Glides.silent(3, 32)).any()
 
 
 @pytest.mark.parametrize("samplerate", [1_000, 8_000, 44_100, 48_000, 192_000])
 def test_the_low_passs_ripple_is_undone_for_steady_vibration(samplerate):
-    grid = LiveGrid.at(PARAMETERS, samplerate)
+    design = LiveDesign.of(PARAMETERS, samplerate)
+    grid = design.grid
     hops = round(0.6 * samplerate / grid.hop_frames)
-    time = np.arange(hops * grid.steps) / grid.low_rate_hz
+    time = np.arange(hops * grid.steps) / (samplerate / grid.decimation)
     for hz in (21.54, 60.0, 150.0, 200.0, 219.9):
-        smoother = Smoother(grid, PARAMETERS.vibration_top_hz)
+        smoother = Smoother(design.synthesis)
         gain = smoother.compensation(np.array([hz]))[0]
         wave = gain * np.sin(2 * np.pi * hz * time)
         vibration = smoother.render(wave.reshape(hops, grid.steps))
@@ -363,9 +386,9 @@ def amplitude_spectra(samplerate):
         square(110, 0.2, samplerate),
         silence(0.1, samplerate),
     )
-    filtered = BandPass(PARAMETERS, samplerate).process(sound)
+    filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound)
     windows = strided_windows(filtered, frames, frames // 4)
-    return magnitude(Spectrum(PARAMETERS, samplerate).transform(windows))
+    return magnitude(Spectrum.of(PARAMETERS, samplerate).transform(windows))
 
 
 def all_fields(found):
@@ -378,7 +401,7 @@ def test_the_bound_from_valley_to_valley_leaves_out_nothing_that_is_principal(
     samplerate, threshold_hz
 ):
     parameters = TransformParameters(threshold_hz=threshold_hz)
-    spectrum = Spectrum(parameters, samplerate)
+    spectrum = Spectrum.of(parameters, samplerate)
     amplitude = amplitude_spectra(samplerate)
     for bounded, unbounded in with_and_without_the_bound(
         parameters, spectrum, spectrum.bins, amplitude
@@ -391,7 +414,7 @@ def test_the_bound_from_valley_to_valley_leaves_out_nothing_that_is_principal(
 def with_and_without_the_bound(parameters, spectrum, bins, amplitude):
     """Return, of each form, what it finds in amplitudes with the bound and without it."""
     reference = [PrincipalFinder(parameters, spectrum.bin_hz, bins) for _ in range(2)]
-    live = [LiveAnalysis(parameters, spectrum, bins) for _ in range(2)]
+    live = [LiveAnalysis(AnalysisDesign.of(parameters, spectrum, bins)) for _ in range(2)]
     reference[1]._peak_span_min = live[1]._peak_span_min = -1.0
     return (
         [finder.all_principal(amplitude) for finder in reference],
@@ -407,7 +430,7 @@ def with_and_without_the_bound(parameters, spectrum, bins, amplitude):
 def test_the_bound_leaves_out_nothing_principal_in_any_spectrum(amplitudes, threshold_hz):
     # Bins of 20 Hz put a spectrum as short as this into the band.
     parameters = TransformParameters(threshold_hz=threshold_hz, window_s=0.025)
-    spectrum = Spectrum(parameters, 2_400)
+    spectrum = Spectrum.of(parameters, 2_400)
     assert spectrum.bin_hz == 20.0
     for bounded, unbounded in with_and_without_the_bound(
         parameters, spectrum, len(amplitudes), np.array([amplitudes])
@@ -451,10 +474,10 @@ def amplitude_spectra_few():
 
 def wobble_hz(hz, samplerate, corrected):
     """Return the largest error of the strongest vibration frequency over many windows."""
-    form = LiveTransform(PARAMETERS, samplerate)
-    if not corrected:
-        clear_no_image(form)
-    filtered = BandPass(PARAMETERS, samplerate).process(tone(hz, 1.5, samplerate, 0.5))
+    design = LiveDesign.of(PARAMETERS, samplerate)
+    form = LiveTransform(design if corrected else clear_no_image(design))
+    band_pass = BandPass(*design_band_pass(PARAMETERS, samplerate))
+    filtered = band_pass.process(tone(hz, 1.5, samplerate, 0.5))
     filtered = filtered[samplerate // 4 :]
     windows = strided_windows(filtered, PARAMETERS.window_frames(samplerate), 301)
     found = form._analysis.strongest(form._spectrum.transform(windows))
@@ -480,12 +503,11 @@ def test_clearing_the_image_calms_the_wobble_of_low_tones_tenfold(samplerate):
 
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
 def test_clearing_images_leaves_high_tones_as_they_are(samplerate):
-    form = LiveTransform(PARAMETERS, samplerate)
+    design = LiveDesign.of(PARAMETERS, samplerate)
     sound = tone(5_000, 0.5, samplerate) + tone(9_000, 0.5, samplerate)
     windows = strided_windows(sound, PARAMETERS.window_frames(samplerate), 500)
-    cleared = form.analyse(windows)
-    clear_no_image(form)
-    untouched = form.analyse(windows)
+    cleared = LiveTransform(design).analyse(windows)
+    untouched = LiveTransform(clear_no_image(design)).analyse(windows)
     high = [found.take(found.audio_hz > 4_000) for found in (cleared, untouched)]
     for ours, theirs in zip(all_fields(high[0]), all_fields(high[1]), strict=True):
         assert identical(ours, theirs)
@@ -496,10 +518,10 @@ def test_clearing_images_leaves_high_tones_as_they_are(samplerate):
 def test_leaving_out_side_lobes_makes_a_loud_tone_pure(hz, samplerate, way):
     residuals = []
     for kept in (True, False):
-        form = LiveTransform(PARAMETERS, samplerate)
+        design = LiveDesign.of(PARAMETERS, samplerate)
         if kept:
-            leave_out_no_side_lobe(form)
-        vibration = vibration_of(form, tone(hz, 3.0, samplerate, 1.0), way)
+            design = leave_out_no_side_lobe(design)
+        vibration = vibration_of(design, tone(hz, 3.0, samplerate, 1.0), way)
         vibration = vibration[samplerate : 3 * samplerate]
         felt_hz = float(vibration_hz(np.array([hz]), PARAMETERS)[0])
         residuals.append(best_sinusoid(*thinned(vibration, samplerate), felt_hz)[2])
@@ -509,8 +531,8 @@ def test_leaving_out_side_lobes_makes_a_loud_tone_pure(hz, samplerate, way):
 def test_what_the_side_lobe_rule_leaves_out_of_recordings_carries_under_a_hundredth_of_them():
     for path in require_recordings()[::3]:
         sound, samplerate = soundfile.read(path, always_2d=True)
-        form = LiveTransform(PARAMETERS, samplerate)
-        filtered = BandPass(PARAMETERS, samplerate).process(sound.mean(axis=1))
+        form = LiveTransform(LiveDesign.of(PARAMETERS, samplerate))
+        filtered = BandPass(*design_band_pass(PARAMETERS, samplerate)).process(sound.mean(axis=1))
         frames = PARAMETERS.window_frames(samplerate)
         windows = strided_windows(filtered, frames, frames)
         found = form.analyse(windows)
@@ -522,13 +544,13 @@ def test_what_the_side_lobe_rule_leaves_out_of_recordings_carries_under_a_hundre
 
 @each_way
 @pytest.mark.parametrize("hz", [200.0, 1_000.0, 4_000.0])
-def test_averaging_small_changes_takes_6_db_of_jitter_from_a_tone_in_noise(monkeypatch, hz, way):
+def test_averaging_small_changes_takes_6_db_of_jitter_from_a_tone_in_noise(hz, way):
     sound = tone(hz, 3.0, 48_000, 0.3) + white_noise(3.0, 48_000, 0.003)
     felt_hz = float(vibration_hz(np.array([hz]), PARAMETERS)[0])
     residuals = []
-    for share in (1.0, partials.STEADY_GAIN):
-        monkeypatch.setattr(partials, "STEADY_GAIN", share)
-        vibration = with_silence_skip(sound, 48_000, way)[48_000:-12_000]
+    design = LiveDesign.of(PARAMETERS, 48_000)
+    for one in (changed(design, "tracking", steady_gain=1.0), design):
+        vibration = vibration_of(one, sound, way)[48_000:-12_000]
         residuals.append(best_sinusoid(*thinned(vibration, 48_000), felt_hz)[2])
     # A share of 0.15 leaves 0.08 of white jitter's energy, 11 dB less; neighbouring windows
     # overlap, so that theirs is not quite white.
@@ -539,8 +561,8 @@ def test_averaging_small_changes_takes_6_db_of_jitter_from_a_tone_in_noise(monke
 def test_a_clear_change_of_loudness_is_not_averaged_but_followed_at_once(way):
     quiet, loud = tone(300, 0.5, 48_000, 0.1), tone(300, 1.0, 48_000, 0.4)[24_000:]
     # Without a seam: both are the same wave, so that one partial goes on through the change.
-    form = LiveTransform(PARAMETERS, 48_000)
-    vibration = vibration_of(form, joined(quiet, loud), way)[form.tonal_latency_frames :]
+    design = LiveDesign.of(PARAMETERS, 48_000)
+    vibration = vibration_of(design, joined(quiet, loud), way)[design.tonal_latency_frames :]
     strength = envelope(*thinned(vibration, 48_000))
     steady = strength[2_800:2_900].mean()
     # 30 ms (a window's half, a hop) after the change it stands within 5 % of its new level.

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import HapticTransform, TransformParameters
+from audioflinger_hook.transform.design.followers import SpeechDesign
 from audioflinger_hook.transform.live.speech import SpeechSuppressor
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
@@ -137,10 +138,10 @@ def test_suppression_costs_no_latency():
 
 def test_belief_does_not_depend_on_the_volume():
     def beliefs(level):
-        suppressor = SpeechSuppressor(18.0, BIN_HZ, BINS, HOP_S)
+        suppressor = SpeechSuppressor(SpeechDesign.of(18.0, BIN_HZ, BINS, HOP_S))
         heard = []
         for spectrum in spectra(level * talk(4)):
-            suppressor.hear(spectrum)
+            suppressor.add_hop(spectrum)
             heard.append(suppressor.belief)
         return np.array(heard)[round(KNOWN_S / HOP_S) :]
 
@@ -163,9 +164,9 @@ def spectra(sound):
 
 def convinced():
     """Return a suppressor in the middle of a clear vowel, sure of speech."""
-    suppressor = SpeechSuppressor(18.0, BIN_HZ, BINS, HOP_S)
+    suppressor = SpeechSuppressor(SpeechDesign.of(18.0, BIN_HZ, BINS, HOP_S))
     for spectrum in spectra(talk(4)):
-        suppressor.hear(spectrum)
+        suppressor.add_hop(spectrum)
         if suppressor.belief == 1.0 and suppressor._voiced == 1.0 and suppressor._balance > 9.0:
             return suppressor
     raise AssertionError("no hop like that")
@@ -192,7 +193,7 @@ def test_nothing_under_80_hz_is_lowered_however_sure_it_is():
 def test_what_hides_a_voice_and_is_far_louder_is_not_lowered():
     suppressor = convinced()
     # A flat spectrum is a click's.
-    suppressor.hear(np.full(BINS, 0.3 + 0.0j))
+    suppressor.add_hop(np.full(BINS, 0.3 + 0.0j))
     assert (suppressor.belief, suppressor._voiced) == (1.0, 0.0)
     assert (suppressor.gains(np.array([150.0, 300.0, 700.0, 2_000.0])) > 0.99).all()
 
@@ -209,7 +210,7 @@ def test_what_hides_a_voice_and_is_far_louder_is_not_lowered():
 )
 @settings(max_examples=100)
 def test_every_gain_is_a_number_between_the_suppression_and_one(hops, suppression_db):
-    suppressor = SpeechSuppressor(suppression_db, BIN_HZ, BINS, HOP_S)
+    suppressor = SpeechSuppressor(SpeechDesign.of(suppression_db, BIN_HZ, BINS, HOP_S))
     audio_hz = np.array([20.0, 50.0, 79.0, 100.0, 123.0, 200.0, 999.0, 4_000.0, 19_000.0])
     for kind, number in hops:
         spectrum = np.zeros(BINS, dtype=complex)
@@ -225,9 +226,9 @@ def test_every_gain_is_a_number_between_the_suppression_and_one(hops, suppressio
             case "huge":
                 spectrum += 1e6j
         if kind == "nothing":
-            suppressor.pause()
+            suppressor.add_silence()
         else:
-            suppressor.hear(spectrum)
+            suppressor.add_hop(spectrum)
         gains = suppressor.gains(audio_hz)
         assert (gains >= 10 ** (-suppression_db / 20) * (1 - 1e-12)).all()
         assert (gains <= 1.0).all()

@@ -10,7 +10,7 @@ import time
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
-from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.design.synthesis import LiveGrid
 from tools.bench.machine import cpu_model
 from tools.bench.measures.vibration import SineFit, sine_fit
 from tools.bench.report import Must

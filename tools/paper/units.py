@@ -38,7 +38,7 @@ def unit_sequence(mono: FloatArray, samplerate: int, unit: int = PAPERS_UNIT) ->
     parameters = TransformParameters()
     transform = ReferenceTransform(parameters, samplerate)
     samples = transform.cut(mono)[unit]
-    spectrum = Spectrum(parameters, samplerate)
+    spectrum = Spectrum.of(parameters, samplerate)
     found = transform.analyse(samples[None])
     unit_s = spectrum.window_frames / samplerate
     return UnitSequence(

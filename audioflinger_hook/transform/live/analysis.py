@@ -16,40 +16,25 @@ It goes the reference form's way (`principal.py`) with three additions:
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import zoom_fft
 
 from audioflinger_hook.transform.arrays import FloatArray, IntArray
-from audioflinger_hook.transform.parameters import TransformParameters
+from audioflinger_hook.transform.design.analysis import (
+    NEIGHBOURS,
+    TABLE_BINS_A_BIN,
+    AnalysisDesign,
+)
 from audioflinger_hook.transform.principal import (
     HALF_POWER,
     Principals,
     able_peaks,
-    bins_in_band,
     parabola,
-    peak_span_min,
     strongest,
 )
-from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum, magnitude
-
-IMAGE_REACH_WINDOWS = 75.0
-"""Peaks below this many times 1/T (1.6 kHz) are cleared; from there the image is about -70 dB."""
-
-NEIGHBOURS = 7
-"""Bins to either side of a peak that are cleared: its main lobe, and the half-power walk on it."""
+from audioflinger_hook.transform.spectrum import ComplexArray, magnitude
 
 TWICE_BELOW = 20
 """Peaks under this bin, 210 Hz, are cleared once more, by what the first time has made of them. So
 near to its image a peak is pulled so far that the image is first looked up in a wrong place."""
-
-TABLE_BINS_A_BIN = 32
-"""Entries of the window's table a bin: a line between them is within 0.2 % of a side lobe."""
-
-SIDE_LOBE = 10 ** (-40 / 20)
-"""Side lobes of a Hamming window stand 42.7 dB under their peak."""
-
-SIDE_LOBE_FOLLOWED = 10 ** (-34 / 20)
-"""With the loudness follower C_th lets through those of a low tone and of its image that add up,
-36.7 dB under it."""
 
 PEAK_FLOOR = 1e-6
 """The bins beside a peak count as this share of it at least. Where the window's spectrum has a
@@ -74,26 +59,19 @@ TINY = float(np.finfo(np.float64).tiny)
 class LiveAnalysis:
     """Finds the principal frequencies in spectra of one resolution, as the live form wants them.
 
-    spectrum: what the spectra come from; bins: how many of their columns are looked at. Each
-    row's result depends on that row alone. Pure: holds no state beyond its settings.
+    Each row's result depends on that row alone. Pure: holds no state beyond its design.
     """
 
-    def __init__(self, parameters: TransformParameters, spectrum: Spectrum, bins: int) -> None:
-        self._bins = bins
-        self._bin_hz = spectrum.bin_hz
-        self._first, self._last = bins_in_band(parameters, spectrum.bin_hz, bins)
-        self._threshold_hz = parameters.threshold_hz
-        self._peak_span_min = peak_span_min(parameters, spectrum.bin_hz)
-        # A steady tone is principal from here up; what is weaker is no tone that could wobble.
-        self._weakest_image = parameters.threshold_hz / parameters.unit_strength_hz(
-            spectrum.samplerate
-        )
-        # What is weaker may be a side lobe, whose image is not its own.
-        self._weakest_share = SIDE_LOBE_FOLLOWED if parameters.loudness_db else 0.0
-        self._side_lobe = SIDE_LOBE_FOLLOWED if parameters.loudness_db else SIDE_LOBE
-        self._partials_max = parameters.partials_max
-        self._turn, self._table = window_tables(spectrum, bins)
-        self._first_sample = spectrum._window[0] / spectrum._window[1:].sum()
+    def __init__(self, design: AnalysisDesign) -> None:
+        self._bins, self._bin_hz = design.bins, design.bin_hz
+        self._first, self._last = design.first_bin, design.last_bin
+        self._threshold_hz = design.threshold_hz
+        self._peak_span_min = design.peak_span_min
+        self._weakest_image, self._weakest_share = design.weakest_image, design.weakest_share
+        self._side_lobe = design.side_lobe
+        self._partials_max = design.partials_max
+        self._turn, self._table = design.image_turn, design.image_table
+        self._first_sample = design.image_first
 
     def all_principal(self, spectra: ComplexArray) -> Principals:
         """Return everything with r > C_th in each row of (rows, columns), nothing left out."""
@@ -229,29 +207,3 @@ def _half_power_on_bells(
     fraction = above / np.maximum(above - np.log(under / level), TINY)
     edge: FloatArray = np.sqrt(near + fraction * (far - near))
     return edge
-
-
-def window_tables(
-    spectrum: Spectrum, bins: int, reach_windows: float = IMAGE_REACH_WINDOWS
-) -> tuple[FloatArray, FloatArray]:
-    """Return what images are computed from: the turn of each low bin, the window's spectrum.
-
-    Phases counted from the window's centre make the window's spectrum real; bins turn by a cosine
-    and a sine each, (2, low bins + `NEIGHBOURS`). The spectrum, 1 at 0, has `TABLE_BINS_A_BIN`
-    entries a bin. reach_windows: bins under this many times 1/T are low.
-    """
-    frames, length = spectrum.window_frames, spectrum.fft_length
-    # An image is looked up at the sum of two frequencies, which the table must reach, and
-    # neighbours must lie within the spectra.
-    room = min(spectrum.bins // 2, bins) - 1 - NEIGHBOURS
-    low_bins = max(0, min(int(reach_windows * length / frames), room))
-    turned_bins = np.arange(low_bins + NEIGHBOURS if low_bins else 0)
-    turn = 2.0 * np.pi * turned_bins * (frames / 2) / length
-    # Its lowest part alone, on a grid that much finer than a bin.
-    entries = TABLE_BINS_A_BIN * 2 * turn.shape[-1] + 2
-    fine_length = TABLE_BINS_A_BIN * length
-    partnered = spectrum._window.copy()
-    partnered[0] = 0.0
-    fine = zoom_fft(partnered, (0, entries), entries, fs=fine_length)
-    turned = fine * np.exp(2j * np.pi * np.arange(entries) * (frames / 2) / fine_length)
-    return np.stack((np.cos(turn), np.sin(turn))), turned.real / turned[0].real

@@ -12,18 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from audioflinger_hook.transform.live.onsets import HEARD_TICKS, ONSET_PARTIALS_MAX, OnsetDetector
-from audioflinger_hook.transform.live.partials import WORTH_HOLDING, Glides, Held, PartialTracker
-from audioflinger_hook.transform.live.synthesis import Smoother
-
-RISE = (0.4, 1.0)
-"""Share of its amplitude that a fresh partial reaches in its first tick, and in its second."""
-
-WORTH = 0.25
-"""Where less than this share lacks, nothing is born."""
-
-BIRTH_PHASE = 0.75
-"""Phase at birth in cycles: a sine, whose first swing is felt at once."""
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.live.onsets import OnsetDetector
+from audioflinger_hook.transform.live.partials import Held, PartialTracker
+from audioflinger_hook.transform.live.synthesis import Glides, Smoother
 
 
 @dataclass
@@ -41,24 +33,23 @@ class _OnsetPartial:
 class OnsetPartials:
     """At most `ONSET_PARTIALS_MAX` partials, tick by tick. Held by one thread at a time."""
 
-    delay_ticks = len(RISE) - sum(RISE) + 0.5 * RISE[-1]
-    """How late an amplitude follows on average, in ticks: each glides from share to share."""
-
     def __init__(
         self,
+        design: LiveDesign,
         detector: OnsetDetector,
         smoother: Smoother,
-        tick_s: float,
-        ceiling: float,
         gain: Callable[[float, float], float],
     ) -> None:
-        """gain: of (vibration frequency in Hz, level of what begins), to a factor on amplitudes."""
+        """gain: from (vibration frequency in Hz, level of the onset) to a factor on amplitudes."""
+        self._design = design.onsets
+        self._rise_shares = design.onsets.rise_shares.tolist()
+        self._worth_holding = design.tracking.worth_holding
+        self._tick_s = design.grid.tick_s
+        self._ceiling = design.synthesis.ceiling
         self._detector = detector
         self._gain = gain
         self._smoother = smoother
-        self._tick_s = tick_s
-        self._ceiling = ceiling
-        self.slots = ONSET_PARTIALS_MAX
+        self.slots = design.onsets.fresh_max
         self.reset()
 
     def reset(self) -> None:
@@ -70,20 +61,20 @@ class OnsetPartials:
         """Whether none sounds."""
         return not any(self._sounding)
 
-    def bear(self, tracker: PartialTracker) -> None:
+    def start(self, tracker: PartialTracker) -> None:
         """Let what the detector has heard begin begin.
 
         Where the last onset is told anew, its partials become these, in the middle of their
         vibration, and those too many die.
         """
-        young = [one for one in self._sounding if one and one.age < HEARD_TICKS]
+        young = [one for one in self._sounding if one and one.age < self._design.heard_ticks]
         for one in young:
             one.goal = 0.0
         for group in self._detector.groups():
-            hz, weight, amplitude = self._told(group)
+            hz, weight, amplitude = self._estimate(group)
             base = self._sounding_near(hz, tracker)
             lacking = min(amplitude - base, self._room(tracker))
-            if lacking <= WORTH * amplitude:
+            if lacking <= self._design.worth * amplitude:
                 continue
             if young:
                 one = young.pop(0)
@@ -94,18 +85,18 @@ class OnsetPartials:
             if not free:
                 break
             self._sounding[free[0]] = _OnsetPartial(
-                group, hz, BIRTH_PHASE, 0.0, lacking, base, weight, 0
+                group, hz, self._design.birth_phase, 0.0, lacking, base, weight, 0
             )
         for one in young:
-            one.age = HEARD_TICKS
+            one.age = self._design.heard_ticks
 
     def _sounding_near(self, hz: float, tracker: PartialTracker) -> float:
         near_hz = tracker.near_hz(hz)
         fresh = sum(one.goal for one in self._sounding if one and abs(one.hz - hz) < near_hz)
         return tracker.sounding_near(hz) + fresh
 
-    def _told(self, group: tuple[int, int]) -> tuple[float, float, float]:
-        hz, weight = self._detector.told(group)
+    def _estimate(self, group: tuple[int, int]) -> tuple[float, float, float]:
+        hz, weight = self._detector.estimate(group)
         level = self._detector.level
         amplitude = weight * level * self._gain(hz, level)
         return hz, weight, amplitude * float(self._smoother.compensation(np.array(hz)))
@@ -120,14 +111,14 @@ class OnsetPartials:
             if one is None:
                 continue
             hz = one.hz
-            if 0 < one.age < HEARD_TICKS and self._detector.still_told:
-                hz, one.weight, amplitude = self._told(one.group)
+            if 0 < one.age < self._design.heard_ticks and self._detector.is_measuring:
+                hz, one.weight, amplitude = self._estimate(one.group)
                 wanted = amplitude - one.base
                 # Of a sound that is there already rounding leaves nothing, or next to nothing.
-                if wanted < WORTH_HOLDING * amplitude or wanted < 0.0:
+                if wanted < self._worth_holding * amplitude or wanted < 0.0:
                     wanted = 0.0
                 one.goal += min(wanted - one.goal, self._room(tracker))
-            goal = one.goal * RISE[min(one.age, len(RISE) - 1)]
+            goal = one.goal * self._rise_shares[min(one.age, len(self._rise_shares) - 1)]
             glides.start_hz[tick, slot], glides.end_hz[tick, slot] = one.hz, hz
             glides.start_amplitude[tick, slot] = one.amplitude
             glides.end_amplitude[tick, slot] = goal
@@ -135,21 +126,21 @@ class OnsetPartials:
             phase = one.phase + 0.5 * self._tick_s * (one.hz + hz)
             one.phase = phase - float(np.floor(phase))
             one.hz, one.amplitude, one.age = hz, goal, one.age + 1
-            if goal == 0.0 and one.age > HEARD_TICKS:
+            if goal == 0.0 and one.age > self._design.heard_ticks:
                 self._sounding[slot] = None
 
     def hand_over(self, tracker: PartialTracker) -> None:
         """Let those that are told as well as they can be go over to the tracker."""
         for slot, one in enumerate(self._sounding):
-            if one is not None and one.age >= HEARD_TICKS:
-                loudness = self._detector.loudness(one.group)
-                held = Held(one.goal + one.base, one.weight, one.group, loudness)
+            if one is not None and one.age >= self._design.heard_ticks:
+                power = self._detector.recent_power(one.group)
+                held = Held(one.goal + one.base, one.weight, one.group, power)
                 tracker.adopt(one.hz, one.phase, one.amplitude, held)
                 self._sounding[slot] = None
 
-    def still_heard(self, held: Held) -> float:
+    def held_amplitude(self, held: Held) -> float:
         """Return the amplitude at which a partial is to be held, by what its bands have of late."""
-        if held.loudness <= 0.0:
+        if held.power <= 0.0:
             return 0.0
-        share = self._detector.loudness(held.group) / held.loudness
+        share = self._detector.recent_power(held.group) / held.power
         return held.amplitude * float(np.sqrt(min(1.0, share)))

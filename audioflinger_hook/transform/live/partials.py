@@ -8,36 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, IntArray
-from audioflinger_hook.transform.mapping import heard_hz, slope
-from audioflinger_hook.transform.parameters import TransformParameters
-
-MATCH_HZ_A_WINDOW = 2.0
-"""A partial may move by the window's main lobe's half-width, 2/T in audio Hz, in one hop ..."""
-
-MATCH_RATIO = 0.12
-"""... or by two semitones, whichever is more: a chirp of three octaves a second is followed."""
-
-SPLIT_HZ = 2.0
-"""A partial born this near to another, in Hz of vibration, is one that has split in two."""
-
-STEADY_HZ = 0.05
-"""Changes of vibration frequency well under this are averaged, well over it followed at once."""
-
-STEADY_RATIO = 0.03
-"""The same for changes of amplitude, as a ratio."""
-
-STEADY_GAIN = 0.15
-"""Share of the smallest changes that is followed a hop."""
-
-FIRST_HZ = 1e-9
-"""Of slots that are equally near to a partial the first is nearer by this, in Hz of vibration: two
-onsets of the same sound give birth at the same frequency."""
-
-FRESH_REACH = 2.0
-"""A partial that is held, of which little is known yet, is matched so much further away."""
-
-WORTH_HOLDING = 0.05
-"""Share of its amplitude under which a partial is not held any more."""
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.live.synthesis import Glides
 
 
 @dataclass(frozen=True)
@@ -52,37 +24,7 @@ class Held:
     amplitude: float
     weight: float
     group: tuple[int, int]
-    loudness: float
-
-
-@dataclass(frozen=True)
-class Glides:
-    """What each slot of the oscillator bank does in each hop: arrays (hops, slots), float64.
-
-    Frequencies in Hz of vibration, amplitudes in full scale, phase in cycles at the hop's start.
-    A slot at amplitude 0 at both ends is idle.
-    """
-
-    start_hz: FloatArray
-    end_hz: FloatArray
-    start_amplitude: FloatArray
-    end_amplitude: FloatArray
-    start_phase: FloatArray
-
-    @classmethod
-    def silent(cls, hops: int, slots: int) -> Glides:
-        """Return glides in which every slot is idle."""
-        return cls(*np.zeros((5, hops, slots)))
-
-    def hops(self, first: int, last: int) -> Glides:
-        """Return the hops from first up to last as a view."""
-        return Glides(
-            self.start_hz[first:last],
-            self.end_hz[first:last],
-            self.start_amplitude[first:last],
-            self.end_amplitude[first:last],
-            self.start_phase[first:last],
-        )
+    power: float
 
 
 class PartialTracker:
@@ -92,15 +34,12 @@ class PartialTracker:
     another fades. Held by one thread at a time.
     """
 
-    def __init__(self, parameters: TransformParameters, fresh_max: int, hop_s: float) -> None:
-        window_s = parameters.window_s
-        self._most = parameters.partials_max + fresh_max
+    def __init__(self, design: LiveDesign) -> None:
+        self._design = design.tracking
+        self._mapping = design.mapping
+        self._hop_s = design.grid.hop_s
+        self._most = design.analysis.partials_max + design.onsets.fresh_max
         self.slots = 2 * self._most
-        self._hold_hops = max(1, round(window_s / hop_s))
-        self._parameters = parameters
-        self._hop_s = hop_s
-        self._scale_hz, self._scale_ratio = slope(parameters)
-        self._match_audio_hz = MATCH_HZ_A_WINDOW / window_s
         self.reset()
 
     def reset(self) -> None:
@@ -128,9 +67,8 @@ class PartialTracker:
         return float(self._amplitude[near].sum())
 
     def near_hz(self, hz: float) -> float:
-        """Return how far from a fresh partial its true frequency may be, in Hz of vibration."""
-        ratio = max(MATCH_RATIO, self._match_audio_hz / heard_hz(hz, self._parameters))
-        return FRESH_REACH * (self._scale_hz + self._scale_ratio * hz) * ratio
+        """Return how far from a new partial its true frequency may be, in Hz of vibration."""
+        return self._design.near_hz(hz, self._mapping)
 
     def adopt(self, hz: float, phase: float, amplitude: float, held: Held) -> None:
         """Take over a partial in the middle of its vibration, and hold it; at the end of a hop.
@@ -142,7 +80,7 @@ class PartialTracker:
         slot = int((~self._alive).nonzero()[0][0])
         self._hz[slot], self._phase[slot], self._amplitude[slot] = hz, phase, amplitude
         self._alive[slot] = True
-        self._held[slot] = held, self._hold_hops
+        self._held[slot] = held, self._design.hold_hops
 
     @property
     def idle(self) -> bool:
@@ -157,13 +95,13 @@ class PartialTracker:
         hz: FloatArray,
         amplitude: FloatArray,
         room: float,
-        still_heard: Callable[[Held], float],
+        held_amplitude: Callable[[Held], float],
         left: float,
     ) -> None:
         """Write one hop of `glides`: on to the partials that stand at its end.
 
         audio_hz, hz (of vibration), amplitude: (partials,), ascending in frequency. room: what
-        partials that are held may add to the sum of amplitudes. still_heard: what those are to
+        partials that are held may add to the sum of amplitudes. held_amplitude: what those are to
         have now. left: what the law leaves of the level of what this window shows, which tells
         tones apart that were one for an onset.
         """
@@ -174,34 +112,36 @@ class PartialTracker:
             slot[new] = free
             # One peak that wavers between one and two, as a fast chirp's does, would otherwise be
             # in and out of step with itself.
-            split = gap_hz.take(new) < SPLIT_HZ
+            split = gap_hz.take(new) < self._design.split_hz
             self._phase[free] = np.where(split, self._phase.take(beside.take(new)), 0.0)
             self._hz[free] = hz.take(new)
         self._begin_hop(glides, hop)
 
         before = self._hz.take(slot)
         change = hz - before
-        after = before + change * _followed(change / STEADY_HZ)
+        after = before + change * self._followed_share(change / self._design.steady_hz)
         level = self._amplitude.take(slot)
         change = amplitude - level
         self._hz[slot] = after
         self._amplitude[:] = 0.0
-        self._amplitude[slot] = level + change * _followed(change / (STEADY_RATIO * amplitude))
+        self._amplitude[slot] = level + change * self._followed_share(
+            change / (self._design.steady_ratio * amplitude)
+        )
         self._alive[:] = False
         self._alive[slot] = True
-        self._hold(room, still_heard, left)
+        self._hold(room, held_amplitude, left)
         self._finish_hop(glides, hop)
 
-    def _hold(self, room: float, still_heard: Callable[[Held], float], left: float) -> None:
+    def _hold(self, room: float, held_amplitude: Callable[[Held], float], left: float) -> None:
         """Keep what is held at its amplitude, as far as there is room and the law leaves it."""
         lacking = {}
         by_slot = sorted(self._held.items())
         squares = sum(held.weight * held.weight for _, (held, _) in by_slot)
         known = 1.0 if squares <= left * left else left / float(np.sqrt(squares))
         for slot, (held, hops) in by_slot:
-            wanted = still_heard(held)
+            wanted = held_amplitude(held)
             full = not self._alive[slot] and int(self._alive.sum()) >= self._most
-            if full or hops < 1 or wanted < WORTH_HOLDING * held.amplitude:
+            if full or hops < 1 or wanted < self._design.worth_holding * held.amplitude:
                 del self._held[slot]
                 continue
             self._held[slot] = held, hops - 1
@@ -240,24 +180,26 @@ class PartialTracker:
         A slot is a partial's own where they are nearest to one another and within reach. The
         distance is in Hz of vibration; where no slot sounds it is infinite.
         """
+        design = self._design
         alive = self._alive.nonzero()[0]
         if not hz.size:
             return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp), np.zeros(0)
         if not alive.size:
             return np.full(hz.size, -1), np.zeros(hz.size, dtype=np.intp), np.full(hz.size, np.inf)
-        distance = np.abs(hz[:, None] - self._hz.take(alive)) + FIRST_HZ * np.arange(alive.size)
+        distance = np.abs(hz[:, None] - self._hz.take(alive)) + design.first_hz * np.arange(
+            alive.size
+        )
         nearest = distance.argmin(axis=1)
         gap_hz = distance.min(axis=1)
-        slope_hz = self._scale_hz + self._scale_ratio * hz
-        reach_hz = slope_hz * np.maximum(MATCH_RATIO, self._match_audio_hz / audio_hz)
+        slope_hz = self._mapping.scale_hz + self._mapping.scale_ratio * hz
+        reach_hz = slope_hz * np.maximum(design.match_ratio, design.match_audio_hz / audio_hz)
         held = [slot in self._held for slot in alive.take(nearest)]
-        reach_hz = np.where(held, FRESH_REACH * reach_hz, reach_hz)
+        reach_hz = np.where(held, design.fresh_reach * reach_hz, reach_hz)
         mutual = distance.argmin(axis=0).take(nearest) == np.arange(hz.size)
         mutual &= gap_hz <= reach_hz
         beside = alive.take(nearest)
         return np.where(mutual, beside, -1), beside, gap_hz
 
-
-def _followed(relative_change: FloatArray) -> FloatArray:
-    """Return the share of a change that is followed: all of a clear one, little of a jitter."""
-    return np.minimum(1.0, STEADY_GAIN + relative_change * relative_change)
+    def _followed_share(self, relative_change: FloatArray) -> FloatArray:
+        """Return the share of a change that is followed: all of a clear one, little of a jitter."""
+        return np.minimum(1.0, self._design.steady_gain + relative_change * relative_change)

@@ -1,95 +1,113 @@
-"""From the low rate to the stream's: a low-pass that stops what is audible, then interpolation.
-
-The oscillator bank: glides of frequency and amplitude to samples at the low rate.
-
-Full scale kept smoothly: partials are scaled down before they sound, the rest is rounded off.
+"""From partials to vibration: oscillators at the low rate, low-pass, interpolation and limiter.
 
 The amplitudes of the next hop are known before it is played, and their sum bounds the wave. So
-the limiter looks ahead for nothing, changes gain as slowly as any amplitude, and makes no
-distortion. What little can still overshoot (the low-pass rings at a sudden start) meets a knee.
+the limiter needs no look-ahead, changes gain as slowly as any amplitude, and makes no distortion.
+What little can still overshoot (the low-pass rings at a sudden start) meets a knee.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from scipy.signal import ellip, freqz, lfilter
+from scipy.signal import lfilter
 
 from audioflinger_hook.transform.arrays import FloatArray, strided_windows
-from audioflinger_hook.transform.design import LiveGrid
-from audioflinger_hook.transform.live.partials import Glides
+from audioflinger_hook.transform.design.synthesis import SynthesisDesign, glide_turns
 
-ORDER = 6
-RIPPLE_DB = 0.5
-STOP_DB = 40.0
-EDGE_MARGIN = 1.01
-"""The pass band ends this little above the top vibration frequency."""
 
-TAPS = 4
-"""Interpolation by four samples: what it adds to any partial up to 220 Hz is under -83 dB, for
-0.7 ms of delay."""
+@dataclass(frozen=True)
+class Glides:
+    """What each slot of the oscillator bank does in each hop: arrays (hops, slots), float64.
 
-FITTED_AT = 200
-"""Frequencies at which the kernel is fitted."""
+    Frequencies in Hz of vibration, amplitudes in full scale, phase in cycles at the hop's start.
+    A slot at amplitude 0 at both ends is idle.
+    """
 
-TABLE_STEP_HZ = 0.25
+    start_hz: FloatArray
+    end_hz: FloatArray
+    start_amplitude: FloatArray
+    end_amplitude: FloatArray
+    start_phase: FloatArray
+
+    @classmethod
+    def silent(cls, hops: int, slots: int) -> Glides:
+        """Return glides in which every slot is idle."""
+        return cls(*np.zeros((5, hops, slots)))
+
+    def hops(self, first: int, last: int) -> Glides:
+        """Return the hops from first up to last as a view."""
+        return Glides(
+            self.start_hz[first:last],
+            self.end_hz[first:last],
+            self.start_amplitude[first:last],
+            self.end_amplitude[first:last],
+            self.start_phase[first:last],
+        )
+
+
+class OscillatorBank:
+    """Samples of gliding partials; pure, holds only the shape of a glide.
+
+    attack, glide: shapes of a rise and a fall over one hop of hop_s seconds, one entry a step.
+    still: a sum of amplitudes rises from here on. Phase is the integral of frequency and therefore
+    continuous.
+    """
+
+    def __init__(self, attack: FloatArray, glide: FloatArray, hop_s: float, still: float) -> None:
+        self._attack, self._glide = attack, glide
+        self._turn, self._turn_glide = glide_turns(glide.size, hop_s)
+        self._still = still
+
+    def render(self, glides: Glides) -> FloatArray:
+        """Return (hops, steps) of the summed partials, full scale.
+
+        Slots are added one after another, so a slot at amplitude 0 changes no byte and is left
+        out where it is silent in the whole batch.
+        """
+        rise = glides.end_amplitude - glides.start_amplitude
+        loudest = np.maximum(glides.start_amplitude, glides.end_amplitude).max(axis=0)
+        slots = loudest.nonzero()[0]
+
+        def of_slots(values: FloatArray) -> FloatArray:
+            chosen: FloatArray = values.take(slots, axis=1).T[:, :, None]
+            return chosen
+
+        start_hz = of_slots(glides.start_hz)
+        phase = start_hz * self._turn
+        phase += (of_slots(glides.end_hz) - start_hz) * self._turn_glide
+        phase += (2.0 * np.pi) * of_slots(glides.start_phase)
+        partials = np.cos(phase, out=phase)
+        # With one shape for all slots of a hop their sum never exceeds both its ends. That keeps
+        # the wave under full scale.
+        rising = np.add.reduce(rise, axis=1) > self._still
+        shape = np.where(rising[:, None], self._attack, self._glide)
+        level = of_slots(rise) * shape
+        level += of_slots(glides.start_amplitude)
+        partials *= level
+        total: FloatArray = np.add.reduce(partials, axis=0)
+        return total
 
 
 class Smoother:
     """Vibration at the low rate made smooth and brought to the stream's samplerate.
 
-    Births and deaths of partials spread energy over the band where a shaker is heard; an
-    elliptic low-pass just above the top vibration frequency takes it away with the least delay.
-    Its ripple in the band is undone by each partial's own amplitude (`compensation`). Held by
-    one thread at a time.
+    Births and deaths of partials spread energy over the band where a shaker is audible. An
+    elliptic low-pass just above the top vibration frequency removes it with the least delay.
+    Each partial's own amplitude undoes the ripple in the band (`compensation`). Held by one
+    thread at a time.
     """
 
-    def __init__(self, grid: LiveGrid, top_hz: float) -> None:
-        self._grid = grid
-        self._b, self._a = ellip(
-            ORDER, RIPPLE_DB, STOP_DB, EDGE_MARGIN * top_hz, fs=grid.low_rate_hz
-        )
-        self._table_hz = np.arange(0.0, EDGE_MARGIN * top_hz, TABLE_STEP_HZ)
-        _, response = freqz(self._b, self._a, self._table_hz, fs=grid.low_rate_hz)
-        self._table_gain = 1.0 / np.abs(response)
-        self._phases = self._interpolation_phases(grid, EDGE_MARGIN * top_hz)
+    def __init__(self, design: SynthesisDesign) -> None:
+        self._b, self._a, self._phases = design.low_b, design.low_a, design.phases
+        self._table_hz = design.gain_step_hz * np.arange(design.gain_table.size)
+        self._table_gain = design.gain_table
         self.reset()
-
-    @staticmethod
-    def _interpolation_phases(grid: LiveGrid, top_hz: float) -> FloatArray:
-        """Return the kernel as (taps, decimation): each column yields one of the new frames.
-
-        Nearest to a delay, by least squares, at all frequencies that are ever played: a cubic is
-        better at the lowest ones, where it leaves nothing at all, and 13 dB worse at the top.
-        """
-        if grid.decimation == 1:
-            return np.ones((1, 1))
-        # Between the two samples in the middle.
-        between = (np.arange(grid.decimation) + 0.5) / grid.decimation
-        turn = 2.0 * np.pi * np.linspace(0.0, top_hz, FITTED_AT)[:, None] / grid.low_rate_hz
-        taps = turn * (np.arange(TAPS) - (TAPS // 2 - 1))
-        wanted = turn * between
-        # Cosines and sines of both: a fit in real numbers.
-        phases, *_ = np.linalg.lstsq(
-            np.concatenate((np.cos(taps), np.sin(taps))),
-            np.concatenate((np.cos(wanted), np.sin(wanted))),
-        )
-        return np.asarray(phases)
 
     def reset(self) -> None:
         """Return to rest."""
-        self._state = np.zeros(ORDER)
+        self._state = np.zeros(self._a.size - 1)
         self._tail = np.zeros(len(self._phases) - 1)
-
-    def delay_s(self, hz: float) -> float:
-        """Return how late a steady partial's envelope leaves, in seconds."""
-        step_hz = 0.01
-        _, response = freqz(
-            self._b, self._a, [hz - step_hz, hz + step_hz], fs=self._grid.low_rate_hz
-        )
-        turn = np.angle(response[0] / response[1])
-        low_pass_s = turn / (2.0 * np.pi * 2.0 * step_hz)
-        kernel_s = (self._phases.size - 1) / 2 / self._grid.samplerate
-        return float(low_pass_s + kernel_s)
 
     def compensation(self, hz: FloatArray) -> FloatArray:
         """Return the amplitude factors that undo the low-pass's ripple at vibration frequencies."""
@@ -111,86 +129,20 @@ class Smoother:
         return frames.reshape(-1)
 
 
-ATTACK_HOPS = 0.35
-"""Share of a hop in which amplitudes glide where their sum rises: an onset is felt 5 ms earlier
-than with a whole one, and the low-pass still keeps what leaks above 250 Hz under -58 dB. Where
-the sum falls they take the whole hop."""
-
-
-STILL = 1e-9
-"""A sum of amplitudes rises from here on: rounding must not choose between the two shapes."""
-
-
-class OscillatorBank:
-    """Samples of gliding partials; pure, holds only the shape of a glide.
-
-    Glides follow half a cosine period, u = (1 - cos(pi t))/2: no kink at either end, so a birth
-    or a death leaks least. Phase is the integral of frequency and therefore continuous.
-    """
-
-    delay_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
-    """How late an amplitude follows its analysis: half a hop held, and half a glide on average."""
-
-    def __init__(self, steps: int, hop_s: float, attack: float = ATTACK_HOPS) -> None:
-        time = np.arange(1, steps + 1) / steps
-        self._steps = steps
-        self._glide = 0.5 - 0.5 * np.cos(np.pi * time)
-        self._attack = 0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, time / attack))
-        turns = 2.0 * np.pi * hop_s
-        self._turn = turns * time
-        self._turn_glide = turns * (0.5 * time - np.sin(np.pi * time) / (2.0 * np.pi))
-
-    def render(self, glides: Glides) -> FloatArray:
-        """Return (hops, steps) of the summed partials, full scale.
-
-        Slots are added one after another, so a slot at amplitude 0 changes no byte and is left
-        out where it is silent in the whole batch.
-        """
-        rise = glides.end_amplitude - glides.start_amplitude
-        loudest = np.maximum(glides.start_amplitude, glides.end_amplitude).max(axis=0)
-        slots = loudest.nonzero()[0]
-
-        def of_slots(values: FloatArray) -> FloatArray:
-            chosen: FloatArray = values.take(slots, axis=1).T[:, :, None]
-            return chosen
-
-        start_hz = of_slots(glides.start_hz)
-        phase = start_hz * self._turn
-        phase += (of_slots(glides.end_hz) - start_hz) * self._turn_glide
-        phase += (2.0 * np.pi) * of_slots(glides.start_phase)
-        partials = np.cos(phase, out=phase)
-        # One shape for all slots of a hop: then their sum never exceeds both its ends, which is
-        # what keeps the wave under full scale.
-        rising = np.add.reduce(rise, axis=1) > STILL
-        shape = np.where(rising[:, None], self._attack, self._glide)
-        level = of_slots(rise) * shape
-        level += of_slots(glides.start_amplitude)
-        partials *= level
-        total: FloatArray = np.add.reduce(partials, axis=0)
-        return total
-
-
-CEILING = 0.98
-"""Largest sum of a hop's amplitudes; a full-scale tone keeps its level within 0.2 dB."""
-
-KNEE = 0.985
-"""Samples up to here pass as they are; above, they approach full scale and never reach it."""
-
-
-def limited_amplitudes(amplitude: FloatArray) -> tuple[FloatArray, bool]:
-    """Return one hop's amplitudes, scaled so that they sum to `CEILING` at most, and whether."""
+def limit_amplitudes(amplitude: FloatArray, ceiling: float) -> tuple[FloatArray, bool]:
+    """Return one hop's amplitudes, scaled so that they sum to the ceiling at most, and whether."""
     total = float(amplitude.sum())
-    if total <= CEILING:
+    if total <= ceiling:
         return amplitude, False
-    return amplitude * (CEILING / total), True
+    return amplitude * (ceiling / total), True
 
 
-def below_full_scale(vibration: FloatArray) -> tuple[FloatArray, int]:
+def limit_samples(vibration: FloatArray, knee: float) -> tuple[FloatArray, int]:
     """Return the samples with those beyond the knee rounded off, and how many there were."""
     size = np.abs(vibration)
-    if size.max(initial=0.0) <= KNEE:
+    if size.max(initial=0.0) <= knee:
         return vibration, 0
-    room = 1.0 - KNEE
-    over = size > KNEE
-    rounded = KNEE + room * np.tanh((size - KNEE) / room) * (1.0 - 1e-6)
+    room = 1.0 - knee
+    over = size > knee
+    rounded = knee + room * np.tanh((size - knee) / room) * (1.0 - 1e-6)
     return np.where(over, np.copysign(rounded, vibration), vibration), int(over.sum())

@@ -2,55 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, IntArray, strided_windows
-from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.input_stage import BandPass
 from audioflinger_hook.transform.live.analysis import LiveAnalysis
-from audioflinger_hook.transform.live.loudness import LoudnessFollower, bin_weights, loudness_db
+from audioflinger_hook.transform.live.loudness import LoudnessFollower
 from audioflinger_hook.transform.live.onset_partials import OnsetPartials
-from audioflinger_hook.transform.live.onsets import ONSET_PARTIALS_MAX, OnsetDetector, Ticks
-from audioflinger_hook.transform.live.partials import Glides, PartialTracker
+from audioflinger_hook.transform.live.onsets import OnsetDetector, Ticks
+from audioflinger_hook.transform.live.partials import PartialTracker
 from audioflinger_hook.transform.live.speech import SpeechSuppressor
 from audioflinger_hook.transform.live.synthesis import (
-    CEILING,
+    Glides,
     OscillatorBank,
     Smoother,
-    below_full_scale,
-    limited_amplitudes,
+    limit_amplitudes,
+    limit_samples,
 )
-from audioflinger_hook.transform.mapping import heard_hz, law_amplitudes, left_by_law, vibration_hz
-from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import Principals
 from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum
 
 TICKS_AT_ONCE = 256
 """Ticks computed in one batch: bounds the memory of a block of any length."""
 
-BAND_MARGIN_HZ = 1_000.0
-"""Bins this far over the band's top are kept for the half-power walk of its last peaks."""
-
-RING_OUT_CYCLES = 92.0
-"""After the last partial the low-pass rings. After so many cycles of the top vibration frequency
-(0.42 s at 220 Hz) it is under 1e-8 and is cut off."""
-
-STRAIGHT_LINES = 10 ** (-0.17 / 20)
-"""The reference form's half-power bandwidths, on straight lines between bins, are 0.07 to 0.27 dB
-narrower than the live form's, on bells, by where between two bins a tone stands. Made so much
-smaller, r gives a tone the same level within 0.1 dB."""
-
-LATENCY_AT_HZ = 60.0
-"""Vibration frequency whose delay is declared: 78 to 95 % of the energy lies at 20 to 80 Hz."""
 BoolArray = np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 
 @dataclass(frozen=True)
-class _Found:
-    """What is in one window: its principal frequencies, where they are felt in Hz, the gain that
-    undoes the low-pass there, and how loud it is heard."""
+class _Window:
+    """What one window holds: its principal frequencies, their vibration frequencies in Hz, the gain
+    that undoes the low-pass there, its spectrum and its loudness."""
 
     principal: Principals
     hz: FloatArray
@@ -63,64 +47,51 @@ class LiveTransform:
     """The live form of one channel, continued from block to block.
 
     Any split of the stream into blocks gives the same bytes: everything happens on a fixed grid
-    of hops, a block only decides how many are due. `process` gives as many frames as it takes,
-    late by `latency_frames`. Held by one thread at a time.
+    of hops, and a block only decides how many are due. Held by one thread at a time.
+
+    Parameters
+    ----------
+    design : LiveDesign
+        All numbers and tables.
     """
 
-    def __init__(
-        self, parameters: TransformParameters, samplerate: int, *, onsets: bool = True
-    ) -> None:
-        self._parameters = parameters
-        self._grid = LiveGrid.at(parameters, samplerate)
-        self._spectrum = Spectrum(parameters, samplerate)
-        bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / self._spectrum.bin_hz)
-        bins = min(self._spectrum.bins, bins)
-        threshold_hz = parameters.heard_threshold_hz
-        heard = replace(parameters, threshold_hz=threshold_hz)
-        self._analysis = LiveAnalysis(heard, self._spectrum, bins)
-        self._full_scale_r = parameters.unit_strength_hz(samplerate) / STRAIGHT_LINES
-        # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
-        self._silence = threshold_hz / samplerate
-        self.follower: LoudnessFollower | None = None
-        self._loudness_weights = np.zeros(0)
-        if parameters.loudness_db > 0.0:
-            self.follower = LoudnessFollower(parameters, self._grid.hop_s)
-            self._loudness_weights = bin_weights(self._spectrum, bins)
-        self._bandpass = BandPass(parameters, samplerate)
-        self._tracker = PartialTracker(parameters, ONSET_PARTIALS_MAX, self._grid.hop_s)
-        self._speech = None
-        if parameters.speech_suppression_db > 0.0:
-            self._speech = SpeechSuppressor(
-                parameters.speech_suppression_db,
-                self._spectrum.bin_hz,
-                bins,
-                self._grid.hop_s,
-            )
-        self._bank = OscillatorBank(self._grid.steps, self._grid.hop_s)
-        self._smoother = Smoother(self._grid, parameters.vibration_top_hz)
-        tick_s = self._grid.tick_frames / samplerate
-        self._onsets = onsets
-        self._detector = OnsetDetector(parameters, self._grid)
-        self._fresh = OnsetPartials(
-            self._detector, self._smoother, tick_s, CEILING, self._onset_gain
-        )
-        self._tick_bank = OscillatorBank(self._grid.tick_steps, tick_s, attack=1.0)
-        self._ring_hops = int(
-            np.ceil(RING_OUT_CYCLES / parameters.vibration_top_hz / self._grid.hop_s)
-        )
-        smoothing_frames = self._smoother.delay_s(LATENCY_AT_HZ) * samplerate
-        # An amplitude measured is that of the window's centre.
-        self.tonal_latency_frames = round(
-            self._grid.window_frames / 2
-            + self._bank.delay_hops * self._grid.hop_frames
-            + smoothing_frames
-        )
-        onset_frames = (1.0 + self._fresh.delay_ticks) * self._grid.tick_frames
-        self.latency_frames = (
-            round(onset_frames + smoothing_frames) if onsets else self.tonal_latency_frames
-        )
+    def __init__(self, design: LiveDesign) -> None:
+        synthesis, grid = design.synthesis, design.grid
+        self.design = design
+        self.latency_frames = design.latency_frames
+        self.tonal_latency_frames = design.tonal_latency_frames
         self.limited_frames = 0
-        self.onset_after_frames = self._grid.window_frames
+        self.onset_after_frames = grid.window_frames
+        self._grid = grid
+        self._mapping = design.mapping
+        self._spectrum = Spectrum(
+            design.samplerate, design.analysis.window, design.analysis.fft_length
+        )
+        self._analysis = LiveAnalysis(design.analysis)
+        self._silence = design.input.silence
+        self._ceiling, self._knee = synthesis.ceiling, synthesis.knee
+        self.follower: LoudnessFollower | None = None
+        if design.loudness.loudness_weights.size:
+            self.follower = LoudnessFollower(design.loudness)
+        self._speech: SpeechSuppressor | None = None
+        if design.speech.speech_db > 0.0:
+            self._speech = SpeechSuppressor(design.speech)
+        self._bandpass = BandPass(
+            design.input.band_b, design.input.band_a, design.input.denormal_guard
+        )
+        self._tracker = PartialTracker(design)
+        self._bank = OscillatorBank(synthesis.attack, synthesis.glide, grid.hop_s, synthesis.still)
+        self._tick_bank = OscillatorBank(
+            synthesis.tick_glide, synthesis.tick_glide, grid.tick_s, synthesis.still
+        )
+        self._smoother = Smoother(synthesis)
+        self._ring_hops = synthesis.ring_hops
+        self._find_onsets = bool(design.onsets.find_onsets)
+        self._onset_frames = design.onsets.short_frames
+        self._detector = OnsetDetector(design.onsets, bool(design.mapping.by_energy))
+        self._onset_partials = OnsetPartials(
+            design, self._detector, self._smoother, self._onset_gain
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -129,7 +100,7 @@ class LiveTransform:
         self._pending = np.zeros(grid.tick_frames)
         self._pending_frames = 0
         self._ready = np.zeros(grid.tick_frames)
-        self._past = np.zeros(max(grid.window_frames, self._detector.window_frames) - 1)
+        self._past = np.zeros(max(grid.window_frames, self._onset_frames) - 1)
         self._past_peaks = np.zeros(grid.hops_in_window - 1)
         self._hop_peak = 0.0
         self._tick = 0
@@ -138,7 +109,7 @@ class LiveTransform:
         self._bandpass.reset()
         self._detector.reset()
         self._tracker.reset()
-        self._fresh.reset()
+        self._onset_partials.reset()
         self._smoother.reset()
         if self.follower:
             self.follower.reset()
@@ -215,19 +186,19 @@ class LiveTransform:
         peaks = np.abs(filtered).reshape(ticks, -1).max(axis=1)
         # Ticks with which a hop is full.
         full = np.arange(grid.ticks - 1 - self._tick, ticks, grid.ticks)
-        heard = self._heard(peaks, full)
-        seen = self._seen(joined, filtered, ticks) if self._onsets else Ticks.silent(ticks)
+        heard = self._audible(peaks, full)
+        seen = self._measure(joined, filtered, ticks) if self._find_onsets else Ticks.silent(ticks)
         if not heard.any() and not seen.bands.any() and self.asleep:
-            if self._onsets:
+            if self._find_onsets:
                 self._detector.rest(ticks)
             if self.follower and full.size:
                 self.follower.rest()
             self._tick = (self._tick + ticks) % grid.ticks
             return np.zeros(sound.size)
-        found = self._found(joined, full[heard])
+        found = self._analyse(joined, full[heard])
         return self._play(*self._glide(found, seen, full, heard, ticks))
 
-    def _heard(self, peaks: FloatArray, full: IntArray) -> BoolArray:
+    def _audible(self, peaks: FloatArray, full: IntArray) -> BoolArray:
         """Return of each full hop whether its window may hold anything principal."""
         heard = np.zeros(full.size, dtype=bool)
         first = 0
@@ -241,7 +212,7 @@ class LiveTransform:
         self._hop_peak = max(self._hop_peak, float(peaks[first:].max(initial=0.0)))
         return heard
 
-    def _found(self, joined: FloatArray, full: IntArray) -> list[_Found]:
+    def _analyse(self, joined: FloatArray, full: IntArray) -> list[_Window]:
         """Return what is principal in the windows that end with these ticks."""
         if not full.size:
             return []
@@ -254,41 +225,39 @@ class LiveTransform:
             ]
         )
         spectra = self._spectrum.transform(windows)
-        loudness = [0.0] * full.size
-        if self.follower:
-            loudness = loudness_db(spectra, self._loudness_weights)
+        loudness = self.follower.loudness_db(spectra) if self.follower else [0.0] * full.size
         found = self._analysis.strongest(spectra)
         edges = found.boundaries(full.size).tolist()
-        hz = vibration_hz(found.audio_hz, self._parameters)
+        hz = self._mapping.vibration_hz(found.audio_hz)
         gain = self._smoother.compensation(hz)
         return [
-            _Found(found.take(mine), hz[mine], gain[mine], spectrum, loud)
+            _Window(found.take(mine), hz[mine], gain[mine], spectrum, loud)
             for mine, spectrum, loud in zip(
                 map(slice, edges[:-1], edges[1:]), spectra, loudness, strict=True
             )
         ]
 
-    def _seen(self, joined: FloatArray, filtered: FloatArray, ticks: int) -> Ticks:
+    def _measure(self, joined: FloatArray, filtered: FloatArray, ticks: int) -> Ticks:
         """Return what the detector sees in each tick."""
         grid = self._grid
-        length = self._detector.window_frames
+        length = self._onset_frames
         first = self._past.size + grid.tick_frames - length
         windows = strided_windows(joined[first:], length, grid.tick_frames)
-        return self._detector.see(windows, filtered.reshape(ticks, -1))
+        return self._detector.measure(windows, filtered.reshape(ticks, -1))
 
     def _glide(
-        self, found: list[_Found], seen: Ticks, full: IntArray, heard: BoolArray, ticks: int
+        self, found: list[_Window], seen: Ticks, full: IntArray, heard: BoolArray, ticks: int
     ) -> tuple[Glides, Glides, list[bool]]:
         """Return what the oscillators do in each hop and the fresh ones in each tick.
 
         And of each tick, whether anything still sounds.
         """
         hops = Glides.silent(full.size, self._tracker.slots)
-        fresh = Glides.silent(ticks, self._fresh.slots)
+        fresh = Glides.silent(ticks, self._onset_partials.slots)
         awake = []
         hop, row = 0, 0
         for tick in range(ticks):
-            onset = self._onsets and self._detector.hear(seen, tick)
+            onset = self._find_onsets and self._detector.detect(seen, tick)
             if hop < full.size and tick == full[hop]:
                 mine = None
                 if heard[hop]:
@@ -297,39 +266,46 @@ class LiveTransform:
                 self._end_hop(hops, hop, mine)
                 hop += 1
             if onset:
-                self._fresh.bear(self._tracker)
-            if not self._fresh.idle:
+                self._onset_partials.start(self._tracker)
+            if not self._onset_partials.idle:
                 self._ringing = self._ring_hops
-                self._fresh.play(fresh, tick, self._tracker)
+                self._onset_partials.play(fresh, tick, self._tracker)
             awake.append(self._ringing > 0)
         return hops, fresh, awake
 
-    def _end_hop(self, hops: Glides, hop: int, found: _Found | None) -> None:
+    def _end_hop(self, hops: Glides, hop: int, found: _Window | None) -> None:
         """Write the hop that follows what was found; None: of a window in which nothing can be."""
-        self._fresh.hand_over(self._tracker)
+        self._onset_partials.hand_over(self._tracker)
         strength = 1.0
         if self.follower and found:
             strength = self.follower.strength(found.loudness_db)
         elif self.follower:
             self.follower.rest()
         if self._speech and found:
-            self._speech.hear(found.spectrum)
+            self._speech.add_hop(found.spectrum)
         elif self._speech:
-            self._speech.pause()
+            self._speech.add_silence()
         count = found.hz.size if found and strength > 0.0 else 0
         left = 1.0
         if found and count:
-            left = self._left_by_law(found.principal)
-            amplitude, limited = self._levelled(found.principal, strength)
+            left = self._mapping.level_ratio(found.principal.amplitude, found.principal.r)
+            amplitude, limited = self._level(found.principal, strength)
             if limited:
                 self.limited_frames += self._grid.hop_frames
             audio_hz, hz, gain = found.principal.audio_hz, found.hz, found.gain
         else:
             audio_hz, hz, gain, amplitude = np.zeros((4, 0))
         if count or self._tracker.holds:
-            room = max(0.0, CEILING - float(amplitude.sum()))
+            room = max(0.0, self._ceiling - float(amplitude.sum()))
             self._tracker.follow(
-                hops, hop, audio_hz, hz, amplitude * gain, room, self._fresh.still_heard, left
+                hops,
+                hop,
+                audio_hz,
+                hz,
+                amplitude * gain,
+                room,
+                self._onset_partials.held_amplitude,
+                left,
             )
             self._ringing = self._ring_hops
         elif not self._tracker.idle:
@@ -337,36 +313,28 @@ class LiveTransform:
         elif self._ringing:
             self._ringing -= 1
 
-    def _levelled(self, found: Principals, strength: float) -> tuple[FloatArray, bool]:
+    def _level(self, found: Principals, strength: float) -> tuple[FloatArray, bool]:
         """Return the amplitudes of one hop's partials, and whether they were limited.
 
         strength: what the follower makes of their loudness.
         """
-        amplitude = self._by_law(found)
+        amplitude = self._mapping.amplitudes(found.amplitude, found.r)
         gain = 1.0
         if self.follower:
             gain = self.follower.gain_for(strength, float((amplitude * amplitude).sum()))
         if self._speech:
-            # Before the law of level, so that what speech loses is not missing from the rest; after
-            # the follower, which would turn the rest up.
-            amplitude = self._by_law(found, self._speech.gains(found.audio_hz))
-        return limited_amplitudes(amplitude * gain)
-
-    def _by_law(self, found: Principals, left: FloatArray | float = 1.0) -> FloatArray:
-        """Return amplitudes by the level law; left: of each partial, a factor."""
-        return law_amplitudes(
-            found.amplitude * left, found.r * left, self._full_scale_r, self._parameters
-        )
-
-    def _left_by_law(self, found: Principals) -> float:
-        return left_by_law(found.amplitude, found.r, self._full_scale_r, self._parameters)
+            # Before the amplitude mapping, so that what speech loses is not missing from the rest;
+            # after the follower, which would turn the rest up.
+            left = self._speech.gains(found.audio_hz)
+            amplitude = self._mapping.amplitudes(found.amplitude * left, found.r * left)
+        return limit_amplitudes(amplitude * gain, self._ceiling)
 
     def _onset_gain(self, hz: float, level: float) -> float:
         """Return the factor on what begins: its vibration frequency in Hz, its level."""
         gain = self.follower.onset_gain(level) if self.follower else 1.0
         if self._speech:
-            heard = np.array([heard_hz(hz, self._parameters)])
-            gain *= float(self._speech.gains(heard, coarse=True)[0])
+            audio_hz = np.array([self._mapping.audio_hz(hz)])
+            gain *= float(self._speech.gains(audio_hz, coarse=True)[0])
         return gain
 
     def _play(self, hops: Glides, fresh: Glides, awake: list[bool]) -> FloatArray:
@@ -389,7 +357,8 @@ class LiveTransform:
             while last < ticks and awake[last] == awake[first]:
                 last += 1
             if awake[first]:
-                played, limited = below_full_scale(self._smoother.render(low_rate[first:last]))
+                smooth = self._smoother.render(low_rate[first:last])
+                played, limited = limit_samples(smooth, self._knee)
                 vibration[first * grid.tick_frames : last * grid.tick_frames] = played
                 self.limited_frames += limited
             else:

@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.input_stage import BandPass
-from audioflinger_hook.transform.mapping import law_amplitudes, vibration_hz
+from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
+from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.reference.superposition import Superposition
@@ -42,13 +42,11 @@ class ReferenceTransform:
     def __init__(
         self, parameters: TransformParameters, samplerate: int, *, single: bool = False
     ) -> None:
-        self._parameters = parameters
-        self._samplerate = samplerate
         self._single = single
-        self._spectrum = Spectrum(parameters, samplerate)
+        self._spectrum = Spectrum.of(parameters, samplerate)
         self._finder = PrincipalFinder(parameters, self._spectrum.bin_hz, self._spectrum.bins)
-        self._bandpass = BandPass(parameters, samplerate)
-        self._full_scale_r = parameters.unit_strength_hz(samplerate)
+        self._bandpass = BandPass(*design_band_pass(parameters, samplerate))
+        self._mapping = VibrationMapping.of(parameters, parameters.unit_strength_hz(samplerate))
         self._superposition = Superposition(self._spectrum.window_frames, samplerate)
         self.latency_frames = self._spectrum.window_frames
         self.tonal_latency_frames = self.latency_frames
@@ -121,14 +119,11 @@ class ReferenceTransform:
     def _superposed(self, found: Principals, units: int) -> FloatArray:
         """Return (units, N): each unit of equations (5)-(7), time from its own start."""
         edges = found.boundaries(units)
-        hz = vibration_hz(found.audio_hz, self._parameters)
+        hz = self._mapping.vibration_hz(found.audio_hz)
         weight = np.empty(len(found))
         for first, end in pairwise(edges):
-            weight[first:end] = law_amplitudes(
-                found.amplitude[first:end],
-                found.r[first:end],
-                self._full_scale_r,
-                self._parameters,
+            weight[first:end] = self._mapping.amplitudes(
+                found.amplitude[first:end], found.r[first:end]
             )
         if self._single:
             return self._superposition.single(weight, hz, edges)

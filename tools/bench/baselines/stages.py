@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import butter, sosfilt
 
 from audioflinger_hook.transform import FloatArray, Frames
-from audioflinger_hook.transform.input_stage import fitting, mono, replace_unusable
+from audioflinger_hook.transform.input_stage import fit_block, mix_to_mono, replace_unusable
 
 NYQUIST_MARGIN = 0.49
 """A low-pass from this share of the samplerate up has nothing to take away and is left out."""
@@ -27,8 +27,8 @@ class Comparator:
 
     def process(self, frames: Frames) -> FloatArray:
         """Return (frames, 1) of vibration for (frames, channels) of sound."""
-        usable, _ = replace_unusable(fitting(frames, self._channels))
-        return self.vibration(mono(usable))[:, None]
+        usable, _ = replace_unusable(fit_block(frames, self._channels))
+        return self.vibration(mix_to_mono(usable))[:, None]
 
     def finish(self) -> FloatArray:
         """Return the vibration still owed, (frames, 1), as if silence followed."""

@@ -8,6 +8,7 @@ from statistics import median
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, Frames, TransformParameters
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import PrincipalFinder
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
@@ -183,8 +184,8 @@ def principal_frequencies(bench: Workbench) -> Section:
 
 def _recording_agreement(recording: Recording) -> Agreement:
     parameters = TransformParameters()
-    live = LiveTransform(parameters, recording.samplerate)
-    spectrum = Spectrum(parameters, recording.samplerate)
+    live = LiveTransform(LiveDesign.of(parameters, recording.samplerate))
+    spectrum = Spectrum.of(parameters, recording.samplerate)
     finder = PrincipalFinder(parameters, spectrum.bin_hz, spectrum.bins)
     total = Agreement(0, 0, 0, 0)
     for units in _unit_batches(recording):

@@ -16,6 +16,7 @@ from scipy.fft import fft
 from scipy.signal.windows import hamming
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
@@ -81,10 +82,10 @@ class _Grid:
     @classmethod
     def at(cls, samplerate: int) -> _Grid:
         parameters = TransformParameters()
-        spectrum = Spectrum(parameters, samplerate)
+        spectrum = Spectrum.of(parameters, samplerate)
         finder = PrincipalFinder(parameters, spectrum.bin_hz, spectrum.bins)
         forms = {
-            LIVE: LiveTransform(parameters, samplerate).analyse,
+            LIVE: LiveTransform(LiveDesign.of(parameters, samplerate)).analyse,
             REFERENCE: lambda windows: finder.all_principal(magnitude(spectrum.transform(windows))),
         }
         return cls(samplerate, spectrum.window_frames, forms, spectrum, finder)

@@ -160,10 +160,10 @@ def _tone_errors(setup: Setup, count: int) -> tuple[float, float, float]:
 
 def _band_gain(setup: Setup, audio_hz: float) -> float:
     """Return what the band-pass leaves of a tone: that it is weaker there is no error."""
-    bandpass = setup.made._bandpass
+    b, a = setup.made.input.band_b, setup.made.input.band_a
     delay = np.exp(-2j * np.pi * audio_hz / SAMPLERATE)
-    powers = delay ** np.arange(bandpass._a.size)
-    return float(np.abs((bandpass._b * powers).sum() / (bandpass._a * powers).sum()))
+    powers = delay ** np.arange(a.size)
+    return float(np.abs((b * powers).sum() / (a * powers).sum()))
 
 
 def _chirp_error_hz(setup: Setup) -> float:
@@ -207,7 +207,7 @@ def _lag_p95_ms(setup: Setup, count: int) -> float:
 
 def _notes(setup: Setup) -> tuple[float, float]:
     """Return missed and spurious partials of decaying notes, in percent of all there are."""
-    form = setup.made
+    form = setup.form()
     rng = np.random.default_rng(6)
     time_s = np.arange(form._grid.window_frames) / SAMPLERATE
     note_hz = np.exp(rng.uniform(np.log(NOTE_HZ[0]), np.log(NOTE_HZ[1]), NOTES))
@@ -232,7 +232,7 @@ def _unlike_reference(setup: Setup, scene: Stereo) -> float | None:
     parameters = TransformParameters()
     if setup.parameters.window_s != parameters.window_s:
         return None
-    spectrum = Spectrum(parameters, SAMPLERATE)
+    spectrum = Spectrum.of(parameters, SAMPLERATE)
     finder = PrincipalFinder(parameters, spectrum.bin_hz, spectrum.bins)
     form = setup.form()
     filtered = form._bandpass.process(scene.astype(np.float64).mean(axis=1))

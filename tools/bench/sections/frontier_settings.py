@@ -1,7 +1,7 @@
 """Settings of the live form, each changed from outside and alone: see `frontier`.
 
-The transform carries no switches. The kernel takes all of its numbers from a `LiveTransform`,
-whose own come from `TransformParameters` and from the constants of `design` and `synthesis`.
+The transform carries no switches. The kernel takes all of its numbers from a `LiveDesign`,
+whose own come from `TransformParameters` and from the constants of `design.synthesis`.
 """
 
 from __future__ import annotations
@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from types import ModuleType
 
 from scipy.fft import next_fast_len
 
-from audioflinger_hook.transform import FloatArray, TransformParameters, design, kernel_warning
+from audioflinger_hook.transform import FloatArray, TransformParameters, kernel_warning
 from audioflinger_hook.transform.channel_bank import ChannelBank
+from audioflinger_hook.transform.design import LiveDesign, synthesis
 from audioflinger_hook.transform.haptic import Stream
 from audioflinger_hook.transform.kernel import KernelStream
-from audioflinger_hook.transform.live import synthesis
 from audioflinger_hook.transform.live.transform import LiveTransform
 from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import Subject
@@ -31,7 +30,7 @@ KERNEL_PADDING = 2.0
 class Setting:
     """One change of the live form: its knob, its name in the table, and what is changed.
 
-    parameters: of `TransformParameters`; constants: of `design` and `synthesis`; padding: NFFT over
+    parameters: of `TransformParameters`; constants: of `design.synthesis`; padding: NFFT over
     the window's length. onsets: whether what begins is born at once.
     """
 
@@ -89,14 +88,14 @@ class Setup:
         partials_max = setting.parameters.get("partials_max", TransformParameters().partials_max)
         self.parameters = Padded(window_s=window_s, partials_max=int(partials_max))
         self.compiled = kernel_warning() is None and setting.padding >= KERNEL_PADDING
-        self.made = self.form()  # what the kernel takes its numbers from; never played itself
+        with constants_changed(setting.constants):
+            self.made = LiveDesign.of(self.parameters, SAMPLERATE, find_onsets=setting.onsets)
         self.tonal_latency_frames = self.made.tonal_latency_frames
         self.subject = Subject(setting.name, lambda _samplerate, channels: self._stream(channels))
 
     def form(self) -> LiveTransform:
         """Return one channel in NumPy."""
-        with constants_changed(self.setting.constants):
-            return LiveTransform(self.parameters, SAMPLERATE, onsets=self.setting.onsets)
+        return LiveTransform(self.made)
 
     def _stream(self, channels: int) -> Stream:
         if self.compiled:
@@ -110,14 +109,13 @@ class Setup:
 
 @contextmanager
 def constants_changed(changed: Mapping[str, float | int]) -> Iterator[None]:
-    """Change constants of `design` and `synthesis` for as long as a transform is being made."""
-    kept: list[tuple[ModuleType, str, float | int]] = []
+    """Change constants of `design.synthesis` for as long as a transform is being made."""
+    kept: list[tuple[str, float | int]] = []
     try:
         for name, value in changed.items():
-            (home,) = (module for module in (design, synthesis) if hasattr(module, name))
-            kept.append((home, name, getattr(home, name)))
-            setattr(home, name, value)
+            kept.append((name, getattr(synthesis, name)))
+            setattr(synthesis, name, value)
         yield
     finally:
-        for home, name, before in kept:
-            setattr(home, name, before)
+        for name, before in kept:
+            setattr(synthesis, name, before)

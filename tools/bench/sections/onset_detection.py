@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import resample_poly
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
-from audioflinger_hook.transform.live.onsets import REST_TICKS
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.live.transform import LiveTransform
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import (
@@ -74,18 +74,21 @@ class Found:
 
 def onset_times_s(sound: FloatArray) -> FloatArray:
     """Return when onsets are told in a sound (frames,) at 48 kHz, in seconds."""
-    form = LiveTransform(TransformParameters(), SAMPLERATE)
-    tick_frames, detector = form._grid.tick_frames, form._detector
+    form = LiveTransform(LiveDesign.of(TransformParameters(), SAMPLERATE))
+    onsets, detector = form.design.onsets, form._detector
+    tick_frames, rest_ticks = form.design.grid.tick_frames, onsets.rest_ticks
     filtered = form._bandpass.process(sound)
     ticks = filtered.size // tick_frames
-    past = detector.window_frames - tick_frames
+    past = onsets.short_frames - tick_frames
     joined = np.concatenate((np.zeros(past), filtered[: ticks * tick_frames]))
-    windows = np.lib.stride_tricks.sliding_window_view(joined, detector.window_frames)
-    seen = detector.see(windows[::tick_frames], filtered[: ticks * tick_frames].reshape(ticks, -1))
-    heard = [tick + 1 for tick in range(ticks) if detector.hear(seen, tick)]
+    windows = np.lib.stride_tricks.sliding_window_view(joined, onsets.short_frames)
+    seen = detector.measure(
+        windows[::tick_frames], filtered[: ticks * tick_frames].reshape(ticks, -1)
+    )
+    heard = [tick + 1 for tick in range(ticks) if detector.detect(seen, tick)]
     # What is told anew within the rest is the same onset.
-    told = [tick for tick, last in zip(heard, [-REST_TICKS, *heard], strict=False)
-            if tick - last >= REST_TICKS]  # fmt: skip
+    told = [tick for tick, last in zip(heard, [-rest_ticks, *heard], strict=False)
+            if tick - last >= rest_ticks]  # fmt: skip
     return np.array(told, dtype=np.float64) * (tick_frames / SAMPLERATE)
 
 

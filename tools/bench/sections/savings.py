@@ -14,9 +14,10 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.arrays import strided_windows
-from audioflinger_hook.transform.live.analysis import LiveAnalysis, window_tables
-from audioflinger_hook.transform.live.partials import Glides
-from audioflinger_hook.transform.live.synthesis import OscillatorBank
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.design.analysis import AnalysisDesign, window_tables
+from audioflinger_hook.transform.live.analysis import LiveAnalysis
+from audioflinger_hook.transform.live.synthesis import Glides, OscillatorBank
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import Principals
 from audioflinger_hook.transform.spectrum import Spectrum
@@ -85,7 +86,9 @@ def _examine_every_peak(transform: LiveTransform) -> None:
 
 def _keep_every_bin(transform: LiveTransform) -> None:
     spectrum = transform._spectrum
-    transform._analysis = LiveAnalysis(TransformParameters(), spectrum, spectrum.bins)
+    transform._analysis = LiveAnalysis(
+        AnalysisDesign.of(TransformParameters(), spectrum, spectrum.bins)
+    )
 
 
 def _clear_every_image(transform: LiveTransform) -> None:
@@ -96,7 +99,7 @@ class _EveryImage(LiveAnalysis):
     """The analysis with images cleared however high a peak stands."""
 
     def __init__(self, spectrum: Spectrum, bins: int) -> None:
-        super().__init__(TransformParameters(), spectrum, bins)
+        super().__init__(AnalysisDesign.of(TransformParameters(), spectrum, bins))
         self._turn, self._table = window_tables(spectrum, bins, spectrum.window_frames)
 
 
@@ -120,8 +123,10 @@ class _EverySlot(OscillatorBank):
 
 
 def _sound_every_slot(transform: LiveTransform) -> None:
-    grid = transform._grid
-    transform._bank = _EverySlot(grid.steps, grid.hop_s)
+    design = transform.design.synthesis
+    transform._bank = _EverySlot(
+        design.attack, design.glide, transform.design.grid.hop_s, design.still
+    )
 
 
 SAVINGS: tuple[Saving, ...] = (
@@ -168,7 +173,9 @@ def kept_alike(sound: FloatArray, saving: Saving) -> tuple[float, int, int]:
     The largest change of a partial's amplitude in hops in which the same peaks are kept, each as
     wide within a tenth; how many hops are others; of how many.
     """
-    ours, theirs = (LiveTransform(TransformParameters(), SAMPLERATE) for _ in range(2))
+    ours, theirs = (
+        LiveTransform(LiveDesign.of(TransformParameters(), SAMPLERATE)) for _ in range(2)
+    )
     saving.switch_off(theirs)
     reach_hz = ours._spectrum.bin_hz / 2.0
     change, others = 0.0, 0
@@ -192,7 +199,12 @@ def _hops(transform: LiveTransform, sound: FloatArray) -> Iterator[tuple[Princip
     windows = strided_windows(filtered, grid.window_frames, grid.hop_frames)
     for window in windows:
         found = transform._analysis.strongest(transform._spectrum.transform(window[None]))
-        yield found, transform._by_law(found) if len(found) else found.r
+        yield (
+            found,
+            transform.design.mapping.amplitudes(found.amplitude, found.r)
+            if len(found)
+            else found.r,
+        )
 
 
 def savings(bench: Workbench) -> Section:
@@ -254,7 +266,7 @@ def _with_and_without(
     outputs: dict[str, FloatArray] = {}
 
     def play(name: str, switch_off: Callable[[LiveTransform], None]) -> None:
-        transform = LiveTransform(TransformParameters(), SAMPLERATE)
+        transform = LiveTransform(LiveDesign.of(TransformParameters(), SAMPLERATE))
         switch_off(transform)
         outputs[name] = np.concatenate(
             [

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.design.synthesis import LiveGrid
 from tools.bench.cost import Timings, interleaved
 from tools.bench.measures.vibration import growth_exponent
 from tools.bench.report import Must, Row, Section

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
+from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.live.speech import SpeechSuppressor
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.spectrum import ComplexArray
@@ -71,21 +72,20 @@ class _Believer(SpeechSuppressor):
 
     def __init__(self, form: LiveTransform) -> None:
         self.beliefs: list[float] = []
-        analysis = form._analysis
-        super().__init__(SUPPRESSION_DB, analysis._bin_hz, analysis._bins, form._grid.hop_s)
+        super().__init__(form.design.speech)
 
-    def hear(self, spectrum: ComplexArray) -> None:
-        super().hear(spectrum)
+    def add_hop(self, spectrum: ComplexArray) -> None:
+        super().add_hop(spectrum)
         self.beliefs.append(self.belief)
 
-    def pause(self) -> None:
-        super().pause()
+    def add_silence(self) -> None:
+        super().add_silence()
         self.beliefs.append(self.belief)
 
 
 def heard(sound: FloatArray, samplerate: int = SAMPLERATE) -> Heard:
     """Listen to (frames,) with suppression on."""
-    form = LiveTransform(ON, samplerate)
+    form = LiveTransform(LiveDesign.of(ON, samplerate))
     speech = form._speech = _Believer(form)
     form.process(sound)
     hops = len(speech.beliefs)
@@ -146,7 +146,7 @@ def _clean(name: str, sound: FloatArray, half: str) -> Iterator[Row]:
 
 def _mixed(sound: FloatArray, half: str, others: dict[str, FloatArray]) -> Iterator[Row]:
     known = heard(sound).sounding.copy()
-    known[: round(KNOWN_AFTER_S / LiveTransform(ON, SAMPLERATE)._grid.hop_s)] = False
+    known[: round(KNOWN_AFTER_S / LiveTransform(LiveDesign.of(ON, SAMPLERATE))._grid.hop_s)] = False
     for ratio_db in RATIOS_DB:
         hits = {
             name: _percent(heard(sound + other * 10 ** (-ratio_db / 20)).belief > BELIEVED, known)

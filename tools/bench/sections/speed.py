@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from audioflinger_hook.transform import TransformParameters
-from audioflinger_hook.transform.design import LiveGrid
+from audioflinger_hook.transform.design.synthesis import LiveGrid
 from tools.bench.cost import (
     LIMITS_RFFT_S,
     Timings,

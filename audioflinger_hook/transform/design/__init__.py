@@ -1,0 +1,229 @@
+"""The design of the live form: all numbers and tables for one set of parameters and one samplerate.
+
+| module | what it designs |
+| --- | --- |
+| `analysis` | input stage, analysis of windows, search for onsets |
+| `followers` | loudness follower, speech suppression |
+| `synthesis` | time grid, tracking of partials, oscillators, low-pass, limiter |
+| `blob` | the design as bytes |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from audioflinger_hook.transform.design import blob
+from audioflinger_hook.transform.design.analysis import AnalysisDesign, InputDesign, OnsetDesign
+from audioflinger_hook.transform.design.followers import LoudnessDesign, SpeechDesign, bin_weights
+from audioflinger_hook.transform.design.synthesis import (
+    ATTACK_HOPS,
+    LiveGrid,
+    SynthesisDesign,
+    TrackingDesign,
+)
+from audioflinger_hook.transform.mapping import VibrationMapping
+from audioflinger_hook.transform.parameters import TransformParameters
+from audioflinger_hook.transform.spectrum import Spectrum
+from device.errors import UsageError
+
+__all__ = ["LiveDesign"]
+
+BAND_MARGIN_HZ = 1_000.0
+"""Bins this far over the band's top are kept for the half-power walk of its last peaks."""
+
+STRAIGHT_LINES = 10 ** (-0.17 / 20)
+"""The reference form's half-power bandwidths, on straight lines between bins, are 0.07 to 0.27 dB
+narrower than the live form's, on bells, by where between two bins a tone stands. With r so much
+smaller a tone has the same level within 0.1 dB."""
+
+LATENCY_AT_HZ = 60.0
+"""Vibration frequency whose delay is declared: 78 to 95 % of the energy lies at 20 to 80 Hz."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveDesign:
+    """All numbers and tables of the live form for one set of parameters and one samplerate.
+
+    Both implementations, NumPy and compiled, are made from it. It is immutable: its arrays cannot
+    be written. Two designs are equal where all their bits are.
+
+    Attributes
+    ----------
+    samplerate : int
+        Frames a second.
+    latency_frames : int
+        Frames by which the vibration of an onset follows its sound.
+    tonal_latency_frames : int
+        Frames by which sustained levels and endings follow.
+    grid : LiveGrid
+        How time is divided.
+    input : InputDesign
+        How samples are made usable and band-passed.
+    analysis : AnalysisDesign
+        How principal frequencies are found.
+    mapping : VibrationMapping
+        Which frequency and amplitude of vibration they get.
+    onsets : OnsetDesign
+        How onsets are found.
+    tracking : TrackingDesign
+        How partials are followed from hop to hop.
+    synthesis : SynthesisDesign
+        How partials become samples.
+    loudness : LoudnessDesign
+        How vibration follows loudness.
+    speech : SpeechDesign
+        How speech is lowered.
+    """
+
+    samplerate: int
+    latency_frames: int
+    tonal_latency_frames: int
+    grid: LiveGrid
+    input: InputDesign
+    analysis: AnalysisDesign
+    mapping: VibrationMapping
+    onsets: OnsetDesign
+    tracking: TrackingDesign
+    synthesis: SynthesisDesign
+    loudness: LoudnessDesign
+    speech: SpeechDesign
+
+    def __post_init__(self) -> None:
+        for value in self.settings().values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    @classmethod
+    def of(
+        cls, parameters: TransformParameters, samplerate: int, *, find_onsets: bool = True
+    ) -> LiveDesign:
+        """Return the design for parameters at a samplerate.
+
+        Parameters
+        ----------
+        parameters : TransformParameters
+            What shapes the vibration.
+        samplerate : int
+            Frames a second.
+        find_onsets : bool
+            False for the analysis of long windows alone, whose latency is that of sustained sound.
+
+        Raises
+        ------
+        UsageError
+            The band cannot be filtered at this samplerate.
+        """
+        grid = LiveGrid.at(parameters, samplerate)
+        spectrum = Spectrum.of(parameters, samplerate)
+        bins = int((parameters.band_high_hz + BAND_MARGIN_HZ) / spectrum.bin_hz)
+        bins = min(spectrum.bins, bins)
+        live = replace(parameters, threshold_hz=parameters.live_threshold_hz)
+        full_scale_r = parameters.unit_strength_hz(samplerate) / STRAIGHT_LINES
+        mapping = VibrationMapping.of(parameters, full_scale_r)
+        onsets = OnsetDesign.of(parameters, grid, mapping, samplerate, find_onsets)
+        synthesis = SynthesisDesign.of(parameters, grid, samplerate)
+        smoothing_frames = synthesis.delay_s(LATENCY_AT_HZ, samplerate) * samplerate
+        # A measured amplitude is that of the window's centre. It follows half a hop later, at the
+        # end of a glide that takes half its own length on average.
+        glide_hops = 0.5 + (ATTACK_HOPS + 1.0) / 4.0
+        tonal_frames = grid.window_frames / 2 + glide_hops * grid.hop_frames + smoothing_frames
+        onset_frames = (1.0 + onsets.delay_ticks) * grid.tick_frames + smoothing_frames
+        suppression_db = parameters.speech_suppression_db
+        followed = parameters.loudness_db > 0.0
+        return cls(
+            samplerate=samplerate,
+            latency_frames=round(onset_frames if find_onsets else tonal_frames),
+            tonal_latency_frames=round(tonal_frames),
+            grid=grid,
+            input=InputDesign.of(parameters, samplerate),
+            analysis=AnalysisDesign.of(live, spectrum, bins),
+            mapping=mapping,
+            onsets=onsets,
+            tracking=TrackingDesign.of(parameters, grid.hop_s),
+            synthesis=synthesis,
+            loudness=LoudnessDesign.of(
+                parameters, grid.hop_s, bin_weights(spectrum, bins) if followed else None
+            ),
+            # Without suppression these numbers are not used.
+            speech=SpeechDesign.of(
+                suppression_db, spectrum.bin_hz, bins, grid.hop_s if suppression_db else 1.0
+            ),
+        )
+
+    def settings(self) -> dict[str, blob.Value]:
+        """Return what the compiled kernel takes: the numbers and tables of all sections by name."""
+        found: dict[str, blob.Value] = {}
+        for section in (getattr(self, name) for name in SECTIONS):
+            for item in fields(section):
+                value = getattr(section, item.name)
+                # Parameters may hold a whole number where a float is meant.
+                found[item.name] = float(value) if item.type == "float" else value
+        return found
+
+    def to_bytes(self) -> bytes:
+        """Return the design as bytes, of the layout that `design.blob` documents.
+
+        The bytes hold `samplerate`, `latency_frames`, `tonal_latency_frames` and `settings()`.
+        """
+        top = {name: getattr(self, name) for name in TOP}
+        return blob.pack({**top, **self.settings()})
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> LiveDesign:
+        """Return the design that `to_bytes` has written.
+
+        Parameters
+        ----------
+        data : bytes
+            All of it.
+
+        Raises
+        ------
+        UsageError
+            The bytes are cut, damaged, of another version, or hold something else.
+        """
+        values = blob.unpack(bytes(data))
+        sections = {name: _section(kind, values) for name, kind in SECTIONS.items()}
+        top = {name: _taken(values, name, int) for name in TOP}
+        if values:
+            raise UsageError(f"the design holds unknown values: {', '.join(sorted(values))}")
+        return cls(**top, **sections)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, LiveDesign) and self.to_bytes() == other.to_bytes()
+
+    def __hash__(self) -> int:
+        return hash(self.to_bytes())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return LiveDesign.from_bytes, (self.to_bytes(),)
+
+
+TOP = ("samplerate", "latency_frames", "tonal_latency_frames")
+SECTIONS: dict[str, Any] = {
+    "grid": LiveGrid,
+    "input": InputDesign,
+    "analysis": AnalysisDesign,
+    "mapping": VibrationMapping,
+    "onsets": OnsetDesign,
+    "tracking": TrackingDesign,
+    "synthesis": SynthesisDesign,
+    "loudness": LoudnessDesign,
+    "speech": SpeechDesign,
+}
+
+
+def _section(kind: Any, values: dict[str, blob.Value]) -> Any:
+    types: dict[str, Any] = {"int": int, "float": float, "FloatArray": np.ndarray}
+    return kind(**{i.name: _taken(values, i.name, types[str(i.type)]) for i in fields(kind)})
+
+
+def _taken(values: dict[str, blob.Value], name: str, kind: type) -> Any:
+    """Take a value of a type out of those that are left."""
+    value = values.pop(name, None)
+    if not isinstance(value, kind):
+        raise UsageError(f"the design lacks {name}, or holds it as something else")
+    return value

@@ -1,0 +1,278 @@
+"""Design of what follows the sound's character: its loudness, and speech in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.parameters import TransformParameters
+from audioflinger_hook.transform.spectrum import Spectrum
+
+SHELF_HZ, SHELF_Q, SHELF_DB, SHELF_MIDDLE = 1681.974450955533, 0.7071752369554196, 4.0, 0.4996667741
+HIGH_PASS_HZ, HIGH_PASS_Q = 38.13547087602444, 0.5003270373238773
+"""The analogue filters whose digital form at 48 kHz is what BS.1770-4 prints (K-weighting)."""
+
+LEVEL_AT_HZ = 1_000.0
+"""A full-scale tone of this frequency has a loudness of 0 dB here: 3.01 dB over its LKFS."""
+
+PROGRAMME_TOP_DB = -10.0
+"""Loudness of the loudest programmes; the quietest that are lifted are `loudness_db` under it."""
+
+PROGRAMME_START_DB = -20.0
+"""Level of the programme before any sound."""
+
+RELEASE_DB_A_S = 10.0
+"""Rate at which loudness falls; it rises at once. With 20 an explosion stands half a dB less above
+speech, and level goes less with level (0.63 for 0.67)."""
+
+PROGRAMME_DB_A_S = 2.0
+"""The programme's level goes to the loudness by this, so that half of the time is over it ..."""
+
+RISE_S, FALL_S = 10.0, 5.0
+"""... and by what is missing, in so many seconds: after 20 dB less it is 4 dB off in 4 s."""
+
+FLOOR_RISE_DB_A_S = 2.0
+"""The noise floor is the least loudness of late: it falls at once and rises by this."""
+
+PHONS_A_SLOPE = 20.0
+
+OCTAVES_HZ = (100.0, 200.0, 400.0, 800.0, 1_600.0, 3_200.0, 8_000.0)
+"""Edges of the six speech bands; the last holds what hisses."""
+
+PITCH_HZ = 70.0, 320.0
+"""Pitches from men with deep voices to children."""
+PITCHES = 44
+"""Combs that are tried, evenly spaced in a logarithm: 3.6 % apart."""
+COMB_TOP_HZ, COMB_TEETH = 1_600.0, 10
+"""A comb's highest tooth, and how many it has at most."""
+
+MEMORY_S = 0.3
+"""Time constant of all averages."""
+FAST_S, SLOW_S = 0.02, 0.15
+"""A level's swing is the difference of its averages over these times."""
+PEAK_DB_A_SECOND = 6.0
+"""Rate at which the loudest level is forgotten."""
+ATTACK_S, RELEASE_S = 0.1, 0.5
+"""Time in which belief in speech goes from 0 to 1, and back."""
+REST_S = 1.5
+"""After so much silence everything is forgotten."""
+VOICE_LEARNT_S = 0.15
+"""Time constant in which the level of the voice is learnt, octave by octave."""
+VOICE_DB_A_SECOND = 6.0
+"""Rate at which it is forgotten."""
+BACKGROUND_S, BACKGROUND_DB_A_SECOND = 0.05, 8.0
+"""An octave's background falls in this time constant, and rises at this rate."""
+
+RAMPS: dict[str, tuple[float, float]] = {
+    "voiced": (0.10, 0.30),
+    "quiet_db": (-30.0, -15.0),
+    "voicing": (0.12, 0.30),
+    "swing_db": (2.5, 4.5),
+    "balance_db": (2.2, 3.4),
+    "resting": (0.5, 0.8),
+    "spared_hz": (80.0, 120.0),
+    "excess_db": (3.0, 9.0),
+    "background_db": (2.0, 8.0),
+    "between": (0.25, 0.40),
+}
+"""Where each measure begins to count, and where it counts in full; between them on a line, so that
+rounding decides nothing. In the order in which native/speech.c takes them.
+
+voiced: the best comb's contrast. quiet_db: level against the loudest; quieter hops are no
+evidence. voicing: average of the first. swing_db, balance_db: root mean squares. resting: share of
+the voiced hops with a pitch at rest, which speaks against speech. spared_hz: partials under it are
+not lowered. excess_db: of an octave over the voice's level. background_db: of an octave over its
+background. between: distance from the nearest harmonic, in pitches.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class LoudnessDesign:
+    """How vibration follows loudness; levels in dB, rates in dB a hop."""
+
+    programme_start: float
+    """Level of the programme before any sound."""
+    programme_min: float
+    programme_step: float
+    """The programme's level moves by this, ..."""
+    programme_rise: float
+    """... and by this share of what is missing upwards, ..."""
+    programme_fall: float
+    """... or downwards."""
+    release: float
+    """Rate at which loudness falls."""
+    floor_min: float
+    """Loudness up to which nothing is felt."""
+    floor_rise: float
+    """Rate at which the noise floor rises."""
+    gate: float
+    """Width of the soft gate over the noise floor."""
+    target: float
+    """Vibration at the programme's level."""
+    slope: float
+    """Vibration for each dB of loudness."""
+    gain_max: float
+    """Largest factor on amplitudes."""
+    loudness_weights: FloatArray
+    """Weight of each bin's squared magnitude; empty where loudness is not followed."""
+    programme_top: float = PROGRAMME_TOP_DB
+    far: float = 20.0
+    """More than this is not missing: the level rises by 4 dB a second at most and falls by 6."""
+    floor_under: float = 30.0
+    """The noise floor stays so far under the programme's level: a steady sound is no noise."""
+    gate_margin: float = 0.01
+    """Share of the gate's width that is still silent. At the floor itself, where the quietest
+    recent hop stands exactly, rounding would decide."""
+    nothing: float = 1e-20
+    """Energy under which a window counts as -200 dB: no logarithm of 0."""
+
+    @classmethod
+    def of(
+        cls, parameters: TransformParameters, hop_s: float, weights: FloatArray | None = None
+    ) -> LoudnessDesign:
+        """Return the design for hops of so many seconds; weights: of `bin_weights`."""
+        programme_min = PROGRAMME_TOP_DB - parameters.loudness_db
+        return cls(
+            programme_start=max(programme_min, PROGRAMME_START_DB),
+            programme_min=programme_min,
+            programme_step=PROGRAMME_DB_A_S * hop_s,
+            programme_rise=hop_s / RISE_S,
+            programme_fall=hop_s / FALL_S,
+            release=RELEASE_DB_A_S * hop_s,
+            floor_min=parameters.loudness_floor_db,
+            floor_rise=FLOOR_RISE_DB_A_S * hop_s,
+            gate=parameters.loudness_gate_db,
+            target=parameters.loudness_target_db,
+            slope=parameters.loudness_slope_db / PHONS_A_SLOPE,
+            gain_max=math.pow(10.0, parameters.loudness_db / 20.0),
+            loudness_weights=np.zeros(0) if weights is None else weights,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SpeechDesign:
+    """How speech is detected and lowered. A share is what an average takes on in one hop."""
+
+    speech_db: float
+    """By how much speech is lowered; 0 for off."""
+    speech_average: float
+    speech_fast: float
+    speech_slow: float
+    speech_learnt: float
+    speech_background_fall: float
+    speech_background_rise_db: float
+    speech_voice_fall_db: float
+    speech_peak_fall: float
+    """Factor on the loudest power, each hop."""
+    speech_attack: float
+    speech_release: float
+    speech_rest_hops: float
+    speech_edges: FloatArray
+    """Bins: the first of each octave, and past the last."""
+    speech_centres_hz: FloatArray
+    """Centres of the octaves."""
+    speech_log_pitches: FloatArray
+    speech_teeth: FloatArray
+    """Bins, 0 for unused: of all combs on harmonics, then between them, (2, pitches x teeth)."""
+    speech_quiet_share: float = 0.3
+    """Quiet hops tell nothing of pitch, and count this share where swings are averaged: else a
+    pause would be enough to forget who spoke."""
+    speech_swing_max_db: float = 12.0
+    """Swings count up to here: a sound that starts is not taken for a syllable for long."""
+    speech_silent_power: float = 1e-9
+    """All levels are in dB above this power, 50 dB under that of the weakest tone that can be
+    principal in silence."""
+    speech_unheard: float = 1e-5
+    """Share of the loudest power under which no octave's level falls."""
+    speech_even: float = 1e-14
+    """Share of the highest power that every bin has at least: less is rounding beside a line."""
+    speech_equal: float = 1e-9
+    """Combs this near to the best are equals, of which the lowest is taken."""
+    speech_flat: float = 1e-6
+    """The three combs around the best are curved at least by this."""
+    speech_steady_pitch: float = 0.004
+    """A pitch rests where its logarithm changes by less in a hop: a 15th of a semitone."""
+    speech_likely: float = 0.5
+    """Belief rises where the four cues say more than this, ..."""
+    speech_likely_still: float = 0.25
+    """... or than this once there is belief, ..."""
+    speech_sure: float = 0.15
+    """... at full speed where they say so by this."""
+    speech_clear_db: float = 12.0
+    """A voice may be louder than before by this while its pitch is clear."""
+    speech_apart: float = 0.01
+    """Share of its distance by which each further harmonic may be off a multiple of the pitch."""
+    speech_ramps: FloatArray = field(default_factory=lambda: np.array(list(RAMPS.values())))
+
+    @classmethod
+    def of(cls, suppression_db: float, bin_hz: float, bins: int, hop_s: float) -> SpeechDesign:
+        """Return the design for spectra of so many bins, one in each hop."""
+        octaves_hz = np.array(OCTAVES_HZ)
+        edges = [min(bins, max(1, round(hz / bin_hz))) for hz in OCTAVES_HZ]
+        log_pitches = np.linspace(math.log(PITCH_HZ[0]), math.log(PITCH_HZ[1]), PITCHES)
+        return cls(
+            speech_db=suppression_db,
+            speech_average=_share(hop_s, MEMORY_S),
+            speech_fast=_share(hop_s, FAST_S),
+            speech_slow=_share(hop_s, SLOW_S),
+            speech_learnt=_share(hop_s, VOICE_LEARNT_S),
+            speech_background_fall=_share(hop_s, BACKGROUND_S),
+            speech_background_rise_db=hop_s * BACKGROUND_DB_A_SECOND,
+            speech_voice_fall_db=hop_s * VOICE_DB_A_SECOND,
+            speech_peak_fall=10.0 ** (-hop_s * PEAK_DB_A_SECOND / 10.0),
+            speech_attack=hop_s / ATTACK_S,
+            speech_release=hop_s / RELEASE_S,
+            speech_rest_hops=float(math.ceil(REST_S / hop_s)),
+            speech_edges=np.array(edges, dtype=np.float64),
+            speech_centres_hz=np.sqrt(octaves_hz[:-1] * octaves_hz[1:]),
+            speech_log_pitches=log_pitches,
+            speech_teeth=_teeth(np.exp(log_pitches), bin_hz, bins),
+        )
+
+
+def k_weight(audio_hz: FloatArray) -> FloatArray:
+    """Return the factor of K-weighting on energy at frequencies in Hz, 1 at 1 kHz, any shape.
+
+    Magnitudes of the analogue filters: the same at every samplerate.
+    """
+    return _weight(audio_hz) / _weight(np.array(LEVEL_AT_HZ))
+
+
+def bin_weights(spectrum: Spectrum, bins: int) -> FloatArray:
+    """Return what the squared magnitude of each of the first bins counts, (bins,).
+
+    The sum over a tone's bins is its squared amplitude, times `k_weight`.
+    """
+    window = spectrum.window
+    # By Parseval: the number of bins that a tone's energy is spread over.
+    spread = spectrum.fft_length * float((window * window).sum()) / float(window.sum()) ** 2
+    bin_hz = spectrum.bin_hz * np.arange(bins, dtype=np.float64)
+    weights: FloatArray = k_weight(bin_hz) / spread
+    return weights
+
+
+def _weight(audio_hz: FloatArray) -> FloatArray:
+    s = 1j * audio_hz / SHELF_HZ
+    high = 10.0 ** (SHELF_DB / 20.0)
+    shelf = (high * s * s + high**SHELF_MIDDLE * s / SHELF_Q + 1.0) / (s * s + s / SHELF_Q + 1.0)
+    s = 1j * audio_hz / HIGH_PASS_HZ
+    high_pass = s * s / (s * s + s / HIGH_PASS_Q + 1.0)
+    weight: FloatArray = np.abs(shelf * high_pass) ** 2
+    return weight
+
+
+def _teeth(pitches_hz: FloatArray, bin_hz: float, bins: int) -> FloatArray:
+    """Return where combs have teeth, and where none, in bins: (2, pitches x teeth)."""
+    on = pitches_hz[:, None] * np.arange(1, COMB_TEETH + 1)
+    between = on - 0.5 * pitches_hz[:, None]
+    used = on <= min(COMB_TOP_HZ, (bins - 2) * bin_hz)
+    teeth = np.stack((np.where(used, on, 0.0), np.where(used, between, 0.0))) / bin_hz
+    return teeth.reshape(2, -1)
+
+
+def _share(hop_s: float, time_s: float) -> float:
+    """Return the share of a difference that an average over a time takes on in a hop."""
+    return 1.0 - math.exp(-hop_s / time_s)

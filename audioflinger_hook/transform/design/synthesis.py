@@ -1,0 +1,244 @@
+"""Design of what plays: the time grid, the tracking of partials, oscillators and low-pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import ellip, freqz
+
+from audioflinger_hook.transform.arrays import FloatArray
+from audioflinger_hook.transform.mapping import VibrationMapping
+from audioflinger_hook.transform.parameters import TransformParameters
+
+LOW_RATE_HZ = 3_000.0
+"""Rate of the oscillators, or a little more: over six times the highest vibration frequency."""
+
+HOPS_A_WINDOW = 2.55
+"""The hop is about 18 ms. Onsets do not wait for it, and a shorter one costs more."""
+
+TICK_S = 0.002
+"""Onsets are looked for, and vibration is computed, once in this time."""
+
+ATTACK_HOPS = 0.35
+"""Share of a hop in which amplitudes glide where their sum rises: an onset is felt 5 ms earlier
+than with a whole one. The low-pass still keeps what leaks above 250 Hz under -58 dB. Where the sum
+falls, amplitudes take the whole hop."""
+
+RING_OUT_CYCLES = 92.0
+"""After the last partial the low-pass rings. After so many cycles of the top vibration frequency
+(0.42 s at 220 Hz) it is under 1e-8 and is cut off."""
+
+MATCH_HZ_A_WINDOW = 2.0
+"""A partial may move by half the width of the window's main lobe, 2/T in audio Hz, in one hop."""
+
+ORDER = 6
+RIPPLE_DB = 0.5
+STOP_DB = 40.0
+"""Of the elliptic low-pass."""
+
+EDGE_MARGIN = 1.01
+"""The pass band ends at the top vibration frequency times this."""
+
+TAPS = 4
+"""Interpolation by four samples adds less than -83 dB to any partial up to 220 Hz, for 0.7 ms of
+delay."""
+
+FITTED_AT = 200
+"""Frequencies at which the interpolation is fitted."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveGrid:
+    """How the live form divides time at one samplerate.
+
+    Everything is a whole number of frames, so that no split of the input can shift it.
+    """
+
+    window_frames: int
+    """Frames in one analysis."""
+    decimation: int
+    """Frames in one step of the low rate."""
+    tick_steps: int
+    """Steps from one look for onsets to the next."""
+    ticks: int
+    """Ticks in one hop."""
+    steps: int
+    """Steps of the low rate in one hop."""
+    tick_frames: int
+    """Frames in one tick."""
+    hop_frames: int
+    """Frames from one analysis to the next."""
+    hops_in_window: int
+    """Hops that together cover one window."""
+    hop_s: float
+    tick_s: float
+
+    @classmethod
+    def at(cls, parameters: TransformParameters, samplerate: int) -> LiveGrid:
+        """Return the grid for a samplerate in Hz."""
+        window_frames = parameters.window_frames(samplerate)
+        decimation = max(1, int(samplerate / LOW_RATE_HZ))
+        tick_steps = max(2, round(TICK_S * samplerate / decimation))
+        ticks = max(1, round(window_frames / (HOPS_A_WINDOW * decimation * tick_steps)))
+        tick_frames = decimation * tick_steps
+        hop_frames = tick_frames * ticks
+        return cls(
+            window_frames=window_frames,
+            decimation=decimation,
+            tick_steps=tick_steps,
+            ticks=ticks,
+            steps=tick_steps * ticks,
+            tick_frames=tick_frames,
+            hop_frames=hop_frames,
+            hops_in_window=-(-window_frames // hop_frames),
+            hop_s=hop_frames / samplerate,
+            tick_s=tick_frames / samplerate,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingDesign:
+    """How partials are matched, averaged and held from hop to hop."""
+
+    hold_hops: int
+    """Hops for which a partial that was born of an onset is held."""
+    match_audio_hz: float
+    """A partial may move by this in one hop, in Hz of audio, ..."""
+    match_ratio: float = 0.12
+    """... or by two semitones, whichever is more: a chirp of three octaves a second is followed."""
+    split_hz: float = 2.0
+    """A partial born this near to another, in Hz of vibration, is one that has split in two."""
+    steady_hz: float = 0.05
+    """Smaller changes of vibration frequency are averaged, larger ones are followed at once."""
+    steady_ratio: float = 0.03
+    """The same for changes of amplitude, as a ratio."""
+    steady_gain: float = 0.15
+    """Share of the smallest changes that is followed in one hop."""
+    first_hz: float = 1e-9
+    """Added to the distance of each further slot, in Hz of vibration, so that the first of equally
+    near slots wins: two onsets of the same sound give birth at the same frequency."""
+    fresh_reach: float = 2.0
+    """Factor on the reach of a partial that is held, of which little is known yet."""
+    worth_holding: float = 0.05
+    """Share of its amplitude under which a partial is not held any more."""
+
+    @classmethod
+    def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:
+        """Return the design for hops of so many seconds."""
+        return cls(
+            hold_hops=max(1, round(parameters.window_s / hop_s)),
+            match_audio_hz=MATCH_HZ_A_WINDOW / parameters.window_s,
+        )
+
+    def near_hz(self, hz: float, mapping: VibrationMapping) -> float:
+        """Return how far from a new partial its true frequency may be, in Hz of vibration."""
+        ratio = max(self.match_ratio, self.match_audio_hz / mapping.audio_hz(hz))
+        return self.fresh_reach * (mapping.scale_hz + mapping.scale_ratio * hz) * ratio
+
+
+@dataclass(frozen=True, eq=False)
+class SynthesisDesign:
+    """How partials become samples: glides, low-pass, interpolation and limiter."""
+
+    ring_hops: int
+    """Hops that the low-pass rings after the last partial."""
+    attack: FloatArray
+    """Shape of a rise over one hop, 0 to 1, one entry a step."""
+    glide: FloatArray
+    """Shape of a fall: half a cosine period."""
+    seconds: FloatArray
+    """Time from the hop's start, one entry a step."""
+    glide_s: FloatArray
+    """Integral of a glide of frequency, in seconds."""
+    tick_glide: FloatArray
+    """`glide` over one tick."""
+    tick_glide_s: FloatArray
+    """`glide_s` over one tick."""
+    low_b: FloatArray
+    """Low-pass at the low rate: the numerator."""
+    low_a: FloatArray
+    """Low-pass at the low rate: the denominator."""
+    phases: FloatArray
+    """Interpolation to the samplerate, (taps, decimation): each column yields one new frame."""
+    gain_table: FloatArray
+    """Amplitude factors that undo the low-pass's ripple, by vibration frequency."""
+    gain_step_hz: float = 0.25
+    """Hz between entries of `gain_table`."""
+    still: float = 1e-9
+    """A sum of amplitudes rises from here on: rounding must not choose between the shapes."""
+    ceiling: float = 0.98
+    """Largest sum of a hop's amplitudes; a full-scale tone keeps its level within 0.2 dB."""
+    knee: float = 0.985
+    """Samples up to here pass unchanged. Above, they approach full scale and never reach it."""
+
+    @classmethod
+    def of(
+        cls, parameters: TransformParameters, grid: LiveGrid, samplerate: int
+    ) -> SynthesisDesign:
+        """Return the design for one grid and samplerate."""
+        top_hz = EDGE_MARGIN * parameters.vibration_top_hz
+        low_rate_hz = samplerate / grid.decimation
+        low_b, low_a = ellip(ORDER, RIPPLE_DB, STOP_DB, top_hz, fs=low_rate_hz)
+        _, response = freqz(low_b, low_a, np.arange(0.0, top_hz, cls.gain_step_hz), fs=low_rate_hz)
+        time = np.arange(1, grid.steps + 1) / grid.steps
+        turn, turn_glide = glide_turns(grid.steps, grid.hop_s)
+        _, tick_turn_glide = glide_turns(grid.tick_steps, grid.tick_s)
+        ring_s = RING_OUT_CYCLES / parameters.vibration_top_hz
+        return cls(
+            ring_hops=int(np.ceil(ring_s / grid.hop_s)),
+            attack=0.5 - 0.5 * np.cos(np.pi * np.minimum(1.0, time / ATTACK_HOPS)),
+            glide=glide_shape(grid.steps),
+            seconds=turn / (2.0 * np.pi),
+            glide_s=turn_glide / (2.0 * np.pi),
+            tick_glide=glide_shape(grid.tick_steps),
+            tick_glide_s=tick_turn_glide / (2.0 * np.pi),
+            low_b=low_b,
+            low_a=low_a,
+            phases=interpolation_phases(grid.decimation, top_hz, low_rate_hz),
+            gain_table=1.0 / np.abs(response),
+        )
+
+    def delay_s(self, hz: float, samplerate: int) -> float:
+        """Return how late the envelope of a steady partial leaves, in seconds."""
+        step_hz = 0.01
+        low_rate_hz = samplerate / self.phases.shape[1]
+        _, response = freqz(self.low_b, self.low_a, [hz - step_hz, hz + step_hz], fs=low_rate_hz)
+        turn = np.angle(response[0] / response[1])
+        low_pass_s = turn / (2.0 * np.pi * 2.0 * step_hz)
+        interpolation_s = (self.phases.size - 1) / 2 / samplerate
+        return float(low_pass_s + interpolation_s)
+
+
+def glide_shape(steps: int) -> FloatArray:
+    """Return half a cosine period from 0 to 1, (steps,): it has no kink at either end."""
+    shape: FloatArray = 0.5 - 0.5 * np.cos(np.pi * (np.arange(1, steps + 1) / steps))
+    return shape
+
+
+def glide_turns(steps: int, seconds: float) -> tuple[FloatArray, FloatArray]:
+    """Return the phase in radians for each Hz at the start and each Hz of the glide, (steps,)."""
+    time = np.arange(1, steps + 1) / steps
+    turns = 2.0 * np.pi * seconds
+    return turns * time, turns * (0.5 * time - np.sin(np.pi * time) / (2.0 * np.pi))
+
+
+def interpolation_phases(decimation: int, top_hz: float, low_rate_hz: float) -> FloatArray:
+    """Return the interpolation kernel, (taps, decimation).
+
+    It is nearest to a delay, by least squares, at all frequencies that are played. A cubic is
+    better at the lowest ones, where it leaves nothing at all, and 13 dB worse at the top.
+    """
+    if decimation == 1:
+        return np.ones((1, 1))
+    # Between the two samples in the middle.
+    between = (np.arange(decimation) + 0.5) / decimation
+    turn = 2.0 * np.pi * np.linspace(0.0, top_hz, FITTED_AT)[:, None] / low_rate_hz
+    taps = turn * (np.arange(TAPS) - (TAPS // 2 - 1))
+    wanted = turn * between
+    # Cosines and sines of both: a fit in real numbers.
+    phases, *_ = np.linalg.lstsq(
+        np.concatenate((np.cos(taps), np.sin(taps))),
+        np.concatenate((np.cos(wanted), np.sin(wanted))),
+    )
+    return np.asarray(phases)

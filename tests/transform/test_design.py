@@ -1,0 +1,156 @@
+"""The design as bytes: what was written is read, and nothing else is."""
+
+import pickle
+import struct
+import zlib
+from dataclasses import FrozenInstanceError, fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from audioflinger_hook.transform import TransformParameters, kernel_warning
+from audioflinger_hook.transform.channel_bank import ChannelBank
+from audioflinger_hook.transform.design import SECTIONS, LiveDesign, blob
+from audioflinger_hook.transform.kernel import KernelStream
+from audioflinger_hook.transform.live.transform import LiveTransform
+from device.errors import UsageError
+from tests.support.signals import identical, joined, silence, tone, white_noise
+
+RATE = 8_000
+DESIGN = LiveDesign.of(TransformParameters(), RATE)
+BLOB = DESIGN.to_bytes()
+PARAMETERS = [
+    TransformParameters(),
+    TransformParameters(loudness_db=20.0, speech_suppression_db=12.0),
+    TransformParameters(mapping="jnd", level_law="energy", window_s=0.03, partials_max=3),
+]
+
+
+def further(value):
+    return pytest.param(value, marks=pytest.mark.exhaustive)
+
+
+@pytest.mark.parametrize("parameters", PARAMETERS, ids=["default", "followers", "mappings"])
+@pytest.mark.parametrize("samplerate", [1_000, 8_000, *map(further, (44_100, 48_000, 192_000))])
+def test_a_design_is_read_as_it_was_written(parameters, samplerate):
+    design = LiveDesign.of(parameters, samplerate)
+    again = LiveDesign.from_bytes(design.to_bytes())
+    assert again == design
+    assert hash(again) == hash(design)
+    for name, value in design.settings().items():
+        read = again.settings()[name]
+        assert type(read) is type(value) or isinstance(value, type(read)), name
+        assert np.shape(read) == np.shape(value), name
+    assert again.to_bytes() == design.to_bytes()
+    assert pickle.loads(pickle.dumps(design)) == design
+
+
+@pytest.mark.parametrize("parameters", PARAMETERS, ids=["default", "followers", "mappings"])
+def test_a_design_that_was_read_plays_the_same_bytes(parameters):
+    sound = joined(white_noise(0.3, RATE, 0.3), silence(0.2, RATE), tone(300, 0.3, RATE))[:, None]
+    design = LiveDesign.of(parameters, RATE)
+    again = LiveDesign.from_bytes(design.to_bytes())
+    one, other = (ChannelBank([LiveTransform(each)], 1).process(sound) for each in (design, again))
+    assert identical(one, other)
+    if kernel_warning() is None:
+        one, other = (KernelStream(each, 1, False).process(sound) for each in (design, again))
+        assert identical(one, other)
+
+
+def test_designs_of_other_parameters_or_rates_are_others():
+    designs = [LiveDesign.of(parameters, RATE) for parameters in PARAMETERS]
+    designs.append(LiveDesign.of(PARAMETERS[0], 2 * RATE))
+    designs.append(LiveDesign.of(PARAMETERS[0], RATE, find_onsets=False))
+    assert len(set(designs)) == len(designs)
+    assert DESIGN != BLOB
+
+
+def test_whole_numbers_among_the_parameters_make_the_same_design():
+    whole = TransformParameters(band_low_hz=50, loudness_target_db=-18, threshold_hz=1)
+    exact = TransformParameters(band_low_hz=50.0, loudness_target_db=-18.0, threshold_hz=1.0)
+    design = LiveDesign.of(whole, RATE)
+    assert design == LiveDesign.of(exact, RATE) == LiveDesign.from_bytes(design.to_bytes())
+
+
+def test_a_design_cannot_be_changed():
+    with pytest.raises(FrozenInstanceError):
+        DESIGN.samplerate = 1  # type: ignore[misc]
+    for name, value in DESIGN.settings().items():
+        if isinstance(value, np.ndarray):
+            assert not value.flags.writeable, name
+
+
+def test_every_setting_has_one_name():
+    names = [item.name for kind in SECTIONS.values() for item in fields(kind)]
+    assert len(names) == len(set(names)) == len(DESIGN.settings())
+    assert max(map(len, names)) <= 36
+
+
+@given(at=st.integers(0, len(BLOB) - 1), flip=st.integers(1, 255))
+def test_a_blob_with_any_byte_changed_is_refused(at, flip):
+    damaged = bytearray(BLOB)
+    damaged[at] ^= flip
+    with pytest.raises(UsageError, match=r"design"):
+        LiveDesign.from_bytes(bytes(damaged))
+
+
+@given(length=st.integers(0, len(BLOB) - 1))
+def test_a_blob_that_is_cut_is_refused(length):
+    with pytest.raises(UsageError, match=r"design"):
+        LiveDesign.from_bytes(BLOB[:length])
+
+
+@given(more=st.binary(min_size=1, max_size=64))
+def test_a_blob_that_is_too_long_is_refused(more):
+    with pytest.raises(UsageError, match=r"too long"):
+        LiveDesign.from_bytes(BLOB + more)
+
+
+@given(foreign=st.binary(max_size=200))
+def test_anything_else_is_refused(foreign):
+    with pytest.raises(UsageError, match=r"design"):
+        LiveDesign.from_bytes(foreign)
+
+
+def sealed(data):
+    """Return bytes with the size and the checksum that fit them."""
+    data = bytearray(data)
+    struct.pack_into("<I", data, 12, len(data))
+    struct.pack_into("<I", data, len(data) - 8, zlib.crc32(bytes(data[:-8])))
+    return bytes(data)
+
+
+def test_a_blob_of_another_version_is_refused_by_its_number():
+    other = bytearray(BLOB)
+    struct.pack_into("<I", other, 8, 99)
+    with pytest.raises(UsageError, match=r"version 99; allowed: 1"):
+        LiveDesign.from_bytes(sealed(other))
+
+
+def test_a_blob_with_a_value_too_few_or_too_many_is_refused_by_its_name():
+    values = blob.unpack(BLOB)
+    with pytest.raises(UsageError, match=r"lacks hop_s"):
+        LiveDesign.from_bytes(blob.pack({k: v for k, v in values.items() if k != "hop_s"}))
+    with pytest.raises(UsageError, match=r"unknown values: extra"):
+        LiveDesign.from_bytes(blob.pack({**values, "extra": 1}))
+    with pytest.raises(UsageError, match=r"ticks, or holds it as something else"):
+        LiveDesign.from_bytes(blob.pack({**values, "ticks": 1.5}))
+
+
+@given(at=st.integers(blob.HEADER.size, len(BLOB) - 9), flip=st.integers(1, 255))
+def test_a_damaged_blob_with_a_fitting_checksum_is_refused_or_holds_other_numbers(at, flip):
+    damaged = bytearray(BLOB)
+    damaged[at] ^= flip
+    try:
+        design = LiveDesign.from_bytes(sealed(damaged))
+    except UsageError:
+        return
+    assert design != DESIGN
+
+
+def test_sections_can_be_replaced():
+    longer = replace(DESIGN, tracking=replace(DESIGN.tracking, hold_hops=7))
+    assert longer.settings()["hold_hops"] == 7
+    assert longer != DESIGN
