@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from audioflinger_hook import __version__
-from device.errors import UsageError
+from audioflinger_hook.cli.arguments import Parser, count, duration, seconds
 
 DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
 EXIT_CODES = (
@@ -22,44 +21,6 @@ EXIT_CODES = (
 
 CONFIG_HELP = "take the settings from this file"
 SEE_DEVICES = "see `cushion devices`"
-
-
-class Parser(argparse.ArgumentParser):
-    """A parser that reports wrong usage as every other error is reported, and guesses nothing.
-
-    any_order: whether options may stand between the names of files, however many these are.
-    add_options: adds the options as soon as the command is named, so that the others cost nothing.
-    """
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**{**options, "allow_abbrev": False})
-        self.any_order = False
-        self.add_options: Callable[[Parser], None] | None = None
-
-    def parse_known_args(  # type: ignore[override]
-        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
-    ) -> tuple[argparse.Namespace, list[str]]:
-        """Return what was found, and what is left over."""
-        if self.add_options:
-            add_options, self.add_options = self.add_options, None
-            add_options(self)
-        if not self.any_order:
-            return super().parse_known_args(args, namespace)
-        given = list(sys.argv[1:] if args is None else args)
-        if "--" in given:
-            # The rest comes here again without the mark: no name may look like an option then.
-            place = given.index("--")
-            names = (f"./{name}" if name.startswith("-") else name for name in given[place + 1 :])
-            given = [*given[:place], *names]
-        self.any_order = False  # the options first, then what is left: both come here again
-        try:
-            return self.parse_known_intermixed_args(given, namespace)
-        finally:
-            self.any_order = True
-
-    def error(self, message: str) -> NoReturn:
-        """Raise UsageError."""
-        raise UsageError(f"{message}; see `{self.prog} --help`")
 
 
 def build_parser() -> Parser:
@@ -106,13 +67,13 @@ def _render(command: Parser) -> None:
     files = "a sound file; a float32 WAV to write"
     command.add_argument("files", nargs="*", type=Path, metavar="IN OUT", help=files)
     _value(command, "--out-dir", Path, "DIR", "write DIR/IN.wav for every IN, several at once")
-    _value(command, "--workers", _count, "N", "processes at once; default: the usable cores")
+    _value(command, "--workers", count, "N", "processes at once; default: the usable cores")
     _rendering(command)
 
 
 def _inspect(command: Parser) -> None:
     command.add_argument("input", type=Path, metavar="IN", help="a sound file")
-    _value(command, "--at", _seconds, "SECONDS", "list only the unit there")
+    _value(command, "--at", seconds, "SECONDS", "list only the unit there")
     _json(command)
 
 
@@ -120,7 +81,7 @@ def _capture(command: Parser) -> None:
     command.add_argument("folder", type=Path, metavar="OUTDIR", help="a new or empty folder")
     _keys(command, "tap", default="default")
     stop = "stop after S seconds; default: when the sound ends"
-    command.add_argument("--seconds", type=_duration, default=math.inf, metavar="S", help=stop)
+    command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
 
 
 def _replay(command: Parser) -> None:
@@ -132,7 +93,7 @@ def _replay(command: Parser) -> None:
 
 def _dump(command: Parser) -> None:
     _keys(command, "tap", default="default")
-    _value(command, "--at", _seconds, "SECONDS", "how much sound to play first", 1.0)
+    _value(command, "--at", seconds, "SECONDS", "how much sound to play first", 1.0)
     _value(command, "--config", Path, "FILE", CONFIG_HELP)
 
 
@@ -143,7 +104,7 @@ def _run(command: Parser) -> None:
     _keys(command, "drop_in")
     _value(command, "--config", Path, "FILE", "default: the user's own")
     stop = "stop after S seconds; default: never"
-    command.add_argument("--seconds", type=_duration, default=math.inf, metavar="S", help=stop)
+    command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
     _keys(command, "offset_ms", "device_volume_db", "profile", "rig", "damping", "protection")
     _switch(command, "--wait", "wait until server, device and tap are available")
 
@@ -192,7 +153,7 @@ def _calibrate(command: Parser) -> None:
     _value(command, "--share", float, "S", share)
     _value(command, "--low-hz", float, "HZ", "lowest frequency", 15.0)
     _value(command, "--high-hz", float, "HZ", "highest frequency", 400.0)
-    _value(command, "--seconds", _duration, "S", "duration of each sweep", 5.0)
+    _value(command, "--seconds", duration, "S", "duration of each sweep", 5.0)
     _value(command, "--out", Path, "FILE", "rig file to write")
     _json(command)
 
@@ -271,27 +232,3 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str]] = {
     "check": (_check, "report every mistake of a config file"),
 }
 """Every command: what adds its options, and what it does."""
-
-
-def _count(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a time; allowed: 0 seconds or more")
-    return value
-
-
-def _duration(text: str) -> float:
-    value = _seconds(text)
-    if not value:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a duration; allowed: above 0 seconds")
-    return value

@@ -16,11 +16,14 @@ from audioflinger_hook.config import file as config
 from audioflinger_hook.config.schema import CHANGES, KEYS, RENAMED, json_schema, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.capture_settings import settings_from
+from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.effect.haptic_parameters import HAPTIC_PARAMETERS
+from audioflinger_hook.sources import parse_tap
 from audioflinger_hook.transform import TransformParameters
+from device.address import parse_device
 from device.drive import ActuatorSettings
 from device.errors import UsageError
-from device.values import Choice, Number
+from device.values import Choice, Number, Switch
 from tests.support.commands import call, listing, noise, sound
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -362,6 +365,60 @@ def test_the_effect_has_the_ranges_of_the_schema() -> None:
         else:
             assert isinstance(key.description, Choice)
             assert parameter.choices == key.description.words
+
+
+KINDS = {
+    "nothing": ("level", "actuators", "volume", "offset"),
+    "next stream": ("priority",),
+    "stream": ("tap", "device", "drop_in"),
+    "streams": ("blocks",),
+    "transform": ("transform",),
+    "engine": ("engine",),
+}
+"""By the schema's words, what `ConfigDiff` calls a change."""
+
+
+def another(key: Any) -> Any:
+    """Return a value that is accepted and is not the default."""
+    described = key.description
+    if isinstance(described, Number):
+        return described.high if key.default != described.high else described.low
+    if isinstance(described, Choice):
+        return described.words[-1] if key.default != described.words[-1] else described.words[0]
+    if isinstance(described, Switch):
+        return not key.default
+    by_name: dict[str, object] = {
+        "rig": "consumer",
+        "tap": ("sink:a",),
+        "device": "sink:b",
+        "channels": (9,),
+    }
+    by_name |= {"effects_file": Path("x.xml"), "include": ("a",), "exclude": ("a",)}
+    return by_name[key.field]
+
+
+@pytest.mark.parametrize("key", KEYS, ids=lambda key: f"{key.section}.{key.name}")
+def test_a_running_daemon_does_what_the_schema_says_of_a_change(key: Any) -> None:
+    three = (ActuatorSettings((0,)), ActuatorSettings((1,), "back"), ActuatorSettings((2,)))
+    settings = Settings(actuators=three if key.owner is ActuatorSettings else ())
+    live = LiveSettings(device="sink:a", offset_ms=5.0)
+    changed, other = {key.field: another(key)}, (settings, live)
+    if key.owner is LiveSettings:
+        other = settings, replace(live, **changed)
+    elif key.owner is ActuatorSettings:
+        other = replace(settings, actuators=(*three[:2], replace(three[2], **changed))), live
+    elif key.owner is TransformParameters:
+        other = replace(settings, parameters=replace(settings.parameters, **changed)), live
+    else:
+        other = settings.choosing(**changed), live
+    old, new = (
+        RunConfig(parse_tap(live.tap[0]), parse_device(str(live.device)), settings, live)
+        for settings, live in ((settings, live), other)
+    )
+    diff = ConfigDiff.between(old, new)
+    found = {field.name for field in fields(diff) if getattr(diff, field.name)}
+    assert len(found) == 1
+    assert found <= {*KINDS[key.change]}
 
 
 @pytest.mark.parametrize("command", ["run", "render", "replay", "demo"])

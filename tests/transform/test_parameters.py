@@ -204,7 +204,13 @@ def test_what_follows_from_the_parameters_keeps_its_equations(window_s, low, hig
         assert parameters.unit_strength_hz(samplerate) == 1.30 * samplerate / frames
 
 
-@pytest.mark.parametrize("form", WAYS)
+@pytest.mark.parametrize(
+    "form",
+    [
+        pytest.param(way, marks=pytest.mark.exhaustive if way == "live in NumPy" else ())
+        for way in WAYS
+    ],
+)
 @given(
     window_s=st.floats(0.01, 0.2),
     low=st.floats(20, 1_000),
