@@ -1,20 +1,24 @@
-"""The sound cards of this machine, and where they play; read from /proc/asound.
+"""Sound cards and their devices, read from /proc/asound.
 
-Nothing is ever substituted: a card that does not match exactly is an error, which offers the
-nearest ones. A card may vanish between two lines read: what is gone then counts as not there.
+Names must match exactly; an error suggests the nearest ones. A card may vanish between two lines
+that are read: it then counts as missing.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
+from typing import TypeVar
 
 from device.errors import NotFoundError, UsageError
 from device.suggest import no_such
 
 PROC = Path("/proc/asound")
+
+Device = TypeVar("Device", bound="PlaybackDevice")
 
 _CARD = re.compile(r"^\s*(\d+) \[(\S+)\s*\]: (\S+) - (.*)$")
 _ADDRESS = re.compile(r"(?:CARD=)?(?P<card>[^,=\s]+)(?:,(?:DEV=)?(?P<device>\d+))?")
@@ -24,9 +28,8 @@ _ADDRESS = re.compile(r"(?:CARD=)?(?P<card>[^,=\s]+)(?:,(?:DEV=)?(?P<device>\d+)
 class Card:
     """One sound card.
 
-    number: ALSA's, which another card may have after the next plugging in. id: a word, which is
-    that of the device as long as no other card has the same. driver, name, long_name: what it
-    calls itself. root: the folder it was read from.
+    number: ALSA's, which another card may get later. id: one word, stable unless several cards
+    have the same. driver, name, long_name: as the card reports them. root: the directory read.
     """
 
     number: int
@@ -41,18 +44,18 @@ class Card:
 
     @property
     def folder(self) -> Path:
-        """What the kernel tells of this card."""
+        """Directory of the kernel's files about this card."""
         return self.root / f"card{self.number}"
 
     @property
     def usb_id(self) -> str | None:
-        """VID:PID in hexadecimal digits, None if it is no USB card."""
+        """VID:PID in hexadecimal digits; None for cards that are not USB."""
         return read_text(self.folder / "usbid").strip().lower() or None
 
 
 @dataclass(frozen=True)
 class PlaybackDevice:
-    """One of a card's devices that play. device: its number, mostly 0."""
+    """One of a card's playback devices. device: its number, usually 0."""
 
     card: Card
     device: int
@@ -63,12 +66,28 @@ class PlaybackDevice:
 
     @property
     def folder(self) -> Path:
-        """What the kernel tells of this device."""
+        """Directory of the kernel's files about this device."""
         return self.card.folder / f"pcm{self.device}p"
 
 
+@dataclass(frozen=True)
+class CaptureDevice(PlaybackDevice):
+    """One of a card's capture devices."""
+
+    @property
+    def folder(self) -> Path:
+        """Directory of the kernel's files about this device."""
+        return self.card.folder / f"pcm{self.device}c"
+
+
 def list_cards(root: Path = PROC) -> tuple[Card, ...]:
-    """Every card by its number; none where there is no such folder. Any thread."""
+    """Return all cards, sorted by number.
+
+    Parameters
+    ----------
+    root : Path
+        Of the kernel's files; no cards if it is missing.
+    """
     found = []
     lines = read_text(root / "cards").splitlines()
     for line, after in zip_longest(lines, lines[1:], fillvalue=""):
@@ -79,33 +98,38 @@ def list_cards(root: Path = PROC) -> tuple[Card, ...]:
 
 
 def list_playbacks(card: Card) -> tuple[PlaybackDevice, ...]:
-    """The devices of a card that play, by their number. Any thread."""
-    return tuple(PlaybackDevice(card, *one) for one in devices_of(card, "p"))
+    """Return a card's playback devices, sorted by number."""
+    return tuple(PlaybackDevice(card, *one) for one in _list_devices(card, "p"))
 
 
-def devices_of(card: Card, way: str) -> list[tuple[int, str]]:
-    """(number, name) of a card's devices, in order; way: "p" of those that play, "c" record."""
+def list_captures(card: Card) -> tuple[CaptureDevice, ...]:
+    """Return a card's capture devices, sorted by number."""
+    return tuple(CaptureDevice(card, *one) for one in _list_devices(card, "c"))
+
+
+def _list_devices(card: Card, side: str) -> list[tuple[int, str]]:
+    """Return sorted (number, name) of a card's devices; side: "p" for playback, "c" for capture."""
     return sorted(
         (int(folder.name[3:-1]), read_fields(folder / "info").get("name", ""))
-        for folder in card.folder.glob(f"pcm*{way}")
+        for folder in card.folder.glob(f"pcm*{side}")
         if folder.name[3:-1].isdecimal()
     )
 
 
 def find_card(name: str, root: Path = PROC) -> Card:
-    """The card with exactly this number or id. Any thread.
+    """Return the card with exactly this number or id.
 
     Raises
     ------
     NotFoundError
-        There is none; the nearest ids are offered.
+        There is none; the nearest ids are suggested.
     """
     cards = list_cards(root)
     for card in cards:
         if name in (card.id, str(card.number)):
             return card
     names = [card.id for card in cards]
-    if name.isdecimal():  # no id is near to a number
+    if name.isdecimal():  # ids do not resemble numbers
         names = [f"{card.number} ({card.id})" for card in cards]
     raise NotFoundError(
         no_such("sound card", name, names, "connect one, or name a sink of the sound server")
@@ -113,49 +137,80 @@ def find_card(name: str, root: Path = PROC) -> Card:
 
 
 def find_playback(name: str, root: Path = PROC) -> PlaybackDevice:
-    """What `hw:` stands before: CARD or CARD,DEVICE, as ALSA writes them too. Any thread.
+    """Return the playback device of an address: CARD or CARD,DEVICE.
 
-    CARD is a number or an id; without DEVICE it is the card's first one that plays.
+    Parameters
+    ----------
+    name : str
+        CARD is a number or an id; without DEVICE it means the card's first playback device.
+    root : Path
+        Of the kernel's files.
 
     Raises
     ------
     UsageError
-        The name is written otherwise.
+        The address is malformed.
     NotFoundError
-        There is no such card, or it does not play.
+        There is no such card, or it has no such playback device.
     """
+    return _find_device(name, root, list_playbacks, "playback")
+
+
+def find_capture(name: str, root: Path = PROC) -> CaptureDevice:
+    """Return the capture device of an address: CARD or CARD,DEVICE.
+
+    Parameters
+    ----------
+    name : str
+        CARD is a number or an id; without DEVICE it means the card's first capture device.
+    root : Path
+        Of the kernel's files.
+
+    Raises
+    ------
+    UsageError
+        The address is malformed.
+    NotFoundError
+        There is no such card, or it has no such capture device.
+    """
+    return _find_device(name, root, list_captures, "capture")
+
+
+def _find_device(
+    name: str, root: Path, list_devices: Callable[[Card], tuple[Device, ...]], kind: str
+) -> Device:
     match = parse_card_address(name)
     card = find_card(match["card"], root)
-    found = list_playbacks(card)
+    found = list_devices(card)
+    wanted = None if match["device"] is None else int(match["device"])
+    for one in found:
+        if wanted in (None, one.device):
+            return one
     if not found:
-        raise NotFoundError(f"the sound card {card} has nothing that plays; name another one")
-    if match["device"] is None:
-        return found[0]
-    for playback in found:
-        if playback.device == int(match["device"]):
-            return playback
-    there = ", ".join(f"{one} ({one.name})" for one in found)
-    raise NotFoundError(
-        f"the sound card {card} has no device {match['device']} that plays; there is {there}"
-    )
+        raise NotFoundError(f"the sound card {card} has no {kind} device; name another card")
+    names = ", ".join(f"{one} ({one.name})" for one in found)
+    raise NotFoundError(f"the sound card {card} has no {kind} device {wanted}; it has {names}")
 
 
 def parse_card_address(name: str) -> re.Match[str]:
-    """The groups `card` and `device`, None if it is left out, of what `hw:` stands before.
+    """Return a match with the groups `card` and `device` (None if omitted); looks nothing up.
 
-    Any thread. UsageError: it is written otherwise; nothing is looked up.
+    Raises
+    ------
+    UsageError
+        The address is malformed.
     """
     match = _ADDRESS.fullmatch(name)
     if match is None:
         raise UsageError(
-            f"device 'hw:{name}': a card is written hw:CARD or hw:CARD,DEVICE, with its number or "
-            "id as in /proc/asound/cards"
+            f"device 'hw:{name}': write hw:CARD or hw:CARD,DEVICE, with the card's number or id "
+            "from /proc/asound/cards"
         )
     return match
 
 
 def read_text(path: Path) -> str:
-    """The text of a file of the kernel's, empty if it is not there. Any thread."""
+    """Return the text of a kernel file; "" if it is missing."""
     try:
         return path.read_text(errors="replace")
     except OSError:
@@ -163,43 +218,6 @@ def read_text(path: Path) -> str:
 
 
 def read_fields(path: Path) -> dict[str, str]:
-    """The lines "name: text" of a file, by name; empty if it is not there. Any thread."""
+    """Return the lines "name: text" of a kernel file by name; empty if it is missing."""
     lines = (line.partition(":") for line in read_text(path).splitlines())
     return {name.strip(): text.strip() for name, colon, text in lines if colon}
-
-
-@dataclass(frozen=True)
-class CaptureDevice(PlaybackDevice):
-    """One of a card's devices that record."""
-
-    @property
-    def folder(self) -> Path:
-        """What the kernel tells of this device."""
-        return self.card.folder / f"pcm{self.device}c"
-
-
-def list_captures(card: Card) -> tuple[CaptureDevice, ...]:
-    """The devices of a card that record, by their number. Any thread."""
-    return tuple(CaptureDevice(card, *one) for one in devices_of(card, "c"))
-
-
-def find_capture(name: str, root: Path = PROC) -> CaptureDevice:
-    """What `hw:` stands before, as an input: CARD or CARD,DEVICE. Any thread.
-
-    Raises
-    ------
-    UsageError
-        The name is written otherwise.
-    NotFoundError
-        There is no such card, or it does not record.
-    """
-    match = parse_card_address(name)
-    card = find_card(match["card"], root)
-    found = list_captures(card)
-    wanted = None if match["device"] is None else int(match["device"])
-    for capture in found:
-        if wanted in (None, capture.device):
-            return capture
-    there = ", ".join(f"{one} ({one.name})" for one in found) or "nothing"
-    what = "anything" if wanted is None else f"a device {wanted}"
-    raise NotFoundError(f"the sound card {card} has not {what} that records; there is {there}")

@@ -1,7 +1,7 @@
-"""What the steps of a volume mean in dB, from the table that a driver gives along with it.
+"""What the steps of a volume mean in dB, from the driver's table. Pure functions.
 
-Pure functions. A table is a list of 32-bit words: its kind, its length in bytes, then what the kind
-says (<sound/tlv.h> of the kernel). Levels in it are in 0.01 dB.
+A table is a list of 32-bit words: its kind, its length in bytes, then its content (<sound/tlv.h>
+of the kernel). Levels in it are in 0.01 dB.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from dataclasses import dataclass
 _CONTAINER, _SCALE, _LINEAR, _RANGE, _BOUNDS, _BOUNDS_MUTE = range(6)
 _SILENT_WHEN_LOWEST = 0x10000
 _SILENT = -9_999_999
-"""As the lower end of a linear table."""
+"""Lower end of a linear table that means silence."""
 
 _ABSURD = 100_000
-"""No card amplifies by 1 000 dB, and powers of ten end there."""
+"""Limit against overflow; no card amplifies by 1000 dB."""
 
 _PER_DB = 100.0
 _DEEPEST = 4
-"""Tables in tables: real ones have one in another."""
+"""Greatest depth of nested tables; real ones have a depth of 1."""
 
 
 @dataclass(frozen=True)
 class Decibels:
     """The level of each step from `lowest` to `highest`, in dB; -inf is silence.
 
-    level: of a step; it never falls with rising steps where the driver is sane.
+    level: of a step; it rises with the steps unless the driver is faulty.
     """
 
     lowest: int
@@ -46,16 +46,16 @@ class Decibels:
         return self.level(self.highest)
 
     def step_at_most(self, wanted_db: float) -> int | None:
-        """Return the highest step that is not above a level; None where every one is."""
+        """Return the highest step that is not above a level; None if all are above it."""
         steps = range(self.lowest, self.highest + 1)
         place = bisect.bisect_right(steps, wanted_db + 1e-9, key=self.level)
         return steps[place - 1] if place else None
 
 
 def parse_decibels(words: Sequence[int], lowest: int, highest: int) -> Decibels | None:
-    """Return what a driver's table says of steps from lowest to highest; None if it says nothing.
+    """Return the meaning of the steps from lowest to highest; None if the table is invalid.
 
-    words: unsigned, of 32 bits each. What is no such table, or contradicts itself, says nothing.
+    words: unsigned, of 32 bits each.
     """
     level = _level(list(words), lowest, highest, 0) if lowest < highest else None
     if level is None or not level(lowest) <= level(highest):
@@ -99,12 +99,12 @@ def _first_of(
 
 
 def _pieces(body: list[int], depth: int) -> Callable[[int], float] | None:
-    """Tables for parts of the steps: of each its first and last step, and a table."""
+    """Return the level by several tables, each with its first and last step."""
     found: list[tuple[int, int, Callable[[int], float]]] = []
     while len(body) >= 4:
         first, last = _signed(body[0]), _signed(body[1])
         level = _level(body[2:], first, last, depth + 1) if first < last else None
-        if first == last:  # one step: any table of two would do, and its lower end counts
+        if first == last:  # a single step takes the lower end of a table of two
             level = _level(body[2:], first, last + 1, depth + 1)
         if level is None:
             return None
@@ -145,7 +145,7 @@ def _bounds(
 
 
 def _linear(first: int, last: int, lowest: int, highest: int) -> Callable[[int], float]:
-    """Steps of amplitude."""
+    """Return the level of steps that are linear in amplitude."""
     quiet = 0.0 if first <= _SILENT else 10.0 ** (min(first, _ABSURD) / _PER_DB / 20.0)
     loud = 10.0 ** (min(last, _ABSURD) / _PER_DB / 20.0)
 

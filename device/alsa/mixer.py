@@ -1,8 +1,7 @@
-"""A sound card's own volume and mute, as its driver offers them to everybody.
+"""A sound card's own volumes and mutes, as its driver offers them to every program.
 
-This is the way while a driver holds a USB device, which is always but for `take_over`: nothing is
-taken from anybody, and what plays goes on. Structures and numbers: <sound/asound.h> of the kernel,
-asked by ioctl on the card's control file; no library is in between.
+This works while the driver holds the device, and playback continues. Structures and numbers are
+those of <sound/asound.h>, used by ioctl on the card's control file.
 """
 
 from __future__ import annotations
@@ -100,14 +99,14 @@ _GET_LIST = _request(0x10, ctypes.sizeof(_List))
 _GET_INFO = _request(0x11, ctypes.sizeof(_Info))
 _READ = _request(0x12, ctypes.sizeof(_Value))
 _WRITE = _request(0x13, ctypes.sizeof(_Value))
-_READ_TABLE = _request(0x1A, 8)  # the words behind it do not count
+_READ_TABLE = _request(0x1A, 8)  # the size excludes the words
 
 
 @dataclass(frozen=True)
 class MixerVolume:
-    """A volume of what a card plays. name: the driver's; channels: how many it has.
+    """A playback volume of a card. name: the driver's. channels: count.
 
-    decibels: what its steps mean, None where the driver does not say.
+    decibels: the meaning of its steps; None if the driver does not report it.
     """
 
     name: str
@@ -118,7 +117,7 @@ class MixerVolume:
 
 @dataclass(frozen=True)
 class MixerSwitch:
-    """A mute of what a card plays. name: the driver's; channels: how many it has."""
+    """A playback mute of a card. name: the driver's. channels: count."""
 
     name: str
     channels: int
@@ -126,14 +125,14 @@ class MixerSwitch:
 
 
 class CardMixer:
-    """The volumes and mutes of one card, as long as it is open; its own context. Any one thread.
+    """The volumes and mutes of one card; a context manager. One thread at a time uses it.
 
-    card: ALSA's number. devices: the folder of device files.
+    card: ALSA's number. devices: the directory of device files.
 
     Raises
     ------
     NotFoundError
-        There is no such card, it was pulled out, or this user may not open it: by everything here.
+        The card is missing or was unplugged, or this user may not open it. All methods raise it.
     """
 
     def __init__(self, card: int, devices: Path = DEVICES) -> None:
@@ -155,7 +154,7 @@ class CardMixer:
         self.switches = tuple(switches)
 
     def volume_db(self, volume: MixerVolume) -> tuple[float, ...] | None:
-        """Return the level of each channel in dB, -inf for silence; None where nobody knows."""
+        """Return the level of each channel in dB, -inf for silence; None if unknown."""
         if volume.decibels is None:
             return None
         return tuple(map(volume.decibels.level, self._steps(volume)))
@@ -163,15 +162,14 @@ class CardMixer:
     def set_volume_db(
         self, volume: MixerVolume, wanted_db: float, limit_db: float = MAX_VOLUME_DB
     ) -> float:
-        """Set all channels to the next level that is not above wanted_db, limit_db nor 0 dB.
+        """Set all channels to the nearest level not above wanted_db, limit_db and 0 dB.
 
-        What is below the lowest level becomes that. Returns the level in dB.
+        A level below the lowest becomes the lowest. Returns the level in dB.
 
         Raises
         ------
         UsageError
-            wanted_db is no number, nobody knows what the steps mean, or even the lowest is above
-            the limit.
+            wanted_db is NaN, the meaning of the steps is unknown, or the lowest is above the limit.
         """
         decibels = volume.decibels
         if decibels is None:
@@ -194,7 +192,7 @@ class CardMixer:
         self._set(switch, int(not muted))
 
     def close(self) -> None:
-        """Let go of it; once more does no harm."""
+        """Close the control file. Further calls do nothing."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
@@ -242,7 +240,7 @@ class CardMixer:
         table = _Table(number=number, length=4 * _TABLE_WORDS)
         try:
             self._ask(_READ_TABLE, table)
-        except NotFoundError:  # some drivers announce one that they do not have
+        except NotFoundError:  # some drivers announce a table that they do not have
             return []
         words = list(table.words)
         return words[: 2 + words[1] // 4]
@@ -274,32 +272,42 @@ class CardMixer:
                 "audio"
             )
         if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EBADF):
-            return NotFoundError(f"{what} is not there; plug the card in, see `cushion devices`")
+            return NotFoundError(f"{what} is missing; plug the card in, see `cushion devices`")
         return NotFoundError(f"{what} does not answer ({error.strerror}); plug the card in again")
 
 
 def set_card_volume(
     card: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB, devices: Path = DEVICES
 ) -> tuple[float, ...]:
-    """Set all a card plays to wanted_db and lift its mutes; return the level of each volume in dB.
+    """Set all playback volumes of a card, unmute it, and return the level of each volume in dB.
 
-    Nothing becomes louder than wanted_db, limit_db or 0 dB: steps are rounded down, and of volumes
-    that lie behind one another each is set. The volumes first, so that nothing is heard louder for
-    a moment. card: ALSA's number. devices: the folder of device files. Any thread.
+    Levels are rounded down and never exceed wanted_db, limit_db or 0 dB. Volumes in series are all
+    set, and all of them before the mutes, so that nothing is too loud for a moment.
+
+    Parameters
+    ----------
+    card : int
+        ALSA's number.
+    wanted_db : float
+        The level for each volume.
+    limit_db : float
+        Upper limit of the level.
+    devices : Path
+        The directory of device files.
 
     Raises
     ------
     NotFoundError
-        The card is not there, or has neither volume nor mute.
+        The card is missing, or has neither volume nor mute.
     UsageError
-        wanted_db is no number, or of a volume nobody knows what its steps are in dB, or it cannot
-        be set so low; it stays as it is, all others are set, and mutes are not lifted.
+        wanted_db is NaN, or a volume's steps are unknown or cannot be set so low. That volume is
+        unchanged, all others are set, and mutes stay.
     """
     with CardMixer(card, devices) as mixer:
         if not mixer.volumes and not mixer.switches:
             raise NotFoundError(
-                f"sound card {card} has no volume of its own; set the level with gain_db, or at "
-                "the amplifier"
+                f"sound card {card} has no volume control; set the level with gain_db, or at the "
+                "amplifier"
             )
         levels_db, failures = [], []
         for volume in mixer.volumes:

@@ -1,4 +1,4 @@
-"""How to open a card: the one of its formats, rates and channel counts that suits best. Pure."""
+"""The best of a card's formats, rates and channel counts. Pure functions."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from device.errors import NotFoundError
 from device.stream.sample_format import SampleFormat
 
 MIN_HZ, MAX_HZ = 44_100, 192_000
-"""Rates that are played at. Below, vibration of every kind would pass, but hardly a card is."""
+"""Rates to play at. Lower rates would suffice, but few cards have them."""
 
 CHANNELS_MAX = 32
-"""As of every stream."""
+"""The limit of every stream."""
 
 PREFERRED = (SampleFormat.S32, SampleFormat.S24_3, SampleFormat.S16)
-"""Where the resolution is the same: whole words are the least work."""
+"""In order of preference at equal resolution: whole words cost least."""
 
 _USUAL_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
 
 
 @dataclass(frozen=True)
 class Offer:
-    """What a card can do in one setting.
+    """What a card supports in one setting.
 
-    formats: those of `PREFERRED` that it takes. bits: its resolution, 0 if it is not told.
+    formats: the supported ones of `PREFERRED`. bits: resolution, 0 if unknown.
     """
 
     formats: tuple[SampleFormat, ...]
@@ -34,13 +34,13 @@ class Offer:
     bits: int = 0
 
     def __str__(self) -> str:
-        names = "/".join(one.value for one in self.formats) or "no format that is played"
+        names = "/".join(one.value for one in self.formats) or "no supported format"
         return f"{names} with {self.channels} channels at {self.rates}"
 
 
 @dataclass(frozen=True)
 class CardSetup:
-    """How a card is opened. samplerate: Hz."""
+    """Format, rate in Hz and channels to open a card with."""
 
     sample_format: SampleFormat
     samplerate: int
@@ -48,12 +48,11 @@ class CardSetup:
 
 
 UNKNOWN = (Offer((SampleFormat.S32, SampleFormat.S16), 2, Rates((44_100, 48_000))),)
-"""Of a card that tells nothing before it is opened, as those that are not USB: what nearly all do.
-"""
+"""What nearly all cards support; assumed for cards that are not USB, which report nothing."""
 
 
 def list_offers(stream: UsbStream | None) -> tuple[Offer, ...]:
-    """What a card offers by its stream file, `UNKNOWN` for None."""
+    """Return what a card offers by its stream file; `UNKNOWN` for None."""
     if stream is None:
         return UNKNOWN
     return tuple(
@@ -74,18 +73,29 @@ def choose_setup(
     least_channels: int | None = None,
     without: Container[SampleFormat] = (),
 ) -> CardSetup:
-    """The setting that suits best: by rate, then by channels, then by resolution.
+    """Return the best setting: by rate, then by channels, then by resolution.
 
-    samplerate: of the mix, Hz. Best is just that; then its smallest multiple, then the next one
-    above, then the highest one. actuators: as many channels are needed; least_channels: where so
-    many can be had, fewer are not taken: 2 by default, since nearly every DAC has two outputs, and
-    a single signal goes to both. More channels than needed are taken where there are no fewer.
-    without: formats that turned out not to be there.
+    The mix's own rate is best, then its smallest multiple, the next higher rate, the highest rate.
+    More channels than needed are taken where fewer are not offered.
+
+    Parameters
+    ----------
+    offers : Sequence[Offer]
+        What the card supports.
+    samplerate : int
+        Of the mix, in Hz.
+    actuators : int
+        Channels that are needed.
+    least_channels : int or None
+        Settings with fewer channels are taken only if no other exists. None stands for 2, since
+        nearly every DAC has two outputs, and a single signal drives both.
+    without : Container[SampleFormat]
+        Formats that turned out to be unsupported.
 
     Raises
     ------
     NotFoundError
-        Nothing suits; says what there is.
+        Nothing suits; the message lists what is offered.
     """
     wished = max(actuators, 2 if least_channels is None else least_channels)
     found: list[tuple[tuple[int, ...], CardSetup]] = []
@@ -114,14 +124,14 @@ def choose_setup(
 
 
 def _rates_to_try(rates: Rates, samplerate: int) -> list[int]:
-    """Every rate that may turn out the best."""
+    """Return all supported rates that may be best."""
     multiples = range(samplerate, MAX_HZ + 1, samplerate)
     candidates = {*rates.single, *multiples, *_USUAL_HZ, rates.least, rates.most}
     return [rate for rate in candidates if rate in rates and MIN_HZ <= rate <= MAX_HZ]
 
 
 def _rate_rank(rate: int, samplerate: int) -> tuple[int, int]:
-    """How well a rate suits; less is better."""
+    """Return the rank of a rate; the lowest is best."""
     if rate == samplerate:
         return 0, 0
     if rate % samplerate == 0:

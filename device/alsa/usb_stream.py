@@ -1,7 +1,7 @@
-"""What a USB card offers for playback, and its own clock while it plays.
+"""The formats that a USB card offers, and its own clock while it plays.
 
-Read from /proc/asound/cardN/streamM, forgivingly: a line that is not understood is passed over, an
-interface without channels or rates is left out.
+Read from /proc/asound/cardN/streamM. Unknown lines are skipped, and interfaces without channels or
+rates are left out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _FIXED_POINT = re.compile(r"\(0x([0-9a-f]+)\.([0-9a-f]{4})\)")
 
 @dataclass(frozen=True)
 class Rates:
-    """Samplerates in Hz: single ones, or all from least to most. Rising, without repetition."""
+    """Sample rates in Hz: single ones, sorted and unique, or a range from least to most."""
 
     single: tuple[int, ...] = ()
     least: int = 0
@@ -37,11 +37,11 @@ class Rates:
 
 @dataclass(frozen=True)
 class UsbFormat:
-    """One alternate setting of the streaming interface, as the kernel tells it.
+    """One alternate setting of the streaming interface, as the kernel reports it.
 
-    formats: ALSA's names, also of those that we do not play. bits: the resolution behind them, 0
-    if it is not told. sync: of the endpoint: ASYNC (the device's clock), ADAPTIVE (follows ours),
-    SYNC (the bus's) or NONE.
+    formats: ALSA's names, including those that we do not play. bits: resolution, 0 if unknown.
+    sync: of the endpoint: ASYNC (the device's clock), ADAPTIVE (follows the host), SYNC (the bus
+    clock) or NONE.
     """
 
     interface: int
@@ -55,11 +55,11 @@ class UsbFormat:
 
 @dataclass(frozen=True)
 class UsbStream:
-    """What a USB card plays, and what it is doing.
+    """What a USB card offers in one direction, and its present state.
 
-    running: whether it plays now. altsetting: the one in use, None while it does not.
-    momentary_hz: its rate as its own feedback tells it, in Hz, on a grain of 0.12 Hz (full speed:
-    0.02 Hz); 0.0 if unknown. feedback_format: of that feedback, as in "16.16"; "" if unknown.
+    running: whether the stream runs. altsetting: in use; None while it does not run.
+    momentary_hz: the rate by the device's own feedback, in steps of 0.12 Hz (full speed: 0.02 Hz);
+    0.0 if unknown. feedback_format: of that feedback, such as "16.16"; "" if unknown.
     """
 
     formats: tuple[UsbFormat, ...]
@@ -70,19 +70,19 @@ class UsbStream:
 
 
 def read_usb_stream(playback: PlaybackDevice) -> UsbStream | None:
-    """What is told of this device, None if it is not a USB card's. Any thread."""
+    """Return what a USB playback device offers; None for other cards."""
     text = read_text(playback.card.folder / f"stream{playback.device}")
     return parse_usb_stream(text) if text else None
 
 
 def read_usb_capture_stream(capture: CaptureDevice) -> UsbStream | None:
-    """What a USB card offers to record, None if it is none. Any thread."""
+    """Return what a USB capture device offers; None for other cards."""
     text = read_text(capture.card.folder / f"stream{capture.device}")
     return parse_usb_stream(text, "Capture:") if text else None
 
 
 def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:
-    """What the text says of that side; without any `formats` if it says nothing. Any thread.
+    """Parse one side of a stream file; `formats` is empty if the side is missing.
 
     side: "Playback:" or "Capture:".
     """
@@ -107,7 +107,7 @@ def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:
 
 
 def _lines_of(text: str, side: str) -> Iterator[str]:
-    """The lines below "Playback:" or "Capture:", up to the other one, stripped."""
+    """Yield the lines of one side, stripped."""
     inside = False
     for line in map(str.strip, text.splitlines()):
         if line in ("Playback:", "Capture:"):
@@ -140,7 +140,7 @@ def _rates(text: str) -> Rates:
 
 
 def _momentary_hz(text: str) -> float:
-    """From "48000 Hz (0x6.0000)": frames a (micro)frame of USB, more exactly than the whole Hz."""
+    """Parse "48000 Hz (0x6.0000)": the fixed-point number is more precise than the whole Hz."""
     hz = float(_first(text))
     match = _FIXED_POINT.search(text)
     if match is None:
@@ -150,6 +150,6 @@ def _momentary_hz(text: str) -> float:
 
 
 def _first(text: str) -> int:
-    """The first number in the text, 0 if there is none."""
+    """Return the first number in the text, or 0."""
     match = _NUMBER.search(text)
     return int(match.group()) if match else 0

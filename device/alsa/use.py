@@ -1,4 +1,4 @@
-"""Who plays on a card just now, and how: the kernel's word, not PortAudio's."""
+"""Who uses a card now, and how it was opened, as the kernel reports it."""
 
 from __future__ import annotations
 
@@ -16,28 +16,26 @@ _CLOSED = "closed"
 
 @dataclass(frozen=True)
 class HwParams:
-    """How a card was opened. format: ALSA's name; period, buffer: in frames."""
+    """How a card was opened. format: ALSA's name. samplerate: Hz."""
 
     format: str
     samplerate: int
     channels: int
-    period: int
-    buffer: int
+    period_frames: int
+    buffer_frames: int
 
     @property
     def delay_s(self) -> float:
-        """From when the card asks for a frame until it plays it, in seconds.
+        """Seconds from the card's request for a frame until it plays it.
 
-        It asks once a period is free: all else of its buffer is before that frame.
+        It asks when a period is free; the rest of its buffer precedes that frame.
         """
-        return (self.buffer - self.period) / self.samplerate
+        return (self.buffer_frames - self.period_frames) / self.samplerate
 
 
 @dataclass(frozen=True)
 class Owner:
-    """Who has opened a card. process: its number, or that of the thread that did; name: "" if
-    unknown.
-    """
+    """Who has opened a card. process: its id, or that of the thread. name: "" if unknown."""
 
     process: int
     name: str
@@ -47,9 +45,9 @@ class Owner:
 
 
 def read_hw_params(playback: PlaybackDevice) -> tuple[HwParams, ...]:
-    """How the device was opened, once for everybody who plays there; mostly one. Any thread.
+    """Return how the device was opened, once per open stream; usually one.
 
-    None while it is closed; what is not understood is left out.
+    Empty while it is closed. Entries that cannot be parsed are left out.
     """
     opened = []
     for folder in _substreams(playback):
@@ -68,7 +66,7 @@ def read_hw_params(playback: PlaybackDevice) -> tuple[HwParams, ...]:
 
 
 def find_owner(playback: PlaybackDevice, processes: Path = Path("/proc")) -> Owner | None:
-    """Who plays there, None while it is free for us. Any thread."""
+    """Return who uses the device; None if a stream of it is free."""
     first = None
     for folder in _substreams(playback):
         status = folder / "status"
@@ -85,9 +83,9 @@ def find_owner(playback: PlaybackDevice, processes: Path = Path("/proc")) -> Own
 def why_blocked(
     playback: PlaybackDevice, devices: Path = DEVICES, processes: Path = Path("/proc")
 ) -> str | None:
-    """Why it cannot be opened now, and what to do, one line; None if nothing speaks against it.
+    """Return why a device cannot be opened, and what to do, in one line; None if it can.
 
-    devices: the folder of device files. Any thread.
+    devices: the directory of device files.
     """
     node = devices / f"pcmC{playback.card.number}D{playback.device}{playback.folder.name[-1]}"
     if node.exists() and not os.access(node, os.R_OK | os.W_OK):
@@ -99,8 +97,8 @@ def why_blocked(
     if user is None:
         return None
     return (
-        f"{playback} is in use by {user}; end what plays there, or name the sink of the sound "
-        "server that it is, see `cushion devices`"
+        f"{playback} is in use by {user}; end that program, or name the sink that the sound server "
+        "has for this card (see `cushion devices`)"
     )
 
 

@@ -239,7 +239,7 @@ def test_a_card_that_cannot_be_opened_is_awaited_with_a_reason_and_ever_less_oft
         rig.tick()
     report = rig.states.report(time.monotonic())
     assert report.state is DaemonState.WAITING_FOR_DEVICE
-    assert "the card was pulled out" in report.reason
+    assert "the card was unplugged" in report.reason
     rig.tick()  # too soon: nothing is tried
     with pytest.raises(LostError):
         rig.tick(later_s=0.1)

@@ -69,8 +69,8 @@ def test_who_records_there_is_told(cards: Cards, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "error", "words"),
     [
-        ("PCH", NotFoundError, "has not anything that records; there is nothing"),
-        ("Interface,7", NotFoundError, "has not a device 7 that records; there is hw:Interface,0"),
+        ("PCH", NotFoundError, "has no capture device; name another card"),
+        ("Interface,7", NotFoundError, "has no capture device 7; it has hw:Interface,0"),
         ("none", NotFoundError, "there is no sound card 'none'"),
         ("a b", UsageError, "hw:CARD"),
     ],

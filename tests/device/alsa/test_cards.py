@@ -60,7 +60,7 @@ def test_a_card_is_found_by_its_number_or_id(cards: Cards, name: str, found: str
         ("DAK", "there is no sound card 'DAK'; did you mean 'DAC'"),
         ("pch", "there is no sound card 'pch'; there are 'DAC', 'PCH'"),
         ("7", r"there is no sound card '7'; there are '0 \(PCH\)', '31 \(DAC\)'"),
-        ("PCH,1", r"hw:PCH has no device 1 that plays; there is hw:PCH,0 \(output 0\), hw:PCH,3"),
+        ("PCH,1", r"hw:PCH has no playback device 1; it has hw:PCH,0 \(output 0\), hw:PCH,3"),
     ],
 )
 def test_what_is_not_there_is_an_error_that_offers_what_is(
@@ -72,7 +72,7 @@ def test_what_is_not_there_is_an_error_that_offers_what_is(
 
 def test_a_card_that_only_records_and_a_name_that_is_none_are_refused(cards: Cards) -> None:
     cards.plug(2, "Mic", devices=())
-    with pytest.raises(NotFoundError, match="hw:Mic has nothing that plays"):
+    with pytest.raises(NotFoundError, match="hw:Mic has no playback device"):
         find_playback("Mic", cards.root)
     for name in ("", "a,b", "0,1,2", "DEV=3"):
         with pytest.raises(UsageError, match="a card is written hw:CARD or hw:CARD,DEVICE"):

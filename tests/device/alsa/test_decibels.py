@@ -120,7 +120,7 @@ def test_no_step_is_taken_where_all_are_too_loud() -> None:
 
 
 def test_a_card_that_is_not_there_has_no_mixer(tmp_path: Path) -> None:
-    with pytest.raises(NotFoundError, match=r"sound card 3 .* is not there; plug the card in"):
+    with pytest.raises(NotFoundError, match=r"sound card 3 .* is missing; plug the card in"):
         CardMixer(3, tmp_path)
 
 

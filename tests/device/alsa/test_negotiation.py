@@ -118,7 +118,7 @@ def test_what_usb_cards_tell_is_what_they_offer() -> None:
             list_offers(parse_usb_stream(ADAPTIVE)),
             "S24_3LE/S16_LE with 8 channels at 8000 to 96000",
         ),
-        ([Offer((), 9, USUAL)], "no format that is played with 9 channels at 44100, 48000, 96000"),
+        ([Offer((), 9, USUAL)], "no supported format with 9 channels at 44100, 48000, 96000"),
         ([Offer((S16,), 9, Rates((8_000,)))], "S16_LE with 9 channels at 8000 Hz"),
         ([], "it offers nothing"),
     ],

@@ -293,7 +293,7 @@ def test_a_card_s_own_mixer_is_read_and_set_and_never_above_0_db() -> None:
     assert (name, channels) == ("PCM Playback Volume", 2)
     assert (volume_db, muted) == ([-8.0, -8.0], [False])
     assert (set_db, now_db) == (-10.0, [-10.0, -10.0])
-    assert rest == [0.0, -20.0, [True], 0.0, "volume nan dB is no number; choose one up to 0"]
+    assert rest == [0.0, -20.0, [True], 0.0, "volume nan dB is not a number; choose one up to 0"]
 
 
 @versions
