@@ -165,7 +165,7 @@ def _document(snapshot: ServerSnapshot) -> dict[str, Any]:
                 "role": stream.role,
                 "media": stream.media,
                 "process_id": stream.process_id,
-                "sink": names.get(stream.place) if stream.place is not None else None,
+                "sink": names.get(stream.device_index) if stream.device_index is not None else None,
                 "paused": stream.corked,
             }
             for stream in snapshot.sink_inputs

@@ -13,7 +13,8 @@
 | `app_rules` | `AppRules`: which applications are captured before the mix |
 | `app_captures` | `AppCaptures`: opens one capture per application |
 | `app_capture` | `AppCapture`: the frames of one application |
-| `pulse_thread` | the connection and thread that all application captures share |
+| `record_connection` | the libpulse connection that all application captures share |
+| `connection_thread` | the thread that owns a connection and serves requests |
 | `libpulse` | the functions of libpulse that record a stream |
 
 pulsectl is loaded by the first connection: it needs a library of the system.

@@ -1,13 +1,13 @@
-"""One application's sound, captured before the mix: the stream that it plays, and nothing else.
+"""One application's sound, captured before the mix.
 
-A server gives a record stream the sound of one stream that plays (its sink input) if it is asked
-for that when the record stream is made; PortAudio and ALSA cannot ask. On PulseAudio 16.1 and
-PipeWire 0.3.65 alike the sound comes after the application's own volume and mute, as it takes part
-in the mix, and before the sink's. At 100 % and equal rates samples come bit for bit.
+A server records one playing stream (sink input) if the record stream asks for that when it is
+made; PortAudio and ALSA cannot. On PulseAudio 16.1 and PipeWire 0.3.65 the sound comes after the
+application's own volume and mute, and before the sink's. At 100 % and equal rates the samples are
+bit-identical.
 
-It cannot lead anywhere else: it may not be moved, and a server ends it once the application's
-stream is gone. PulseAudio also ends it when that stream moves to another sink; PipeWire goes on.
-While the application pauses, PulseAudio delivers silence and PipeWire nothing.
+The capture cannot be moved, and the server ends it with the application's stream. PulseAudio also
+ends it when that stream moves to another sink; PipeWire continues. While the application pauses,
+PulseAudio delivers silence and PipeWire nothing.
 """
 
 from __future__ import annotations
@@ -28,28 +28,27 @@ _ERROR_NAMES = 16
 
 
 class EndReason(StrEnum):
-    """Why a capture has ended."""
+    """Why a capture has ended, as a text for users."""
 
     GONE = "the application's stream has ended"
-    TAKEN = "the server ended the capture, as it does when the application's stream moves"
+    TAKEN = "the server ended the capture, as happens when the application's stream moves"
     LOST = "the sound server was lost"
     CLOSED = "the capture was closed"
 
 
 class AppCapture:
-    """Frames of one application's stream as they are delivered. Made by `AppCaptures.open`.
+    """Delivers the frames of one application's stream. Made by `AppCaptures.open`.
 
-    Any thread may read:
+    Any thread may read the attributes:
 
-    stream_index: of the sink input. tag: what the server shows of this capture (property
-    `pcms.TAG`). samplerate: Hz; channels. opened_s: when it was opened. last_callback_s: when
-    frames came last, opened_s before the first. callbacks, frames: how many there were; callbacks
-    differ in length. xruns: how often the server told that frames are missing; there is silence in
-    their place. errors: exceptions in on_frames, how many by name.
-    ended: None while it runs, else why it does not (an `Ended`, whose text says it).
+    stream_index: of the sink input. tag: value of the property `pcms.TAG`. samplerate: Hz.
+    opened_s: time of opening. last_callback_s: time of the last frames, opened_s before the first.
+    callbacks, frames: counts so far; callbacks differ in length. xruns: how often the server
+    reported missing frames, which become silence. errors: exceptions in on_frames, by name.
+    ended: None while it runs, else the reason.
 
-    audible: any thread may set it. While it is False the frames are all 0. silenced: how many
-    callbacks that concerned.
+    audible: any thread may set it. While it is False, the frames are 0. silenced: how many
+    callbacks that affected.
     """
 
     def __init__(
@@ -73,26 +72,22 @@ class AppCapture:
         self._on_frames = on_frames
         self._close = close
         self._handle: Any = None
-        self._pending = True  # the server has not yet said that the stream runs
-        self._failed = False  # it ended the stream, and was not asked yet why
+        self._pending = True  # the server has not reported the stream as ready
+        self._failed = False  # the server ended the stream; the reason is not known yet
         self._data, self._size = ctypes.c_void_p(), ctypes.c_size_t()
 
     def is_lost(self, now_s: float | None = None) -> bool:
-        """Whether it has ended; an application that pauses is not lost, though nothing may come.
+        """Whether it has ended; now_s is not used. Any thread may call it.
 
-        now_s: not needed here; other captures take it. Any thread may call it.
+        A paused application is not lost, though no frames may come.
         """
         return self.ended is not None
 
-    def is_active(self) -> bool:
-        """Whether it has not ended. Any thread may call it."""
-        return self.ended is None
-
     def close(self) -> bool:
-        """End the capture; whether that was done in time.
+        """End the capture; whether that was in time.
 
-        Any thread but the one that calls on_frames may call this, again too; it raises nothing.
-        Once it returns True, on_frames is not called any more.
+        After True, on_frames is not called any more. Any thread but the one that calls on_frames
+        may call this, more than once; it raises nothing.
         """
         if self.ended is None:
             self.ended = EndReason.CLOSED
@@ -101,21 +96,20 @@ class AppCapture:
     # -------------------------------------------------------------- on the connection's thread
 
     def _start(self, handle: Any, samplerate: int, channels: int) -> None:
-        """It runs from now on, with this stream of libpulse."""
+        """Start with this stream of libpulse."""
         self._handle, self.samplerate, self.channels = handle, samplerate, channels
         self._pending, self._failed = True, False
         self.opened_s = self.last_callback_s = time.monotonic()
 
     def _stop(self) -> Any:
-        """It runs no more; the stream of libpulse that it had, None if none."""
+        """Stop; returns the stream of libpulse that it had, or None."""
         handle, self._handle = self._handle, None
         return handle
 
     def _read(self, library: libpulse.LibPulse) -> None:
-        """Pass on everything that has come, as one buffer.
+        """Deliver everything that has arrived as one buffer.
 
-        PulseAudio cuts fragments where the application's own buffers end: a few frames would come
-        apart from the rest of their cycle.
+        PulseAudio splits fragments where the application's buffers end, a few frames apart.
         """
         handle, data, size = self._handle, self._data, self._size
         if handle is None or self._failed or (self._pending and not self._is_ready(library)):
@@ -141,7 +135,7 @@ class AppCapture:
             return False
         self._pending = False
         if state == libpulse.STREAM_READY:
-            # what an application plays to has a monitor: no microphone, whatever the server does
+            # only a monitor is valid, never a microphone
             name: bytes | None = library.stream_get_device_name(self._handle)
             self._failed = bool(name) and not (name or b"").endswith(b".monitor")
         else:
@@ -159,7 +153,7 @@ class AppCapture:
             frames = np.frombuffer(data, np.float32).reshape(-1, self.channels)
             self.frames += len(frames)
             self._on_frames(frames, now_s)
-        except BaseException as error:  # nothing may pass: other captures go on
+        except BaseException as error:  # other captures continue
             name = type(error).__name__
             if name not in self.errors and len(self.errors) >= _ERROR_NAMES:
                 name = "others"

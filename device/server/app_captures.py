@@ -1,7 +1,7 @@
-"""Opens captures of applications: one connection and one thread for all of them.
+"""Captures of applications: one connection and one thread for all of them.
 
-The connection is one of its own, beside `PulseConnection`: sound comes on it hundreds of times a
-second, and nothing that asks what the server holds may hold that up.
+They use another connection than `PulseConnection`: sound arrives hundreds of times per second, and
+queries must not delay it.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from typing import Any
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import libpulse
 from device.server.app_capture import AppCapture, EndReason
-from device.server.pulse_thread import Playing, PulseThread
+from device.server.record_connection import PlayingStream, RecordConnection
 from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME, ROLE, TAG
 from device.stream.streams import OnFrames, check_format
 
 FRAGMENT_FRAMES = 256
-"""What the server gathers before it delivers: 5.3 ms at 48 kHz."""
+"""Frames that the server gathers before it delivers: 5.3 ms at 48 kHz."""
 
 BACKLOG_S = 0.5
-"""What the server keeps for us while we are held up; older sound is dropped."""
+"""Sound that the server keeps while this thread is delayed; older sound is dropped."""
 
 ATTEMPTS = 3
-"""PipeWire now and then refuses a stream on a busy machine, where links are made late."""
+"""PipeWire occasionally refuses a stream on a busy machine, where links are made late."""
 
 START_LIMIT_S = 0.5
-"""How long an opening waits for the first sound of an application that does not pause."""
+"""How long an opening waits for the first sound of an application that plays."""
 
 _FLAGS = (
     libpulse.STREAM_DONT_MOVE
@@ -40,25 +40,29 @@ _FLOAT32 = libpulse.FLOAT32_LE if sys.byteorder == "little" else libpulse.FLOAT3
 _numbers = itertools.count(1)
 
 
-class AppCaptures(PulseThread):
+class AppCaptures(RecordConnection):
     """Opens captures of applications; connected from the moment it is made.
 
-    server: its address, None for the usual one. lost: why the connection is lost, None while it is
-    not; all captures have ended then, and another AppCaptures is made to connect again. `close`
-    ends all captures. Any thread but its own, which calls on_frames, may call the methods.
+    `close` ends all captures. Any thread but its own, which calls on_frames, may call the methods.
+
+    Attributes
+    ----------
+    lost : LostError or None
+        Why the connection was lost; all captures have ended then. Make another object to connect
+        again.
 
     Raises
     ------
     LostError
-        No server answers there.
+        No server answers.
     NotFoundError
         The library libpulse is not installed.
     """
 
-    def __init__(self, server: str | None = None) -> None:
+    def __init__(self) -> None:
         self._captures: list[AppCapture] = []
-        self._leaving: list[Any] = []
-        super().__init__(server, "app-captures")
+        self._dropped: list[Any] = []
+        super().__init__("app-captures")
 
     def open(
         self,
@@ -67,26 +71,25 @@ class AppCaptures(PulseThread):
         channels: int | None,
         on_frames: OnFrames,
     ) -> AppCapture:
-        """A capture of the stream (sink input) that plays with this index; it runs from now on.
+        """Return a running capture of the playing stream (sink input) with this index.
 
-        samplerate: Hz; None takes the application's own, but the sink's saves converting twice.
-        channels: None takes the application's own. The server converts. An application that
-        pauses is captured from the moment that it goes on.
+        samplerate (Hz), channels: the server converts to them; None takes the application's own.
+        The sink's rate avoids a second conversion. A paused application is captured once it
+        continues.
 
-        on_frames(frames, now_s): called by the thread that all captures share, with float32
-        (frames, channels), read only, which may be kept, and the time of their arrival in seconds
-        of time.monotonic(). Mostly it is one fragment of FRAGMENT_FRAMES; after a delay it may be
-        up to BACKLOG_S at once. It must neither block nor open or close captures; what it raises
-        is counted in `errors`.
+        on_frames(frames, now_s): called by the thread that all captures share, with read-only
+        float32 (frames, channels), which it may keep, and the time of arrival in seconds of
+        time.monotonic(). It gets FRAGMENT_FRAMES at a time, or up to BACKLOG_S after a delay. It
+        must neither block nor open or close captures; its exceptions are counted in `errors`.
 
         Raises
         ------
         NotFoundError
-            No application plays a stream with this index, or it ended just now.
+            No application plays a stream with this index.
         LostError
             The connection is lost, or the server refuses or does not answer in time.
         UsageError
-            samplerate or channels is not possible.
+            samplerate or channels is out of range.
         """
         check_format(
             48_000 if samplerate is None else samplerate, 2 if channels is None else channels
@@ -95,33 +98,33 @@ class AppCaptures(PulseThread):
             stream_index, f"{os.getpid()}-app-{next(_numbers)}", on_frames, self._close
         )
         try:
-            self._ask(lambda: self._open(capture, samplerate, channels))
+            self._ask(lambda: self._start_capture(capture, samplerate, channels))
         except CushionError:
-            capture.close()  # a server that was merely late may still make it
+            capture.close()  # a late server may still make it
             raise
         return capture
 
     def _close(self, capture: AppCapture) -> bool:
         if threading.current_thread() is self._thread:
-            return False  # given up in the next round, since it says that it has ended
+            return False  # the next round gives it up, as it has ended
         try:
             self._ask(lambda: self._give_up(capture))
         except LostError:
             return self._ended
         return True
 
-    # ---------------------------------------------------------------------- on the own thread
+    # ------------------------------------------------------------------ on the connection's thread
 
     def _on_step(self) -> None:
         for capture in self._captures:
             capture._read(self._library)
-        if self._leaving:
-            self._let_go()
+        if self._dropped:
+            self._close_left()
 
     def _on_round(self) -> None:
         for capture in tuple(self._captures):
             if capture._failed and capture.ended is None:
-                plays = self._playing(capture.stream_index) is not None
+                plays = self._find_playing(capture.stream_index) is not None
                 capture.ended = EndReason.TAKEN if plays else EndReason.GONE
             if capture.ended is not None:
                 self._give_up(capture)
@@ -135,42 +138,45 @@ class AppCaptures(PulseThread):
         for capture in tuple(self._captures):
             capture.ended = capture.ended or (EndReason.LOST if self.lost else EndReason.CLOSED)
             self._give_up(capture)
-        while self._leaving:
-            self._library.stream_unref(self._leaving.pop())
+        while self._dropped:
+            self._library.stream_unref(self._dropped.pop())
 
-    def _streams_run(self) -> bool:
+    def _has_streams(self) -> bool:
         return bool(self._captures)
 
-    def _open(self, capture: AppCapture, samplerate: int | None, channels: int | None) -> None:
-        if capture.is_lost():  # whoever asked has given up since
+    def _start_capture(
+        self, capture: AppCapture, samplerate: int | None, channels: int | None
+    ) -> None:
+        if capture.is_lost():  # the caller has given up
             return
-        self._captures.append(capture)  # from now on the end of its application is noticed
+        self._captures.append(capture)  # from now on its application's end is noticed
         try:
-            playing = self._playing(capture.stream_index)
+            playing = self._find_playing(capture.stream_index)
             if playing is None:
                 raise NotFoundError(_no_stream(capture.stream_index))
             samplerate, channels = samplerate or playing.samplerate, channels or playing.channels
             for attempt in range(1, ATTEMPTS + 1):
                 handle = self._connected(capture, playing, samplerate, channels)
                 capture._start(handle, samplerate, channels)
-                # PipeWire says that the stream is ready only once the application plays.
-                self._comes(lambda: not capture._pending, 0.0 if playing.paused else START_LIMIT_S)
+                # PipeWire reports the stream as ready when the application plays.
+                limit_s = 0.0 if playing.paused else START_LIMIT_S
+                self._wait_for(lambda: not capture._pending, limit_s)
                 runs = not capture._pending and not capture._failed
-                if capture.is_lost() or not (runs or self._playing(capture.stream_index)):
+                if capture.is_lost() or not (runs or self._find_playing(capture.stream_index)):
                     raise NotFoundError(_no_stream(capture.stream_index))
                 if not capture._failed:
                     return
                 if attempt == ATTEMPTS:
                     raise LostError(self._refusal(capture))
-                self._leave(capture)
+                self._drop_stream(capture)
         except BaseException:
             self._give_up(capture)
             raise
 
     def _connected(
-        self, capture: AppCapture, playing: Playing, samplerate: int, channels: int
+        self, capture: AppCapture, playing: PlayingStream, samplerate: int, channels: int
     ) -> Any:
-        """A stream of libpulse that is to record what this capture is for."""
+        """Return a stream of libpulse that will record the capture's application."""
         library = self._library
         positions = playing.channel_map
         if channels != playing.channels:
@@ -186,7 +192,7 @@ class AppCaptures(PulseThread):
             "application.name": APPLICATION_NAME,
             "media.role": ROLE,
             TAG: capture.tag,
-            "node.dont-reconnect": "true",  # what STREAM_DONT_MOVE becomes on PipeWire
+            "node.dont-reconnect": "true",  # PipeWire's form of STREAM_DONT_MOVE
         }
         with self._properties(known) as properties:
             handle = library.stream_new_with_proplist(
@@ -210,27 +216,27 @@ class AppCaptures(PulseThread):
         if capture in self._captures:
             self._captures.remove(capture)
         capture.ended = capture.ended or EndReason.CLOSED
-        self._leave(capture)
+        self._drop_stream(capture)
 
-    def _leave(self, capture: AppCapture) -> None:
-        """End the stream that a capture has, if any."""
+    def _drop_stream(self, capture: AppCapture) -> None:
+        """End the stream of a capture, if it has one."""
         handle = capture._stop()
         if handle is not None:
-            self._leaving.append(handle)
-            self._let_go()
+            self._dropped.append(handle)
+            self._close_left()
 
-    def _let_go(self) -> None:
-        """End the streams that are not wanted any more; libpulse cannot before they are ready."""
-        for handle in tuple(self._leaving):
+    def _close_left(self) -> None:
+        """Close dropped streams, which libpulse can do when they are ready."""
+        for handle in tuple(self._dropped):
             if self._library.stream_get_state(handle) >= libpulse.STREAM_READY:
-                self._leaving.remove(handle)
-                self._library.stream_disconnect(handle)  # in vain if the server has ended it
+                self._dropped.remove(handle)
+                self._library.stream_disconnect(handle)  # without effect if the server has ended it
                 self._library.stream_unref(handle)
 
     def _refusal(self, capture: AppCapture) -> str:
         return (
             f"the sound server does not capture stream {capture.stream_index} ({self._reason()}); "
-            "try again, as it may just be moved, or tap its sink"
+            "try again, as it may be moving, or tap its sink"
         )
 
 

@@ -1,15 +1,14 @@
-"""Which applications are captured: rules of a user, on what plays at one moment.
+"""Which applications are captured: the user's rules. Pure functions on a snapshot.
 
 A rule is one of
 
     NAME              the application's name, id or binary
     application:NAME  its name or id
-    binary:NAME       the program's file, without its folder
-    role:NAME         what it says it plays: video, music, game, event, phone, animation,
+    binary:NAME       the program's file name
+    role:NAME         the role of its sound: video, music, game, event, phone, animation,
                       production, a11y, test
 
-Case does not matter. NAME is matched whole; `*`, `?` and `[...]` in it stand for other characters,
-as in a shell. Pure functions on a snapshot; any thread may call them.
+Case is ignored. NAME must match as a whole; `*`, `?` and `[...]` match as in a shell.
 """
 
 from __future__ import annotations
@@ -26,47 +25,41 @@ from device.stream.pcms import APPLICATION_ID, ROLE, TAG
 
 _KINDS = ("application", "binary", "role")
 _SERVER_ROLES = ("abstract", "filter")
-"""What PulseAudio's loopbacks and virtual sinks say that they play."""
+"""Roles of PulseAudio's loopbacks and virtual sinks."""
 
 _SERVER_PROPERTIES = ("node.link-group", "pulse.module.id")
-"""What PipeWire's loopbacks and virtual sinks have, and no application."""
+"""Properties of PipeWire's loopbacks and virtual sinks, which no application has."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule. kind: "application", "binary", "role", or "" for a name alone; name: casefolded."""
+    """One rule. kind: "application", "binary", "role" or "" for NAME alone. name: casefolded."""
 
     kind: str
     name: str
 
     @classmethod
     def parse(cls, text: str) -> Rule:
-        """The rule that a user wrote.
-
-        Raises
-        ------
-        UsageError
-            It is empty, or of a kind that there is not.
-        """
+        """Parse a user's rule; UsageError if it is empty or of an unknown kind."""
         kind, colon, name = text.partition(":")
         kind = kind.strip().casefold()
         if not colon:
             kind, name = "", text
         elif kind not in _KINDS:
             raise UsageError(
-                f"no rule for applications can be {text!r}: before the colon stands application, "
-                "binary or role; a name that has a colon itself is written application:NAME"
+                f"the rule {text!r} for applications is invalid: write application, binary or role "
+                "before the colon; for a name with a colon write application:NAME"
             )
         name = name.strip().casefold()
         if not name:
             raise UsageError(
-                f"a rule for applications names nothing: {text!r}; write NAME, application:NAME, "
+                f"the rule {text!r} for applications has no name; write NAME, application:NAME, "
                 "binary:NAME or role:NAME"
             )
         return cls(kind, name)
 
     def matches(self, stream: Stream) -> bool:
-        """Whether the rule is about this stream; what an application does not say never matches."""
+        """Whether the rule matches this stream; unknown properties never match."""
         return any(
             value.casefold() == self.name or fnmatchcase(value.casefold(), self.name)
             for value in self._values(stream)
@@ -84,15 +77,19 @@ class Rule:
 
 
 class AppRules:
-    """Selects the applications to capture. A value that any thread may read.
+    """Selects the applications to capture. Immutable: any thread may use it.
 
-    include: rules, of which a stream has to match one; () for all applications. exclude: rules, of
-    which it may match none; they come before those of `include`.
+    Parameters
+    ----------
+    include : tuple[str, ...]
+        A stream must match one of these rules; () selects all applications.
+    exclude : tuple[str, ...]
+        A stream must match none of these, whatever `include` says.
 
     Raises
     ------
     UsageError
-        A rule is empty, or of a kind that there is not.
+        A rule is empty or of an unknown kind.
     """
 
     def __init__(self, include: tuple[str, ...] = (), exclude: tuple[str, ...] = ()) -> None:
@@ -102,16 +99,16 @@ class AppRules:
     def select(
         self, snapshot: ServerSnapshot, haptic_sink: str | None = None
     ) -> tuple[Stream, ...]:
-        """The streams to capture, in the server's order; paused and muted ones are among them.
+        """Return the streams to capture, in the server's order, paused and muted ones included.
 
-        haptic_sink: name of the sink that the vibration goes to. What plays there, or nowhere yet,
-        is left out; so are our own streams, and those by which the server itself passes sound on
-        (loopbacks, virtual sinks): that sound is captured where it comes from.
+        haptic_sink: the sink for vibration. Streams on it, or without a device, are left out. So
+        are our own, and the server's loopbacks and virtual sinks, whose sound is captured at its
+        origin.
         """
         return tuple(
             stream
             for stream in _of_applications(snapshot)
-            if stream.place is not None
+            if stream.device_index is not None
             and (haptic_sink is None or stream.device_name != haptic_sink)
             and (not self.include or any(rule.matches(stream) for rule in self.include))
             and not any(rule.matches(stream) for rule in self.exclude)
@@ -119,9 +116,9 @@ class AppRules:
 
 
 def suggest_apps(text: str, snapshot: ServerSnapshot) -> tuple[str, ...]:
-    """Up to three names of applications that play now and resemble a rule; all if none does.
+    """Return up to three names of playing applications that resemble a rule, or all names.
 
-    text: the rule, with or without its kind. For an error message.
+    text: the rule, for an error message.
     """
     names = {app_name(stream) for stream in _of_applications(snapshot)} - {""}
     known = {name.casefold(): name for name in sorted(names)}
@@ -136,7 +133,7 @@ def suggest_apps(text: str, snapshot: ServerSnapshot) -> tuple[str, ...]:
 
 
 def app_name(stream: Stream) -> str:
-    """What a stream's application is called: by its name, else its binary, else what it plays."""
+    """Return the application's name, else its binary, else the title of what it plays."""
     return stream.application or stream.binary or stream.media
 
 

@@ -1,8 +1,8 @@
-"""What another connection is told of the default devices.
+"""Detects a connection to PipeWire that reports outdated default devices.
 
-PipeWire's server for PulseAudio's protocol keeps for each connection what the default devices are.
-One in some hundreds is made while that changes, and then keeps being told what was before, on and
-on, whatever is chosen later. Only another connection shows that.
+PipeWire's PulseAudio server keeps the default devices per connection. One connection in some
+hundreds is made while they change, and reports the old ones from then on. Only another connection
+shows that.
 """
 
 from __future__ import annotations
@@ -18,68 +18,65 @@ from typing import Any, NamedTuple
 from device.server.snapshot import ServerSnapshot, default_name
 
 AFTER_S = 1.0
-"""Asked is when something has changed, and then nothing for so long."""
+"""The check comes this long after the last change."""
 
 RENEW_AGAIN_S = 30.0
-"""Between two times that a connection is found to be wrong."""
+"""Least time between two detections."""
 
 ANSWER_LIMIT_S = 1.0
 AGAIN_S = 0.5
-"""Between two that are asked: a change that is just being made has reached both by then."""
+"""Time between two queries: a change in progress has reached both by then."""
 
 
 class Defaults(NamedTuple):
-    """The names of the default sink and the default source, "" for none."""
+    """Names of the default sink and the default source, "" for none."""
 
     sink: str
     source: str
 
     @classmethod
     def of(cls, snapshot: ServerSnapshot) -> Defaults:
-        """Those of a snapshot."""
+        """Return those of a snapshot."""
         return cls(snapshot.default_sink, snapshot.default_source)
 
 
 class DefaultsCheck:
-    """Asks now and then whether a connection is told what others are told, if it is PipeWire's.
+    """Compares a connection's defaults with those of new connections, if the server is PipeWire.
 
-    server: its address, None for the usual one. disagreed: called on a thread of its own with what
-    the connection was told, if two others were told something else. The connection's thread calls
-    the methods; times are seconds of time.monotonic(). due_s: when `seek` is to be called, None
-    for never.
+    disagreed: called on another thread with the connection's defaults if two new connections
+    report others. The connection's thread calls the methods. Times are seconds of
+    time.monotonic(). due_s: when to call `check_if_due`; None for never.
     """
 
-    def __init__(self, server: str | None, disagreed: Callable[[Defaults], None]) -> None:
-        self._server = server
+    def __init__(self, disagreed: Callable[[Defaults], None]) -> None:
         self._disagreed = disagreed
         self._not_before_s = -math.inf
         self.due_s: float | None = None
 
-    def changed(self, now_s: float, snapshot: ServerSnapshot) -> None:
-        """Be told that something has changed."""
+    def note_change(self, now_s: float, snapshot: ServerSnapshot) -> None:
+        """Schedule a check after a change."""
         if snapshot.kind == "PipeWire":
             self.due_s = max(now_s + AFTER_S, self._not_before_s)
 
-    def seek(self, now_s: float, snapshot: ServerSnapshot) -> None:
-        """Ask others, if that is due; it does not wait for them."""
+    def check_if_due(self, now_s: float, snapshot: ServerSnapshot) -> None:
+        """Start a check on another thread if it is due."""
         if self.due_s is None or now_s < self.due_s:
             return
         self.due_s = None
         known = Defaults.of(snapshot)
 
-        def ask() -> None:
-            if confirm_defaults(self._server, known) is not None:
+        def check() -> None:
+            if confirm_defaults(known) is not None:
                 self._not_before_s = time.monotonic() + RENEW_AGAIN_S
                 self._disagreed(known)
 
-        threading.Thread(target=ask, name="second-opinion", daemon=True).start()
+        threading.Thread(target=check, name="defaults-check", daemon=True).start()
 
 
-def fetch_defaults(server: str | None = None) -> Defaults | None:
-    """What a connection made for it is told; None where there is no answer in time.
+def fetch_defaults() -> Defaults | None:
+    """Return what a new connection reports; None without an answer in time.
 
-    server: its address, None for the usual one. Any thread; it waits ANSWER_LIMIT_S at most for
-    each of three answers, and raises nothing.
+    Any thread may call it; it waits at most 3 ANSWER_LIMIT_S and raises nothing.
     """
     import pulsectl
 
@@ -96,7 +93,7 @@ def fetch_defaults(server: str | None = None) -> Defaults | None:
             pulse.close()
         return len(found)
 
-    pulse = pulsectl.Pulse("haptic-cushion-asks", server=server, connect=False)
+    pulse = pulsectl.Pulse("haptic-cushion-asks", connect=False)
     until_s = time.monotonic() + 3.0 * ANSWER_LIMIT_S
     try:
         pulse.set_poll_func(poll, lambda *_: None)
@@ -105,20 +102,20 @@ def fetch_defaults(server: str | None = None) -> Defaults | None:
         return Defaults(
             default_name(info.default_sink_name), default_name(info.default_source_name)
         )
-    except Exception:  # pulsectl's many ways to say that the server is gone
+    except Exception:  # pulsectl has many exceptions for a lost server
         return None
     finally:
         with suppress(Exception):
             pulse.close()
 
 
-def confirm_defaults(server: str | None, known: Defaults) -> Defaults | None:
-    """What two connections, one after the other, say other than `known`; None where they do not.
+def confirm_defaults(known: Defaults) -> Defaults | None:
+    """Return what two new connections in turn report instead of `known`; None if they do not.
 
-    Any thread; it waits for both.
+    Any thread may call it; it waits for both.
     """
-    first = fetch_defaults(server)
+    first = fetch_defaults()
     if first is None or first == known:
         return None
     time.sleep(AGAIN_S)
-    return first if fetch_defaults(server) == first else None
+    return first if fetch_defaults() == first else None

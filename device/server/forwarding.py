@@ -1,7 +1,6 @@
-"""Drop-in mode's sink and the loopback that forwards it, as the server holds them.
+"""Drop-in mode's virtual sink and loopback on the server. Pure functions.
 
-Pure functions on a snapshot and the arguments of both modules; any thread may call them. All that
-a later process needs to know stands in properties of the loopback's two streams.
+Properties of the loopback's two streams hold all that a later process needs.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ SINK = "cushion"
 """Name of the virtual sink."""
 
 DESCRIPTION = "Haptic Cushion"
-"""What sound settings show for it."""
+"""Its name in sound settings."""
 
 MIN_DELAY_S = 0.02
-"""What both servers keep up without a gap; they count the devices' own latency in."""
+"""The least that both servers sustain without gaps; it includes the devices' latency."""
 
 MAX_DELAY_S = 0.5
 
@@ -33,7 +32,7 @@ _DELAY = "cushion.delay_ms"
 
 @dataclass(frozen=True)
 class Route:
-    """Where a loopback leads. target: name of a sink; restore: of the user's default sink.
+    """Where a loopback goes. target: a sink's name. restore: name of the user's default sink.
 
     delay_ms: from the virtual sink's monitor until the target plays it.
     """
@@ -45,7 +44,7 @@ class Route:
 
 @dataclass(frozen=True)
 class Loopback:
-    """A loopback of ours. module: its index; complete: both streams are where they belong."""
+    """A loopback of ours. module: its index. complete: both streams are on their devices."""
 
     module: int
     route: Route
@@ -53,7 +52,7 @@ class Loopback:
 
 
 def round_delay_ms(delay_s: float | None) -> int:
-    """A delay as servers take it, in ms: at least MIN_DELAY_S, which None stands for, too.
+    """Return a delay in whole ms, at least MIN_DELAY_S, also for None.
 
     Raises
     ------
@@ -62,12 +61,12 @@ def round_delay_ms(delay_s: float | None) -> int:
     """
     delay_s = MIN_DELAY_S if delay_s is None else delay_s
     if not 0.0 <= delay_s <= MAX_DELAY_S:
-        raise UsageError(f"delay_s={delay_s!r} is not possible; 0 to {MAX_DELAY_S} s are")
+        raise UsageError(f"delay_s={delay_s!r} is out of range; choose 0 to {MAX_DELAY_S} s")
     return round(1e3 * max(delay_s, MIN_DELAY_S))
 
 
 def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
-    """Our loopbacks, those of earlier processes too, the newest one last."""
+    """Return our loopbacks, those of earlier processes included, the newest last."""
     found = []
     taps = {tap.module: tap for tap in snapshot.source_outputs if _TARGET in tap.properties}
     for stream in snapshot.sink_inputs:
@@ -86,17 +85,17 @@ def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
 
 
 def our_sink(snapshot: ServerSnapshot) -> Sink | None:
-    """The virtual sink, of this process or an earlier one."""
+    """Return the virtual sink, of this process or an earlier one."""
     return next((sink for sink in snapshot.sinks if sink.name == SINK), None)
 
 
 def is_cushion_sink(sink: Sink) -> bool:
-    """Whether a sink of our name was made by us."""
+    """Whether this program made a sink of our name."""
     return _MARK in sink.properties and sink.module is not None
 
 
 def is_application(stream: Stream) -> bool:
-    """Whether a playing stream is somebody else's: neither vibration nor a loopback of ours."""
+    """Whether a playing stream is neither vibration nor a loopback of ours."""
     return not (
         _TARGET in stream.properties
         or stream.role == ROLE
@@ -106,13 +105,13 @@ def is_application(stream: Stream) -> bool:
 
 
 def real_sinks(snapshot: ServerSnapshot, haptic_sink: str | None) -> list[str]:
-    """The names of all sinks that may be forwarded to, sound cards first."""
+    """Return the names of all possible targets, sound cards first."""
     sinks = [sink for sink in snapshot.sinks if sink.name not in (SINK, FALLBACK_SINK, haptic_sink)]
     return [sink.name for sink in sorted(sinks, key=lambda sink: not identity_of(sink).bus)]
 
 
 def reachable_sinks(snapshot: ServerSnapshot, target: str) -> set[str]:
-    """The target, and the sinks that its sound comes to by other virtual sinks and loopbacks."""
+    """Return the target and all sinks that other virtual sinks and loopbacks forward it to."""
     names = {target}
     while more := {
         stream.device_name
@@ -125,19 +124,20 @@ def reachable_sinks(snapshot: ServerSnapshot, target: str) -> set[str]:
 
 
 def carries_sound_of(snapshot: ServerSnapshot, stream: Stream, sinks: Collection[str]) -> bool:
-    """Whether a playing stream is a module's that carries the sound of one of these sinks."""
+    """Whether a playing stream is a module's that forwards one of these sinks."""
     if any(sink.name in sinks and _belong_together(sink, stream) for sink in snapshot.sinks):
         return True
     monitors = {source.index for source in snapshot.sources if source.monitor_of in sinks}
     return any(
-        tap.place in monitors and _belong_together(tap, stream) for tap in snapshot.source_outputs
+        tap.device_index in monitors and _belong_together(tap, stream)
+        for tap in snapshot.source_outputs
     )
 
 
 def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
-    """What module-null-sink is loaded with, for a sink of the target's format.
+    """Return the arguments of module-null-sink, for a sink of the target's format.
 
-    Without norewinds an idle PulseAudio renders 2 s ahead, and so late would a tap be.
+    Without norewinds an idle PulseAudio renders 2 s ahead, and a tap would be that late.
     """
     own = ["format=float32le", "norewinds=1"] if snapshot.kind == "PulseAudio" else []
     properties = f"device.description='{DESCRIPTION}' {_MARK}=1"
@@ -145,16 +145,16 @@ def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
 
 
 def loopback_arguments(snapshot: ServerSnapshot, route: Route, sink: Sink) -> list[str]:
-    """What module-loopback is loaded with; sink: the virtual one.
+    """Return the arguments of module-loopback; sink: the virtual one.
 
-    Its streams stay where they are: both servers unload the whole loopback when its target
-    vanishes. PipeWire would else lead it into its own source. PulseAudio adds 5 ms after every few
-    underruns, for ever: not above 20 ms.
+    Its streams must not move: both servers unload the whole loopback when its target vanishes,
+    where PipeWire would otherwise connect it to its own source. PulseAudio adds 5 ms after every
+    few underruns and keeps them; the bounds limit that to 20 ms.
 
     Raises
     ------
     UsageError
-        A name holds a quote or backslash.
+        A name has a quote, backslash or control character.
     """
     for name in (route.target, route.restore):
         if not name.isprintable() or set(name) & set("\"'\\"):
@@ -195,7 +195,7 @@ def _route(properties: Mapping[str, str]) -> Route:
 
 
 def _taps_us(snapshot: ServerSnapshot, tap: Stream) -> bool:
-    source = next((source for source in snapshot.sources if source.index == tap.place), None)
+    source = next((source for source in snapshot.sources if source.index == tap.device_index), None)
     return source is not None and source.monitor_of == SINK
 
 

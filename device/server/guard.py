@@ -1,11 +1,11 @@
-"""The hold on our streams: vibration is never heard from another sink, a microphone never felt.
+"""Guards our streams: no vibration on another sink, and no microphone as input.
 
-A server that loses a device moves its streams on to another one, without a word to them. Two
-measures, since one does not suffice. A guard silences its stream in the same event as something
-happens to it, and frees it only once it is known to be where it belongs. And on PulseAudio a refuge
-stands by for the output: what is queued there (some 10 ms) moves on with the stream, before anyone
-hears of it, and would be played by the default sink. The refuge is a silent sink for our role of
-stream, which PulseAudio prefers then. On PipeWire the output ends instead (see `pcms`).
+A server that loses a device moves its streams to another one without notice. Two measures are
+necessary. A guard silences its stream at the first event about it, and releases it when it is
+known to be on its own device. And on PulseAudio a fallback sink catches the output: queued frames
+(about 10 ms) move with the stream before the event arrives, and the default sink would play them.
+PulseAudio prefers this silent sink for our role of stream. On PipeWire the output ends instead
+(see `pcms`).
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from enum import Enum
 from device.errors import LostError, NotFoundError
 from device.server.identity import find_tagged
 from device.server.pulse import PulseConnection
-from device.server.snapshot import Event, Listener, ServerSnapshot, Sink
+from device.server.snapshot import Event, Listener, ServerSnapshot
 from device.stream.pcms import FALLBACK_SINK, ROLE
 from device.stream.streams import CaptureStream, PlaybackStream
 
 
 class Hold(Enum):
-    """Whether the stream may be audible, and if not, why."""
+    """Whether the stream may be audible; the value says why."""
 
     FREE = "the stream is where it belongs"
-    UNSETTLED = "something happened to the stream and was not looked at yet"
-    NO_STREAM = "the server does not have the stream, or has it nowhere yet"
+    UNSETTLED = "an event about the stream is not checked yet"
+    NO_STREAM = "the server does not have the stream, or it has no device yet"
     NO_DEVICE = "its sink or monitor is gone"
     ELSEWHERE = "the stream is on another device"
     LOST = "there is no connection to the server"
@@ -42,22 +42,22 @@ class Hold(Enum):
 
     @property
     def misplaced(self) -> bool:
-        """Whether the stream is not where it belongs.
+        """Whether the stream is not on its device.
 
-        If that lasts, it has to be closed, and opened again once its device is there. For some
-        ms it is usual: after an underrun ALSA's plugin gives up the stream and makes another one.
+        If that lasts, close it and open it again when the device is back. A few ms are normal:
+        after an underrun ALSA's plugin replaces the stream by another one.
         """
         return self in (Hold.NO_STREAM, Hold.NO_DEVICE, Hold.ELSEWHERE)
 
 
 @dataclass(frozen=True)
 class StreamPlacement:
-    """What is known of one stream; a value, changed by `after_...`, judged by `hold`.
+    """What is known of one stream; a value that `after_...` changes and `hold` judges.
 
-    tag: the stream's; name: of the device where it belongs, which is a sink if it plays, else a
-    source. Of a source only a monitor counts, unless any_source: for measuring. stream, device:
-    their indexes and on: the index of the device that the stream is on, as last seen. unsettled:
-    number of the event that has to be looked into, 0 if none.
+    tag: of the stream. name: of the device where it belongs, a sink if it plays, else a source.
+    Only monitors count as sources unless any_source, for measurements. stream, device: their
+    indexes, and on: the index of the stream's present device, as last seen. unsettled: number of
+    the event that is not checked yet, or 0.
     """
 
     tag: str
@@ -84,7 +84,7 @@ class StreamPlacement:
         return Hold.UNSETTLED if self.unsettled else Hold.FREE
 
     def after_event(self, event: Event) -> StreamPlacement:
-        """What is known once this event has come, before anything was asked."""
+        """Return what is known after an event, before any query."""
         stream, device = ("sink_input", "sink") if self.plays else ("source_output", "source")
         gone = event.kind == "remove"
         if event.facility == stream and event.index == self.stream:
@@ -96,18 +96,12 @@ class StreamPlacement:
         return self
 
     def may_be_back(self, event: Event) -> bool:
-        """Whether this event may tell of our stream, which is missing: one was made."""
+        """Whether this event may be about our missing stream: one was made."""
         stream = "sink_input" if self.plays else "source_output"
         return self.stream is None and event.facility == stream and event.kind == "new"
 
-    def is_urgent(self, event: Event) -> bool:
-        """Whether it has to be asked at once what this event, which `after_event` had, means."""
-        mine = "sink_input" if self.plays else "source_output"
-        new = event.kind == "new" and event.facility == mine and self.stream is None
-        return new or self.unsettled == event.number
-
     def after_snapshot(self, snapshot: ServerSnapshot) -> StreamPlacement:
-        """What is known once everything was asked for; older snapshots than events are left."""
+        """Return what is known after a snapshot; one older than the event changes nothing."""
         if snapshot.events < self.unsettled:
             return self
         streams = snapshot.sink_inputs if self.plays else snapshot.source_outputs
@@ -126,24 +120,36 @@ class StreamPlacement:
             connected=True,
             stream=None if stream is None else stream.index,
             device=devices.get(self.name),
-            on=None if stream is None else stream.place,
+            on=None if stream is None else stream.device_index,
             unsettled=0,
         )
 
     def after_loss(self) -> StreamPlacement:
-        """What is known once the server is gone."""
+        """Return what is known after the loss of the server."""
         return replace(self, connected=False, stream=None, device=None, on=None)
 
 
 class StreamGuard(Listener):
-    """Silences a stream unless it is known to be on the device of this name.
+    """Silences a stream unless it is known to be on its device.
 
-    device_name: of the haptic sink for a `PlaybackStream`, of a monitor for a `CaptureStream`, or
-    of any source where any_source is True, for measuring.
-    It sets `stream.audible` from the moment it is made, and is the only one that may. on_hold:
-    called with every change of the decision, by the connection's thread (or by the one that makes
-    the guard or calls `retarget`); it must return at once. Any thread but the connection's makes,
-    leads and releases it; any thread may read `hold`, the decision at present, and `astray_s`.
+    It alone sets `stream.audible`, from the moment it is made. Any thread but the connection's
+    makes, retargets and releases it; any thread may read `hold` and call `misplaced_s`.
+
+    Parameters
+    ----------
+    connection : PulseConnection
+        Reports where the stream is.
+    stream : PlaybackStream or CaptureStream
+        The stream to silence.
+    device_name : str
+        Of the haptic sink for a `PlaybackStream`, of a monitor for a `CaptureStream`.
+    any_source : bool
+        Whether device_name may be any source, for measurements.
+
+    Attributes
+    ----------
+    hold : Hold
+        The present decision.
     """
 
     def __init__(
@@ -151,76 +157,79 @@ class StreamGuard(Listener):
         connection: PulseConnection,
         stream: PlaybackStream | CaptureStream,
         device_name: str,
-        on_hold: Callable[[Hold], None] | None = None,
         *,
         any_source: bool = False,
     ) -> None:
         self._connection = connection
         self._stream = stream
-        self._on_hold = on_hold
         self._lock = threading.Lock()
         self._released = False
         plays = isinstance(stream, PlaybackStream)
-        self._place = StreamPlacement(stream.tag, device_name, plays, any_source=any_source)
-        self.hold = self._place.hold
+        self._placement = StreamPlacement(stream.tag, device_name, plays, any_source=any_source)
+        self.hold = self._placement.hold
         self._misplaced_at_s: float | None = None
-        self._judge(lambda place: place)
+        self._judge(lambda placement: placement)
         connection.add(self)
 
     def misplaced_s(self, now_s: float) -> float:
-        """For how long the stream has been misplaced without a break; 0 if it is not.
-
-        now_s: time.monotonic().
-        """
+        """Return how long the stream has been misplaced; now_s is time.monotonic()."""
         began_s = self._misplaced_at_s
         return 0.0 if began_s is None else max(0.0, now_s - began_s)
 
     def retarget(self, device_name: str) -> None:
-        """From now on the stream belongs elsewhere; call this, then let the server move it."""
-        self._judge(lambda place: replace(place, name=device_name, device=None))
+        """Change the stream's device; afterwards let the server move the stream."""
+        self._judge(lambda placement: replace(placement, name=device_name, device=None))
         self._connection.snapshot()
 
     def release(self) -> None:
-        """End the guard: the stream is silent from now on. Again too; it raises nothing."""
+        """End the guard and silence the stream. Further calls do nothing; it raises nothing."""
         with self._lock:
             self._released = True
             self._stream.audible = False
         self._connection.remove(self)
 
     def on_event(self, event: Event) -> bool:
-        """Silence at once whatever this event may have moved, and ask where it is now."""
-        self._judge(lambda place: place.after_event(event))
-        place = self._place
-        return place.unsettled == event.number or place.may_be_back(event)
+        """Silence the stream at once if this event may have moved it."""
+        self._judge(lambda placement: placement.after_event(event))
+        placement = self._placement
+        return placement.unsettled == event.number or placement.may_be_back(event)
 
     def on_snapshot(self, snapshot: ServerSnapshot) -> None:
-        """See where the stream is."""
-        self._judge(lambda place: place.after_snapshot(snapshot))
+        """Check where the stream is."""
+        self._judge(lambda placement: placement.after_snapshot(snapshot))
 
     def on_lost(self, error: LostError) -> None:
-        """Silence: nobody would tell any more."""
-        self._judge(lambda place: place.after_loss())
+        """Silence the stream, as its moves are not reported any more."""
+        self._judge(lambda placement: placement.after_loss())
 
     def _judge(self, change: Callable[[StreamPlacement], StreamPlacement]) -> None:
         with self._lock:
-            before, self._place = self.hold, change(self._place)
-            self.hold = self._place.hold
+            self._placement = change(self._placement)
+            self.hold = self._placement.hold
             self._stream.audible = self.hold.audible and not self._released
             if not self.hold.misplaced:
                 self._misplaced_at_s = None
             elif self._misplaced_at_s is None:
                 self._misplaced_at_s = time.monotonic()
-            changed = self.hold is not before and not self._released
-        if changed and self._on_hold is not None:
-            self._on_hold(self.hold)
 
 
 class FallbackSink:
-    """The silent sink that PulseAudio moves our stream to when its own sink vanishes.
+    """The silent sink that PulseAudio moves our stream to if its own sink vanishes.
 
-    Make it before the playback stream is opened, close it after that is closed. active: whether
-    it stands by; reason: why not, one line. PipeWire does not need it: it is not active there.
-    One left over from an earlier process is taken over. Any thread but the connection's calls it.
+    Make it before the playback stream and close it afterwards. One that an earlier process left
+    is taken over. PipeWire does not need it. Any thread but the connection's uses it.
+
+    Parameters
+    ----------
+    connection : PulseConnection
+        To the server.
+
+    Attributes
+    ----------
+    active : bool
+        Whether the sink is ready.
+    reason : str
+        Why not, in one line.
 
     Raises
     ------
@@ -235,12 +244,13 @@ class FallbackSink:
         self.reason = ""
         snapshot = connection.snapshot()
         if snapshot.kind == "PipeWire":
-            self.reason = "PipeWire ends the stream by itself"
+            self.reason = "PipeWire ends the stream instead"
             return
         try:
             if "module-intended-roles" not in connection.modules().values():
                 self._modules.append(connection.load_module("module-intended-roles"))
-            left = _sink_named(snapshot, FALLBACK_SINK)
+            sinks = {sink.name: sink for sink in snapshot.sinks}
+            left = sinks.get(FALLBACK_SINK)
             self._modules.append(
                 left.module
                 if left is not None and left.module is not None
@@ -249,15 +259,15 @@ class FallbackSink:
             self.active = True
         except NotFoundError as error:
             self.reason = (
-                f"some 10 ms of vibration may be heard if the haptic device vanishes: {error}"
+                f"about 10 ms of vibration may be audible if the haptic device vanishes: {error}"
             )
             self.close()
 
     def close(self) -> None:
-        """Take away again what was loaded. Again too; it raises nothing."""
+        """Unload what was loaded. Further calls do nothing; it raises nothing."""
         self.active = False
         while self._modules:
-            with suppress(LostError, NotFoundError):  # it went with the server, or before
+            with suppress(LostError, NotFoundError):  # it is gone already
                 self._connection.unload_module(self._modules.pop())
 
 
@@ -265,7 +275,3 @@ _FALLBACK_ARGUMENTS = (
     f"sink_name={FALLBACK_SINK}",
     f'sink_properties="device.description=Haptic-Cushion-(silent) device.intended_roles={ROLE}"',
 )
-
-
-def _sink_named(snapshot: ServerSnapshot, name: str) -> Sink | None:
-    return next((sink for sink in snapshot.sinks if sink.name == name), None)

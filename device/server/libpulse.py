@@ -1,11 +1,11 @@
-"""The functions of libpulse that record a stream, called from Python without a detour.
+"""The functions of libpulse that record a stream.
 
-pulsectl binds what controls a server. Its few record functions are meant for reading one peak
-value, and declare sizes with 32 bits where libpulse writes 64, so they are not used here.
+pulsectl's few record functions read a single peak value, and declare sizes as 32 bits where
+libpulse writes 64.
 
-Calls that return at once keep Python's lock: to give it away and wait for it again would cost more
-than the call. Only those that may wait give it away. libpulse belongs to one thread at a time; the
-exception is `mainloop_wakeup`. Callbacks run within `mainloop_dispatch` and must not raise.
+Functions that return at once keep Python's lock, as releasing it costs more than the call. Those
+that may wait release it. One thread at a time uses libpulse, except for `mainloop_wakeup`.
+Callbacks run within `mainloop_dispatch` and must not raise.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ class SampleSpec(ctypes.Structure):
 
 
 class ChannelMap(ctypes.Structure):
-    """The positions of a stream's channels, such as front-left."""
+    """The positions of a stream's channels."""
 
     _fields_ = (("channels", c_uint8), ("positions", c_int * CHANNELS_MAX))
 
 
 class BufferAttributes(ctypes.Structure):
-    """Sizes in bytes; a stream that records only has maxlength and fragsize."""
+    """Sizes in bytes; a recording stream uses maxlength and fragsize."""
 
     _fields_ = (
         ("maxlength", c_uint32),
@@ -62,7 +62,7 @@ class Volumes(ctypes.Structure):
 
 
 class SinkInputInfo(ctypes.Structure):
-    """What a server says of a stream that plays; there is more behind these fields."""
+    """The first fields of the description of a playing stream."""
 
     _fields_ = (
         ("index", c_uint32),
@@ -84,10 +84,10 @@ class SinkInputInfo(ctypes.Structure):
 
 
 SinkInputCallback = ctypes.CFUNCTYPE(None, c_void_p, POINTER(SinkInputInfo), c_int, c_void_p)
-"""Of context, info, end (0: info is one; 1: no more; under 0: there is none), number."""
+"""Arguments: context, info, end (0: info is valid; 1: no more; below 0: none), number."""
 
 EventCallback = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_uint32, c_void_p)
-"""Of context, what happened, index, nothing."""
+"""Arguments: context, kind of event, index, unused."""
 
 _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "strerror": (c_char_p, c_int),
@@ -130,7 +130,7 @@ _WAITING: dict[str, tuple[Any, ...]] = {
 
 
 class LibPulse:
-    """The library; its functions without their prefix `pa_`. Use `load`."""
+    """The library's functions, without their prefix `pa_`. Use `load`."""
 
     def __init__(self) -> None:
         for library, functions in (
@@ -143,19 +143,13 @@ class LibPulse:
                 setattr(self, name, function)
 
     def __getattr__(self, name: str) -> Any:
-        # only for what is not there: type checkers learn from it that the others are
+        # tells type checkers that any attribute may exist
         raise AttributeError(name)
 
 
 @cache
 def load() -> LibPulse:
-    """The library, loaded once; any thread may call this.
-
-    Raises
-    ------
-    NotFoundError
-        It is not installed.
-    """
+    """Load the library once. Any thread may call it; NotFoundError: it is not installed."""
     try:
         return LibPulse()
     except OSError as error:

@@ -1,8 +1,8 @@
-"""Applications' streams in drop-in mode, the guests: brought to the virtual sink, and back again.
+"""What drop-in mode moves: the default sink, and applications' streams.
 
-Most follow the default sink by themselves, both ways, and stay free to follow it later. Only those
-that are bound to the real sink are moved. One thread at a time calls the methods; times are seconds
-of time.monotonic(). LostError: the server is gone.
+Most applications follow the default sink by themselves, in both directions. Only those that are
+bound to the real sink are moved. One thread at a time calls the methods. Times are seconds of
+time.monotonic(). LostError: the server is gone.
 """
 
 from __future__ import annotations
@@ -24,42 +24,48 @@ from device.server.pulse import PulseConnection
 from device.server.snapshot import ServerSnapshot, Stream
 from device.stream.pcms import ROLE
 
+TAKES_S = 0.3
+"""Servers and session managers follow a new default sink within this time; 50 ms are usual."""
 
-def none_here(snapshot: ServerSnapshot) -> bool:
-    """Whether nothing plays to the virtual sink."""
+_CONTESTS, _CONTEST_S = 5, 10.0
+"""Only a program, not a user, changes the default sink so often in so short a time."""
+
+
+def is_unused(snapshot: ServerSnapshot) -> bool:
+    """Whether no stream plays to the virtual sink."""
     return not any(stream.device_name == SINK for stream in snapshot.sink_inputs)
 
 
-class Guests:
-    """The streams that are to play to the virtual sink. all_here: whether none was to be moved."""
+class MovedStreams:
+    """Applications' streams on the virtual sink. all_here: whether none remains to be moved."""
 
     def __init__(self, connection: PulseConnection) -> None:
         self.all_here = True
         self._connection = connection
-        self._seen: set[int] = set()  # have played to the virtual sink
-        self._astray: dict[int, float] = {}  # play past it, since when
-        self._places: dict[int, str] = {}  # where streams were last, but for the virtual sink
-        self._homes: dict[int, str] = {}  # the sinks that those were on which had to be moved
+        self._seen: set[int] = set()  # streams that have played to the virtual sink
+        self._bypassing: dict[int, float] = {}  # streams that play past it: since when
+        self._before: dict[int, str] = {}  # the last other sinks of streams
+        self._homes: dict[int, str] = {}  # the sinks of streams that were moved
 
     def forget(self) -> None:
-        """Treat all streams as new ones: the target was changed or the sink made anew."""
+        """Treat all streams as new, after a change of the target or a new virtual sink."""
         self._seen.clear()
         self._homes.clear()
 
     def free_vibration(self, snapshot: ServerSnapshot, haptic_sink: str | None) -> None:
         """Move vibration back to its sink.
 
-        PulseAudio moves it along when the default sink was the haptic one and becomes ours.
+        PulseAudio moves it if the haptic sink was the default before the virtual one.
         """
         for stream in snapshot.sink_inputs:
             if stream.device_name == SINK and stream.role == ROLE and haptic_sink is not None:
                 self._move(snapshot, stream, haptic_sink)
 
-    def bring(self, snapshot: ServerSnapshot, target: str, now_s: float) -> None:
-        """Move what plays on the target and has not followed the default sink.
+    def collect(self, snapshot: ServerSnapshot, target: str, now_s: float) -> None:
+        """Move streams that play on the target and have not followed the default sink.
 
-        A stream that has played to the virtual sink and was then moved away is left where it is:
-        somebody wants it so. What carries the target's own sound is left, too.
+        A stream that the user moved away from the virtual sink stays where it is. So does a stream
+        that carries the target's own sound.
         """
         loop = reachable_sinks(snapshot, target)
         astray: dict[int, float] = {}
@@ -72,18 +78,18 @@ class Guests:
                 and is_application(stream)
                 and not carries_sound_of(snapshot, stream, loop)
             ):
-                since_s = astray[stream.index] = self._astray.get(stream.index, now_s)
+                since_s = astray[stream.index] = self._bypassing.get(stream.index, now_s)
                 if now_s - since_s >= TAKES_S:
                     self._homes[stream.index] = target
                     self._move(snapshot, stream, SINK)
-        self._astray = astray
+        self._bypassing = astray
         self.all_here = not astray
 
     def break_loop(self, snapshot: ServerSnapshot, target: str, others: Sequence[str]) -> bool:
-        """Lead away what brings the target's sound to the virtual sink; whether that succeeded.
+        """Move away streams that feed the target into the virtual sink; whether that worked.
 
-        These are streams of other virtual sinks, and loopbacks, that follow the default sink. They
-        go where they were, or else to the first of `others` that the sound does not come to.
+        They belong to other virtual sinks and loopbacks that follow the default sink. They return
+        to their last sink, or to the first of `others` outside the loop.
         """
         loop = reachable_sinks(snapshot, target)
         free = [name for name in others if name not in loop]
@@ -92,15 +98,15 @@ class Guests:
         for stream in snapshot.sink_inputs:
             place = stream.device_name
             if place == SINK and carries_sound_of(snapshot, stream, loop):
-                before = self._places.get(stream.index, "")
+                before = self._before.get(stream.index, "")
                 wishes = free if before in ("", *loop) else [before, *free]
                 broken = any(self._move(snapshot, stream, wish) for wish in wishes) and broken
-            places[stream.index] = self._places.get(stream.index, "") if place == SINK else place
-        self._places = places
+            places[stream.index] = self._before.get(stream.index, "") if place == SINK else place
+        self._before = places
         return broken
 
-    def put_back(self, snapshot: ServerSnapshot, default: str) -> None:
-        """Move streams to where they were, others than followed to the default sink to that."""
+    def restore(self, snapshot: ServerSnapshot, default: str) -> None:
+        """Move streams back to their sinks, and the others to the default sink."""
         for stream in snapshot.sink_inputs:
             home = default if stream.device_name == SINK else stream.device_name
             home = self._homes.get(stream.index, home)
@@ -108,47 +114,42 @@ class Guests:
                 self._move(snapshot, stream, home)
 
     def _move(self, snapshot: ServerSnapshot, stream: Stream, sink_name: str) -> bool:
-        """Whether the server has moved it."""
-        with suppress(NotFoundError):  # it has ended, must not be moved, or there is no such sink
+        """Move a stream; whether the server did it."""
+        with suppress(NotFoundError):  # it has ended or may not move, or the sink is gone
             self._connection.move_sink_input(stream.index, find_sink(snapshot, sink_name).index)
             return True
         return False
 
 
-TAKES_S = 0.3
-"""Servers and session managers have followed a new default sink by then; 50 ms are usual."""
+class DefaultSinkClaim:
+    """Makes the virtual sink the default and detects what the user chooses instead.
 
-_CONTESTS, _CONTEST_S = 5, 10.0
-"""Who chooses other default sinks so often in so short a time is no user but a program."""
-
-
-class DefaultSink:
-    """Makes the virtual sink the default one and tells what was chosen instead.
-
-    told: the default sink that has stayed the same for a while, as `Listener.on_default_sink` has
-    it; any thread may set it. settled: whether the default sink is ours, and nothing is to be
-    done. contested: another program wants it for itself, so that it was left alone.
+    stable_name: the default sink that persisted, as reported by `Listener.on_default_sink`; any
+    thread may set it. settled: whether the default sink is ours, with nothing to do. contested:
+    another program claims the default sink, so that it is left alone.
     """
 
-    def __init__(self, connection: PulseConnection, told: str) -> None:
-        self.told = told
+    def __init__(self, connection: PulseConnection, stable_name: str) -> None:
+        self.stable_name = stable_name
         self.settled = False
         self.contested = False
         self._connection = connection
         self._taken_s: float | None = None
         self._choices: deque[float] = deque(maxlen=_CONTESTS)
 
-    def choice(self, snapshot: ServerSnapshot, now_s: float, fit: Collection[str]) -> str | None:
-        """The sink that was made the default one since it was ours: told once.
+    def detect_choice(
+        self, snapshot: ServerSnapshot, now_s: float, fit: Collection[str]
+    ) -> str | None:
+        """Return the sink that became the default instead of ours, once; else None.
 
-        fit: what may be chosen; that has to stay chosen for a while, others are told at once.
+        fit: possible targets, which must persist as default; other sinks are returned at once.
         """
         default = snapshot.default_sink
         if default == SINK:
             self.settled, self.contested = True, False
         elif our_sink(snapshot) is None:
-            self.settled = False  # the server chose another one, since ours is gone
-        elif self.settled and default and (default == self.told or default not in fit):
+            self.settled = False  # the server chose it, as ours is gone
+        elif self.settled and default and (default == self.stable_name or default not in fit):
             self.settled = False
             self._choices.append(now_s)
             often = len(self._choices) == _CONTESTS and now_s - self._choices[0] < _CONTEST_S
@@ -156,10 +157,10 @@ class DefaultSink:
             return default
         return None
 
-    def take(self, snapshot: ServerSnapshot, now_s: float) -> None:
-        """Make the virtual sink the default one; again and again until it is.
+    def claim(self, snapshot: ServerSnapshot, now_s: float) -> None:
+        """Make the virtual sink the default, repeatedly until it is.
 
-        WirePlumber may not accept a sink that was only just made. LostError: the server is gone.
+        WirePlumber may not accept a new sink at once.
         """
         if self.settled or self.contested or snapshot.default_sink == SINK:
             return

@@ -1,4 +1,7 @@
-"""What a sound server holds at one moment, in plain values that any thread may keep and read."""
+"""What a sound server holds at one moment, and the events that change it.
+
+All values are immutable: any thread may keep and read them.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,10 @@ NOWHERE = 0xFFFF_FFFF
 
 @dataclass(frozen=True)
 class Sink:
-    """A place to play to. index: the server's, never used twice; monitor: its monitor's name.
+    """A device to play to. index: the server's, never reused. monitor: name of its monitor source.
 
-    properties: as the server has them, all text. module: index of the module that made it, None
-    if none did. samplerate in Hz. channel_map: "front-left,front-right" and the like.
+    properties: the server's, as text. module: index of the module that made it, or None.
+    samplerate: Hz. channel_map: such as "front-left,front-right".
     """
 
     index: int
@@ -32,15 +35,15 @@ class Sink:
 
     @property
     def positions(self) -> tuple[str, ...]:
-        """What its channels are called, in their order; nothing where that is not told."""
+        """The names of its channels, in order; empty if unknown."""
         return tuple(self.channel_map.split(",")) if self.channel_map else ()
 
 
 @dataclass(frozen=True)
 class Source:
-    """A place to record from. monitor_of: the name of the sink that it monitors, None if none.
+    """A device to record from. monitor_of: name of the sink that it monitors, or None.
 
-    channel_map: as of a `Sink`. volume: the server's number, 1.0 for 100 %; mute: whether it is.
+    channel_map: as in `Sink`. volume: the server's number, 1.0 for 100 %.
     """
 
     index: int
@@ -57,16 +60,15 @@ class Source:
 
 @dataclass(frozen=True)
 class Stream:
-    """A stream of an application: a sink input (it plays) or a source output (it records).
+    """An application's stream: a sink input, which plays, or a source output, which records.
 
-    place: the index of its sink or source, None while it has none; device_name: the name, "" if
-    that is unknown. application, binary, role, media: "" where the application does not say.
-    process_id: None where it does not say. corked: paused by the application. module: index of the
-    module that made it, None for an application's.
+    device_index, device_name: of its sink or source; None and "" while it has none. application,
+    binary, role, media: "" if unknown. process_id: None if unknown. corked: paused by the
+    application. module: index of the module that made it; None for an application's.
     """
 
     index: int
-    place: int | None
+    device_index: int | None
     device_name: str
     application: str
     binary: str
@@ -81,12 +83,24 @@ class Stream:
 
 @dataclass(frozen=True)
 class ServerSnapshot:
-    """Everything at one moment.
+    """Everything that a server holds at one moment.
 
-    kind: "PulseAudio" or "PipeWire"; version: of that. default_sink, default_source: names, ""
-    if there is none. sink_inputs: what plays; source_outputs: what records. events: how many
-    events the connection had had when it began to ask, so that whoever saw a later one knows that
-    it may not be in here.
+    Attributes
+    ----------
+    kind : str
+        "PulseAudio" or "PipeWire".
+    version : str
+        Of that server.
+    default_sink, default_source : str
+        Their names, "" for none.
+    sinks : tuple[Sink, ...]
+        Devices to play to.
+    sources : tuple[Source, ...]
+        Devices to record from, monitors included.
+    sink_inputs, source_outputs : tuple[Stream, ...]
+        Streams that play, and streams that record.
+    events : int
+        Events of the connection before the snapshot began: later ones may not be included.
     """
 
     kind: str
@@ -99,15 +113,11 @@ class ServerSnapshot:
     source_outputs: tuple[Stream, ...]
     events: int
 
-    def sink(self, index: int | None) -> Sink | None:
-        """The sink with this index."""
-        return next((sink for sink in self.sinks if sink.index == index), None)
 
+def patch_samplerates(pulsectl: Any) -> None:
+    """Make pulsectl keep the sample rates of sinks and sources, once before the first snapshot.
 
-def keep_samplerates(pulsectl: Any) -> None:
-    """Let pulsectl keep the samplerates of sinks and sources; once, before the first snapshot.
-
-    What it keeps of them by itself points into memory that libpulse frees at once.
+    Its own field for them points into memory that libpulse frees at once.
     """
 
     def keep(item: Any, struct: Any) -> None:
@@ -118,9 +128,10 @@ def keep_samplerates(pulsectl: Any) -> None:
 
 
 def take_snapshot(pulse: Any, events: int) -> ServerSnapshot:
-    """Ask a connected pulsectl.Pulse for everything; on the thread that owns it, a few ms.
+    """Query a connected pulsectl.Pulse for everything, which takes a few ms.
 
-    Streams are asked for first: one that moves meanwhile then appears in a place that exists.
+    Called by the thread that owns it. Streams come first: a stream that moves in the meantime then
+    appears on a device that exists.
     """
     sink_inputs, source_outputs = pulse.sink_input_list(), pulse.source_output_list()
     sinks, sources = pulse.sink_list(), pulse.source_list()
@@ -142,7 +153,7 @@ def take_snapshot(pulse: Any, events: int) -> ServerSnapshot:
 
 
 def _kind(name: str, version: str) -> tuple[str, str]:
-    """Kind and version from "pulseaudio" and "16.1", or "PulseAudio (on PipeWire 0.3.65)"."""
+    """Parse "pulseaudio" and "16.1", or "PulseAudio (on PipeWire 0.3.65)"."""
     _, on, pipewire = name.partition("(on PipeWire")
     if on:
         return "PipeWire", pipewire.strip(" )")
@@ -150,7 +161,7 @@ def _kind(name: str, version: str) -> tuple[str, str]:
 
 
 def default_name(name: str | None) -> str:
-    """A default's name; PipeWire gives names like "@DEFAULT_SINK@" where there is none."""
+    """Return a default's name; PipeWire gives names like "@DEFAULT_SINK@" for none."""
     return "" if name is None or name.startswith("@") else name
 
 
@@ -184,13 +195,13 @@ def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
     )
 
 
-def _stream(item: Any, place: int, names: Mapping[int, str]) -> Stream:
+def _stream(item: Any, device: int, names: Mapping[int, str]) -> Stream:
     properties = dict(item.proplist)
     process_id = properties.get("application.process.id", "")
     return Stream(
         index=item.index,
-        place=_known(place),
-        device_name=names.get(place, ""),
+        device_index=_known(device),
+        device_name=names.get(device, ""),
         application=properties.get("application.name", ""),
         binary=properties.get("application.process.binary", ""),
         role=properties.get("media.role", ""),
@@ -199,7 +210,7 @@ def _stream(item: Any, place: int, names: Mapping[int, str]) -> Stream:
         corked=item.corked,
         mute=bool(item.mute),
         properties=properties,
-        # PulseAudio calls the module that an application is connected by its owner
+        # for PulseAudio, an application's owner is the module of its connection
         module=_known(item.owner_module) if _known(item.client) is None else None,
     )
 
@@ -209,15 +220,15 @@ def _known(index: int) -> int | None:
 
 
 DEFAULT_SETTLES_S = 0.2
-"""How long the default sink must have stayed the same until that is told."""
+"""How long a new default sink must persist until it is reported."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something of the server changed; number: counts the events of this connection, from 1.
+    """A change on the server.
 
-    facility: "sink", "source", "sink_input", "source_output", "server" and others; kind: "new",
-    "change" or "remove"; index: which one.
+    facility: "sink", "source", "sink_input", "source_output", "server" or others. kind: "new",
+    "change" or "remove". index: of the object. number: counts this connection's events, from 1.
     """
 
     facility: str
@@ -227,47 +238,40 @@ class Event:
 
 
 class Listener:
-    """What a `PulseConnection` tells; all methods do nothing here.
+    """Receives what a `PulseConnection` reports; the methods do nothing here.
 
-    The connection's own thread calls them: they must return at once, ask nothing of the
-    connection, and not raise.
+    The connection's thread calls them: they must return at once, must not query the connection and
+    must not raise.
     """
 
     def on_event(self, event: Event) -> bool:
-        """An event has come, this moment: nothing but its numbers is known yet.
-
-        True asks for a snapshot at once; else one follows when the next ones have been gathered.
-        """
+        """Handle an event at once; True asks for a snapshot now instead of a few ms later."""
         return False
 
     def on_snapshot(self, snapshot: ServerSnapshot) -> None:
-        """Everything was asked for again, after events."""
+        """Handle a new snapshot, which follows events."""
 
     def on_default_sink(self, name: str) -> None:
-        """The default sink is another one, and has stayed it for DEFAULT_SETTLES_S; "": none."""
+        """Handle a default sink that has been a new one for DEFAULT_SETTLES_S; "" is none."""
 
     def on_lost(self, error: LostError) -> None:
-        """The server is gone: the last that this connection tells."""
-
-
-def backoff_s(attempt: int) -> float:
-    """How long to wait before attempt 1, 2, 3 ... of connecting again: 0.1 s, doubling to 2 s."""
-    return float(min(0.1 * 2 ** min(max(attempt - 1, 0), 10), 2.0))
+        """Handle the loss of the server, which is the last call."""
 
 
 _BLOCKS = {"PulseAudio": (0.0, 1.0), "PipeWire": (1.0, 2.0)}
-"""Kind of server to blocks in the tap and in the output.
+"""Kind of server: blocks of latency in the tap and in the output.
 
-PipeWire hands over what it mixed one cycle ago, and takes from a queue of two blocks. PulseAudio
-mixes ahead, and asks once one of two blocks is left.
+The server's own numbers are unusable: PipeWire reports 0. These were measured by recording both
+monitors side by side; the sums are within 1 ms. PipeWire delivers what it mixed one cycle ago and
+takes from a queue of two blocks. PulseAudio mixes ahead and asks when one of two blocks is left.
 """
 
 
 def tap_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) -> float:
-    """Seconds from a frame's mixing until a capture of such blocks can have it. Any thread."""
+    """Return the seconds from a frame's mixing until a capture stream delivers it."""
     return _BLOCKS.get(snapshot.kind, (0.0, 0.0))[0] * block_frames / samplerate
 
 
 def output_latency_s(snapshot: ServerSnapshot, block_frames: int, samplerate: int) -> float:
-    """Seconds from a playback's asking for a frame until it is mixed. Any thread."""
+    """Return the seconds from a playback stream's request for a frame until its mixing."""
     return _BLOCKS.get(snapshot.kind, (0.0, 0.0))[1] * block_frames / samplerate

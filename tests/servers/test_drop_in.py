@@ -373,7 +373,7 @@ def test_what_cannot_be_forwarded_to_is_refused_and_leaves_nothing(
         DropIn(connection, "desktob")
     with pytest.raises(NotFoundError, match="'haptic': the vibration goes there"):
         DropIn(connection, "haptic", haptic_sink="haptic")
-    with pytest.raises(UsageError, match=r"delay_s=0\.6 is not possible; 0 to 0\.5 s are"):
+    with pytest.raises(UsageError, match=r"delay_s=0\.6 is out of range; choose 0 to 0\.5 s"):
         DropIn(connection, delay_s=0.6)
     server.choose_default("haptic")
     wait_for(lambda: connection.snapshot().default_sink == "haptic", "the default sink")

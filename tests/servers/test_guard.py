@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from device.server.guard import FallbackSink, Hold, StreamGuard
+from device.server.guard import FallbackSink, Hold, StreamGuard, StreamPlacement
 from device.server.identity import find_tagged, monitor_of
 from device.server.pulse import PulseConnection
 from device.stream.pcms import FALLBACK_SINK, PcmConfig, ServerDevice
@@ -19,12 +20,28 @@ from tools.sound_server import SoundServer
 TRIALS = 5
 
 
+class RecordedGuard(StreamGuard):
+    """Notes every change of the decision in a list."""
+
+    def __init__(
+        self, connection: PulseConnection, stream: PlaybackStream, name: str, holds: list[Hold]
+    ) -> None:
+        self._holds = holds
+        super().__init__(connection, stream, name)
+
+    def _judge(self, change: Callable[[StreamPlacement], StreamPlacement]) -> None:
+        before = self.hold
+        super()._judge(change)
+        if self.hold is not before and not self._released:
+            self._holds.append(self.hold)
+
+
 def guarded(
     pcms: PcmConfig, connection: PulseConnection, holds: list[Hold]
 ) -> tuple[PlaybackStream, StreamGuard]:
     pcms.pcms["cushion_output"].target = ServerDevice("haptic")
     stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
-    return stream, StreamGuard(connection, stream, "haptic", holds.append)
+    return stream, RecordedGuard(connection, stream, "haptic", holds)
 
 
 def test_not_one_sample_is_heard_elsewhere_when_the_haptic_sink_vanishes(

@@ -28,7 +28,7 @@ from device.server.identity import (
     identity_of,
     is_own_stream,
 )
-from device.server.snapshot import Event, ServerSnapshot, Sink, Source, Stream, _kind, backoff_s
+from device.server.snapshot import Event, ServerSnapshot, Sink, Source, Stream, _kind
 from device.stream.pcms import FALLBACK_SINK, TAG, PcmConfig, ServerDevice
 
 
@@ -143,10 +143,6 @@ def test_a_stream_of_another_machine_with_our_process_id_is_not_ours() -> None:
 def test_the_kind_of_a_server_is_in_its_name() -> None:
     assert _kind("pulseaudio", "16.1") == ("PulseAudio", "16.1")
     assert _kind("PulseAudio (on PipeWire 0.3.65)", "15.0.0") == ("PipeWire", "0.3.65")
-
-
-def test_waiting_doubles_up_to_two_seconds() -> None:
-    assert [backoff_s(n) for n in (1, 2, 3, 5, 6, 7, 1_000)] == [0.1, 0.2, 0.4, 1.6, 2.0, 2.0, 2.0]
 
 
 def test_a_configuration_leads_where_it_should_and_restores_the_environment(

@@ -75,7 +75,7 @@ def test_a_card_that_only_records_and_a_name_that_is_none_are_refused(cards: Car
     with pytest.raises(NotFoundError, match="hw:Mic has no playback device"):
         find_playback("Mic", cards.root)
     for name in ("", "a,b", "0,1,2", "DEV=3"):
-        with pytest.raises(UsageError, match="a card is written hw:CARD or hw:CARD,DEVICE"):
+        with pytest.raises(UsageError, match="write hw:CARD or hw:CARD,DEVICE"):
             find_playback(name, cards.root)
 
 

@@ -1,0 +1,164 @@
+"""The thread that owns a connection to the sound server and does what other threads ask for."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any, TypeVar
+
+from device.errors import CushionError, InternalError, LostError
+
+ANSWER_LIMIT_S = 2.0
+"""How long a server may take for one answer; after that it counts as lost."""
+
+Result = TypeVar("Result")
+
+
+class ConnectionThread:
+    """Connects on a new thread, then serves requests until the connection is lost or closed.
+
+    The thread calls the methods that derived classes override, except `_wake_up`.
+
+    lost: why the connection was lost; None if it was not. Make another object to connect again.
+
+    Raises
+    ------
+    LostError
+        No server answers.
+    NotFoundError
+        The library libpulse is not installed.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._requests: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]]
+        self._requests = queue.SimpleQueue()
+        self._gate = threading.Lock()  # a request is queued or refused, never forgotten
+        self._ended = self._stopping = False
+        self.lost: LostError | None = None
+        ready: Future[None] = Future()
+        self._thread = threading.Thread(target=self._run, args=(ready,), name=name, daemon=True)
+        self._thread.start()
+        try:
+            ready.result(2 * ANSWER_LIMIT_S)
+        except TimeoutError:
+            self._stopping = True
+            raise self._no_answer() from None
+
+    def close(self) -> bool:
+        """End the connection; whether that was in time. Further calls do nothing.
+
+        Any thread may call it; it raises nothing.
+        """
+        self._stopping = True
+        with self._gate:
+            if not self._ended:
+                self._wake_up()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(2 * ANSWER_LIMIT_S)
+        return not self._thread.is_alive()
+
+    def _ask(self, work: Callable[[], Result]) -> Result:
+        """Return what `work` returns on the connection's thread. Called by any other thread."""
+        if threading.current_thread() is self._thread:
+            raise InternalError("the connection's thread must not query the connection")
+        future: Future[Result] = Future()
+        with self._gate:
+            if self._ended:
+                raise self.lost or LostError("the connection to the sound server is closed")
+            self._requests.put((future, work))
+            self._wake_up()
+        try:
+            return future.result(2 * ANSWER_LIMIT_S)
+        except TimeoutError:
+            raise self._no_answer() from None
+
+    # ---------------------------------------------------------------- for derived classes
+
+    def _wake_up(self) -> None:
+        """Interrupt the thread's waiting. Called with the gate closed, by any thread."""
+        raise NotImplementedError
+
+    def _open(self) -> None:
+        """Connect to the server."""
+        raise NotImplementedError
+
+    def _serve(self) -> None:
+        """Serve the connection until `_stopping`; an exception ends it."""
+        raise NotImplementedError
+
+    def _disconnect(self) -> None:
+        """End the connection, which may be lost."""
+        raise NotImplementedError
+
+    def _free(self) -> None:
+        """Free what `_wake_up` needs. Called with the gate closed."""
+        raise NotImplementedError
+
+    def _report_loss(self, error: LostError) -> None:
+        """Report that an open connection was lost."""
+
+    def _fail(self, future: Future[Any], error: Exception) -> None:
+        """Answer a request that raised."""
+        future.set_exception(error)
+
+    # ------------------------------------------------------------------------------------ inside
+
+    def _run(self, ready: Future[None]) -> None:
+        error: CushionError | None = None
+        try:
+            self._open()
+            ready.set_result(None)
+            self._serve()
+        except CushionError as known:
+            error = known
+        except Exception as unknown:  # pulsectl has many exceptions for a lost server
+            error = LostError(f"the sound server{where()} was lost ({reason_of(unknown)})")
+        if isinstance(error, LostError) and not self._stopping:
+            self.lost = error
+        self._disconnect()
+        with self._gate:
+            self._ended = True
+            self._free()
+        closed = error or LostError("the connection to the sound server was closed")
+        while not self._requests.empty():
+            self._requests.get()[0].set_exception(closed)
+        if not ready.done():
+            ready.set_exception(closed)
+        elif self.lost is not None:
+            self._report_loss(self.lost)
+
+    def _do_requests(self) -> None:
+        while not self._requests.empty():
+            future, work = self._requests.get()
+            try:
+                future.set_result(work())
+            except Exception as error:
+                self._fail(future, error)
+
+    def _no_answer(self) -> LostError:
+        return LostError(
+            f"the sound server{where()} does not answer; see whether it hangs, and restart it if so"
+        )
+
+
+def where() -> str:
+    """Return " at ADDRESS" if an address of the server is set."""
+    address = os.environ.get("PULSE_SERVER")
+    return f" at {address}" if address else ""
+
+
+def no_server() -> LostError:
+    """Return the error of a connection that no server accepts."""
+    return LostError(
+        f"no sound server answers{where()}; start PulseAudio or pipewire-pulse, or set "
+        "PULSE_SERVER to the address of one that runs"
+    )
+
+
+def reason_of(error: Exception) -> str:
+    """Return an exception's name and text."""
+    text = str(error)
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
