@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +117,7 @@ class _Reading:
         self.mistakes = mistakes
         self.shown: dict[str, str] = {}
         self.renamed: list[str] = []
-        # By class, the accepted values of its fields; of [[actuator]] there may be several.
+        # By class, the accepted values of its fields; of actuators, those of the last one.
         self.accepted: dict[type[Described], dict[str, Any]] = {key.owner: {} for key in KEYS}
         self.actuators: list[dict[str, Any]] = []
         self.refused: set[tuple[type[Described], str]] = set()
@@ -126,44 +125,32 @@ class _Reading:
     def read(self, document: dict[str, Any]) -> None:
         """Check every value by itself."""
         top = {name: value for name, value in document.items() if name not in HEADERS}
-        self._table("", "", top, {owner: self.accepted[owner] for owner in self.accepted})
+        self._read_table("", "", top)
         for section in SECTIONS[1:]:
-            for prefix, table in self._tables(section, document):
-                accepted = self.accepted
-                if section == ACTUATOR:
-                    self.actuators.append({})
-                    accepted = {ActuatorSettings: self.actuators[-1]}
-                self._table(section, prefix, table, accepted)
-                if section == ACTUATOR and "channels" not in table:
-                    allowed = ActuatorSettings.DESCRIPTIONS["channels"].allowed
-                    self._add(f"{prefix}channels", Refusal("is missing", allowed))
-
-    def _tables(
-        self, section: str, document: dict[str, Any]
-    ) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Return every table of a section with the prefix of its keys."""
-        found = document.get(section, {})
-        if section != ACTUATOR:
-            if isinstance(found, dict):
-                yield f"{section}.", found
+            found = document.get(section, {})
+            if section == ACTUATOR:
+                self._read_actuators(found if section in document else None)
+            elif isinstance(found, dict):
+                self._read_table(section, f"{section}.", found)
             else:
                 self.shown[section] = _shown(found)
                 self._add(section, Refusal("is not a section", HEADERS[section]))
-            return
+
+    def _read_actuators(self, found: object) -> None:
         tables = found if isinstance(found, list) else []
         good = [table for table in tables if isinstance(table, dict)]
-        if section in document and (not good or len(good) < len(tables)):
-            self._add(section, Refusal("is no array of tables", HEADERS[section]))
+        if found is not None and (not good or len(good) < len(tables)):
+            self._add(ACTUATOR, Refusal("is no array of tables", HEADERS[ACTUATOR]))
         for number, table in enumerate(good, 1):
-            yield f"{section}[{number}].", table
+            self.accepted[ActuatorSettings] = {}
+            self.actuators.append(self.accepted[ActuatorSettings])
+            prefix = f"{ACTUATOR}[{number}]."
+            self._read_table(ACTUATOR, prefix, table)
+            if "channels" not in table:
+                allowed = ActuatorSettings.DESCRIPTIONS["channels"].allowed
+                self._add(f"{prefix}channels", Refusal("is missing", allowed))
 
-    def _table(
-        self,
-        section: str,
-        prefix: str,
-        table: dict[str, Any],
-        accepted: dict[type[Described], dict[str, Any]],
-    ) -> None:
+    def _read_table(self, section: str, prefix: str, table: dict[str, Any]) -> None:
         known, renamed = keys_of(section), RENAMED.get(section, {})
         for written, value in table.items():
             shown = f"{prefix}{written}"
@@ -175,11 +162,11 @@ class _Reading:
                 continue
             key = known[name]
             if name != written:
-                self.lines[f"{prefix}{name}"] = self._line(shown)
                 if name in table:
                     wrong = f"is the old name of {prefix}{name}, which is given, too"
                     self._add(shown, Refusal(wrong, f"{name} alone"))
                     continue
+                self.lines[f"{prefix}{name}"] = self._line(shown)
                 self.shown[f"{prefix}{name}"] = self.shown.get(shown, "")
                 self.renamed.append(f"line {self._line(shown)}: {shown} is now {prefix}{name}")
             resolved = key.description.resolved(value, self.folder)
@@ -187,7 +174,7 @@ class _Reading:
                 self._add(shown, refusal)
                 self.refused.add((key.owner, key.field))
             else:
-                accepted[key.owner][key.field] = key.description.typed(resolved)
+                self.accepted[key.owner][key.field] = key.description.typed(resolved)
 
     def find_contradictions(self) -> None:
         """Check the accepted values against one another."""
@@ -233,16 +220,8 @@ class _Reading:
         return lines.get(key) or lines.get(section) or lines.get(section.partition("[")[0], 0)
 
     def _add(self, key: str, refusal: Refusal) -> None:
-        value = self.shown.get(key, "")
-        mistake = Mistake(
-            _printable(key),
-            self._line(key),
-            value,
-            refusal.wrong,
-            refusal.allowed,
-            refusal.nearest,
-        )
-        self.mistakes.append(mistake)
+        where = _printable(key), self._line(key), self.shown.get(key, "")
+        self.mistakes.append(Mistake(*where, *astuple(refusal)))
 
 
 def _unknown(section: str, name: str) -> Refusal:

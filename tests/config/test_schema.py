@@ -176,6 +176,15 @@ def test_settings_name_the_mistakes_of_several_actuators_together() -> None:
 # --- old names
 
 
+def test_a_mistake_keeps_its_line_beside_the_old_name_of_its_key(tmp_path: Path) -> None:
+    text = "[transform]\nloudness_db = 99\nfollower_db = 5\n"
+    _, mistakes = config.check(written(tmp_path, text))
+    assert [(mistake.line, mistake.key) for mistake in mistakes] == [
+        (2, "transform.loudness_db"),
+        (3, "transform.follower_db"),
+    ]
+
+
 def test_old_names_work_with_one_warning_that_names_both(tmp_path: Path) -> None:
     path = written(tmp_path, OLD_NAMES)
     expected = (
