@@ -23,16 +23,12 @@ from audioflinger_hook.cli.terminal import progress_bar
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.settings import Settings
 from device.errors import CushionError, NotFoundError
-from tools.bench.sections.live_latency import (
-    USUAL_BLOCK_FRAMES,
-    LiveRecord,
-    keep_records,
-    to_json,
-)
+from tools.bench.sections.kept_records import USUAL_BLOCK_FRAMES
 from tools.bench.sounds.signals import stereo
 from tools.live_latency.daemon import running_daemon, status_of_daemon
 from tools.live_latency.lag import swelling_tone
 from tools.live_latency.measurement import WINDOW_S, Place, measure
+from tools.live_latency.record import LiveRecord, keep_records, to_json
 from tools.live_latency.recording import playing, samplerate_of
 from tools.sound_server import PROGRAMS, ServerError, SoundServer
 

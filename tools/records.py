@@ -1,15 +1,25 @@
-"""Records that a file keeps for the report: of the types that they say, or refused."""
+"""Records that a file keeps for the report: one of each name, with fields of the declared types."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
+
+import audioflinger_hook
+from device.atomic_file import write_bytes_atomically
+from device.errors import UsageError
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 Record = TypeVar("Record", bound="DataclassInstance")
+
+PROJECT_ROOT = Path(str(audioflinger_hook.__path__[0])).resolve().parent
+SCHEMA_VERSION = 1
 
 KINDS: Mapping[str, tuple[type, ...]] = {
     "str": (str,),
@@ -21,13 +31,7 @@ KINDS: Mapping[str, tuple[type, ...]] = {
 
 
 def typed(record: Record) -> Record:
-    """Return the record as it is.
-
-    Raises
-    ------
-    TypeError
-        A field holds what its annotation does not allow; None is allowed where that ends so.
-    """
+    """Return the record as it is; raise TypeError where a field is not as annotated."""
     for field in fields(record):
         value = getattr(record, field.name)
         name = str(field.type)
@@ -45,3 +49,51 @@ def typed(record: Record) -> Record:
 
 def _is_one(value: Any, kinds: tuple[type, ...]) -> bool:
     return isinstance(value, kinds) and (bool in kinds or not isinstance(value, bool))
+
+
+def now() -> str:
+    """Return the time in UTC to the second, ISO 8601."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def record_path(record: Path) -> Path:
+    """Return the path below the current folder if it exists there, else below the project's."""
+    return record if record.is_file() else PROJECT_ROOT / record
+
+
+def read_records(path: Path, kind: type[Record], command: str) -> tuple[Record, ...]:
+    """Return the records of a file, none if it does not exist.
+
+    Raises
+    ------
+    UsageError
+        The file has no such records; the message names the command that writes it.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        return tuple(typed(kind(**record)) for record in document["records"])
+    except FileNotFoundError:
+        return ()
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise UsageError(f"{path} has no valid records ({error}); `{command}` writes it") from None
+
+
+def write_records(records: Iterable[Mapping[str, Any]], path: Path) -> None:
+    """Write a file of records, all or nothing."""
+    document = {"schema": SCHEMA_VERSION, "records": list(records)}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes_atomically(path, (json.dumps(document, indent=1) + "\n").encode())
+
+
+def merged(
+    read: Callable[[Path], tuple[Record, ...]],
+    path: Path,
+    records: Iterable[Record],
+    name: Callable[[Record], str],
+) -> dict[str, Record]:
+    """Return the file's records by name, each replaced by the new one of its name."""
+    try:
+        kept = {name(record): record for record in read(path)}
+    except UsageError:
+        kept = {}  # a file that cannot be read is replaced
+    return kept | {name(record): record for record in records}

@@ -1,16 +1,16 @@
-"""Comparators: each does what its name says, streams, and makes nothing out of nothing."""
+"""Baselines: each does what its name says, streams, and makes nothing out of nothing."""
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from tools.bench import baselines as comparators
+from tools.bench import baselines
 from tools.bench.baselines import centroid, envelope, octave_fold
 from tools.bench.measures.vibration import sine_fit
 from tools.bench.sounds.signals import SAMPLERATE, tone, white_noise
 
-SUBJECTS = {subject.name: subject for subject in comparators.load()[0]}
+SUBJECTS = {subject.name: subject for subject in baselines.load()[0]}
 RATES = (8_000, 44_100, 48_000, 192_000)
 
 
@@ -24,27 +24,27 @@ def level_db(vibration):
     return 10.0 * np.log10(np.mean(vibration**2) + 1e-30)
 
 
-def test_every_comparator_is_there():
-    found, missing = comparators.load()
-    assert tuple(subject.name for subject in found) == comparators.NAMES
+def test_every_baseline_is_there():
+    found, missing = baselines.load()
+    assert tuple(subject.name for subject in found) == baselines.NAMES
     assert missing == ()
 
 
-def test_a_comparator_that_is_not_there_is_named_with_what_to_do(monkeypatch):
-    monkeypatch.setattr(comparators, "NAMES", ("band-pass", "divining rod"))
-    found, (gone,) = comparators.load()
+def test_a_baseline_that_is_not_there_is_named_with_what_to_do(monkeypatch):
+    monkeypatch.setattr(baselines, "NAMES", ("band-pass", "divining rod"))
+    found, (gone,) = baselines.load()
     assert [subject.name for subject in found] == ["band-pass"]
-    assert gone.name == "every row of the comparator divining rod"
+    assert gone.name == "every row of the baseline divining rod"
     assert gone.command == "make run"
 
 
-@pytest.mark.parametrize("name", comparators.NAMES)
+@pytest.mark.parametrize("name", baselines.NAMES)
 @pytest.mark.parametrize("samplerate", RATES)
 def test_silence_gives_silence(name, samplerate):
     assert not SUBJECTS[name].vibration(np.zeros(samplerate), samplerate).any()
 
 
-@pytest.mark.parametrize("name", comparators.NAMES)
+@pytest.mark.parametrize("name", baselines.NAMES)
 def test_what_is_no_number_never_comes_out(name):
     sound = white_noise(0.5).astype(np.float64)
     sound[1_000], sound[2_000], sound[3_000] = np.nan, np.inf, 1e9
@@ -53,7 +53,7 @@ def test_what_is_no_number_never_comes_out(name):
     assert vibration.any()
 
 
-@pytest.mark.parametrize("name", comparators.NAMES)
+@pytest.mark.parametrize("name", baselines.NAMES)
 def test_blocks_of_any_size_give_the_same_vibration(name):
     sound = white_noise(0.4)
     whole = SUBJECTS[name].start(SAMPLERATE, 2)
@@ -96,7 +96,7 @@ def test_the_centroid_follows_a_tone(frequency_hz):
 
 
 def test_the_centroid_s_envelope_falls_by_e_in_a_tenth_of_a_second():
-    way = centroid.Way(SAMPLERATE, 1)
+    way = centroid.Method(SAMPLERATE, 1)
     hops = SAMPLERATE // way.hop
     sound = np.zeros((hops, way.hop))
     sound[0] = 0.5

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from tools.bench import baselines as comparators
-from tools.bench.measures import similarity as likeness
+from tools.bench import baselines
+from tools.bench.measures import similarity
 from tools.bench.report import Row
-from tools.bench.sections import baselines as comparison
+from tools.bench.sections import comparison
 from tools.bench.sounds.signals import (
     RECORDINGS_COMMAND,
     SAMPLERATE,
@@ -30,57 +30,57 @@ def late(signal, delay_s):
     return np.concatenate((np.zeros(delay), signal[: signal.size - delay]))
 
 
-# ------------------------------------------------------------------------------------- likeness
+# ------------------------------------------------------------------------------------- similarity
 
 
 def test_an_envelope_that_comes_later_is_still_the_same_envelope():
     sound = gated(1_000.0)
     vibration = late(gated(100.0), 0.04)
-    assert likeness.envelope_correlation(sound, vibration, SAMPLERATE) > 0.98
+    assert similarity.envelope_correlation(sound, vibration, SAMPLERATE) > 0.98
 
 
 def test_a_steady_vibration_has_nothing_of_a_sound_that_comes_and_goes():
     steady = tone(100.0, 0.3, 3.0)
-    assert abs(likeness.envelope_correlation(gated(1_000.0), steady, SAMPLERATE)) < 0.1
-    assert likeness.envelope_correlation(gated(1_000.0), np.zeros(steady.size), SAMPLERATE) == 0.0
+    assert abs(similarity.envelope_correlation(gated(1_000.0), steady, SAMPLERATE)) < 0.1
+    assert similarity.envelope_correlation(gated(1_000.0), np.zeros(steady.size), SAMPLERATE) == 0.0
 
 
 def test_a_vibration_is_wholly_like_itself_however_strong_and_late():
     wanted = gated(100.0) + gated(180.0, 0.7)
-    assert likeness.st_sim(wanted, wanted, SAMPLERATE) == pytest.approx(1.0)
-    assert likeness.st_sim(0.1 * wanted, wanted, SAMPLERATE) == pytest.approx(1.0)
+    assert similarity.st_sim(wanted, wanted, SAMPLERATE) == pytest.approx(1.0)
+    assert similarity.st_sim(0.1 * wanted, wanted, SAMPLERATE) == pytest.approx(1.0)
     # 50 ms are four steps of the pattern
-    assert likeness.st_sim(late(wanted, 0.05), wanted, SAMPLERATE) > 0.98
+    assert similarity.st_sim(late(wanted, 0.05), wanted, SAMPLERATE) > 0.98
 
 
 def test_the_wrong_place_and_the_wrong_time_are_both_less_alike():
     wanted = gated(100.0)
     steady, elsewhere = tone(100.0, 0.3, 3.0), gated(400.0)
     # what comes and goes sharply has clicks in every band, so something is always alike
-    assert likeness.st_sim(steady, wanted, SAMPLERATE) < 0.5
-    assert likeness.st_sim(elsewhere, wanted, SAMPLERATE) < 0.5
-    assert likeness.st_sim(np.zeros(wanted.size), wanted, SAMPLERATE) == 0.0
-    assert math.isnan(likeness.st_sim(wanted, np.zeros(wanted.size), SAMPLERATE))
+    assert similarity.st_sim(steady, wanted, SAMPLERATE) < 0.5
+    assert similarity.st_sim(elsewhere, wanted, SAMPLERATE) < 0.5
+    assert similarity.st_sim(np.zeros(wanted.size), wanted, SAMPLERATE) == 0.0
+    assert math.isnan(similarity.st_sim(wanted, np.zeros(wanted.size), SAMPLERATE))
 
 
 def test_the_felt_spectrum_has_the_level_of_the_tone_in_it_and_nothing_from_above():
-    _, power = likeness.felt_spectrum(tone(100.0, 0.5, 1.0) + tone(1_000.0, 0.5, 1.0), SAMPLERATE)
-    assert likeness.level_db(power.sum()) == pytest.approx(20.0 * math.log10(0.5), abs=0.05)
+    _, power = similarity.felt_spectrum(tone(100.0, 0.5, 1.0) + tone(1_000.0, 0.5, 1.0), SAMPLERATE)
+    assert similarity.level_db(power.sum()) == pytest.approx(20.0 * math.log10(0.5), abs=0.05)
 
 
 def test_tones_apart_share_nothing_and_what_is_not_felt_is_not_other():
     low, high, heard = (tone(hz, 0.3, 1.0) for hz in (100.0, 180.0, 1_000.0))
-    assert likeness.spectral_distance(low, high, SAMPLERATE) == pytest.approx(1.0, abs=0.01)
-    assert likeness.spectral_distance(low, 0.1 * low, SAMPLERATE) == pytest.approx(0.0, abs=1e-9)
-    assert likeness.spectral_distance(low, heard, SAMPLERATE) is None
-    assert likeness.dominant_hz(heard, SAMPLERATE) is None
-    assert likeness.dominant_hz(high, SAMPLERATE) == pytest.approx(180.0, abs=1.0)
+    assert similarity.spectral_distance(low, high, SAMPLERATE) == pytest.approx(1.0, abs=0.01)
+    assert similarity.spectral_distance(low, 0.1 * low, SAMPLERATE) == pytest.approx(0.0, abs=1e-9)
+    assert similarity.spectral_distance(low, heard, SAMPLERATE) is None
+    assert similarity.dominant_hz(heard, SAMPLERATE) is None
+    assert similarity.dominant_hz(high, SAMPLERATE) == pytest.approx(180.0, abs=1.0)
 
 
 # ----------------------------------------------------------------------------------- the section
 
 
-def test_a_comparator_wins_exactly_where_its_row_is_better():
+def test_a_baseline_wins_exactly_where_its_row_is_better():
     rows = [
         Row(comparison.COST, 2.0, "ms", LIVE),
         Row(comparison.COST, 1.0, "ms", "band-pass"),
@@ -91,29 +91,29 @@ def test_a_comparator_wins_exactly_where_its_row_is_better():
         Row(comparison.LAG_P95, None, "ms", "band-pass", note="none felt"),
     ]
     names = ("band-pass", "centroid")
-    verdict = comparison.where_comparators_win(rows, names)
-    assert verdict.startswith("A comparator beats the live form in: ")
+    verdict = comparison.where_baselines_win(rows, names)
+    assert verdict.startswith("A baseline beats the live form in: ")
     assert f"{comparison.COST} (band-pass 1 against 2 ms)" in verdict
     assert "centroid" not in verdict
     assert comparison.LIKE_SOUND not in verdict
     assert comparison.LAG_P95 not in verdict
-    assert "No comparator" in comparison.where_comparators_win(rows, ("centroid",))
+    assert "No baseline" in comparison.where_baselines_win(rows, ("centroid",))
 
 
 @pytest.fixture(scope="module")
 def section():
     noise = white_noise(1.0)
     recordings = (Recording("noise", "made", noise, SAMPLERATE),)
-    return comparison.comparison(Workbench(QUICK, SUBJECTS, recordings))
+    return comparison.compared(Workbench(QUICK, SUBJECTS, recordings))
 
 
 def test_every_way_has_a_value_or_a_reason_in_every_row(section):
     by_place = {(row.name, row.column): row for row in section.rows}
     for name in {row.name for row in section.rows}:
-        for column in (LIVE, REFERENCE, *comparators.NAMES):
+        for column in (LIVE, REFERENCE, *baselines.NAMES):
             row = by_place[name, column]
             assert row.value is not None or row.note
-    assert {criterion.name for criterion in comparison.CRITERIA} <= {name for name, _ in by_place}
+    assert set(comparison.CRITERIA) <= {name for name, _ in by_place}
 
 
 def test_high_tones_stay_two_in_the_live_form_and_are_nothing_in_a_band_pass(section):
@@ -124,18 +124,18 @@ def test_high_tones_stay_two_in_the_live_form_and_are_nothing_in_a_band_pass(sec
 
 def test_without_recordings_each_of_their_rows_is_missing(monkeypatch):
     # the rest of the section is the same with and without
-    for part in ("_cost_rows", "_onset_rows", "_high_tone_rows", "_level_rows"):
+    for part in ("_cost_rows", "_onset_rows", "_high_tone_rows"):
         monkeypatch.setattr(comparison, part, lambda *_: [])
-    missing = comparison.comparison(Workbench(QUICK, SUBJECTS, ())).missing
+    missing = comparison.compared(Workbench(QUICK, SUBJECTS, ())).missing
     assert {gone.name for gone in missing} == {
-        f"{comparison.TITLE}: {name}" for name in comparison.RECORDING_ROWS
+        f"{comparison.TITLE}: {name}" for name in comparison.SUMMARIES
     }
     assert {gone.command for gone in missing} == {RECORDINGS_COMMAND}
 
 
-def test_a_missing_comparator_is_named_in_the_section(monkeypatch):
-    for part in ("_cost_rows", "_onset_rows", "_high_tone_rows", "_level_rows"):
+def test_a_missing_baseline_is_named_in_the_section(monkeypatch):
+    for part in ("_cost_rows", "_onset_rows", "_high_tone_rows"):
         monkeypatch.setattr(comparison, part, lambda *_: [])
-    monkeypatch.setattr(comparators, "NAMES", ("band-pass", "divining rod"))
-    missing = comparison.comparison(Workbench(QUICK, SUBJECTS, ())).missing
-    assert missing[0].name == "every row of the comparator divining rod"
+    monkeypatch.setattr(baselines, "NAMES", ("band-pass", "divining rod"))
+    missing = comparison.compared(Workbench(QUICK, SUBJECTS, ())).missing
+    assert missing[0].name == "every row of the baseline divining rod"

@@ -101,15 +101,17 @@ def test_a_setting_that_is_better_only_beyond_what_is_aimed_at_is_said_to_be_so(
     good, bad = a_measured(**{PURITY: -71.0}), a_measured(**{PURITY: -50.0})
     purer = {"purer": a_measured(**{PURITY: -95.0, COST: 1.05})}
     verdict = frontier._verdict({DEFAULT: good} | purer)
-    assert ") lie on the frontier where there is more to be felt" in verdict
-    assert "good enough already: purer (THD+N -95 dB; cost +5 %)" in verdict
+    assert ") lie on the frontier of what can be felt" in verdict
+    assert (
+        "Better only beyond the aims (THD+N ≤ -70 dB): purer (THD+N -95 dB; cost +5 %)" in verdict
+    )
     assert "THD+N ≤ -70 dB" in verdict
     verdict = frontier._verdict({DEFAULT: bad} | purer)
     assert "do not lie on the frontier: purer is better in something" in verdict
     cheaper = {"cheaper": a_measured(**{PURITY: -71.0, COST: 0.5})}
     verdict = frontier._verdict({DEFAULT: good} | purer | cheaper)
     assert "do not lie on the frontier: cheaper is better" in verdict
-    assert "good enough already: purer (THD" in verdict
+    assert "beyond the aims (THD+N ≤ -70 dB): purer (THD" in verdict
 
 
 def test_the_error_of_a_tone_is_that_of_its_vibration():

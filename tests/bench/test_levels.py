@@ -36,8 +36,8 @@ def test_k_weighting_makes_0_dbfs_at_997_hz_what_the_recommendation_says():
     assert heard == pytest.approx(-3.01, abs=0.01)
 
 
-def test_every_profile_and_the_law_alone_are_measured():
-    assert [way.name for way in ways()] == ["paper", "law by energy", *list(PROFILES)[1:]]
+def test_every_profile_and_the_mapping_alone_are_measured():
+    assert [way.name for way in ways()] == ["paper", "by energy", *list(PROFILES)[1:]]
 
 
 def test_a_settled_sound_has_its_own_length_and_knows_what_was_played_before():

@@ -11,22 +11,19 @@ from tests.support.commands import noise, sound
 from tests.support.recordings import require_recordings
 from tools import bench
 from tools.bench import BenchReport, workbench
-from tools.bench import baselines as comparators
-from tools.bench.baselines.band_pass import Way
+from tools.bench.baselines import band_pass
+from tools.bench.baselines.band_pass import Method
 from tools.bench.machine import machine_facts
 from tools.bench.report import Row, Section
-from tools.bench.sections import baselines as comparison
-from tools.bench.sections import live_latency as live_report
-from tools.bench.sections import recordings, speed
-from tools.bench.sections import soaks as soak_report
+from tools.bench.sections import comparison, kept_records, speed
 from tools.bench.sounds.signals import (
     COST_SCENES,
     KNOWN,
-    PROJECT_ROOT,
     RECORDINGS_VARIABLE,
     examine_recordings,
 )
-from tools.bench.workbench import LIVE, QUICK, TWIN
+from tools.bench.workbench import LIVE, NUMPY, QUICK
+from tools.records import PROJECT_ROOT
 
 SCHEMA = json.loads((PROJECT_ROOT / "tools/bench/report.schema.json").read_text())
 
@@ -84,11 +81,11 @@ TAKEN = (
     "gain",
     "cost of a second",
     "worst hop",
-    "comparators",
-    "ladder of the rig",
+    "baselines",
+    "model selection",
     "damping on recordings",
-    "live record",
-    "soak record",
+    "live latency",
+    "soak",
     "soak of the rig",
     "soak of the identification",
 )
@@ -170,7 +167,7 @@ def folder(monkeypatch, tmp_path):
 def test_with_every_recording_nothing_is_missing(folder):
     found, absent = examine_recordings()
     assert (len(found), absent) == (len(KNOWN), {})
-    section = recordings.recordings(a_bench(found, absent))
+    section = bench.fidelity.recordings(a_bench(found, absent))
     assert section.missing == ()
     assert section.rows[0].value == len(KNOWN)
 
@@ -187,7 +184,7 @@ def test_a_recording_that_is_gone_or_no_sound_is_named(folder):
     found, absent = examine_recordings()
     assert len(found) == len(KNOWN) - 2
     assert set(absent) == {KNOWN[0], KNOWN[-1]}
-    section = recordings.recordings(a_bench(found, absent))
+    section = bench.fidelity.recordings(a_bench(found, absent))
     by_name = {gone.name: gone for gone in section.missing}
     assert "it is not in" in by_name[f"recording {KNOWN[0]}"].reason
     assert "it cannot be read" in by_name[f"recording {KNOWN[-1]}"].reason
@@ -196,7 +193,7 @@ def test_a_recording_that_is_gone_or_no_sound_is_named(folder):
 
 def test_the_command_tells_of_a_recording_that_is_gone(folder, monkeypatch, tmp_path):
     (folder / KNOWN[3]).unlink()
-    done = ran(monkeypatch, tmp_path, ("recordings", recordings.recordings))
+    done = ran(monkeypatch, tmp_path, ("recordings", bench.fidelity.recordings))
     assert done.code == 2
     assert f"recording {KNOWN[3]}: it is not in" in done.stderr
     assert f"| recording {KNOWN[3]} | **missing** |" in done.stdout
@@ -207,26 +204,26 @@ def test_without_a_folder_every_section_on_recordings_says_so(monkeypatch, tmp_p
     found, absent = examine_recordings()
     assert (found, absent) == ((), {})
     for each in (
-        recordings.recordings,
+        bench.fidelity.recordings,
         bench.fidelity.energy_above,
         bench.fidelity.principal_frequencies,
-        bench.rungs_by_second.rungs_by_second,
+        bench.model_selection.selection_by_second,
         bench.damping_recordings.damping_on_recordings,
-        comparison.comparison,
+        comparison.compared,
     ):
         missing = each(a_bench()).missing
         assert missing, each
         assert all("fetch_recordings.sh" in gone.command for gone in missing)
 
 
-# ------------------------------------------------------------------------------------ comparators
+# ------------------------------------------------------------------------------------ baselines
 
 
 @pytest.mark.parametrize("when", ["begins", "plays"])
-def test_a_comparator_that_fails_is_named_and_the_others_keep_every_row(monkeypatch, when):
-    before = comparison.comparison(a_bench())
+def test_a_baseline_that_fails_is_named_and_the_others_keep_every_row(monkeypatch, when):
+    before = comparison.compared(a_bench())
 
-    class Fails(Way):
+    class Fails(Method):
         def __init__(self, *format_):
             super().__init__(*format_)
             if when == "begins":
@@ -235,10 +232,10 @@ def test_a_comparator_that_fails_is_named_and_the_others_keep_every_row(monkeypa
         def process(self, frames):
             raise ZeroDivisionError("no\nground")
 
-    monkeypatch.setattr(comparators.band_pass, "Way", Fails)
-    after = comparison.comparison(a_bench())
+    monkeypatch.setattr(band_pass, "Method", Fails)
+    after = comparison.compared(a_bench())
     named = [gone for gone in after.missing if gone not in before.missing]
-    assert [gone.name for gone in named] == ["every row of the comparator band-pass"]
+    assert [gone.name for gone in named] == ["every row of the baseline band-pass"]
     assert "no ground" in named[0].reason
     rows = {(row.name, row.column) for row in after.rows}
     expected = {(row.name, row.column) for row in before.rows if row.column != "band-pass"}
@@ -249,19 +246,17 @@ def test_a_comparator_that_fails_is_named_and_the_others_keep_every_row(monkeypa
 
 
 @pytest.mark.parametrize(
-    ("module", "result", "kept"),
+    ("result", "kept"),
     [
-        (live_report, live_report.live_result, "docs/live.json"),
-        (soak_report, soak_report.soak_result, "docs/soak.json"),
-        (soak_report, soak_report.rig_soak_result, "docs/soak.json"),
-        (soak_report, soak_report.identified_result, "docs/soak.json"),
+        (kept_records.live_latency, "docs/live.json"),
+        (kept_records.transform_soak, "docs/soak.json"),
+        (kept_records.rig_soak, "docs/soak.json"),
+        (kept_records.identification_soak, "docs/soak.json"),
     ],
 )
-def test_a_record_that_is_gone_empty_or_spoiled_is_named(
-    monkeypatch, tmp_path, module, result, kept
-):
+def test_a_record_that_is_gone_empty_or_spoiled_is_named(monkeypatch, tmp_path, result, kept):
     path = tmp_path / "record.json"
-    monkeypatch.setattr(module, "record_path", lambda: path)
+    monkeypatch.setattr(kept_records, "record_path", lambda _: path)
     document = json.loads((PROJECT_ROOT / kept).read_text())
     whole = json.dumps(document)
     spoiled = [
@@ -300,11 +295,11 @@ def test_a_record_that_is_gone_empty_or_spoiled_is_named(
 def test_without_the_kernel_its_rows_are_missing_and_those_in_numpy_are_not_called_it(
     without_kernel, short_scenes
 ):
-    assert [subject.name for subject in workbench.speed_subjects()] == [TWIN, "reference"]
+    assert [subject.name for subject in workbench.speed_subjects()] == [NUMPY, "reference"]
     for each in (speed.cost_of_a_second, speed.cost_after_pauses, speed.worst_hop):
         section = each(a_bench())
         assert LIVE not in {row.column for row in section.rows}
-        assert TWIN in {row.column for row in section.rows}
+        assert NUMPY in {row.column for row in section.rows}
         (gone,) = [gone for gone in section.missing if "compiled" in gone.name]
         assert "it was never built" in gone.reason
         assert gone.command == "rm -rf .venv && make run"
@@ -322,7 +317,7 @@ def test_with_the_kernel_none_of_its_rows_is_missing():
 
 def test_denormal_numbers_of_both_widths_are_held_against_normal_ones_as_weak(short_scenes):
     rows = speed.cost_of_a_second(a_bench()).rows
-    ratios = [row for row in rows if "over weak" in row.name and row.column == LIVE]
+    ratios = [row for row in rows if "over tiny" in row.name and row.column == LIVE]
     assert len(ratios) == 4
     assert all(row.must and row.unit == "times" for row in ratios)
 

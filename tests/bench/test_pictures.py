@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.bench_runs import bench_command
 from tools import bench
-from tools.bench.figures.pictures import LAG_TITLE, PICTURES, shown_in
+from tools.bench.figures.pictures import PICTURES, shown_in
 from tools.bench.report import Row, Section
 
 SMALL_BYTES = 100_000
@@ -16,7 +16,7 @@ SMALL_BYTES = 100_000
 def lags(_):
     """Return what the picture of lags is drawn from: single lags in ms, for both forms."""
     series = {"live": (6.0, 7.0, 8.0, 9.5), "reference": (20.0, 35.0, 50.0, 58.0)}
-    return Section(LAG_TITLE, "How soon it is felt.", (Row("lag", 8.0, "ms"),), series=series)
+    return Section("Onset lag", "How soon it is felt.", (Row("lag", 8.0, "ms"),), series=series)
 
 
 def broken(_):
@@ -40,7 +40,7 @@ def test_a_page_shows_the_pictures_under_its_folder_in_their_section(
     done = ran(monkeypatch, tmp_path / "page.md", tmp_path / "my images")
     assert done.code == 0
     page = (tmp_path / "page.md").read_text("utf-8")
-    assert f"## {LAG_TITLE}\n\nHow soon it is felt.\n\n![" in page
+    assert "## Onset lag\n\nHow soon it is felt.\n\n![" in page
     assert "](my%20images/lag.png)\n\n|" in page
     assert page in done.stdout
     assert [path.name for path in (tmp_path / "my images").iterdir()] == ["lag.png"]

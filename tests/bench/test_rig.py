@@ -1,37 +1,42 @@
-"""The benches of the rig's rungs, in short, and that each would see what it looks for."""
+"""The sections on the rig, and the energy balance of its models."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tools.bench.sections import passivity
-from tools.bench.sections import rig_scaling as rig_growth
-from tools.bench.sections.rig_precision import LEVEL_V, drive
+from tests.support import energy_balance
+from tools.bench.sections import scaling
+from tools.bench.sections.rig import drive
+from tools.bench.sections.rig_precision import LEVEL_V
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
 
 LEAST = Workbench(replace(QUICK, rig_s=1.0, random_rigs=2), SUBJECTS, ())
 
 
 def test_below_the_stops_no_step_makes_more_than_a_millionth_of_the_energy():
-    assert passivity.worst_step(drive(LEVEL_V, 0.4)) <= 1e-6
+    assert energy_balance.worst_step(drive(0.4, LEVEL_V)) <= 1e-6
 
 
-def test_heat_that_is_missed_would_be_energy_from_nowhere(monkeypatch):
-    heat_w = passivity._heat_w
-    monkeypatch.setattr(passivity, "_heat_w", lambda *at: 0.999 * heat_w(*at))
-    assert passivity.worst_step(drive(LEVEL_V, 0.4)) > 1e-6
+def test_no_step_of_the_step_by_step_model_makes_energy_even_of_noise():
+    assert energy_balance.worst_step_of_noise() <= 1e-10
+
+
+def test_heat_that_is_missed_would_be_an_energy_balance_error(monkeypatch):
+    heat_w = energy_balance._heat_w
+    monkeypatch.setattr(energy_balance, "_heat_w", lambda *at: 0.999 * heat_w(*at))
+    assert energy_balance.worst_step(drive(0.4, LEVEL_V)) > 1e-6
 
 
 def test_the_integral_over_a_step_is_exact_for_parabolas():
     times = np.arange(17) / 48_000
-    (got,) = passivity._over_steps(3.0 + times + times**2, np.array([0, 16]), 48_000)
+    (got,) = energy_balance._over_steps(3.0 + times + times**2, np.array([0, 16]), 48_000)
     end = times[16]
     assert got == pytest.approx(3.0 * end + end**2 / 2.0 + end**3 / 3.0, rel=1e-12)
 
 
 def test_growth_is_told_as_ratios_of_one_run_with_an_exponent_each():
-    section = rig_growth.rig_growth(LEAST)
+    section = scaling.rig_scaling(LEAST)
     columns = {row.column for row in section.rows}
     assert len(columns) == 3
     for column in columns:
@@ -44,5 +49,5 @@ def test_growth_is_told_as_ratios_of_one_run_with_an_exponent_each():
 
 def test_an_exponent_is_that_of_the_costs():
     sizes = [1.0, 2.0, 4.0]
-    assert rig_growth._exponent(sizes, [3.0, 6.0, 12.0]) == pytest.approx(1.0)
-    assert rig_growth._exponent(sizes, [3.0, 12.0, 48.0]) == pytest.approx(2.0)
+    assert scaling.exponent(sizes, [3.0, 6.0, 12.0]) == pytest.approx(1.0)
+    assert scaling.exponent(sizes, [3.0, 12.0, 48.0]) == pytest.approx(2.0)

@@ -17,9 +17,10 @@ from audioflinger_hook.sources import mixdown
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from device.errors import UsageError
-from tools.bench.sections import live_latency as live_report
-from tools.bench.sections.live_latency import USUAL_BLOCK_FRAMES, LiveRecord
+from tools.bench.sections import kept_records
+from tools.bench.sections.kept_records import USUAL_BLOCK_FRAMES
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
+from tools.live_latency import record as live_record
 from tools.live_latency.arrival import ArrivalLine
 from tools.live_latency.lag import (
     Envelope,
@@ -30,6 +31,7 @@ from tools.live_latency.lag import (
     swelling_tone,
 )
 from tools.live_latency.measurement import Rendering
+from tools.live_latency.record import LiveRecord
 from tools.live_latency.usage import ProcessUse
 
 RATE = 48_000
@@ -316,11 +318,11 @@ def a_record(**changed):
 
 def test_the_latest_record_of_each_server_and_block_size_is_kept(tmp_path):
     path = tmp_path / "docs" / "live.json"
-    assert live_report.read_records(path) == ()
+    assert live_record.read_records(path) == ()
     long_blocks, short_blocks = a_record(block_frames=1024), a_record(block_frames=128)
-    live_report.keep_records([a_record(lag_median_ms=99.0), long_blocks], path)
-    live_report.keep_records([a_record(), short_blocks], path)
-    assert live_report.read_records(path) == (short_blocks, a_record(), long_blocks)
+    live_record.keep_records([a_record(lag_median_ms=99.0), long_blocks], path)
+    live_record.keep_records([a_record(), short_blocks], path)
+    assert live_record.read_records(path) == (short_blocks, a_record(), long_blocks)
     assert set(json.loads(path.read_text())["records"][0]) == {
         field.name for field in fields(LiveRecord)
     }
@@ -329,18 +331,18 @@ def test_the_latest_record_of_each_server_and_block_size_is_kept(tmp_path):
 def test_a_broken_record_is_an_error_to_read_and_replaced_when_written(tmp_path):
     path = tmp_path / "live.json"
     path.write_text('{"records": [{"server": 1}]}')
-    with pytest.raises(UsageError, match="no live record"):
-        live_report.read_records(path)
-    live_report.keep_records([a_record()], path)
-    assert live_report.read_records(path) == (a_record(),)
+    with pytest.raises(UsageError, match="no valid records"):
+        live_record.read_records(path)
+    live_record.keep_records([a_record()], path)
+    assert live_record.read_records(path) == (a_record(),)
 
 
 def section(monkeypatch, tmp_path, *records):
     path = tmp_path / "live.json"
     if records:
-        live_report.keep_records(records, path)
-    monkeypatch.setattr(live_report, "record_path", lambda: path)
-    return live_report.live_result(Workbench(QUICK, SUBJECTS, ()))
+        live_record.keep_records(records, path)
+    monkeypatch.setattr(kept_records, "record_path", lambda _: path)
+    return kept_records.live_latency(Workbench(QUICK, SUBJECTS, ()))
 
 
 def test_the_table_asks_its_limits_of_the_usual_blocks_only(monkeypatch, tmp_path):
@@ -360,14 +362,14 @@ def test_a_lag_that_grows_or_is_long_is_not_met(monkeypatch, tmp_path):
 
 def test_records_of_before_pauses_were_watched_can_be_read(monkeypatch, tmp_path):
     path = tmp_path / "live.json"
-    document = live_report.to_json([a_record()])
+    document = live_record.to_json([a_record()])
     for name in ("machine_pauses", "machine_pause_ms"):
         del document["records"][0][name]
     path.write_text(json.dumps(document))
-    (record,) = live_report.read_records(path)
+    (record,) = live_record.read_records(path)
     assert record.machine_pauses is None
     table = section(monkeypatch, tmp_path, record)
-    assert "the machine stood still" not in [row.column for row in table.rows]
+    assert "pauses of the machine" not in [row.column for row in table.rows]
 
 
 def test_an_instrument_that_is_off_says_so(monkeypatch, tmp_path):

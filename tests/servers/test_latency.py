@@ -13,18 +13,15 @@ from pathlib import Path
 import pytest
 
 from tests.servers.daemons import ROOT, environment, running
-from tools.bench.sections.live_latency import (
-    CPU_PERCENT,
-    LAG,
-    NO_GROWTH_MS,
+from tools.bench.sections.kept_records import CPU_PERCENT, LAG, NO_GROWTH_MS, USUAL_BLOCK_FRAMES
+from tools.latency import main
+from tools.live_latency.record import (
     RECORD,
     TRUSTED_MS,
-    USUAL_BLOCK_FRAMES,
     LiveRecord,
     keep_records,
     read_records,
 )
-from tools.latency import main
 from tools.sound_server import PROGRAMS, SoundServer, missing_programs
 
 pytestmark = pytest.mark.calm

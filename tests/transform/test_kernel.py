@@ -15,6 +15,7 @@ from audioflinger_hook.sources import mixdown
 from audioflinger_hook.transform import TransformParameters, kernel_warning
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from device.errors import UsageError
+from tests.support.memory import memory_growth
 from tests.support.parameters import LIMITS
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
@@ -34,7 +35,6 @@ from tests.support.signals import (
     tone,
     white_noise,
 )
-from tools.bench.sections.scaling import memory_growth
 
 AGREEMENT = 1e-6
 """Of full scale: what the two owe each other. On what follows they are within 1e-8."""

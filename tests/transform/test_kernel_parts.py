@@ -10,8 +10,8 @@ from scipy.fft import rfft
 
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
+from tests.support.memory import resident_bytes
 from tests.support.signals import SAMPLERATES, identical, joined, silence, tone, white_noise
-from tools.bench.sections.scaling import resident_bytes
 
 _kernel = pytest.importorskip("audioflinger_hook.transform._kernel", exc_type=ImportError)
 

@@ -3,12 +3,11 @@
 import pytest
 
 from device.rig.model_levels import ModelLevel
+from tests.support.rig_soak import soak_energy
+from tests.support.soak import soak_identification, soak_scene, soak_tone
 from tools.bench.measures.random_rigs import RIGS, SHARES
-from tools.bench.rig_soak import SAMPLES, STEPPED_SAMPLES, soak_energy
-from tools.bench.sections.identification import soak_identification
-from tools.bench.soak import HOPS, soak_scene, soak_tone
-from tools.bench.soak_record import RECORD, SoakRecord, keep_record
-from tools.bench.sounds.signals import PROJECT_ROOT
+from tools.bench.soak_record import HOPS, RECORD, SAMPLES, STEPPED_SAMPLES, SoakRecord, keep_record
+from tools.records import PROJECT_ROOT
 
 
 def kept(record: SoakRecord) -> SoakRecord:

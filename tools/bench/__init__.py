@@ -1,19 +1,17 @@
-"""The bench: what the transform and the simulated rig cost and how far they are off, measured here.
+"""The bench: speed and error of the transform and of the simulated rig, measured on this machine.
 
-    signals, recordings --.
-                          |-> benches (tones, fidelity, speed, growth, savings, mixing, rendering,
-    subjects (live, ...) -'        measures, cost,       rig, ...)         |
-    comparators                    likeness                               |
-                                                                           v
-           soak record, live record ------------------------------------> report -> Markdown, JSON
-                 ^                                                         '----> drawing
-                 '- live_latency (live_daemon, live_recording, arrival, lag), by tools/latency.py
+    sounds, subjects, baselines -> sections (with cost, measures) -> report -> Markdown, JSON
+    records of soaks and of live latency --'                           '-> figures
 
-    report = run_bench(quick=True, progress=None)
-    drawn = plots(report, Path("docs/images"))
-    print(report.to_markdown(pictures_in(Path("docs/benchmarks.md"), drawn)))
+| folder | content |
+| --- | --- |
+| sounds | signals by formula, and recordings |
+| baselines | other methods from sound to vibration |
+| measures | error, similarity and lag of a vibration; random rigs |
+| sections | one function a section of the report |
+| figures | the pictures of a report |
 
-Nothing in a report is typed in: benches return rows, and limits are compared by the report.
+`python -m tools.bench` measures everything; `run_bench` does the same from Python.
 """
 
 from __future__ import annotations
@@ -22,41 +20,37 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from tools.bench.figures import pictures
 from tools.bench.machine import machine_facts
 from tools.bench.report import COMMAND, BenchReport, Missing, Must, Row, Section
 from tools.bench.sections import (
     attacks,
+    comparison,
     damping,
-    damping_levels,
     damping_recordings,
     fidelity,
     frequency_error,
     frontier,
     identification,
+    kept_records,
     levels,
     mixing,
+    model_selection,
     onset_detection,
+    profiles,
     protection,
-    recordings,
     rendering,
     rig,
+    rig_precision,
     savings,
+    scaling,
     speech_suppression,
     speed,
     tones,
 )
-from tools.bench.sections import baselines as comparison
-from tools.bench.sections import live_latency as live_report
-from tools.bench.sections import model_by_second as rungs_by_second
-from tools.bench.sections import model_selection as rungs
-from tools.bench.sections import profiles as profile_measures
-from tools.bench.sections import rig_precision as precision
-from tools.bench.sections import rig_scaling as rig_growth
-from tools.bench.sections import scaling as growth
-from tools.bench.sections import soaks as soak_report
-from tools.bench.soak_record import now
 from tools.bench.sounds.signals import examine_recordings
 from tools.bench.workbench import FULL, QUICK, SUBJECTS, Bench, Effort, Workbench
+from tools.records import now
 
 __all__ = [
     "BENCHES",
@@ -71,10 +65,10 @@ __all__ = [
 ]
 
 Progress = Callable[[str, float], None]
-"""Told what is measured now, and the share of the work done before it, 0 to 1."""
+"""Called with what is measured now and the share that is done, 0 to 1."""
 
 BENCHES: tuple[tuple[str, Bench, float], ...] = (
-    ("recordings", recordings.recordings, 0.1),
+    ("recordings", fidelity.recordings, 0.1),
     ("steady tones", tones.steady_tones, 5.0),
     ("onset lag", fidelity.onset_lag, 2.0),
     ("onsets found", onset_detection.onsets_found, 4.0),
@@ -87,37 +81,33 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("cost of a second", speed.cost_of_a_second, 8.0),
     ("cost after pauses", speed.cost_after_pauses, 3.0),
     ("worst hop", speed.worst_hop, 5.0),
-    ("growth of cost", growth.cost_growth, 4.0),
+    ("scaling of cost", scaling.cost_scaling, 4.0),
     ("savings", savings.savings, 7.0),
     ("speech suppression", speech_suppression.speech_suppression, 8.0),
     ("effects under speech", speech_suppression.effects_under_speech, 0.5),
     ("the mixer", mixing.mixing, 6.0),
     ("rendering", rendering.render_speed, 4.0),
     ("cost against error", frontier.frontier, 4.0),
-    ("comparators", comparison.comparison, 3.0),
+    ("baselines", comparison.compared, 3.0),
     ("level", levels.level, 3.0),
-    ("profiles", profile_measures.profiles, 3.0),
+    ("profiles", profiles.profiles, 3.0),
     ("simulated rig", rig.linear_model, 2.0),
-    ("rungs of the rig", precision.work_and_precision, 5.0),
-    ("ladder of the rig", rungs.ladder_of_rungs, 3.0),
-    ("ladder by second", rungs_by_second.rungs_by_second, 1.0),
-    ("growth of the rig's cost", rig_growth.rig_growth, 3.0),
+    ("work and precision", rig_precision.work_and_precision, 5.0),
+    ("model selection", model_selection.model_selection, 3.0),
+    ("model selection by second", model_selection.selection_by_second, 1.0),
+    ("scaling of the rig's cost", scaling.rig_scaling, 3.0),
     ("residual vibration", damping.residual_energy, 2.0),
-    ("settling", damping.settling_time, 0.5),
-    ("residual vibration by level", damping_levels.residual_energy_by_level, 2.0),
-    ("settling by level", damping_levels.settling_time_by_level, 0.1),
+    ("residual vibration by level", damping.residual_energy_by_level, 2.0),
     ("damping on recordings", damping_recordings.damping_on_recordings, 7.0),
     ("protection", protection.protection, 1.0),
-    ("live cost of the three", protection.live_cost, 3.0),
-    ("exposure", protection.weighting, 0.1),
+    ("protection live", protection.live_cost, 3.0),
     ("identification", identification.identification, 8.0),
-    ("memory", growth.memory_held, 4.0),
-    ("live record", live_report.live_result, 0.1),
-    ("soak record", soak_report.soak_result, 0.1),
-    ("soak of the rig", soak_report.rig_soak_result, 0.1),
-    ("soak of the identification", soak_report.identified_result, 0.1),
+    ("live latency", kept_records.live_latency, 0.1),
+    ("soak", kept_records.transform_soak, 0.1),
+    ("soak of the rig", kept_records.rig_soak, 0.1),
+    ("soak of the identification", kept_records.identification_soak, 0.1),
 )
-"""Every bench in the order of the report: its name, the bench, and about how long it takes."""
+"""Every section in the order of the report: its name, its function, and its share of the time."""
 
 
 def run_bench(
@@ -126,10 +116,16 @@ def run_bench(
     *,
     effort: Effort | None = None,
 ) -> BenchReport:
-    """Measure everything on this machine and return the report.
+    """Return the report of everything, measured on this machine.
 
-    quick: the same rows from less material, in under a minute instead of about five. effort: other
-    counts than those two. The calling thread does the work; costs are its own CPU time.
+    Parameters
+    ----------
+    quick : bool
+        The same rows from less material, in under a minute instead of about five.
+    progress : Progress or None
+        Called before each section, by the calling thread.
+    effort : Effort or None
+        Other counts than those two.
     """
     start_s = time.monotonic()
     machine = machine_facts()
@@ -149,7 +145,7 @@ def run_bench(
 
 
 def _measured(name: str, measure: Bench, bench: Workbench) -> Section:
-    """Return what a bench gives; where it fails a section that says so: the others go on."""
+    """Return a section, or one that names the error, so that the others go on."""
     try:
         return measure(bench)
     except Exception as error:
@@ -160,22 +156,31 @@ def _measured(name: str, measure: Bench, bench: Workbench) -> Section:
 
 
 def plots(report: BenchReport, folder: Path) -> list[Path]:
-    """Write the pictures of a report, PNG, into a folder that exists; return their paths.
+    """Write the pictures of what was measured, PNG, into a folder and return their paths.
 
-    What could not be measured has no picture.
+    Parameters
+    ----------
+    report : BenchReport
+        What is shown.
+    folder : Path
+        An existing folder.
 
     Raises
     ------
     UsageError
         matplotlib is not installed, or the folder cannot be written.
     """
-    from tools.bench.figures.pictures import draw_all
-
-    return draw_all(report, folder)
+    return pictures.draw_all(report, folder)
 
 
 def pictures_in(page: Path, drawn: Sequence[Path]) -> dict[str, str]:
-    """Return what `to_markdown` takes to show pictures that `plots` drew under a page's folder."""
-    from tools.bench.figures.pictures import shown_in
+    """Return the Markdown of pictures by section, for `BenchReport.to_markdown`.
 
-    return shown_in(page, drawn)
+    Parameters
+    ----------
+    page : Path
+        The page that shows them.
+    drawn : Sequence[Path]
+        Paths from `plots`; those outside the page's folder are left out.
+    """
+    return pictures.shown_in(page, drawn)

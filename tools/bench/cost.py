@@ -1,11 +1,8 @@
-"""Timing: what a piece of work costs one thread, beside a unit of cost timed with it.
+"""Timing: what a piece of work costs one thread, beside a unit of cost that is timed with it.
 
-CPU time of the calling thread (`time.thread_time`), so that what other programs do counts only
-through caches and clock frequency; against those the unit is timed right before every
-measurement, and ratios to it are taken pair by pair.
-
-Seconds say what a cost is here and now. From machine to machine, and from minute to minute on one
-that is shared, only the ratio travels: so limits of time are asked in units of the FFT too.
+Costs are CPU time of the calling thread (`time.thread_time`). The unit, one FFT, is timed right
+before every measurement, and ratios are taken pair by pair. Seconds depend on the machine and its
+load; the ratio hardly does. So limits of time are also set in units of the FFT.
 """
 
 from __future__ import annotations
@@ -25,6 +22,8 @@ RFFT_CALLS = 100
 LIMITS_RFFT_S = 7.7e-6
 """What the unit took on the machine that the limits of time were set on."""
 
+Work = Callable[[], object]
+
 _UNIT_INPUT = np.random.default_rng(0).standard_normal(RFFT_FRAMES).astype(np.float32)
 
 
@@ -38,14 +37,11 @@ def rfft_unit_s() -> float:
 
 
 def in_ffts(limit_s: float) -> float:
-    """Return a limit of time, s, as a limit of cost in units of the rfft, to three digits.
-
-    It asks of every machine what the limit of time asks of the one that it was set on.
-    """
+    """Return a limit of time, s, as a limit in units of the FFT, to three digits."""
     return float(f"{limit_s / LIMITS_RFFT_S:.3g}")
 
 
-def thread_seconds(work: Callable[[], object]) -> float:
+def thread_seconds(work: Work) -> float:
     """Return the thread CPU seconds of one call."""
     start = time.thread_time()
     work()
@@ -54,7 +50,7 @@ def thread_seconds(work: Callable[[], object]) -> float:
 
 @dataclass
 class Timings:
-    """Repeated timings of one piece of work: seconds, and the same in units of the rfft."""
+    """Repeated timings of one piece of work: seconds, and the same in units of the FFT."""
 
     seconds: list[float] = field(default_factory=list)
     units: list[float] = field(default_factory=list)
@@ -71,21 +67,19 @@ class Timings:
 
 
 def interleaved(
-    works: Sequence[Callable[[], object]],
+    works: Sequence[Work],
     repeats: int | Sequence[int],
-    before: Sequence[Callable[[], object]] | None = None,
+    before: Sequence[Work] | None = None,
     *,
     warm: bool = True,
 ) -> list[Timings]:
-    """Return the timings of several works, in turns: each round runs every one of them once.
+    """Return the timings of several works; each round runs every one of them once.
 
-    warm: one round before the first warms caches and is not counted; works that last long need
-    none. repeats: of all of them, or of
-    each; those with fewer sit out rounds evenly from first to last. before: for each work, what
-    has to be done before every run of it and is not timed.
+    repeats: of all works, or of each; a work with fewer skips rounds evenly. before: what runs
+    untimed before every run of each work. warm: one round runs first and is not counted.
     """
     timings = [Timings() for _ in works]
-    firsts = before or [_nothing] * len(works)
+    firsts = before or [lambda: None] * len(works)
     counts = [repeats] * len(works) if isinstance(repeats, int) else list(repeats)
     rounds = max(counts, default=0)
     if warm:
@@ -94,22 +88,19 @@ def interleaved(
             work()
     for turn in range(rounds):
         for first, work, kept, count in zip(firsts, works, timings, counts, strict=True):
-            if (turn + 1) * count // rounds == turn * count // rounds:
-                continue
-            first()
-            unit_s = rfft_unit_s()
-            seconds = thread_seconds(work)
-            kept.seconds.append(seconds)
-            kept.units.append(seconds / unit_s)
+            if (turn + 1) * count // rounds > turn * count // rounds:
+                first()
+                unit_s = rfft_unit_s()
+                seconds = thread_seconds(work)
+                kept.seconds.append(seconds)
+                kept.units.append(seconds / unit_s)
     return timings
 
 
 def call_times_s(
-    work: Callable[[Frames], object],
-    blocks: Sequence[Frames],
-    before: Callable[[], object] | None = None,
+    work: Callable[[Frames], object], blocks: Sequence[Frames], before: Work | None = None
 ) -> FloatArray:
-    """Return the thread CPU seconds of each call on a block, (blocks,); before: done untimed."""
+    """Return the thread CPU seconds of each call on a block, (blocks,); before: runs untimed."""
     times = np.empty(len(blocks))
     for index, block in enumerate(blocks):
         if before:
@@ -118,7 +109,3 @@ def call_times_s(
         work(block)
         times[index] = time.thread_time() - start
     return times
-
-
-def _nothing() -> None:
-    """Prepare nothing."""

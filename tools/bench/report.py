@@ -1,22 +1,13 @@
-"""The report: measured rows by section, as Markdown to read and JSON to compute with.
+"""The report: measured rows by section, as Markdown for readers and JSON for programs.
 
-The JSON document is the dataclasses below, field by field, in this shape (SCHEMA_VERSION 1;
-report.schema.json beside this module says it as JSON Schema):
-
-    {"schema": 1, "date": "...", "quick": bool, "duration_s": number, "machine": {MachineFacts},
-     "must": {"met": int, "not_met": [name, ...], "met_in_ffts": [those of them, ...]},
-     "sections": [{"title", "explanation", "rows": [{Row, "met"}], "missing": [{Missing}],
-                   "series": {name: [number, ...]}, "footnote"}]}
-
-A number that is not finite is null. `must` in a row is {"relation", "bound"} or null; `met` is
-true, false, or null where nothing is asked; `lead` is like `must`.
+report.schema.json, beside this module, is the JSON Schema of the document.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 from tools.bench.cost import LIMITS_RFFT_S
@@ -51,12 +42,9 @@ class Must:
 class Row:
     """One measured value.
 
-    name: what was measured; column: whose value it is (`live`, `reference`, ...), rows of one
-    name share a line of the table. value: in `unit`, None where there is none to give (the note
-    says why). low, high: the spread over repeats. must: the limit asked of it; lead: a closer one,
-    which is aimed at. note: what a reader needs besides, for example where the worst case lies.
-    ffts_column: of a limit of this machine's time, the column of the same name that asks the same
-    in FFTs.
+    Rows of one name share a line of the table. `column` is whose value it is; `value` is in `unit`,
+    None where the note gives the reason. low, high: the spread over repeats. must: the limit;
+    lead: a stricter aim. ffts_column: the column with the same limit in FFTs.
     """
 
     name: str
@@ -88,6 +76,20 @@ class Row:
         return f"{value} ({number(self.low)} to {number(self.high)})"
 
 
+def line(
+    name: str,
+    values: Mapping[str, float | None],
+    unit: str = "",
+    must: Must | None = None,
+    lead: Must | None = None,
+    note: str = "",
+) -> list[Row]:
+    """Return the rows of one line, by column; limits and the note are of the first column."""
+    rows = [Row(name, value, unit, column) for column, value in values.items()]
+    rows[0] = replace(rows[0], must=must, lead=lead, note=note)
+    return rows
+
+
 @dataclass(frozen=True)
 class Missing:
     """A row that could not be measured here: its name, the reason, and the command that helps."""
@@ -102,10 +104,9 @@ class Missing:
 
 @dataclass(frozen=True)
 class Section:
-    """One bench's rows under a title, with a sentence on what they mean to a reader.
+    """Rows under a title, with their meaning for the reader.
 
-    series: the single measurements behind some rows, by name, for plots. footnote: how the rows
-    came about, where that is more than a sentence.
+    series: single measurements behind some rows, by name, for plots. footnote: what stands below.
     """
 
     title: str
@@ -116,10 +117,10 @@ class Section:
     footnote: str = ""
 
     def met_in_ffts(self, row: Row) -> bool:
-        """Return whether a row has a twin in FFTs, and that keeps its limit."""
+        """Return whether the same limit in FFTs is met."""
         return any(
-            twin.met is True and (twin.name, twin.column) == (row.name, row.ffts_column)
-            for twin in self.rows
+            other.met is True and (other.name, other.column) == (row.name, row.ffts_column)
+            for other in self.rows
         )
 
 
@@ -168,31 +169,27 @@ class BenchReport:
         return {section.title: section for section in self.sections}[title]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the report as what `json` writes; its shape stands at the top of this module."""
-        document = {
-            "schema": SCHEMA_VERSION,
-            "date": self.date,
-            "quick": self.quick,
-            "duration_s": self.duration_s,
-            "machine": asdict(self.machine),
-            "must": {
-                "met": self.met_count,
-                "not_met": [name for name, _ in self.not_met],
-                "met_in_ffts": [name for name, _ in self.not_met if name in self.met_in_ffts],
-            },
-            "sections": [
-                {
-                    "title": section.title,
-                    "explanation": section.explanation,
-                    "rows": [asdict(row) | {"met": row.met} for row in section.rows],
-                    "missing": [asdict(missing) for missing in section.missing],
-                    "series": {name: list(values) for name, values in section.series.items()},
-                    "footnote": section.footnote,
-                }
-                for section in self.sections
-            ],
-        }
-        finite: dict[str, Any] = _finite(document)
+        """Return the report as what `json` writes; numbers that are not finite become None."""
+        sections = [asdict(section) for section in self.sections]
+        for shown, section in zip(sections, self.sections, strict=True):
+            for row, measured in zip(shown["rows"], section.rows, strict=True):
+                row["met"] = measured.met
+        not_met = [name for name, _ in self.not_met]
+        finite: dict[str, Any] = _finite(
+            {
+                "schema": SCHEMA_VERSION,
+                "date": self.date,
+                "quick": self.quick,
+                "duration_s": self.duration_s,
+                "machine": asdict(self.machine),
+                "must": {
+                    "met": self.met_count,
+                    "not_met": not_met,
+                    "met_in_ffts": [name for name in not_met if name in self.met_in_ffts],
+                },
+                "sections": sections,
+            }
+        )
         return finite
 
     def to_markdown(self, pictures: Mapping[str, str] | None = None) -> str:
@@ -211,24 +208,22 @@ class BenchReport:
         lines = [
             "# Speed and error, measured",
             "",
-            f"`{command}` wrote this file and repeats it. Every number and every verdict is "
-            "measured or computed by that command; nothing is typed by hand.",
+            f"`{command}` writes this file. Every number and every verdict is measured or computed "
+            "by that command.",
             "",
             f"- **Run**: {self.date}, {size}, {self.duration_s:.0f} s.",
             f"- **Machine**: {machine.cpu}, {machine.cores} cores, {machine.system}, "
             f"load {machine.load_before:.1f} before the run.",
             f"- **Software**: Python {machine.python}, NumPy {machine.numpy}, "
             f"SciPy {machine.scipy}.",
-            "- **Cost** is CPU time of the one thread that does the work, in ms for each second "
-            "of 48 kHz stereo, median over repeats with the smallest and the largest in "
-            "brackets. *FFTs* is the same cost as a multiple of one `scipy.fft.rfft` of 2048 "
-            f"float32 samples ({machine.rfft_us:.1f} µs here), timed in turn with it: that "
-            "number travels between machines, so limits of what a second or a block costs are "
-            "asked in FFTs as well: as many as they are on a machine whose FFT takes "
-            f"{1e6 * LIMITS_RFFT_S:g} µs.",
-            "- **live** is the form of the transform that a cushion plays; **reference** is the "
-            "paper's, literally. *must* is the limit the project set itself, *lead* a closer one "
-            "that it aims at.",
+            "- **Cost** is CPU time of the working thread, in ms for each second of 48 kHz stereo: "
+            "the median, with the smallest and the largest in brackets.",
+            "- **FFTs** give the same cost in units of one `scipy.fft.rfft` of 2048 float32 "
+            f"samples ({machine.rfft_us:.1f} µs here), timed along with it. This number is "
+            "comparable between machines, so limits of time are set in FFTs too, for a machine "
+            f"whose FFT takes {1e6 * LIMITS_RFFT_S:g} µs.",
+            "- **live** is the form of the transform that a cushion plays; **reference** follows "
+            "the paper literally. *must* is the project's limit, *lead* a stricter aim.",
             f"- **Result**: {self._result()}",
             *(f"  - not measured: {missing}" for missing in self.missing),
             "",
@@ -236,20 +231,15 @@ class BenchReport:
         return "\n".join(lines)
 
     def _result(self) -> str:
-        """Return the count of limits met, then those that are not: faults before slowness."""
+        """Return the count of limits met, then the others: faults before slowness."""
         slow = [(name, row) for name, row in self.not_met if name in self.met_in_ffts]
         faults = [(name, row) for name, row in self.not_met if name not in self.met_in_ffts]
         count = f"{self.met_count} of {self.met_count + len(self.not_met)} limits met"
         if slow:
-            are = "1 is" if len(slow) == 1 else f"{len(slow)} are"
-            count += f"; of the {len(self.not_met)} not met {are} met in FFTs"
+            pass_ = "1 passes" if len(slow) == 1 else f"{len(slow)} pass"
+            count += f"; of the other {len(self.not_met)}, {pass_} in FFTs"
         lines = [f"{count}.", *(f"  - not met: {name}, {_verdict(row)}" for name, row in faults)]
-        if slow:
-            lines.append(
-                "  - not met in this machine's time only; met in FFTs, which travel between "
-                "machines:"
-            )
-            lines += [f"    - {name}, {_verdict(row)}" for name, row in slow]
+        lines += [f"  - not met in ms, met in FFTs: {name}, {_verdict(row)}" for name, row in slow]
         return "\n".join(lines)
 
 
@@ -265,7 +255,7 @@ def number(value: float) -> str:
         return f"{value:.1e}"
     if abs(value) >= 1000.0:
         return f"{round(value):,}".replace(",", " ")
-    rounded = float(f"{value:.3g}")  # 9.996 has one digit less behind the point than it seems
+    rounded = float(f"{value:.3g}")  # 9.996 becomes 10.0, with one digit less after the point
     return f"{rounded:.{max(0, 2 - math.floor(math.log10(abs(rounded))))}f}"
 
 

@@ -1,18 +1,18 @@
-"""What every bench is given: how much effort to spend, which forms to measure, and on what."""
+"""What every section is given: the effort, the subjects and the recordings; and its cost rows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Protocol
 
 from audioflinger_hook.transform import FloatArray, Frames, HapticTransform, kernel_warning
-from tools.bench.report import Missing, Section
+from tools.bench.cost import Timings, in_ffts, interleaved
+from tools.bench.report import Missing, Must, Row, Section
 from tools.bench.sounds.signals import RECORDINGS_COMMAND, SAMPLERATE, Recording
 
-LIVE, TWIN, REFERENCE = "live", "live in NumPy", "reference"
-
+LIVE, NUMPY, REFERENCE = "live", "live in NumPy", "reference"
 BUILD_COMMAND = "rm -rf .venv && make run"
 
 
@@ -24,31 +24,25 @@ class Stream(Protocol):
         ...
 
     def finish(self) -> FloatArray:
-        """Return the vibration still owed."""
+        """Return the vibration that is still delayed."""
         ...
 
 
 @dataclass(frozen=True)
 class Subject:
-    """Something that is measured: its name in the tables, and how a stream of it begins.
-
-    start: (samplerate in Hz, channels) to a new stream.
-    """
+    """Something that is measured. start: (samplerate in Hz, channels) to a new stream."""
 
     name: str
     start: Callable[[int, int], Stream]
 
     def vibration(self, sound: Frames, samplerate: int) -> FloatArray:
-        """Return the vibration of a whole sound, (frames,), late as it comes out."""
+        """Return the vibration of a whole sound, (frames,), with its latency."""
         frames = sound if sound.ndim == 2 else sound[:, None]
         return self.start(samplerate, frames.shape[1]).process(frames)[:, 0]
 
 
 class Playback:
-    """A sound for a subject, again and again: `open` a new stream, then `play` it, block by block.
-
-    sound: (frames, channels). So what it costs to open a stream is no part of what is timed.
-    """
+    """A sound (frames, channels) for a subject: `open` a new stream, then `play` it in blocks."""
 
     def __init__(self, subject: Subject, sound: Frames, blocksize: int) -> None:
         self._subject = subject
@@ -66,146 +60,119 @@ class Playback:
             self._stream.process(self._sound[first : first + self._blocksize])
 
 
+def timed(playbacks: Sequence[Playback], repeats: int | Sequence[int]) -> list[Timings]:
+    """Return the timings of playbacks, interleaved; opening a stream is not timed."""
+    return interleaved(
+        [each.play for each in playbacks], repeats, [each.open for each in playbacks]
+    )
+
+
+def cost_rows(
+    name: str, column: str, timings: Timings, duration_s: float, limit_ms: float | None = None
+) -> list[Row]:
+    """Return what a second of sound costs, in ms with its spread and in FFTs.
+
+    duration_s: of the sound that was timed; limit_ms: for a second of sound.
+    """
+    middle = 1e3 * timings.median_s / duration_s
+    low = high = None
+    if len(timings.seconds) > 1:
+        low, high = (1e3 * end(timings.seconds) / duration_s for end in (min, max))
+    must = must_ffts = None
+    if limit_ms is not None:
+        must, must_ffts = Must("<=", limit_ms), Must("<=", in_ffts(1e-3 * limit_ms))
+    ffts = f"{column}, FFTs"
+    return [
+        Row(name, middle, "ms", column, must, low=low, high=high, ffts_column=ffts),
+        Row(name, round(timings.median_units / duration_s), "FFTs", ffts, must_ffts),
+    ]
+
+
 SUBJECTS: tuple[Subject, ...] = (
     Subject(LIVE, partial(HapticTransform, form="live")),
     Subject(REFERENCE, partial(HapticTransform, form="reference")),
 )
-"""What is compared, side by side; the first is what the limits are asked of."""
+"""What is compared; the limits are asked of the first."""
 
 SPEED_SUBJECTS: tuple[Subject, ...] = (
     SUBJECTS[0],
-    Subject(TWIN, partial(HapticTransform, form="live", implementation="numpy")),
+    Subject(NUMPY, partial(HapticTransform, form="live", implementation="numpy")),
     SUBJECTS[1],
 )
-"""What is compared in speed: the live form compiled, what stands in for it, and the reference."""
+"""What is compared in speed: the compiled live form, its NumPy form, and the reference form."""
 
 
 def speed_subjects() -> tuple[Subject, ...]:
-    """Return `SPEED_SUBJECTS`, without the first where it is not compiled and so is the second."""
+    """Return `SPEED_SUBJECTS`, without the compiled form where there is none."""
     return SPEED_SUBJECTS if kernel_warning() is None else SPEED_SUBJECTS[1:]
 
 
+def live_subjects() -> tuple[Subject, ...]:
+    """Return the live form in each implementation that there is."""
+    return tuple(subject for subject in speed_subjects() if subject.name != REFERENCE)
+
+
 def not_compiled(name: str) -> tuple[Missing, ...]:
-    """Return what to say where a row is of the compiled live form and there is none."""
+    """Return the missing rows where the compiled live form is not there."""
     why = kernel_warning()
     return () if why is None else (Missing(f"{name}, {LIVE}, compiled", why, BUILD_COMMAND),)
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured: counts, and durations in seconds. More narrows the spread.
+    """How much is measured: counts, and durations in seconds. The defaults are the quick run's.
 
     slow_repeats: of everything but the compiled live form; saving_s: of each sound that savings
-    are tried on, in NumPy; rig_timed_s: of the drives that the ladder, and what protects a rig,
-    are timed on.
+    are tried on; rig_timed_s: of the drives on which the rig is timed.
     """
 
-    tones: int
-    low_tones: int
-    tone_s: float
-    gain_tones: int
-    bursts: int
-    onsets_a_burst: int
-    onsets_made: int
-    noisy_tones: int
-    frontier_sounds: int
-    compared_bursts: int
-    compared_recordings: int
-    settled_s: float
-    split_s: float
-    cost_repeats: int
-    slow_repeats: int
-    cost_s: float
-    cold_s: float
-    saving_repeats: int
-    saving_s: float
-    mix_rounds: int
-    mix_repeats: int
-    growth_s: float
-    channels_s: float
-    hops_timed: int
-    hops_timed_in_numpy: int
-    hops_held: int
-    render_s: tuple[float, ...]
-    rig_s: float
-    rig_timed_s: float
-    rung_repeats: int
-    integrator_repeats: int
-    random_rigs: int
+    tones: int = 6
+    low_tones: int = 3
+    tone_s: float = 3.0
+    gain_tones: int = 8
+    bursts: int = 25
+    onsets_a_burst: int = 4
+    onsets_made: int = 30
+    noisy_tones: int = 100
+    frontier_sounds: int = 2
+    compared_bursts: int = 9
+    compared_recordings: int = 3
+    settled_s: float = 3.0
+    split_s: float = 0.2
+    cost_repeats: int = 3
+    slow_repeats: int = 1
+    cost_s: float = 0.5
+    cold_s: float = 0.4
+    saving_repeats: int = 1
+    saving_s: float = 1.0
+    mix_rounds: int = 15
+    mix_repeats: int = 1
+    scaling_s: float = 8.0
+    channels_s: float = 1.0
+    hops_timed: int = 3_000
+    hops_timed_in_numpy: int = 1_000
+    render_s: tuple[float, ...] = (60.0,)
+    rig_s: float = 4.0
+    rig_timed_s: float = 0.5
+    model_repeats: int = 3
+    integrator_repeats: int = 2
+    random_rigs: int = 3
 
     def repeats_of(self, subject: Subject) -> int:
-        """Return how often a subject is timed: what is not compiled costs some ten times more."""
+        """Return how often a subject is timed."""
         return self.cost_repeats if subject.name == LIVE else self.slow_repeats
 
 
-QUICK = Effort(
-    tones=6,
-    low_tones=3,
-    tone_s=3.0,
-    gain_tones=8,
-    bursts=25,
-    onsets_a_burst=4,
-    onsets_made=30,
-    noisy_tones=100,
-    frontier_sounds=2,
-    compared_bursts=9,
-    compared_recordings=3,
-    settled_s=3.0,
-    split_s=0.2,
-    cost_repeats=3,
-    slow_repeats=1,
-    cost_s=0.5,
-    cold_s=0.4,
-    saving_repeats=1,
-    saving_s=1.0,
-    mix_rounds=15,
-    mix_repeats=1,
-    growth_s=8.0,
-    channels_s=1.0,
-    hops_timed=3_000,
-    hops_timed_in_numpy=1_000,
-    hops_held=5_000,
-    render_s=(60.0,),
-    rig_s=4.0,
-    rig_timed_s=0.5,
-    rung_repeats=3,
-    integrator_repeats=2,
-    random_rigs=3,
-)
+QUICK = Effort()
 FULL = Effort(
-    tones=40,
-    low_tones=16,
-    tone_s=4.0,
-    gain_tones=24,
-    bursts=40,
-    onsets_a_burst=16,
-    onsets_made=150,
-    noisy_tones=400,
-    frontier_sounds=8,
-    compared_bursts=30,
-    compared_recordings=31,
-    settled_s=10.0,
-    split_s=4.0,
-    cost_repeats=15,
-    slow_repeats=5,
-    cost_s=6.0,
-    cold_s=4.0,
-    saving_repeats=3,
-    saving_s=3.0,
-    mix_rounds=400,
-    mix_repeats=9,
-    growth_s=64.0,
-    channels_s=4.0,
-    hops_timed=30_000,
-    hops_timed_in_numpy=2_000,
-    hops_held=100_000,
-    render_s=(60.0, 600.0),
-    rig_s=60.0,
-    rig_timed_s=10.0,
-    rung_repeats=7,
-    integrator_repeats=5,
+    tones=40, low_tones=16, tone_s=4.0, gain_tones=24, bursts=40, onsets_a_burst=16,
+    onsets_made=150, noisy_tones=400, frontier_sounds=8, compared_bursts=30,
+    compared_recordings=31, settled_s=10.0, split_s=4.0, cost_repeats=15, slow_repeats=5,
+    cost_s=6.0, cold_s=4.0, saving_repeats=3, saving_s=3.0, mix_rounds=400, mix_repeats=9,
+    scaling_s=64.0, channels_s=4.0, hops_timed=30_000, hops_timed_in_numpy=2_000,
+    render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5,
     random_rigs=40,
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -225,7 +192,7 @@ class Workbench:
         return {subject.name: subject for subject in self.subjects}[name]
 
     def missing_recordings(self, name: str) -> Missing:
-        """Return what to say where a row needs recordings and there are none."""
+        """Return the missing row where there are no recordings to measure it on."""
         return Missing(name, "there are no recordings to measure it on", RECORDINGS_COMMAND)
 
 

@@ -16,8 +16,8 @@ from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.service.status_client import ask_status
 from device.errors import CushionError, LostError
-from tools.bench.sounds.signals import PROJECT_ROOT
 from tools.live_latency.recording import end, spawn
+from tools.records import PROJECT_ROOT
 
 READY_S = 30.0
 SETTLES_S = 10.0

@@ -140,7 +140,7 @@ class Lag:
     """By how many seconds one envelope comes after the other, and their correlation then."""
 
     seconds: float
-    likeness: float
+    similarity: float
 
 
 def lag_between(wanted: Envelope, heard: Envelope, start_s: float, end_s: float) -> Lag | None:
@@ -173,8 +173,8 @@ def lag_between(wanted: Envelope, heard: Envelope, start_s: float, end_s: float)
     found = heard.at(times_s + lag_s)
     if not np.ptp(found[kept]) or not EARLIEST_S <= lag_s <= LATEST_S:
         return None
-    likeness = float(np.corrcoef(level[kept], found[kept])[0, 1])
-    return Lag(lag_s, likeness) if likeness >= ALIKE else None
+    similarity = float(np.corrcoef(level[kept], found[kept])[0, 1])
+    return Lag(lag_s, similarity) if similarity >= ALIKE else None
 
 
 def _coarse(level: FloatArray, heard: Envelope, start_s: float) -> float:

@@ -21,14 +21,14 @@ from audioflinger_hook.service.status import Status
 from audioflinger_hook.transform import FloatArray, Frames, HapticTransform
 from device.errors import LostError
 from tools.bench.machine import cpu_model
-from tools.bench.sections.live_latency import LiveRecord, Numbers
-from tools.bench.soak_record import now
 from tools.live_latency.arrival import ArrivalLine
 from tools.live_latency.daemon import status_of_daemon
 from tools.live_latency.lag import Envelope, Lag, LevelTrace, dropouts, growth, lag_between
 from tools.live_latency.pauses import Pause, PauseWitness
+from tools.live_latency.record import LiveRecord, Numbers
 from tools.live_latency.recording import Recording, samplerate_of, server_name
 from tools.live_latency.usage import ProcessUse
+from tools.records import now
 
 WINDOW_S = 3.0
 LEAD_S, TAIL_S = 2.0, 2.0

@@ -6,11 +6,11 @@ import pytest
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
-from tools.bench import rig_soak
+from tests.support import rig_soak
+from tests.support.rig_soak import soak_energy, steady_drive
+from tests.support.soak import soak_identification
 from tools.bench.measures.random_rigs import Found
-from tools.bench.rig_soak import soak_energy, steady_drive
-from tools.bench.sections import soaks as soak_report
-from tools.bench.sections.identification import soak_identification
+from tools.bench.sections import kept_records
 from tools.bench.soak_record import SoakRecord, keep_record
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
@@ -90,7 +90,7 @@ def test_one_limit_that_is_not_kept_fails_the_soak(found):
 
 def test_each_section_shows_the_records_of_its_kind_alone(monkeypatch, tmp_path):
     path = tmp_path / "soak.json"
-    monkeypatch.setattr(soak_report, "record_path", lambda: path)
+    monkeypatch.setattr(kept_records, "record_path", lambda _: path)
     for what, fields in (
         ("a level", {"samples": 100_000_000, "energy_creep": 2e-6, "energy_rise": 0.0}),
         ("sweeps", {"rigs": 200, "f0_error_percent": 0.3, "f0_held_percent": 97.5}),
@@ -101,11 +101,13 @@ def test_each_section_shows_the_records_of_its_kind_alone(monkeypatch, tmp_path)
     live, rig, identified = (
         show(bench)
         for show in (
-            soak_report.soak_result,
-            soak_report.rig_soak_result,
-            soak_report.identified_result,
+            kept_records.transform_soak,
+            kept_records.rig_soak,
+            kept_records.identification_soak,
         )
     )
     assert [row.name for row in live.rows] == ["a tone"]
-    assert {row.name: row.met for row in rig.rows if "creep" in row.column} == {"a level": False}
+    assert {row.name: row.met for row in rig.rows if "largest energy" in row.column} == {
+        "a level": False
+    }
     assert [row.value for row in identified.rows] == [200.0, 0.3, 97.5]

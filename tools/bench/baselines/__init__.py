@@ -1,12 +1,11 @@
-"""Comparators: other ways from sound to vibration, in the project's own implementations.
+"""Other methods from sound to vibration, in our own small implementations; none is tuned.
 
-    band_pass                  what is low in the sound, as it is
+    band_pass                  the low part of the sound, unchanged
     envelope                   the sound's envelope, levelled, on a resonance
     centroid    -.             one sine at the spectral centroid
     octave_fold -'-- hops      two peaks, brought down by octaves
 
-Each is one class of its module, made as `Way(samplerate, channels)`, and streams as the transform
-does: see `stages.Comparator`. NumPy and SciPy, kept small; none is tuned.
+Each is the class `Method` of its module, see `stages.Baseline`.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable
 
-from tools.bench.baselines.stages import Comparator
+from tools.bench.baselines.stages import Baseline
 from tools.bench.report import Missing
 from tools.bench.workbench import Subject
 
@@ -28,17 +27,16 @@ COMMAND = "make run"
 
 
 def load() -> tuple[tuple[Subject, ...], tuple[Missing, ...]]:
-    """Return every comparator as a subject of the bench, and those that are not there."""
+    """Return every baseline as a subject, and those that cannot be imported."""
     found: list[Subject] = []
     missing: list[Missing] = []
     for name in NAMES:
         module = name.replace("-", "_").replace(" ", "_")
         try:
-            way: Callable[[int, int], Comparator] = importlib.import_module(
-                f"{__name__}.{module}"
-            ).Way
+            method: Callable[[int, int], Baseline]
+            method = importlib.import_module(f"{__name__}.{module}").Method
         except (ImportError, AttributeError) as error:
-            missing.append(Missing(f"every row of the comparator {name}", str(error), COMMAND))
+            missing.append(Missing(f"every row of the baseline {name}", str(error), COMMAND))
         else:
-            found.append(Subject(name, way))
+            found.append(Subject(name, method))
     return tuple(found), tuple(missing)

@@ -1,16 +1,16 @@
-"""The traditional way: what lies from 50 to 250 Hz is played as it is."""
+"""The traditional method: 50 to 250 Hz of the sound, unchanged."""
 
 from __future__ import annotations
 
 from scipy.signal import butter
 
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.stages import Comparator, Filter
+from tools.bench.baselines.stages import Baseline, Filter
 
 BAND_HZ = (50.0, 250.0)
 
 
-class Way(Comparator):
+class Method(Baseline):
     """A Butterworth band-pass of fourth order (two at each edge) on the mix."""
 
     def __init__(self, samplerate: int, channels: int) -> None:
@@ -18,5 +18,5 @@ class Way(Comparator):
         self._filter = Filter(butter(2, BAND_HZ, "bandpass", fs=samplerate, output="sos"))
 
     def vibration(self, sound: FloatArray) -> FloatArray:
-        """Return what lies in the band."""
+        """Return the sound in the band."""
         return self._filter(sound)

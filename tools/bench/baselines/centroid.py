@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.hops import SineComparator
+from tools.bench.baselines.hops import SineBaseline
 
 BAND_HZ = (30.0, 600.0)
 OVERLAP = 8
@@ -14,7 +14,7 @@ STEPS_A_HOP = 8
 HOLD_S, RELEASE_S = 0.0015, 0.1
 
 
-class Way(SineComparator):
+class Method(SineBaseline):
     """The centroid of the amplitudes in the band leads the frequency; the whole sound the level.
 
     The envelope is the root of a mean square with a very short attack, so it reads a tone's peak:

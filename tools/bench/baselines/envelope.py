@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import bilinear
 
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.stages import Comparator, Filter, high_pass, low_pass
+from tools.bench.baselines.stages import Baseline, Filter, high_pass, low_pass
 
 RESONANCE_HZ = 150.0
 BAND_Q, ZERO_Q, POLE_Q = 1.0, 8.0, 4.0
@@ -20,7 +20,7 @@ LEVEL_HZ, LEVEL_OFFSET, LEVEL_POWER = 5.0, 0.01, -0.8
 GAIN_IN, CUBE_THRESHOLD, GAIN_OUT = 0.3, 0.1, 1.5
 
 
-class Way(Comparator):
+class Method(Baseline):
     """The chain above; its automatic level brings quiet sounds near loud ones."""
 
     def __init__(self, samplerate: int, channels: int) -> None:

@@ -1,4 +1,4 @@
-"""What comparators with a spectrum share: windows at a fixed hop, and sines that glide on."""
+"""What baselines with a spectrum share: windows at a fixed hop, and sines that glide on."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from scipy.signal.windows import hann
 
 from audioflinger_hook.transform import FloatArray
 from audioflinger_hook.transform.arrays import strided_windows
-from tools.bench.baselines.stages import Comparator
+from tools.bench.baselines.stages import Baseline
 
 POINTS_AT_48_KHZ = 1_024
 
 
-class SineComparator(Comparator):
+class SineBaseline(Baseline):
     """Sines, one for each voice, led by spectra of Hann windows; phases go on, the rest glides.
 
     1024 points at 44.1 and 48 kHz, as near to 21 ms as a power of two comes elsewhere. A window

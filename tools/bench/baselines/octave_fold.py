@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray
-from tools.bench.baselines.hops import SineComparator
+from tools.bench.baselines.hops import SineBaseline
 
 RANGES_HZ = ((400.0, 1_000.0), (1_000.0, 3_600.0))
 UNDER_HZ = 230.0
@@ -14,7 +14,7 @@ WEAKEST = 1e-4
 """Weaker peaks are rounding or hiss and give nothing."""
 
 
-class Way(SineComparator):
+class Method(SineBaseline):
     """Each peak's frequency is halved until it is under 230 Hz; its amplitude stays."""
 
     def __init__(self, samplerate: int, channels: int) -> None:

@@ -1,4 +1,4 @@
-"""What comparators have in common: sound made safe and mono, and filters that go on."""
+"""What baselines share: sound made safe and mono, and filters that go on."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from audioflinger_hook.transform import FloatArray, Frames
 from audioflinger_hook.transform.input_stage import fit_block, mix_to_mono, replace_unusable
 
 NYQUIST_MARGIN = 0.49
-"""A low-pass from this share of the samplerate up has nothing to take away and is left out."""
+"""A low-pass at or above this share of the samplerate is left out."""
 
 
-class Comparator:
+class Baseline:
     """One stream of sound turned into one channel of vibration; full scale +-1 on both sides.
 
     Subclasses give `vibration`. Unusable samples count as 0, as in the transform.
     """
 
     latency_frames = 0
-    """Frames by which what `process` returns is late, and which `finish` gives."""
+    """Delay of what `process` returns, and length of what `finish` returns."""
 
     def __init__(self, samplerate: int, channels: int) -> None:
         self.samplerate = samplerate
@@ -31,7 +31,7 @@ class Comparator:
         return self.vibration(mix_to_mono(usable))[:, None]
 
     def finish(self) -> FloatArray:
-        """Return the vibration still owed, (frames, 1), as if silence followed."""
+        """Return the vibration that is still delayed, (frames, 1)."""
         return self.vibration(np.zeros(self.latency_frames))[:, None]
 
     def vibration(self, sound: FloatArray) -> FloatArray:
@@ -60,7 +60,7 @@ def high_pass(corner_hz: float, samplerate: int) -> Filter:
 
 
 def low_pass(corner_hz: float, samplerate: int) -> Filter:
-    """Return a second-order Butterworth low-pass, or none where there is nothing above it."""
+    """Return a second-order Butterworth low-pass, or none near half the samplerate."""
     if corner_hz >= NYQUIST_MARGIN * samplerate:
         return Filter(np.array([[1.0, 0.0, 0.0, 1.0, 0.0, 0.0]]))
     return Filter(butter(2, corner_hz, "lowpass", fs=samplerate, output="sos"))

@@ -1,1 +1,4 @@
-"""Part of the bench."""
+"""The pictures of a report: `pictures` lists them, `sheet` has what they share. Needs matplotlib.
+
+Only `pictures` may be imported where matplotlib is not installed.
+"""

@@ -1,1 +1,1 @@
-"""Part of the bench."""
+"""Measures of vibration and of rigs."""

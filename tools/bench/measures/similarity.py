@@ -1,8 +1,7 @@
-"""How like its sound, or like another vibration, a vibration is: pure functions with definitions.
+"""Similarity of a vibration to its sound or to another vibration: pure functions.
 
-Signals are mono, (frames,) float64. A vibration comes late by an amount that not every comparator
-can tell, so likeness is taken at the delay from 0 to 0.1 s at which it is greatest. What cannot
-be compared, silence, is NaN.
+Signals are mono, (frames,) float64. The delay of a baseline is not always known, so the similarity
+is the greatest one at a delay of 0 to 0.1 s. It is NaN for silence.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ FELT_BANDS = 24
 
 PATTERN_WINDOW_S, PATTERN_HOP_S = 0.1, 0.0125
 PATTERN_BANDS_HZ = 20.0 * 2.0 ** (np.arange(11) / 2.0)
-"""Half octaves from 20 to 640 Hz: about what a body tells apart there."""
+"""Half octaves from 20 to 640 Hz, about what a person can distinguish there."""
 PATTERN_RANGE_DB = 40.0
 TEMPORAL_SHARE = 2.0 / 3.0
 
 NOTHING_DB = -60.0
-"""Under this a vibration counts as none."""
+"""A weaker vibration counts as none."""
 
 
 def envelope_correlation(sound: FloatArray, vibration: FloatArray, samplerate: int) -> float:
-    """Return how the two levels go together: Pearson's r of the r.m.s. of 10 ms pieces."""
+    """Return Pearson's r of both levels, the r.m.s. of 10 ms pieces."""
     heard, felt = (_pieces_rms(signal, samplerate) for signal in (sound, vibration))
     if heard.size < 3 or not heard.std() > 0.0:
         return float("nan")
@@ -48,16 +47,13 @@ def envelope_correlation(sound: FloatArray, vibration: FloatArray, samplerate: i
 def st_sim(vibration: FloatArray, wanted: FloatArray, samplerate: int) -> float:
     """Return the spectral-temporal similarity of a vibration to the wanted one, 0 to 1.
 
-    Both are turned into a pattern: the level in half octaves from 20 to 640 Hz, in Hann windows
-    of 100 ms every 12.5 ms, as share of the 40 dB under the signal's own highest level; 0 below.
-    S is the mean over time of the cosine between the two patterns' columns (what is felt at one
-    moment), over moments at which the wanted one has any; T the mean over bands of the cosine
-    between their rows (when a band is felt). The result is S^(1/3) T^(2/3).
+    A pattern has the levels in half octaves from 20 to 640 Hz, in Hann windows of 100 ms every
+    12.5 ms, as a share of the 40 dB under the signal's highest level. S is the mean over time of
+    the cosine between the patterns' columns, T the mean over bands of that between their rows,
+    each where the wanted one has any. The result is S^(1/3) T^(2/3).
 
-    The parts and their weights are those of the ST-SIM of Hassen and Steinbach (IEEE
-    Transactions on Haptics, 2020), which compares a coded signal with its original wave by wave.
-    A transform moves frequencies and phases, so levels stand here in place of waves, and the
-    strength as a whole, which every cushion sets for itself, does not count.
+    Parts and weights are those of the ST-SIM of Hassen and Steinbach (IEEE Transactions on
+    Haptics, 2020), which compares waves. A transform moves frequencies, so levels replace waves.
     """
     here, there = (_pattern(signal, samplerate) for signal in (vibration, wanted))
     if not there.any():
@@ -86,16 +82,15 @@ def felt_spectrum(vibration: FloatArray, samplerate: int) -> tuple[FloatArray, F
 
 
 def dominant_hz(vibration: FloatArray, samplerate: int) -> float | None:
-    """Return where a steady vibration is strongest from 15 to 250 Hz; None where it is none."""
+    """Return where a steady vibration is strongest from 15 to 250 Hz; None for no vibration."""
     hz, power = felt_spectrum(vibration, samplerate)
     return float(hz[power.argmax()]) if level_db(power.sum()) > NOTHING_DB else None
 
 
 def spectral_distance(one: FloatArray, other: FloatArray, samplerate: int) -> float | None:
-    """Return the share of energy that lies elsewhere, 0 to 1, in 10 Hz from 15 to 250 Hz.
+    """Return the share of energy in other bands of 10 Hz from 15 to 250 Hz, 0 to 1.
 
-    Half the sum of absolute differences of the two spectra, each with a sum of 1. None where one of
-    them is no vibration: what is not felt does not feel other.
+    Half the sum of absolute differences of the spectra, each of sum 1. None without a vibration.
     """
     shares = []
     for vibration in (one, other):
@@ -107,10 +102,7 @@ def spectral_distance(one: FloatArray, other: FloatArray, samplerate: int) -> fl
 
 
 def level_db(mean_square: float) -> float:
-    """Return the level of a mean square in dB, a full-scale sine at 0; -inf for nothing.
-
-    Nothing begins at -200 dB: what is under it is rounding.
-    """
+    """Return the level of a mean square in dB, a full-scale sine at 0; -inf below -200 dB."""
     return 10.0 * float(np.log10(2.0 * mean_square)) if mean_square > 1e-20 else -float("inf")
 
 

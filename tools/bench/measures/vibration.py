@@ -1,12 +1,10 @@
-"""Measures of vibration and of findings: pure functions, each with its definition.
+"""Measures of vibration and of detected frequencies: pure functions.
 
-Conventions: vibration is (frames,) float64 at full scale +-1; frequencies in Hz, times in seconds,
-levels in dB. What cannot be measured (silence, nothing found) is -inf or NaN, never an exception.
+Vibration is (frames,) float64 at full scale +-1. Silence gives -inf or NaN, never an exception.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,16 +16,15 @@ from audioflinger_hook.transform.principal import Principals
 
 FIT_ROUNDS_MAX = 8
 FIT_CONVERGED_CYCLES = 1e-9
-"""Gauss-Newton converges quadratically: once a round moves the fit by less than this over its
-whole length, it has arrived."""
+"""The fit has converged when a round moves it by less than this over its whole length."""
 
 ENVELOPE_HZ = 60.0
 SETTLED_FROM_S, SETTLED_TO_S = 0.1, 0.2
 EARLIEST_S = 0.05
-"""An onset cannot be felt before it; the zero-phase low-pass may still smear it forward."""
+"""The zero-phase low-pass may smear an onset forward by less than this."""
 
 ABSOLUTE_ZERO_DB = -300.0
-"""Energy ratios under this are rounding of float64, and are given as -inf."""
+"""Energy ratios under this are rounding, and become -inf."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +85,10 @@ def _at_frequency(
 
 
 def onset_lag_s(vibration: FloatArray, samplerate: int, onset_s: float) -> float:
-    """Return how long after a burst's onset it is felt, in seconds; NaN where it never is.
+    """Return how long after a burst's onset it is felt, in seconds, latency included; NaN if never.
 
     Felt: the envelope (magnitude of the analytic signal, low-passed at 60 Hz without phase)
-    passes half of its mean from 100 to 200 ms after the onset. The vibration is taken as it comes
-    out, so the declared latency is part of the lag.
+    passes half of its mean from 100 to 200 ms after the onset.
     """
     low_pass = butter(2, ENVELOPE_HZ, fs=samplerate, output="sos")
     envelope = sosfiltfilt(low_pass, np.abs(hilbert(vibration)))
@@ -110,8 +106,7 @@ def onset_lag_s(vibration: FloatArray, samplerate: int, onset_s: float) -> float
 def energy_above_db(vibration: FloatArray, samplerate: int, corner_hz: float = 250.0) -> float:
     """Return the share of energy above a corner, in dB of all of it; -inf for silence.
 
-    By Parseval over the whole vibration, which should begin and end at rest: no window then adds
-    or hides anything.
+    The vibration should begin and end at rest, as there is no window.
     """
     spectrum = np.fft.rfft(vibration)
     power = spectrum.real**2 + spectrum.imag**2
@@ -171,12 +166,6 @@ def _in_reach(these: Principals, others: Principals, reach_hz: float) -> int:
         np.abs(mine - theirs[np.maximum(after - 1, 0)]),
     )
     return int(np.count_nonzero(distance <= reach_hz))
-
-
-def growth_exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
-    """Return p of cost ~ size^p, fitted over all points: 1 is linear growth, 2 is quadratic."""
-    slope, _ = np.polyfit(np.log(sizes), np.log(costs), 1)
-    return float(slope)
 
 
 def differing_blocks(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:

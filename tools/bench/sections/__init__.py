@@ -1,1 +1,1 @@
-"""Part of the bench."""
+"""The sections of the report: each function measures one and returns it."""

@@ -1,8 +1,7 @@
-"""Bench on attacks: how strong the first moments of a sound are felt, against what lasts of it.
+"""Section on attacks: how strong the first moments of a sound are, against its sustained level.
 
-A window of 5 ms cannot tell tones apart that are nearer than some 200 Hz, and by the paper's law
-three tones are weaker than one: what begins as one tone and turns out to be several is felt too
-strong until the long window tells.
+A window of 5 ms cannot separate tones less than about 200 Hz apart, and by the paper's amplitude
+mapping three tones are weaker than one. So chords start too strong, until the long window is full.
 """
 
 from __future__ import annotations
@@ -23,10 +22,10 @@ TIMES_S = {FIRST: (0.0, 0.03), NEXT: (0.03, 0.06), THEN: (0.06, 0.1)}
 LASTING_S = (0.25, 0.5)
 SOUND_S, SILENCE_S, RISE_S = 0.6, 0.2, 0.001
 SOUNDS = 12
-"""Of each kind, with other frequencies and phases; the median counts."""
+"""Of each kind; the median counts."""
 HARMONICS = 10
 SETTLED = Must("<=", 3.0)
-"""By then the long window is full: as strong as it lasts, but for what glides."""
+"""From 60 ms on, when the long window is full."""
 
 KINDS: dict[str, tuple[float, ...]] = {
     "tone": (1.0,),
@@ -42,25 +41,25 @@ WAYS = ("paper", "cinema")
 
 
 def attacks(bench: Workbench) -> Section:
-    """Strength of the first 30, 60 and 100 ms of a sound that goes on as it begins."""
+    """Strength of the first 100 ms of a steady sound."""
     rows = []
     for name in WAYS:
         way = Way(name, parameters_of(name))
         for kind in KINDS:
-            over = np.median([over_what_lasts_db(way, sound) for sound in sounds(kind)], axis=0)
+            over = np.median([over_sustained_db(way, sound) for sound in sounds(kind)], axis=0)
             for when, over_db in zip(TIMES_S, over.tolist(), strict=True):
                 must = SETTLED if when == THEN and name == WAYS[0] else None
                 rows.append(Row(f"{kind}, `{name}`", over_db, "dB", when, must))
     return Section(
         TITLE,
-        f"How much stronger a sound is felt when it begins than from {LASTING_S[0]:g} to "
-        f"{LASTING_S[1]:g} s after that, when it sounds the same all the time; latency taken out. "
-        f"{SOUNDS} sounds of each kind, roots of {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz, harmonics "
-        "falling with their number, phases at random; the median.",
+        "How much stronger a steady sound is felt at its start than from "
+        f"{LASTING_S[0]:g} to {LASTING_S[1]:g} s, without the latency. The median of {SOUNDS} "
+        f"sounds of each kind, with roots of {LOWEST_HZ:g} to {HIGHEST_HZ:g} Hz, falling harmonics "
+        "and random phases.",
         tuple(rows),
-        footnote="In its first 10 ms nobody can tell three low tones from one. By the law of "
-        "`paper` they are weaker, so they are felt too strong until the window of the analysis "
-        "shows them; by energy it makes no difference.",
+        footnote="In 10 ms no analysis can separate three low tones. In the profile `paper` "
+        "several tones are weaker than one, so they start too strong; by energy there is no "
+        "difference.",
     )
 
 
@@ -83,8 +82,8 @@ def sounds(kind: str) -> list[FloatArray]:
     return made
 
 
-def over_what_lasts_db(way: Way, sound: FloatArray) -> list[float]:
-    """Return how much stronger each of TIMES_S is felt than what lasts, dB."""
+def over_sustained_db(way: Way, sound: FloatArray) -> list[float]:
+    """Return the level in each of TIMES_S over the sustained level, dB."""
     felt = way.felt(sound)[-round(SOUND_S * SAMPLERATE) :]
 
     def between_db(from_s: float, to_s: float) -> float:

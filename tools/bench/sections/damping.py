@@ -1,6 +1,6 @@
-"""Bench on damping: what a burst leaves behind by each way of driving, and what it costs in volts.
+"""Section on damping: what a burst leaves by each drive and level, and what it costs in volts.
 
-Residual, settling, peak volts and detuning are defined in device/drive/damping/residual.py.
+device/drive/damping defines residual, settling, peak volts and detuning.
 """
 
 from __future__ import annotations
@@ -11,13 +11,16 @@ from functools import cache
 from device.drive.damping import (
     BurstResponse,
     Damping,
+    LargeBurst,
     Residual,
     burst_response,
     choose_damping,
     inverse_damping,
+    large_burst_response,
     no_damping,
     shaper_damping,
     undamped,
+    undamped_large,
 )
 from device.drive.damping.residual import CURRENT_DRIVE_OHM
 from device.rig import PAPER, ActuatorParameters
@@ -25,30 +28,62 @@ from tools.bench.report import Must, Row, Section
 from tools.bench.workbench import Workbench
 
 TITLE = "Residual vibration"
-SETTLING_TITLE = "Time until the seat is still"
+LEVELS_TITLE = "Residual vibration by level"
 CHOSEN = "voltage drive, automatic"
+FLAT = "automatic and flat inverse"
 
 DETUNINGS = (0.0, -0.05, 0.05, -0.1, 0.1, -0.2, 0.2)
 CURVE = tuple(step / 100.0 for step in range(-20, 21))
 EXACT_DB, DETUNED_DB, VOLTS_DB = Must("<=", -11.0), Must("<=", -7.0), Must("<=", 5.0)
+LIMITED_DETUNING = 0.1
 LATENCY_S = 0.005
-
 STRONG = replace(PAPER.actuator, force_factor_n_per_a=16.0)
+
+LEVELS = (0.05, 0.1, 0.25, 0.5, 1.0)
+"""Intended excursion, in Xmax."""
+LOW_LEVEL = 0.1
+"""Highest level with limits."""
 
 
 @dataclass(frozen=True)
-class Way:
-    """One way of driving: what it is called, the actuator, the damping, whether limits apply."""
+class Drive:
+    """One way of driving: name, damping, whether limits apply, actuator, flat inverse or not."""
 
     name: str
-    actuator: ActuatorParameters
     damping: Damping
     asked: bool = False
+    actuator: ActuatorParameters = PAPER.actuator
+    flat: bool = False
 
-    def against_undamped(self, detuning: float) -> Residual:
-        """Return what a burst leaves, against current drive of the `paper` rig."""
-        own = burst_response(self.actuator, self.damping, detuning=detuning)
-        return own.against(_reference(detuning))
+
+@cache
+def drives() -> tuple[Drive, ...]:
+    """Return all drives that are compared on the linear model, the reference first."""
+    p, current = PAPER.actuator, CURRENT_DRIVE_OHM
+    shaped = choose_damping(p, latency_s=LATENCY_S).damping
+    return (
+        Drive("current drive, undamped", no_damping(current)),
+        Drive("voltage drive", no_damping()),
+        Drive("current drive, inverse to Q 0.7", inverse_damping(p, 0.7, current)),
+        Drive("current drive, ZV shaper", shaper_damping(p, "zv", current)),
+        Drive("voltage drive, inverse to Q 0.7", inverse_damping(p, 0.7)),
+        Drive(CHOSEN, choose_damping(p).damping, asked=True),
+        Drive(f"{CHOSEN}, {1e3 * LATENCY_S:g} ms of latency", shaped, asked=True),
+        Drive("Bl 16, voltage drive", no_damping(), actuator=STRONG),
+        Drive("Bl 16, automatic", choose_damping(STRONG).damping, asked=True, actuator=STRONG),
+    )
+
+
+@cache
+def large_drives() -> tuple[Drive, ...]:
+    """Return the drives that are compared on the non-linear model, the reference first."""
+    chosen = choose_damping(PAPER.actuator).damping
+    return (
+        Drive("current drive, undamped", no_damping(CURRENT_DRIVE_OHM)),
+        Drive("voltage drive", no_damping()),
+        Drive("automatic", chosen, asked=True),
+        Drive(FLAT, chosen, asked=True, flat=True),
+    )
 
 
 @cache
@@ -56,79 +91,100 @@ def _reference(detuning: float) -> BurstResponse:
     return undamped(PAPER.actuator, detuning=detuning)
 
 
-@cache
-def ways() -> tuple[Way, ...]:
-    """Return all ways that are compared, the reference first."""
-    p = PAPER.actuator
-    current = CURRENT_DRIVE_OHM
-    chosen = choose_damping(p).damping
-    shaped = choose_damping(p, latency_s=LATENCY_S).damping
-    return (
-        Way("current drive, undamped", p, no_damping(current)),
-        Way("voltage drive", p, no_damping()),
-        Way("current drive, inverse to Q 0.7", p, inverse_damping(p, 0.7, current)),
-        Way("current drive, ZV shaper", p, shaper_damping(p, "zv", current)),
-        Way("voltage drive, inverse to Q 0.7", p, inverse_damping(p, 0.7)),
-        Way(CHOSEN, p, chosen, asked=True),
-        Way(f"{CHOSEN}, {1e3 * LATENCY_S:g} ms of latency", p, shaped, asked=True),
-        Way("Bl 16, voltage drive", STRONG, no_damping()),
-        Way("Bl 16, automatic", STRONG, choose_damping(STRONG).damping, asked=True),
-    )
+def _residual(drive: Drive, detuning: float) -> Residual:
+    """Return what a burst leaves, against current drive of the `paper` rig."""
+    own = burst_response(drive.actuator, drive.damping, detuning=detuning)
+    return own.against(_reference(detuning))
 
 
 def residual_energy(_bench: Workbench) -> Section:
-    """Energy after a burst, and peak volts, of each way at every detuning."""
+    """Energy after a burst, settling and peak volts of each drive, by detuning."""
     rows = []
-    for way in ways():
-        at = {detuning: way.against_undamped(detuning) for detuning in DETUNINGS}
-        for detuning, residual in at.items():
-            must = None
-            if way.asked and abs(detuning) <= 0.1:
-                must = DETUNED_DB if detuning else EXACT_DB
-            rows.append(Row(way.name, residual.residual_db, "dB", detuning_column(detuning), must))
-        volts_db = at[0.0].peak_volts_db
-        rows.append(
-            Row(way.name, volts_db, "dB", "peak volts", VOLTS_DB if way.asked else None,
-                note=_note(way.damping))
-        )  # fmt: skip
-    series = {
-        way.name: tuple(way.against_undamped(share).residual_db for share in CURVE)
-        for way in ways()
-    }
+    for drive in drives():
+        at = {detuning: _residual(drive, detuning) for detuning in DETUNINGS}
+        rows += _detuning_rows(drive.name, at, limited=drive.asked)
+        for detuning in (0.0, -LIMITED_DETUNING, LIMITED_DETUNING):
+            column = f"still after, {_column(detuning)}"
+            rows.append(Row(drive.name, 1e3 * at[detuning].settling_s, "ms", column))
+        must = VOLTS_DB if drive.asked else None
+        volts_db, note = at[0.0].peak_volts_db, _note(drive.damping)
+        rows.append(Row(drive.name, volts_db, "dB", "peak volts", must, note=note))
     return Section(
         TITLE,
         "Energy of the seat's acceleration after a burst of 50 ms at 90 Hz, against undamped "
         "current drive of the same rig at the same vibration during the burst; and the peak volts "
-        "that takes, against the same. Columns: how far the true f0 lies from the one believed "
-        "(another stiffness; mass and friction as believed). Linear rung, so at a level of 0.1 "
-        "Xmax or less. A way with a latency has its burst's end later by that.",
+        "against the same. Columns: the true f0 against the assumed one (only the stiffness "
+        "differs). Still after: time from the end of the burst until the acceleration stays under "
+        "10 % of its peak. The model is linear, so this holds up to about 0.1 Xmax.",
         tuple(rows),
-        series=series,
+        series={
+            drive.name: tuple(_residual(drive, share).residual_db for share in CURVE)
+            for drive in drives()
+        },
     )
 
 
-def settling_time(_bench: Workbench) -> Section:
-    """Time until the acceleration stays under a tenth, of each way at every detuning."""
-    rows = [
-        Row(
-            way.name,
-            1e3 * way.against_undamped(detuning).settling_s,
-            "ms",
-            detuning_column(detuning),
-        )
-        for way in ways()
-        for detuning in DETUNINGS
-    ]
+@cache
+def _burst(drive: Drive, level: float, detuning: float) -> LargeBurst:
+    excursion_m = level * PAPER.actuator.x_max_m
+    return large_burst_response(
+        PAPER, drive.damping, excursion_m, flat=drive.flat, detuning=detuning
+    )
+
+
+@cache
+def _large_reference(level: float, detuning: float) -> LargeBurst:
+    return undamped_large(PAPER, level * PAPER.actuator.x_max_m, detuning=detuning)
+
+
+def residual_energy_by_level(_bench: Workbench) -> Section:
+    """Energy after a burst, settling and peak volts by level and detuning."""
+    rows = []
+    low = undamped(PAPER.actuator)
+    for level in LEVELS:
+        for drive in large_drives():
+            name = f"{level:g} Xmax, {drive.name}"
+            limited = drive.asked and level <= LOW_LEVEL
+            at = {
+                detuning: _burst(drive, level, detuning).response.against(
+                    _large_reference(level, detuning).response
+                )
+                for detuning in DETUNINGS
+            }
+            rows += _detuning_rows(name, at, limited=limited)
+            exact = _burst(drive, level, 0.0)
+            low_db = exact.response.against(low).residual_db
+            reached = exact.excursion_m / PAPER.actuator.x_max_m
+            must = VOLTS_DB if limited else None
+            rows += [
+                Row(name, 1e3 * exact.response.settling_s, "ms", "still after, exact"),
+                Row(name, at[0.0].peak_volts_db, "dB", "peak volts", must),
+                Row(name, low_db, "dB", "exact, against low level"),
+                Row(name, reached, "Xmax", "reached"),
+            ]
     return Section(
-        SETTLING_TITLE,
-        "Time after the end of the same bursts until the acceleration stays under 10 % of the "
-        "burst's peak.",
+        LEVELS_TITLE,
+        "The same bursts on the non-linear `paper` rig, which stiffens, loses force and changes "
+        "its inductance as it swings. The level is the largest excursion of the linear model. "
+        "Residual and peak volts are against undamped current drive of the same rig at the same "
+        "level and detuning. That drive rings less at high levels, as its resonance moves away, "
+        "so there is a column against current drive at a low level. The flat inverse is that of "
+        "the assumed rig. Reached: the largest excursion, f0 exact.",
         tuple(rows),
     )
 
 
-def detuning_column(detuning: float) -> str:
-    """Return the heading of a column for one detuning."""
+def _detuning_rows(name: str, at: dict[float, Residual], *, limited: bool) -> list[Row]:
+    rows = []
+    for detuning, residual in at.items():
+        must = None
+        if limited and abs(detuning) <= LIMITED_DETUNING:
+            must = DETUNED_DB if detuning else EXACT_DB
+        rows.append(Row(name, residual.residual_db, "dB", _column(detuning), must))
+    return rows
+
+
+def _column(detuning: float) -> str:
     return f"{100.0 * detuning:+.0f} %" if detuning else "exact"
 
 

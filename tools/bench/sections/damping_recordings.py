@@ -1,11 +1,8 @@
-"""Bench on damping with real sound: how far the seat's acceleration is from the intended one.
+"""Section on damping with recordings: how far the seat's acceleration is from the intended one.
 
-Intended is the acceleration of the same rig if it did not ring: the linear actuator as believed,
-its resonance replaced by one at the same frequency that is damped critically (Q 0.5), driven by
-the vibration that the transform made of the recording. Above the resonance that is in proportion
-to the vibration itself; below it falls as that of every actuator on a voltage does. The error is
-what the rig's acceleration differs by, r.m.s. over that of the intended one, when the intended one
-has the gain of least squares: a recording that is felt weaker or stronger as a whole is not wrong.
+Intended is the acceleration of a rig that does not ring: linear, at the same resonance, damped
+critically (Q 0.5). The error is the r.m.s. difference from it, over its r.m.s., after the gain of
+least squares; a recording that is weaker or stronger as a whole is not wrong.
 """
 
 from __future__ import annotations
@@ -26,7 +23,7 @@ from device.rig.model_levels import ModelLevel
 from device.rig.perturbed_rigs import detune
 from device.units import amplitude_to_db
 from tools.bench.report import Row, Section
-from tools.bench.sections.damping_levels import Way, ways
+from tools.bench.sections.damping import Drive, large_drives
 from tools.bench.workbench import LIVE, Workbench
 
 TITLE = "Damping on recordings"
@@ -36,9 +33,9 @@ DETUNINGS = (0.0, -0.1, 0.1)
 WANTED_Q = 0.5
 LONGEST_S = 1.0
 SHARE = 0.25
-"""Of the seconds of signal that rigs are tried with: every one is played three dozen times."""
+"""Of `Effort.rig_s`: every recording is played three dozen times."""
 FAINTEST = 1e-3
-"""Peak of a vibration, of full scale, under which there is nothing to be felt."""
+"""Recordings whose vibration has a smaller peak, of full scale, are left out."""
 
 
 @dataclass(frozen=True)
@@ -59,20 +56,19 @@ class Felt:
 def damping_on_recordings(bench: Workbench) -> Section:
     """Acceleration error of each way of driving, at each level: median and worst recording."""
     explanation = (
-        "Vibration that the live transform made of the recordings (each up to "
-        f"{LONGEST_S:g} s), played on the `paper` rig's non-linear rung, scaled so that the linear "
-        "rung would reach the given share of Xmax. The error is the r.m.s. of what the "
-        "acceleration differs from the intended one by, over the r.m.s. of that: the same "
-        "actuator, linear and damped critically, with the gain of least squares. Above 0 dB "
-        "most of the acceleration is ringing. Better than voltage drive: recordings whose error "
-        "is smaller than with voltage drive alone."
+        f"Vibration of the recordings (each up to {LONGEST_S:g} s) on the non-linear `paper` rig, "
+        "scaled so that the linear model would reach the given share of Xmax. The error is the "
+        "r.m.s. difference from the intended acceleration over its r.m.s.: that of the same "
+        "actuator, linear and critically damped, with the gain of least squares. Above 0 dB most "
+        "of the acceleration is ringing. The last column counts recordings with a smaller error "
+        "than with voltage drive."
     )
     if not bench.recordings:
         return Section(TITLE, explanation, (), (bench.missing_recordings("damping"),))
     felt = list(_felt(bench))
     rows, series = [], {}
     for level in LEVELS:
-        errors = {way.name: _errors_db(way, level, felt) for way in ways()}
+        errors = {drive.name: _errors_db(drive, level, felt) for drive in large_drives()}
         plain = errors["voltage drive"]
         for name, db in errors.items():
             row = f"{level:g} Xmax, {name}"
@@ -92,7 +88,7 @@ def damping_on_recordings(bench: Workbench) -> Section:
 
 
 def _felt(bench: Workbench) -> Iterator[Felt]:
-    """Yield recordings, of each kind in turn, until there is enough; of silent ones none."""
+    """Yield recordings that can be felt, of each kind in turn, up to a total duration."""
     left_s = SHARE * bench.effort.rig_s
     kinds: dict[str, int] = {}
     turns = []
@@ -112,36 +108,35 @@ def _felt(bench: Workbench) -> Iterator[Felt]:
 
 
 def _wanted(vibration: FloatArray, samplerate: int) -> FloatArray:
-    """The acceleration of the rig that does not ring."""
+    """Return the acceleration of the rig that does not ring."""
     damping = inverse_damping(PAPER.actuator, WANTED_Q)
     drive = Damper(damping, samplerate, 1).process(vibration[:, None].copy())[:, 0]
     actuator = LinearActuator(PAPER.actuator, samplerate)
     return actuator.move(drive.astype(np.float64), ("acceleration_m_s2",)).acceleration_m_s2
 
 
-def _errors_db(way: Way, level: float, felt: list[Felt]) -> FloatArray:
-    """(recordings, detunings)."""
-    return np.array([[_error_db(way, level, f, share) for share in DETUNINGS] for f in felt])
+def _errors_db(drive: Drive, level: float, felt: list[Felt]) -> FloatArray:
+    """Return the errors in dB, (recordings, detunings)."""
+    return np.array([[_error_db(drive, level, f, share) for share in DETUNINGS] for f in felt])
 
 
-def _error_db(way: Way, level: float, felt: Felt, detuning: float) -> float:
+def _error_db(drive: Drive, level: float, felt: Felt, detuning: float) -> float:
     excursion_m = level * PAPER.actuator.x_max_m
-    believed = driven_by(PAPER, way.damping.source_impedance_ohm)
+    believed = driven_by(PAPER, drive.damping.source_impedance_ohm)
     true = replace(believed, actuator=detune(PAPER.actuator, detuning))
     rate = felt.samplerate
-    drive = intended(believed, way.damping, felt.vibration, excursion_m, rate)
-    if way.flat:
-        drive = FlatInverse(believed, rate).process(drive)
+    volts = intended(believed, drive.damping, felt.vibration, excursion_m, rate)
+    if drive.flat:
+        volts = FlatInverse(believed, rate).process(volts)
     ladder = AdaptiveActuator(true, rate, level=ModelLevel.NONLINEAR)
-    got = ladder.move(drive, ("acceleration_m_s2",)).acceleration_m_s2
+    got = ladder.move(volts, ("acceleration_m_s2",)).acceleration_m_s2
     return error_db(got, felt.wanted_m_s2)
 
 
 def error_db(got: FloatArray, wanted: FloatArray) -> float:
     """Return the r.m.s. of got - g wanted over that of g wanted, g by least squares.
 
-    Both (frames,). It is the tangent of the angle between the two: above 0 dB most of what is got
-    is not what was wanted.
+    It is the tangent of the angle between the two.
     """
     share = float(got @ wanted) ** 2 / (float(got @ got) * float(wanted @ wanted))
     return amplitude_to_db(float(np.sqrt(max(1.0 / share - 1.0, 1e-30))))

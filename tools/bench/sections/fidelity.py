@@ -1,4 +1,4 @@
-"""Benches on bursts, noise and recordings: how early, how clean, how true, how repeatable."""
+"""Sections on fidelity: recordings used, onset lag, audible energy, partials, and block splits."""
 
 from __future__ import annotations
 
@@ -20,15 +20,18 @@ from tools.bench.measures.vibration import (
     energy_above_db,
     onset_lag_s,
 )
-from tools.bench.report import Missing, Must, Row, Section
+from tools.bench.report import Missing, Must, Row, Section, line
 from tools.bench.sounds.signals import (
+    KNOWN,
+    RECORDINGS_COMMAND,
     SAMPLERATE,
+    SHORTEST_S,
     Recording,
     burst,
     demo_sound,
     white_noise,
 )
-from tools.bench.workbench import LIVE, Subject, Workbench
+from tools.bench.workbench import Subject, Workbench
 
 BURST_HZ = (80.0, 5_000.0)
 BURST_AMPLITUDE = 0.3
@@ -39,126 +42,133 @@ AUDIBLE_FROM_HZ = 250.0
 REST_S = 1.0
 """Silence after a sound, in which the vibration comes to rest."""
 NOISE_S = 5.0
-LEAK_RECORDING, LEAK_RECORDING_LEAD = Must("<=", -50.0), Must("<=", -58.0)
-LEAK_NOISE = Must("<=", -50.0)
+LEAK, LEAK_RECORDING_LEAD = Must("<=", -50.0), Must("<=", -58.0)
 
 AGREEMENT, AGREEMENT_LEAD = Must(">=", 0.95), Must(">=", 0.99)
 UNITS_AT_ONCE = 64
 FEWEST_FOR_A_RATIO = 50
-"""Recordings with fewer principal frequencies give no meaningful precision of their own."""
+"""Recordings with fewer principal frequencies have no precision of their own."""
 
 SPLIT_FRAMES = (1, 7, 240, 256, 960, 4096)
 SPLIT_FROM_S = 6.9
-"""Where in the demo scene footsteps meet speech: partials are born and die all the time."""
+"""Footsteps and speech in the demo scene, where partials begin and end all the time."""
 RANDOM_SPLITS = 3
+
+
+def recordings(bench: Workbench) -> Section:
+    """How many recordings are used, and which are missing."""
+    title = "Recordings"
+    explanation = (
+        f"The {len(KNOWN)} recordings are speech of alsa-utils and sounds of "
+        f"sound-theme-freedesktop; those longer than {SHORTEST_S:g} s are used. Where one is "
+        "missing, rows on recordings cannot be compared with other runs."
+    )
+    if not bench.recordings and not bench.absent:
+        return Section(title, explanation, (), (bench.missing_recordings("recordings"),))
+    command = f"remove its folder, then {RECORDINGS_COMMAND}"
+    return Section(
+        title,
+        explanation,
+        (Row("recordings used", float(len(bench.recordings)), column="found"),),
+        tuple(Missing(f"recording {name}", why, command) for name, why in bench.absent.items()),
+    )
+
+
+def burst_lag_s(subject: Subject, audio_hz: float, place: float, stream_s: float) -> float:
+    """Return the onset lag of one burst; place: of its onset in the analysis window, 0 to 1."""
+    onset_s = BURST_ONSET_S + place * TransformParameters().window_s
+    sound = burst(audio_hz, BURST_AMPLITUDE, onset_s, stream_s)
+    return onset_lag_s(subject.vibration(sound, SAMPLERATE), SAMPLERATE, onset_s)
 
 
 def onset_lag(bench: Workbench) -> Section:
     """How long after the start of a tone burst it is felt."""
     effort = bench.effort
-    window_s = TransformParameters().window_s
     # Onsets at every place of the window: how a burst meets the grid decides its lag.
     places = np.random.default_rng(0).uniform(size=(effort.bursts, effort.onsets_a_burst))
     places = (places + np.arange(effort.onsets_a_burst)) / effort.onsets_a_burst
-    lags_ms: dict[str, list[float]] = {subject.name: [] for subject in bench.subjects}
-    for frequency_hz, row in zip(np.geomspace(*BURST_HZ, effort.bursts), places, strict=True):
-        for place in row:
-            onset_s = BURST_ONSET_S + place * window_s
-            sound = burst(float(frequency_hz), BURST_AMPLITUDE, onset_s, BURST_STREAM_S)
-            for subject in bench.subjects:
-                vibration = subject.vibration(sound, SAMPLERATE)
-                lags_ms[subject.name].append(1e3 * onset_lag_s(vibration, SAMPLERATE, onset_s))
-    rows = []
-    for subject in bench.subjects:
-        lags = np.array(lags_ms[subject.name])
-        asked = subject.name == LIVE
-        lags_p95 = Row(
-            "lag, 95th percentile",
-            float(np.percentile(lags, 95)),
-            "ms",
-            subject.name,
-            LAG_P95 if asked else None,
-            lead=LAG_P95_LEAD if asked else None,
+    bursts_hz = np.geomspace(*BURST_HZ, effort.bursts).tolist()
+    lags_ms = {
+        subject.name: np.array(
+            [
+                1e3 * burst_lag_s(subject, audio_hz, place, BURST_STREAM_S)
+                for audio_hz, row in zip(bursts_hz, places.tolist(), strict=True)
+                for place in row
+            ]
         )
-        rows += [
-            Row("lag, mean", float(lags.mean()), "ms", subject.name),
-            Row("lag, median", float(np.median(lags)), "ms", subject.name),
-            lags_p95,
-            Row("lag, largest", float(lags.max()), "ms", subject.name),
-            Row("declared latency", _latency_ms(subject, "latency_frames"), "ms", subject.name),
-            Row(
-                "what lasts follows after",
-                _latency_ms(subject, "tonal_latency_frames"),
-                "ms",
-                subject.name,
-            ),
-        ]
-    count = effort.bursts * effort.onsets_a_burst
+        for subject in bench.subjects
+    }
+
+    def latencies_ms(name: str) -> dict[str, float | None]:
+        streams = {subject.name: subject.start(SAMPLERATE, 1) for subject in bench.subjects}
+        return {
+            column: 1e3 * getattr(stream, name) / SAMPLERATE for column, stream in streams.items()
+        }
+
+    def percentile(share: float) -> dict[str, float | None]:
+        return {name: float(np.percentile(lags, share)) for name, lags in lags_ms.items()}
+
+    means: dict[str, float | None] = {name: float(lags.mean()) for name, lags in lags_ms.items()}
     return Section(
         "Onset lag",
-        f"How long after a sound starts the cushion follows: {count} tone bursts of "
+        f"How long after a sound starts the cushion follows: {places.size} tone bursts of "
         f"{BURST_HZ[0]:g} to {BURST_HZ[1]:g} Hz, until the vibration's envelope passes half of "
-        "where it settles. The declared latency, by which picture and sound can be held back, is "
-        "part of the lag, not on top of it. The level of what lasts, and its end, follow later.",
-        tuple(rows),
-        series={name: tuple(lags) for name, lags in lags_ms.items()},
+        "its settled level. The lag includes the declared latency, by which sound and picture can "
+        "be delayed. Sustained levels and endings follow later.",
+        (
+            *line("lag, mean", means, "ms"),
+            *line("lag, median", percentile(50.0), "ms"),
+            *line("lag, 95th percentile", percentile(95.0), "ms", LAG_P95, LAG_P95_LEAD),
+            *line("lag, largest", percentile(100.0), "ms"),
+            *line("declared latency", latencies_ms("latency_frames"), "ms"),
+            *line("sustained levels follow after", latencies_ms("tonal_latency_frames"), "ms"),
+        ),
+        series={name: tuple(lags.tolist()) for name, lags in lags_ms.items()},
     )
-
-
-def _latency_ms(subject: Subject, name: str) -> float | None:
-    frames = getattr(subject.start(SAMPLERATE, 1), name, None)
-    return None if frames is None else 1e3 * float(frames) / SAMPLERATE
 
 
 def energy_above(bench: Workbench) -> Section:
-    """The vibration's energy where a shaker is heard instead of felt."""
-    rows: list[Row] = []
-    missing: list[Missing] = []
+    """The vibration's energy at frequencies where a shaker is heard."""
+    noise, leaks = {}, {}
     for subject in bench.subjects:
-        first = subject is bench.subjects[0]
-        noise_db = _leak_db(subject, white_noise(NOISE_S), SAMPLERATE)
-        rows.append(
-            Row("white noise, 0 dBFS", noise_db, "dB", subject.name, LEAK_NOISE if first else None)
-        )
-        leaks = [
-            (_leak_db(subject, item.frames, item.samplerate), item.name)
-            for item in bench.recordings
+        noise[subject.name] = leak_db(subject, white_noise(NOISE_S), SAMPLERATE)
+        leaks[subject.name] = [
+            (leak_db(subject, item.frames, item.samplerate), item.name) for item in bench.recordings
         ]
-        if leaks:
-            worst_db, name = max(leaks)
-            must = LEAK_RECORDING if first else None
-            note = f"{subject.name}: {name}"
-            lead = LEAK_RECORDING_LEAD if first else None
-            rows.append(
-                Row("worst recording", worst_db, "dB", subject.name, must, note=note, lead=lead)
-            )
-            typical_db = median(level for level, _ in leaks)
-            rows.append(Row("median recording", typical_db, "dB", subject.name))
-    if not bench.recordings:
-        missing.append(bench.missing_recordings("energy above 250 Hz, worst recording"))
+    rows = line("white noise, 0 dBFS", noise, "dB", LEAK)
+    missing: tuple[Missing, ...] = ()
+    if bench.recordings:
+        worst = {name: max(found) for name, found in leaks.items()}
+        values: dict[str, float | None] = {name: level for name, (level, _) in worst.items()}
+        note = "; ".join(f"{name}: {at}" for name, (_, at) in worst.items())
+        rows += line("worst recording", values, "dB", LEAK, LEAK_RECORDING_LEAD, note)
+        middle = {name: median(level for level, _ in found) for name, found in leaks.items()}
+        rows += line("median recording", dict(middle), "dB")
+    else:
+        missing = (bench.missing_recordings("energy above 250 Hz, worst recording"),)
     return Section(
         f"Energy above {AUDIBLE_FROM_HZ:g} Hz",
-        "Vibration should be felt, not heard: energy above "
-        f"{AUDIBLE_FROM_HZ:g} Hz as a share of all of it"
-        + (f", over {len(bench.recordings)} recordings." if bench.recordings else "."),
+        "Vibration should be felt, not heard. This is the share of its energy above "
+        f"{AUDIBLE_FROM_HZ:g} Hz, over {len(bench.recordings)} recordings.",
         tuple(rows),
-        tuple(missing),
+        missing,
     )
 
 
-def _leak_db(subject: Subject, frames: Frames, samplerate: int) -> float:
+def leak_db(subject: Subject, frames: Frames, samplerate: int) -> float:
+    """Return the energy over AUDIBLE_FROM_HZ of a sound's vibration, with silence after it."""
     rest = np.zeros((round(REST_S * samplerate), frames.shape[1]), frames.dtype)
     sound = np.concatenate((frames, rest))
     return energy_above_db(subject.vibration(sound, samplerate), samplerate, AUDIBLE_FROM_HZ)
 
 
 def principal_frequencies(bench: Workbench) -> Section:
-    """How far the live form finds the reference form's principal frequencies."""
+    """How many of the reference form's principal frequencies the live form finds."""
     title = "Principal frequencies"
     explanation = (
-        "Both forms look at the same unit sequences of the recordings: of the frequencies that "
-        "the live form finds, how many are the reference's (precision), and how many of the "
-        "reference's it finds (recall), within half a bin and before the strongest 16 are chosen."
+        "Both forms analyse the same unit sequences of the recordings. Precision is the share of "
+        "the live form's frequencies that the reference form finds too; recall is the reverse. "
+        "They agree within half a bin, before the strongest 16 are chosen."
     )
     if not bench.recordings:
         return Section(title, explanation, (), (bench.missing_recordings("precision and recall"),))
@@ -166,19 +176,15 @@ def principal_frequencies(bench: Workbench) -> Section:
     total = sum((one for _, one in by_name), Agreement(0, 0, 0, 0))
     telling = [(name, one) for name, one in by_name if one.wanted >= FEWEST_FOR_A_RATIO]
     rows = [
-        Row("precision, all recordings", total.precision, must=AGREEMENT, lead=AGREEMENT_LEAD),
-        Row("recall, all recordings", total.recall, must=AGREEMENT, lead=AGREEMENT_LEAD),
+        Row(f"{kind}, all recordings", getattr(total, kind), must=AGREEMENT, lead=AGREEMENT_LEAD)
+        for kind in ("precision", "recall")
     ]
-    if telling:
-        name, least = min(telling, key=lambda entry: entry[1].precision)
-        rows.append(Row("precision, worst recording", least.precision, note=name))
-        name, least = min(telling, key=lambda entry: entry[1].recall)
-        rows.append(Row("recall, worst recording", least.recall, note=name))
+    for kind in ("precision", "recall") if telling else ():
+        value, name = min((getattr(one, kind), name) for name, one in telling)
+        rows.append(Row(f"{kind}, worst recording", value, note=name))
     spurious, missed = total.found - total.found_hits, total.wanted - total.wanted_hits
-    rows += [
-        Row("found, but not by the reference", float(spurious), f"of {total.found}"),
-        Row("found by the reference alone", float(missed), f"of {total.wanted}"),
-    ]
+    rows.append(Row("found by the live form alone", float(spurious), f"of {total.found}"))
+    rows.append(Row("found by the reference form alone", float(missed), f"of {total.wanted}"))
     return Section(title, explanation, tuple(rows))
 
 
@@ -203,27 +209,23 @@ def _unit_batches(recording: Recording) -> Iterator[FloatArray]:
 
 
 def any_split(bench: Workbench) -> Section:
-    """Whether the bytes depend on how the sound arrives."""
+    """Whether the vibration depends on the block sizes in which the sound arrives."""
     first = round(SPLIT_FROM_S * SAMPLERATE)
     sound = demo_sound()[first : first + round(bench.effort.split_s * SAMPLERATE)]
     rng = np.random.default_rng(2)
-    rows = []
+    splits = [[frames] * (len(sound) // frames + 1) for frames in SPLIT_FRAMES]
+    splits += [list(rng.integers(0, 3000, len(sound) // 500)) for _ in range(RANDOM_SPLITS)]
+    differ: dict[str, float | None] = {}
     for subject in bench.subjects:
         whole = _delivered(subject, sound, [len(sound)])
-        splits = [[frames] * (len(sound) // frames + 1) for frames in SPLIT_FRAMES]
-        splits += [
-            list(rng.integers(0, 3000, size=len(sound) // 500)) for _ in range(RANDOM_SPLITS)
-        ]
-        differ = sum(differing_blocks(whole, _delivered(subject, sound, split)) for split in splits)
-        must = Must("<=", 0) if subject.name == LIVE else None
-        name = "splits that change a byte"
-        rows.append(Row(name, float(differ), f"of {len(splits)}", subject.name, must))
+        parts = [_delivered(subject, sound, split) for split in splits]
+        differ[subject.name] = float(sum(differing_blocks(whole, part) for part in parts))
     return Section(
         "Any split of the sound",
-        "A player delivers sound in blocks of any size; the vibration must not depend on it. "
-        f"Blocks of {', '.join(str(f) for f in SPLIT_FRAMES)} frames and {RANDOM_SPLITS} random "
-        f"splits of {bench.effort.split_s:g} s of the demo scene, against one block.",
-        tuple(rows),
+        "The vibration must not depend on the block size. Blocks of "
+        f"{', '.join(str(f) for f in SPLIT_FRAMES)} frames and {RANDOM_SPLITS} random splits of "
+        f"{bench.effort.split_s:g} s of the demo scene are compared with one block.",
+        tuple(line("splits that change a byte", differ, f"of {len(splits)}", Must("<=", 0))),
     )
 
 

@@ -1,9 +1,8 @@
-"""Bench on frequencies: how far off a tone in noise is found, against what any method could reach.
+"""Section on frequency error: a tone in noise, against the Cramer-Rao bound.
 
-Steps 4 and 5 of both forms alone, on windows of one tone, without band-pass and hop: the tone is
-taken to be the highest of all that is found. The limit of any method without bias is the
-Cramer-Rao bound of a real tone of amplitude a in white noise of standard deviation s, over N
-samples at fs (Rife and Boorstyn, 1974): var(f) >= 24 s^2 fs^2 / (4 pi^2 a^2 N (N^2 - 1)).
+Only steps 4 and 5 of both forms run, on windows of one tone; the highest peak counts. The bound for
+a real tone of amplitude a in white noise of standard deviation s, over N samples at fs, is
+var(f) >= 24 s^2 fs^2 / (4 pi^2 a^2 N (N^2 - 1)) (Rife and Boorstyn, 1974).
 """
 
 from __future__ import annotations
@@ -20,28 +19,27 @@ from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
-from tools.bench.report import Must, Row, Section
+from tools.bench.report import Must, Row, Section, line
 from tools.bench.sections.tones import SAMPLERATES
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import LIVE, REFERENCE, Workbench
 
 TITLE = "Frequency error"
 RANGES_HZ = ((50.0, 150.0), (150.0, 600.0), (600.0, 12_000.0))
-"""Under 150 Hz is shown for itself. Under 600 Hz or so a tone is pulled by its own image, its
-half at negative frequency, more than by little noise."""
+"""Below about 600 Hz the image of a tone, at negative frequency, matters more than weak noise."""
 HIGHEST_SHARE = 0.45
-"""Tones go up to this share of the samplerate, no nearer to the image above half of it."""
+"""Highest tone as a share of the samplerate."""
 SNRS_DB = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 LIMITED_SNRS_DB = (0.0, 10.0, 20.0)
 TIMES_BOUND = Must("<=", 1.5)
 AMPLITUDE = 0.05
-"""Of the tone; at 0 dB the noise then stays under C_th, so that only the tone is refined."""
+"""Of the tone: at 0 dB the noise stays under C_th, so only the tone is refined."""
 WINDOWS_AT_ONCE = 64
 
 APART_HZ = (30.0, 45.0, 60.0, 90.0)
 PAIR_HZ = (300.0, 5_000.0)
 RESOLVED_SHARE = 0.95
-"""Tones so far apart that fewer than this share of windows tells them apart are named."""
+"""Distances at which fewer windows than this share hold two tones are named in the text."""
 BOUND = "bound"
 FORMS = (LIVE, REFERENCE)
 
@@ -56,10 +54,10 @@ def bound_hz(samplerate: int, frames: int, snr_db: float) -> float:
 
 
 def window_loss() -> float:
-    """Return how many times the bound the best method reaches that looks through the window.
+    """Return the least error through the Hamming window, as a multiple of the bound.
 
-    A window w leaves a variance of 12 integral(w^2 t^2) / (12 integral(w t^2))^2 times the
-    bound's, t from -1/2 to 1/2: the ends, which it takes away, tell most.
+    A window w leaves 12 integral(w^2 t^2) / (12 integral(w t^2))^2 of the bound's variance, with t
+    from -1/2 to 1/2.
     """
     points = 4096
     window = hamming(points, sym=False)
@@ -150,41 +148,30 @@ def _errors_hz(
 
 
 def frequency_error(bench: Workbench) -> Section:
-    """The error of a tone's frequency in noise over the bound, and tones close together."""
+    """The error of a tone's frequency in noise over the bound, and two tones close together."""
     count = bench.effort.noisy_tones
     grids = {samplerate: _Grid.at(samplerate) for samplerate in SAMPLERATES}
     rows, series = _over_snr(grids[SAMPLERATE], count)
     for samplerate, grid in grids.items():
         rows += _at_samplerate(samplerate, grid, count)
-    pairs = _pairs(grids[SAMPLERATE], count)
-    merging = [
-        f"{apart_hz:g}"
-        for apart_hz in APART_HZ
-        if any(
-            (row.value or 0.0) < 100.0 * RESOLVED_SHARE
-            for row in pairs
-            if row.unit == "%" and row.name.startswith(f"two tones {apart_hz:g} Hz ")
-        )
-    ]
+    pairs, merging = _pairs(grids[SAMPLERATE], count)
     spread = 100.0 / np.sqrt(2.0 * count * len(LIMITED_SNRS_DB))
+    limited = f"{LIMITED_SNRS_DB[0]:g} to {LIMITED_SNRS_DB[-1]:g} dB"
     return Section(
         TITLE,
-        "How far off the frequency of a tone in white noise is found, as root mean square over "
-        "tones that are equally many an octave, in multiples of the Cramer-Rao bound: the least "
-        "that any method without bias can reach. Through a Hamming window the best is "
-        f"{window_loss():.2f} times the bound. With little noise the method's own bias remains. "
-        "Then two equal tones: how often they are two, each found nearer to its own place than "
-        "to the middle"
+        "Root mean square error of the frequency of a tone in white noise, over tones that are "
+        "evenly spread by octave, in multiples of the Cramer-Rao bound. No unbiased method is "
+        f"better than the bound; through a Hamming window the least is {window_loss():.2f} times "
+        "the bound. With little noise the bias of the method remains. Then two equal tones: how "
+        "often both are found, each nearer to its own frequency than to the middle"
         + (f"; some merge {' and '.join(merging)} Hz apart." if merging else "; none merge."),
         tuple(rows + pairs),
         series=series,
-        footnote=f"{count} tones for each samplerate, range and ratio of signal to noise; a value "
-        f"over {LIMITED_SNRS_DB[0]:g} to {LIMITED_SNRS_DB[-1]:g} dB is uncertain by {spread:.1f} "
-        f"%. The limit is asked from {RANGES_HZ[1][0]:g} Hz up, at "
-        f"{LIMITED_SNRS_DB[0]:g} to {LIMITED_SNRS_DB[-1]:g} dB, of the live form. What the "
-        "reference form is off beyond it is the pull of a tone's image, which the live form takes "
-        "away: complex tones, which have none, show what is left without. Tones go up to "
-        f"{HIGHEST_SHARE:g} of the samplerate where that is under the range's end.",
+        footnote=f"{count} tones for each samplerate, range and signal-to-noise ratio; a value "
+        f"over {limited} is uncertain by {spread:.1f} %. The limit applies to the live form from "
+        f"{RANGES_HZ[1][0]:g} Hz up, at {limited}. The reference form's larger error is the pull "
+        "of the tone's image, which the live form removes; complex tones have no image. Tones go "
+        f"up to {HIGHEST_SHARE:g} of the samplerate.",
     )
 
 
@@ -193,48 +180,45 @@ def _name(span_hz: tuple[float, float]) -> str:
 
 
 def _over_snr(grid: _Grid, count: int) -> tuple[list[Row], dict[str, tuple[float, ...]]]:
-    """Return rows and curves of the error in Hz at one samplerate by signal to noise."""
+    """Return rows and curves of the error in Hz by signal-to-noise ratio."""
     rows: list[Row] = []
-    series: dict[str, tuple[float, ...]] = {"SNR": SNRS_DB}
     bounds = tuple(bound_hz(grid.samplerate, grid.frames, snr_db) for snr_db in SNRS_DB)
+    series: dict[str, tuple[float, ...]] = {"SNR": SNRS_DB, BOUND: bounds}
     for span_hz in RANGES_HZ:
         by_form = _errors_hz(grid, span_hz, SNRS_DB, count)
-        rms = {form: tuple(_rms(line) for line in errors) for form, errors in by_form.items()}
+        rms = {form: tuple(_rms(each) for each in errors) for form, errors in by_form.items()}
         for place, (snr_db, least) in enumerate(zip(SNRS_DB, bounds, strict=True)):
             name = f"{_name(span_hz)}, {snr_db:g} dB"
-            rows += [Row(name, rms[form][place] / least, "times", form) for form in FORMS]
+            rows += line(name, {form: rms[form][place] / least for form in FORMS}, "times")
             rows.append(Row(name, least, "Hz", BOUND))
         series |= {f"{form}, {_name(span_hz)}": curve for form, curve in rms.items()}
-    return rows, series | {BOUND: bounds}
+    return rows, series
 
 
 def _at_samplerate(samplerate: int, grid: _Grid, count: int) -> list[Row]:
-    """Return the rows of one samplerate: over 0 to 20 dB, and what is left without noise."""
+    """Return the rows of one samplerate: over the limited ratios, and without noise."""
     rows: list[Row] = []
     bounds = np.array([[bound_hz(samplerate, grid.frames, snr)] for snr in LIMITED_SNRS_DB])
     for span_hz in RANGES_HZ:
-        limited = span_hz[0] >= RANGES_HZ[1][0]
         name = f"{samplerate} Hz, {_name(span_hz)}"
         by_form = _errors_hz(grid, span_hz, (*LIMITED_SNRS_DB, None), count)
-        for form, errors in by_form.items():
-            must = TIMES_BOUND if limited and form == LIVE else None
-            rows.append(Row(name, _rms(errors[:-1] / bounds), "times", form, must))
-        rows += [
-            Row(name, _rms(errors[-1]), "Hz", f"{form}, no noise")
-            for form, errors in by_form.items()
-        ]
-        if samplerate != SAMPLERATE:
-            continue
-        rng = np.random.default_rng(samplerate)
-        audio_hz = _log_uniform(rng, span_hz, count)
-        lone = grid.without_image(audio_hz, rng.uniform(0.0, 2.0 * np.pi, count))
-        rows.append(Row(name, _rms(lone), "Hz", f"{REFERENCE}, no noise, no image"))
+        over = {form: _rms(by_form[form][:-1] / bounds) for form in FORMS}
+        must = TIMES_BOUND if span_hz[0] >= RANGES_HZ[1][0] else None
+        rows += line(name, dict(over), "times", must)
+        noiseless = {f"{form}, no noise": _rms(by_form[form][-1]) for form in FORMS}
+        if samplerate == SAMPLERATE:
+            rng = np.random.default_rng(samplerate)
+            audio_hz = _log_uniform(rng, span_hz, count)
+            alone = grid.without_image(audio_hz, rng.uniform(0.0, 2.0 * np.pi, count))
+            noiseless[f"{REFERENCE}, no noise, no image"] = _rms(alone)
+        rows += line(name, dict(noiseless), "Hz")
     return rows
 
 
-def _pairs(grid: _Grid, count: int) -> list[Row]:
-    """Return how often two equal tones are told apart, and how well they are found then."""
+def _pairs(grid: _Grid, count: int) -> tuple[list[Row], list[str]]:
+    """Return how often two equal tones are found and how well, and at what distances they merge."""
     rows: list[Row] = []
+    merging = []
     for apart_hz in APART_HZ:
         rng = np.random.default_rng(int(apart_hz))
         lower_hz = _log_uniform(rng, PAIR_HZ, count)
@@ -243,20 +227,22 @@ def _pairs(grid: _Grid, count: int) -> list[Row]:
             AMPLITUDE * np.sin(grid.turns(hz, rng.uniform(0.0, 2.0 * np.pi, count)))
             for hz in wanted_hz.T
         )
-        name = f"two tones {apart_hz:g} Hz apart"
+        shares: dict[str, float | None] = {}
+        errors: dict[str, float | None] = {}
         for form, analyse in grid.forms.items():
-            found = analyse(np.asarray(windows))
-            nearest_hz = _nearest_hz(found, wanted_hz)
-            errors_hz = nearest_hz - wanted_hz
-            resolved = (np.abs(errors_hz) < apart_hz / 2.0).all(axis=1)
-            rows.append(Row(f"{name}, two found", 100.0 * float(resolved.mean()), "%", form))
-            error = _rms(errors_hz[resolved]) if resolved.any() else None
-            rows.append(Row(f"{name}, error", error, "Hz", form, note="" if error else "never two"))
-    return rows
+            errors_hz = _nearest_hz(analyse(np.asarray(windows)), wanted_hz) - wanted_hz
+            both = (np.abs(errors_hz) < apart_hz / 2.0).all(axis=1)
+            shares[form] = 100.0 * float(both.mean())
+            errors[form] = _rms(errors_hz[both]) if both.any() else None
+        rows += line(f"two tones {apart_hz:g} Hz apart, two found", shares, "%")
+        rows += line(f"two tones {apart_hz:g} Hz apart, error", errors, "Hz")
+        if any((share or 0.0) < 100.0 * RESOLVED_SHARE for share in shares.values()):
+            merging.append(f"{apart_hz:g}")
+    return rows, merging
 
 
 def _nearest_hz(found: Principals, wanted_hz: FloatArray) -> FloatArray:
-    """Return the found frequency nearest to each wanted one, (rows, tones); infinite for none."""
+    """Return the found frequency nearest to each wanted one, (rows, tones), or infinity."""
     nearest = np.full(wanted_hz.shape, np.inf)
     for row, audio_hz in zip(found.row, found.audio_hz, strict=True):
         nearer = np.abs(audio_hz - wanted_hz[row]) < np.abs(nearest[row] - wanted_hz[row])

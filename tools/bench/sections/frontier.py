@@ -1,7 +1,4 @@
-"""Bench on the frontier: what each setting of the live form costs, and what error it leaves.
-
-One setting is changed at a time (`frontier_settings`); the verdict under the table is computed.
-"""
+"""Section on the frontier: what each setting of the live form costs and what error it has."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ from audioflinger_hook.transform import FloatArray, TransformParameters, kernel_
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.principal import PrincipalFinder
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
-from tools.bench.cost import interleaved
 from tools.bench.measures.vibration import energy_above_db, onset_lag_s, sine_fit
 from tools.bench.report import Row, Section, number
 from tools.bench.sections.fidelity import (
@@ -27,7 +23,7 @@ from tools.bench.sections.fidelity import (
     REST_S,
 )
 from tools.bench.sections.frontier_settings import DEFAULT, SETTINGS, Setup
-from tools.bench.sections.tones import LEADS
+from tools.bench.sections.tones import PURITY_LEAD
 from tools.bench.sounds.signals import (
     SAMPLERATE,
     Stereo,
@@ -35,7 +31,7 @@ from tools.bench.sounds.signals import (
     demo_sound,
     tone,
 )
-from tools.bench.workbench import Playback, Workbench
+from tools.bench.workbench import Playback, Workbench, timed
 
 TITLE = "Cost against error"
 BLOCKSIZE = 256
@@ -47,7 +43,7 @@ CHIRP_SETTLED_S = 0.4
 SWELL_HZ, SWELL_DEPTH = 4.0, 0.5
 NOTES, HARMONICS, NOTE_HZ, NOTE_DECAY_S = 24, 12, (98.0, 660.0), 0.3
 NOTE_REACH_HZ = 10.8
-"""Half of 1/T: a partial found so near to its place is found."""
+"""A partial within half of 1/T of its frequency is found."""
 
 COST, TONE_ERROR, TONE_LEVEL, CHIRP = "cost", "tones", "tones, level", "chirp"
 SWELL, PURITY, LAG, LEAK = "AM, level", "THD+N", "lag, p95", "over 250 Hz"
@@ -57,21 +53,21 @@ UNITS = {
     COST: "ms", TONE_ERROR: "Hz", TONE_LEVEL: "dB", CHIRP: "Hz", SWELL: "dB", PURITY: "dB",
     LAG: "ms", LEAK: "dB", MISSED: "%", SPURIOUS: "%", UNLIKE: "%",
 }  # fmt: skip
-"""What is measured of a setting; of each less is better."""
+"""Measures of a setting and their units; less is better."""
 BLUR = {
     COST: 0.1, TONE_ERROR: 1e-3, TONE_LEVEL: 0.01, CHIRP: 0.1, SWELL: 0.02, PURITY: 1.0,
     LAG: 0.7, LEAK: 0.7, MISSED: 0.3, SPURIOUS: 0.3, UNLIKE: 0.3,
 }  # fmt: skip
-"""Differences under this, of cost as a share, are none: they are within the spread of repeats."""
+"""Differences within the spread of repeats count as none; that of cost is a share."""
 
 
-ENOUGH = {PURITY: LEADS[2], LEAK: LEAK_RECORDING_LEAD, LAG: LAG_P95_LEAD}
-"""What is aimed at: of a setting that is better only beyond it there is nothing to be felt."""
+ENOUGH = {PURITY: PURITY_LEAD, LEAK: LEAK_RECORDING_LEAD, LAG: LAG_P95_LEAD}
+"""The project's aims; a setting that is better only beyond them cannot be felt."""
 NOT_COMPARED = {COST: "not compiled", UNLIKE: "other units"}
 
 
 def frontier(bench: Workbench) -> Section:
-    """Cost and errors of the live form, one setting changed at a time, and who dominates whom."""
+    """Cost and errors of the live form, one setting changed at a time."""
     setups = [Setup(setting) for setting in SETTINGS]
     first = round(SCENE_FROM_S * SAMPLERATE)
     scene = demo_sound()[first : first + round(SCENE_S * SAMPLERATE)]
@@ -90,15 +86,13 @@ def frontier(bench: Workbench) -> Section:
     return Section(
         TITLE,
         f"The live form ({'compiled' if kernel_warning() is None else 'in NumPy'}) with one "
-        f"setting changed at a time. Cost of a second of stereo, on {SCENE_S:g} s of the demo "
-        f"scene, the least of {bench.effort.cost_repeats} repeats; then errors "
-        "against what is known: root mean square over steady tones "
-        f"({TONES_HZ[0]:g} to {TONES_HZ[1]:g} Hz) in Hz of vibration and dB, and their worst "
-        f"THD+N; a chirp of {CHIRP_OCTAVES_A_S:g} octaves a second; a level that swells at "
-        f"{SWELL_HZ:g} Hz; onset lag of bursts; energy over 250 Hz of the scene; partials missed "
-        f"and spurious on {NOTES} decaying notes of {HARMONICS} harmonics; and principal "
-        "frequencies of the scene that only one of this and the reference form finds. "
-        "Interpolation and precision (64 bit) are no settings of the live form.",
+        f"setting changed at a time. Cost: of a second of stereo, on {SCENE_S:g} s of the demo "
+        f"scene, the least of {bench.effort.cost_repeats} repeats. Errors: root mean square in Hz "
+        f"of vibration and in dB over steady tones ({TONES_HZ[0]:g} to {TONES_HZ[1]:g} Hz), and "
+        f"their worst THD+N; a chirp of {CHIRP_OCTAVES_A_S:g} octaves a second; a level that "
+        f"swells at {SWELL_HZ:g} Hz; onset lag; energy over 250 Hz; partials missed and spurious "
+        f"on {NOTES} decaying notes of {HARMONICS} harmonics; and principal frequencies of the "
+        "scene that only one of live and reference form finds.",
         tuple(rows),
         footnote=_verdict(measured),
     )  # fmt: skip
@@ -109,18 +103,12 @@ def _plain(value: float | None) -> float:
 
 
 def _costs_ms(setups: list[Setup], scene: Stereo, repeats: int) -> list[float | None]:
-    """Return the least cost of each setting; None where it runs by other means than the default.
-
-    The least of the repeats: settings are told apart, and other programs only ever add.
-    """
-    timed = [setup for setup in setups if setup.compiled == setups[0].compiled]
-    playbacks = [Playback(setup.subject, scene, BLOCKSIZE) for setup in timed]
-    timings = interleaved(
-        [each.play for each in playbacks], repeats, [each.open for each in playbacks]
-    )
+    """Return the least cost of each setting; None for one that is not compiled."""
+    alike = [setup for setup in setups if setup.compiled == setups[0].compiled]
+    timings = timed([Playback(setup.subject, scene, BLOCKSIZE) for setup in alike], repeats)
     costs = {
         setup.setting.name: 1e3 * min(timing.seconds) / SCENE_S
-        for setup, timing in zip(timed, timings, strict=True)
+        for setup, timing in zip(alike, timings, strict=True)
     }
     return [costs.get(setup.setting.name) for setup in setups]
 
@@ -159,7 +147,7 @@ def _tone_errors(setup: Setup, count: int) -> tuple[float, float, float]:
 
 
 def _band_gain(setup: Setup, audio_hz: float) -> float:
-    """Return what the band-pass leaves of a tone: that it is weaker there is no error."""
+    """Return the gain of the band-pass for a tone, which is no error."""
     b, a = setup.made.input.band_b, setup.made.input.band_a
     delay = np.exp(-2j * np.pi * audio_hz / SAMPLERATE)
     powers = delay ** np.arange(a.size)
@@ -167,7 +155,7 @@ def _band_gain(setup: Setup, audio_hz: float) -> float:
 
 
 def _chirp_error_hz(setup: Setup) -> float:
-    """Return the r.m.s. error in Hz of vibration on a chirp, at the latency of what lasts."""
+    """Return the r.m.s. error in Hz of vibration on a chirp, at the latency of sustained levels."""
     time_s = np.arange(round(CHIRP_S * SAMPLERATE)) / SAMPLERATE
     growth = CHIRP_OCTAVES_A_S * np.log(2.0)
     phase = 2.0 * np.pi * CHIRP_FROM_HZ / growth * (np.exp(growth * time_s) - 1.0)
@@ -182,7 +170,7 @@ def _chirp_error_hz(setup: Setup) -> float:
 
 
 def _swell_error_db(setup: Setup) -> float:
-    """Return the r.m.s. error in dB of a tone's level that swells, at the latency of what lasts."""
+    """Return the r.m.s. error in dB of a swelling level, at the latency of sustained levels."""
     duration_s = 1.5
     time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
     swell = 1.0 + SWELL_DEPTH * np.sin(2.0 * np.pi * SWELL_HZ * time_s)
@@ -195,10 +183,10 @@ def _swell_error_db(setup: Setup) -> float:
 
 def _lag_p95_ms(setup: Setup, count: int) -> float:
     """Return the 95th percentile of the onset lag over twice as many bursts as count."""
-    stream_s = BURST_ONSET_S + 0.4  # the latest onset, and what the measure looks at after it
+    stream_s = BURST_ONSET_S + 0.4  # the measure looks at 0.2 s after the latest onset
     lags = []
     for place, audio_hz in enumerate(np.geomspace(*BURST_HZ, 2 * count)):
-        # places spread over the window by the golden ratio, so that no hop is favoured
+        # Onsets are spread over the window by the golden ratio.
         onset_s = BURST_ONSET_S + (0.618 * place % 1.0) * TransformParameters().window_s
         sound = burst(float(audio_hz), BURST_AMPLITUDE, onset_s, stream_s)
         lags.append(1e3 * onset_lag_s(setup.vibration(sound), SAMPLERATE, onset_s))
@@ -206,7 +194,7 @@ def _lag_p95_ms(setup: Setup, count: int) -> float:
 
 
 def _notes(setup: Setup) -> tuple[float, float]:
-    """Return missed and spurious partials of decaying notes, in percent of all there are."""
+    """Return missed and spurious partials of decaying notes, in percent of all."""
     form = setup.form()
     rng = np.random.default_rng(6)
     time_s = np.arange(form._grid.window_frames) / SAMPLERATE
@@ -253,7 +241,7 @@ def _rms(errors: FloatArray | list[float]) -> float:
 def _compared(
     one: Mapping[str, float | None], other: Mapping[str, float | None]
 ) -> dict[str, Literal["better", "worse"]]:
-    """Return in which columns one setting differs from another by more than the blur."""
+    """Return in which columns one setting differs from another by more than BLUR."""
     found: dict[str, Literal["better", "worse"]] = {}
     for column, blur in BLUR.items():
         mine, theirs = one[column], other[column]
@@ -266,7 +254,7 @@ def _compared(
 
 
 def _verdict(measured: Mapping[str, Mapping[str, float | None]]) -> str:
-    """Return why the defaults lie where they lie: what every other setting costs and gains."""
+    """Return what every other setting costs and gains, and which dominate the defaults."""
     default = measured[DEFAULT]
     dominating: dict[str, list[str]] = {}
     lines = []
@@ -274,10 +262,8 @@ def _verdict(measured: Mapping[str, Mapping[str, float | None]]) -> str:
         if name == DEFAULT:
             continue
         compared = _compared(values, default)
-        gains, losses = (
-            [column for column, side in compared.items() if side == wanted]
-            for wanted in ("better", "worse")
-        )
+        gains = [column for column, side in compared.items() if side == "better"]
+        losses = [column for column, side in compared.items() if side == "worse"]
         if gains and not losses:
             dominating[name] = gains
         lines.append(
@@ -285,7 +271,7 @@ def _verdict(measured: Mapping[str, Mapping[str, float | None]]) -> str:
             f"worse in {_listed(losses, values) or 'nothing'}"
         )
     head = f"The defaults ({_listed(default, default)}) {_place(dominating, measured)}"
-    return "\n".join((head, "Against them, as far as the spread of repeats lets one tell:", *lines))
+    return "\n".join((head, "Compared with them, beyond the spread of repeats:", *lines))
 
 
 def _listed(columns: Iterable[str], values: Mapping[str, float | None]) -> str:
@@ -297,9 +283,7 @@ def _listed(columns: Iterable[str], values: Mapping[str, float | None]) -> str:
 def _place(
     dominating: Mapping[str, list[str]], measured: Mapping[str, Mapping[str, float | None]]
 ) -> str:
-    """Return where the defaults lie, given what each setting that dominates them is better in."""
-    if not dominating:
-        return "lie on the frontier: no other setting is better in something and worse in nothing."
+    """Return where the defaults lie; dominating: the settings that dominate, and their gains."""
     default = measured[DEFAULT]
     needless = {
         name: gains
@@ -307,13 +291,16 @@ def _place(
         if all(column in ENOUGH and ENOUGH[column].met(_plain(default[column])) for column in gains)
     }
     rest = [name for name in dominating if name not in needless]
-    said = []
     if rest:
         verb = "is" if len(rest) == 1 else "are"
-        said.append(
+        said = (
             f"do not lie on the frontier: {', '.join(rest)} {verb} better in something and worse "
             "in nothing."
         )
+    elif needless:
+        said = "lie on the frontier of what can be felt."
+    else:
+        said = "lie on the frontier: no other setting is better in something and worse in nothing."
     if needless:
         each = "; ".join(
             f"{name} ({_listed(gains, measured[name])}; cost {_dearer(measured[name], default)})"
@@ -321,16 +308,12 @@ def _place(
         )
         aims = dict.fromkeys(column for gains in needless.values() for column in gains)
         reached = ", ".join(f"{column} {ENOUGH[column].shown(UNITS[column])}" for column in aims)
-        said += [] if rest else ["lie on the frontier where there is more to be felt."]
-        said.append(
-            f"Better only where the defaults are good enough already: {each}. What is aimed at "
-            f"there is {reached}; beyond it cost decides."
-        )
-    return " ".join(said)
+        said += f" Better only beyond the aims ({reached}): {each}."
+    return said
 
 
 def _dearer(values: Mapping[str, float | None], default: Mapping[str, float | None]) -> str:
-    """Return by how much a setting costs more than the defaults, as measured."""
+    """Return by how much a setting costs more than the defaults."""
     cost, ours = values[COST], default[COST]
     if cost is None or ours is None:
         return NOT_COMPARED[COST]

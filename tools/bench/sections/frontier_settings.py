@@ -1,4 +1,4 @@
-"""Settings of the live form, each changed from outside and alone: see `frontier`.
+"""Settings of the live form that `frontier` compares, each changed from outside.
 
 The transform carries no switches. The kernel takes all of its numbers from a `LiveDesign`,
 whose own come from `TransformParameters` and from the constants of `design.synthesis`.
@@ -23,7 +23,7 @@ from tools.bench.workbench import Subject
 
 DEFAULT = "as it is"
 KERNEL_PADDING = 2.0
-"""The kernel takes no NFFT under two windows; such a setting is tried in NumPy."""
+"""Least NFFT of the kernel, in windows; a smaller one runs in NumPy."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Setting:
     """One change of the live form: its knob, its name in the table, and what is changed.
 
     parameters: of `TransformParameters`; constants: of `design.synthesis`; padding: NFFT over
-    the window's length. onsets: whether what begins is born at once.
+    the window's length. onsets: whether onsets begin partials at once.
     """
 
     knob: str
@@ -109,7 +109,7 @@ class Setup:
 
 @contextmanager
 def constants_changed(changed: Mapping[str, float | int]) -> Iterator[None]:
-    """Change constants of `design.synthesis` for as long as a transform is being made."""
+    """Change constants of `design.synthesis` while a transform is made."""
     kept: list[tuple[str, float | int]] = []
     try:
         for name, value in changed.items():

@@ -1,4 +1,4 @@
-"""Bench on level: how strong what is heard is felt, under each law and profile, at any volume."""
+"""Section on level: how strong a sound is felt with each amplitude mapping and profile."""
 
 from __future__ import annotations
 
@@ -23,28 +23,28 @@ from tools.bench.sounds.signals import SAMPLERATE, Recording, speech
 from tools.bench.workbench import Subject, Workbench
 
 TITLE = "Level"
-BY_ENERGY = "law by energy"
+BY_ENERGY = "by energy"
 QUIETER_DB = -20.0
 LOUDEST_SHARE = 0.1
 AUDIBLE_DB = -60.0
-"""A unit of sound under this, as it stands in its recording, counts as a pause."""
+"""A quieter unit of a recording counts as a pause."""
 NOT_FELT_DB = -90.0
 MOMENTARY_S, STEP_S = 0.4, 0.1
 """Momentary loudness of EBU Tech 3341."""
 FELT_SAME_DB = 1.0
-"""A change of strength under this is not felt."""
+"""Smallest change of strength that is felt."""
 
 HEARD = "heard"
 EXPLOSION, SPEECH = "explosion", "speech"
 CONTRAST = "explosion over speech"
 SILENT = "silent units at -20 dB"
-SETTLES = "after -20 dB felt the same again"
+SETTLES = "felt the same again after -20 dB"
 SETTLED_DIFFERENCE = "the same programme 20 dB lower, settled"
 
 
 @dataclass(frozen=True)
 class Way:
-    """One way from sound to strength: a law or a profile."""
+    """A profile, or an amplitude mapping on its own: its name and parameters."""
 
     name: str
     parameters: TransformParameters
@@ -61,20 +61,20 @@ class Way:
         return vibration[transform.latency_frames :, 0]
 
     def settled(self, sound: FloatArray, settled_s: float) -> FloatArray:
-        """Return the vibration of a sound that has been played over and over for so long before."""
+        """Return the vibration of a sound after it has been repeated for that long."""
         times = round(settled_s * SAMPLERATE / sound.size) if self.parameters.loudness_db else 0
         felt = self.felt(np.resize(sound, (times + 1) * sound.size))
         return felt[times * sound.size :]
 
 
 def ways() -> tuple[Way, ...]:
-    """Return the paper's way, the law by energy alone, and all other profiles."""
+    """Return the profile `paper`, the mapping by energy alone, and all other profiles."""
     profiles = tuple(Way(name, parameters_of(name)) for name in PROFILES)
     return profiles[0], Way(BY_ENERGY, TransformParameters(level_law="energy")), *profiles[1:]
 
 
 def level(bench: Workbench) -> Section:
-    """Loudest tenths in and out, explosion against speech, and what the volume changes."""
+    """Loudest tenths in and out, explosion against speech, and the effect of the volume."""
     sounds, settled_s = sounds_of(bench.recordings), bench.effort.settled_s
     rows: list[Row] = []
     silent: dict[str, list[NDArray[np.bool_]]] = {way.name: [] for way in ways()}
@@ -96,18 +96,17 @@ def level(bench: Workbench) -> Section:
     missing = () if bench.recordings else (bench.missing_recordings("level of spoken recordings"),)
     return Section(
         TITLE,
-        "How strong a sound is felt. The loudest tenth of the units of 46 ms, a full-scale sine at "
-        "0 dB, in sound and in vibration, at the volume as it is and 20 dB lower, once "
-        f"{settled_s:g} s of it have been played. *Law by energy* is that law alone, without the "
-        "loudness follower that all profiles but the paper's have. Explosion over speech: in one "
-        "programme, the loudest 0.4 s of an explosion against those of the speech before it; "
-        "heard, as K-weighted loudness (BS.1770) in phon. With the follower a quarter of it is "
-        "asked for, in the profile for music a half: that is how persons match strength to "
-        "loudness. Silent units: of those over -60 dB at full volume, which are not felt at all.",
+        "Level of the loudest tenth of the 46 ms units in sound and vibration (0 dB: full-scale "
+        f"sine), at full volume and 20 dB lower, after {settled_s:g} s of the sound. *By energy* "
+        "is that amplitude mapping without the loudness follower of the other profiles. Explosion "
+        "over speech: the loudest 0.4 s of an explosion against the speech before it; heard, as "
+        "K-weighted loudness (BS.1770) in phon. The follower aims at a quarter of that, in `music` "
+        "at a half, which is how people match strength to loudness. Silent units: the share of "
+        "audible units that are not felt at all.",
         tuple(rows),
         missing,
         footnote=f"Sounds: the demo's own{'' if missing else ', and spoken recordings as speech'}. "
-        f"Felt the same: within {FELT_SAME_DB:g} dB, over pieces of 2 s.",
+        f"Felt the same: within {FELT_SAME_DB:g} dB, in pieces of 2 s.",
     )
 
 
@@ -196,7 +195,7 @@ def _contrast_rows(sounds: dict[str, FloatArray], settled_s: float) -> list[Row]
 
 
 def _volume_rows(sound: FloatArray, turned_s: float) -> list[Row]:
-    """Return how long speech 20 dB lower is felt weaker, and by what it stays so."""
+    """Return how long speech that is 20 dB lower is felt weaker, and by how much in the end."""
     programme = np.resize(sound, round(3.0 * turned_s * SAMPLERATE))
     volume = np.where(np.arange(programme.size) < turned_s * SAMPLERATE, 1.0, 0.1)
     piece = 2 * SAMPLERATE
@@ -213,14 +212,9 @@ def _volume_rows(sound: FloatArray, turned_s: float) -> list[Row]:
         off = np.flatnonzero(np.abs(weaker) > FELT_SAME_DB)
         settled = not off.size or off[-1] + 1 < weaker.size
         after_s = 2.0 * float(off[-1] + 1) if off.size else 0.0
+        note = "" if settled else "never"
         rows += [
-            Row(
-                SETTLES,
-                after_s if settled else None,
-                "s",
-                way.name,
-                note="" if settled else "never",
-            ),
+            Row(SETTLES, after_s if settled else None, "s", way.name, note=note),
             Row(SETTLED_DIFFERENCE, float(np.mean(weaker[-4:])), "dB", way.name),
         ]
     return rows

@@ -1,4 +1,4 @@
-"""Bench on the mixer: what a cycle costs, how that grows with tracks, what it all adds."""
+"""Section on the mixer: what a cycle costs, by tracks, and what it adds to the transform."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import LIVE, Subject, Workbench
 
 HAL_FRAMES = 240
-"""From which the mixer makes cycles of 960 frames, 20 ms."""
+"""The mixer makes cycles of 960 frames, 20 ms, of it."""
 TRACKS = (1, 8, 32)
 OTHER_RATE = 44_100
 CYCLES_AT_ONCE = 10
-"""Cycles in one timing, from rings filled before it: far over the clock's step."""
+"""Cycles in one timing, from rings filled before it."""
 BLOCKSIZE = 256
 
 TIME, SHARE, UNITS = "µs a cycle", "part of its length", "FFTs"
@@ -31,7 +31,7 @@ LINEAR = Must("<=", 1.25)
 
 
 class TrackBank:
-    """A mixer with so many equal tracks, stereo float, whose rings `fill` and `run` empties."""
+    """A mixer with equal stereo float tracks, whose rings `fill` fills and `run` empties."""
 
     def __init__(self, tracks: int, samplerate: int = SAMPLERATE) -> None:
         self._mixer = Mixer(SAMPLERATE, 2, hal_frames=HAL_FRAMES, standby_delay_s=math.inf)
@@ -55,30 +55,25 @@ class TrackBank:
             track.start()
 
     def fill(self) -> None:
-        """Write as much to every track as there is room for: what its client would do."""
+        """Fill every track's ring, as its client would."""
         for track in self._tracks:
             track.write(self._sound[: track.room])
 
     def run(self) -> int:
-        """Do the cycles of one timing, and return how many tracks were mixed in all of them."""
+        """Do the cycles of one timing and return how many tracks they mixed."""
         return sum(self._mixer.cycle(0.0).tracks_mixed for _ in range(CYCLES_AT_ONCE))
 
 
-class _Way:
-    """One way of the demo scene to vibration; `begin` opens it anew, `run` does all of it."""
+class _Run:
+    """One way to play the demo scene; `begin` opens it anew, `run` plays it to the end."""
 
     def __init__(self, begin: Callable[[], Callable[[], None]]) -> None:
         self._begin = begin
-        self._run: Callable[[], None] | None = None
+        self.begin()
 
     def begin(self) -> None:
         """Open the stream."""
-        self._run = self._begin()
-
-    def run(self) -> None:
-        """Play it to the end."""
-        assert self._run is not None
-        self._run()
+        self.run = self._begin()
 
 
 def mixing(bench: Workbench) -> Section:
@@ -87,19 +82,18 @@ def mixing(bench: Workbench) -> Section:
     rows += _demo_rows(bench.subject(LIVE), bench.effort.mix_repeats)
     return Section(
         "The mixer",
-        "What a cycle costs the mixer's thread: 20 ms of 48 kHz stereo from tracks in float, "
-        "which their clients have filled; no effects, no sinks. Each track should cost the same, "
-        "so the cost of one more among 8 to 32 is held against that of one more among 1 to 8. "
-        f"Then the demo scene in cycles of {BLOCKSIZE} frames, to its vibration: the transform "
-        "alone on the finished mix; the mix as one track through client, mixer, effect framework "
-        "and sink, as live sound goes; and the scene's five tracks of their own rates and formats, "
-        "written by their clients, mixed and resampled there. Shares are of the cycle's length.",
+        "CPU time of the mixer's thread for a cycle of 20 ms, 48 kHz stereo, from float tracks "
+        "that their clients have filled, without effects and sinks. Each track should cost the "
+        "same: one more track among 8 to 32 is compared with one more among 1 to 8. Then the demo "
+        f"scene in cycles of {BLOCKSIZE} frames, to its vibration: the transform alone on the "
+        "finished mix; the mix as one track through client, mixer and effect; and the scene's "
+        "five tracks, mixed and resampled. Shares are of the cycle's length.",
         tuple(rows),
     )
 
 
 def _cycle_rows(rounds: int) -> list[Row]:
-    """Return the cost of a cycle by tracks, how it grows, and that of a resampled track."""
+    """Return the cost of a cycle by tracks, how it scales, and that of a resampled track."""
     banks = {f"{count} track{'s' * (count > 1)} of 48 kHz": TrackBank(count) for count in TRACKS}
     banks["1 track of 44.1 kHz, resampled"] = TrackBank(1, OTHER_RATE)
     works = list(banks.values())
@@ -111,23 +105,15 @@ def _cycle_rows(rounds: int) -> list[Row]:
     for name, timing in zip(banks, timings, strict=True):
         rows += _cost_rows(name, timing, CYCLES_AT_ONCE, length_s)
     one, eight, many = (1e6 * timing.median_s / CYCLES_AT_ONCE for timing in timings[:3])
-    each_us, fixed_us = np.polyfit(TRACKS, (one, eight, many), 1)
     first_us = (eight - one) / (TRACKS[1] - TRACKS[0])
     later_us = (many - eight) / (TRACKS[2] - TRACKS[1])
-    cycle_us = 1e6 * length_s / CYCLES_AT_ONCE
     ratio = later_us / first_us if first_us > 0.0 else math.nan
-    return [
-        *rows,
-        Row("straight line: each track", float(each_us), "µs", TIME),
-        Row("straight line: each track", 100.0 * float(each_us) / cycle_us, "%", SHARE),
-        Row("straight line: fixed part", float(fixed_us), "µs", TIME),
-        Row("straight line: fixed part", 100.0 * float(fixed_us) / cycle_us, "%", SHARE),
-        Row("one more of 8 to 32 over one more of 1 to 8", ratio, "times", TIME, LINEAR),
-    ]
+    name = "one more of 8 to 32 over one more of 1 to 8"
+    return [*rows, Row(name, ratio, "times", TIME, LINEAR)]
 
 
 def _demo_rows(subject: Subject, repeats: int) -> list[Row]:
-    """Return the cost of the demo scene with and without what stands around the transform."""
+    """Return the cost of the demo scene with and without client, mixer and effect."""
     scene = demo_scene()
     sound = mixdown(scene)
 
@@ -141,27 +127,24 @@ def _demo_rows(subject: Subject, repeats: int) -> list[Row]:
 
         return run
 
-    ways = {
-        "demo scene, transform alone": _Way(bare),
-        "demo scene, through mixer and effect": _Way(
+    runs = {
+        "demo scene, transform alone": _Run(bare),
+        "demo scene, through mixer and effect": _Run(
             lambda: _chain(TapClient(FramesTap(sound, SAMPLERATE, BLOCKSIZE)))
         ),
-        "demo scene, five tracks mixed": _Way(lambda: _chain(SceneClient(scene, BLOCKSIZE))),
+        "demo scene, five tracks mixed": _Run(lambda: _chain(SceneClient(scene, BLOCKSIZE))),
     }
-    works = list(ways.values())
-    timings = interleaved([way.run for way in works], repeats, before=[way.begin for way in works])
+    timings = interleaved(
+        [lambda each=each: each.run() for each in runs.values()],  # type: ignore[misc]
+        repeats,
+        [each.begin for each in runs.values()],
+    )
     cycles, length_s = len(sound) / BLOCKSIZE, len(sound) / SAMPLERATE
-    rows: list[Row] = []
-    for name, timing in zip(ways, timings, strict=True):
-        rows += _cost_rows(name, timing, cycles, length_s)
-    alone = timings[0]
-    for name, timing in list(zip(ways, timings, strict=True))[1:]:
-        added = Timings(
-            [more - less for more, less in zip(timing.seconds, alone.seconds, strict=True)],
-            [more - less for more, less in zip(timing.units, alone.units, strict=True)],
-        )
-        rows += _cost_rows(f"added by it: {name.partition(', ')[2]}", added, cycles, length_s)
-    return rows
+    return [
+        row
+        for name, timing in zip(runs, timings, strict=True)
+        for row in _cost_rows(name, timing, cycles, length_s)
+    ]
 
 
 def _chain(client: Client) -> Callable[[], None]:
@@ -176,7 +159,7 @@ def _play(chain: Pipeline) -> None:
 
 
 def _cost_rows(name: str, timings: Timings, cycles: float, length_s: float) -> list[Row]:
-    """Return a cost by the cycle, as a share of `length_s`, the length of them all, and in FFTs."""
+    """Return a cost by the cycle, as a share of the length of all cycles, and in FFTs."""
     low_s, high_s = min(timings.seconds), max(timings.seconds)
 
     def row(factor: float, unit: str, column: str) -> Row:

@@ -1,4 +1,4 @@
-"""Bench on profiles: what each is for, shown by measures on the same sounds."""
+"""Section on profiles: what each changes, by measures on the same sounds."""
 
 from __future__ import annotations
 
@@ -9,14 +9,12 @@ from audioflinger_hook.transform import FloatArray, HapticTransform, TransformPa
 from audioflinger_hook.transform.mapping import vibration_hz
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.simulated_rig import SimulatedRig
-from tools.bench.cost import interleaved
 from tools.bench.measures.similarity import envelope_correlation, felt_spectrum
-from tools.bench.measures.vibration import onset_lag_s
 from tools.bench.report import Row, Section
-from tools.bench.sections.fidelity import BURST_AMPLITUDE, BURST_HZ, BURST_ONSET_S
+from tools.bench.sections.fidelity import BURST_HZ, BURST_ONSET_S, burst_lag_s
 from tools.bench.sections.levels import Way, sounds_of, units_db
-from tools.bench.sounds.signals import SAMPLERATE, burst, stereo
-from tools.bench.workbench import Playback, Workbench
+from tools.bench.sounds.signals import SAMPLERATE, stereo
+from tools.bench.workbench import Playback, Workbench, cost_rows, timed
 
 TITLE = "Profiles"
 BURSTS = 9
@@ -28,7 +26,7 @@ RIGS = (PAPER, CONSUMER)
 AUDIBLE_DB = -60.0
 
 OTHER_MAPPING = "music, jnd"
-"""No profile: the one for music with equal JNDs an octave in place of equation (4)."""
+"""No profile: `music` with equal JNDs an octave in place of equation (4)."""
 
 LATENCY, LAG = "latency", "onset lag, mean"
 CORRELATION = "envelope correlation, median sound"
@@ -38,7 +36,7 @@ COST = "cost of a second of speech, blocks of 256"
 
 
 def profiles(bench: Workbench) -> Section:
-    """Delay, likeness, range, place in the vibration's range and cost of every profile."""
+    """Lag, similarity, range, octaves and cost of every profile."""
     ways = [Way(name, parameters_of(name)) for name in PROFILES]
     ways.append(Way(OTHER_MAPPING, parameters_of("music", {"mapping": "jnd"})))
     sounds = sounds_of(bench.recordings)
@@ -56,15 +54,9 @@ def profiles(bench: Workbench) -> Section:
         rows.append(Row(CORRELATION, float(np.median(alike)), "", way.name))
         rows.append(Row(RANGE, _range_db(felt["speech"]), "dB", way.name))
         rows += _octave_rows(way, felt)
-        rows += [
-            Row(
-                f"acceleration on the {rig.name} rig",
-                _moved_m_s2(rig, felt["chord"]),
-                "m/s²",
-                way.name,
-            )
-            for rig in RIGS
-        ]
+        for rig in RIGS:
+            moved = _moved_m_s2(rig, felt["chord"])
+            rows.append(Row(f"acceleration on the {rig.name} rig", moved, "m/s²", way.name))
         rows.append(Row(STEP, _smallest_step_percent(way.parameters), "%", way.name))
     rows.append(Row(RANGE, _range_db(sounds["speech"]), "dB", "in"))
     rows += _cost_rows(ways, sounds["speech"], bench)
@@ -76,30 +68,29 @@ def profiles(bench: Workbench) -> Section:
     )
     return Section(
         TITLE,
-        "What the profiles change, on the sounds of the section above. Lag: time until a tone "
-        "burst's vibration passes half of its level, latency included. Envelope correlation: how "
-        "the levels of sound and vibration go together, 1 at best; it tells of the course, not of "
-        "the range, so a follower, which compresses, need not lower it. Range: of the units of "
-        "46 ms of speech. Energy: share of each octave of vibration, median sound; a small shaker "
-        "does little under 40 Hz. Smallest step: by how much vibration rises for an octave of "
-        "sound, where it rises least; differences are felt from about 35 % on. Acceleration: "
-        f"r.m.s. of the chord on the simulated rigs. *{OTHER_MAPPING}* is no profile: that for "
-        'music with `mapping = "jnd"`.',
+        "Measures on the sounds of the section above. Lag: until the vibration of a tone burst "
+        "passes half of its level, latency included. Envelope correlation: how the levels of sound "
+        "and vibration vary together, whatever their range. Range: of the 46 ms units of speech. "
+        "Energy: share of each octave of vibration, median sound; a small shaker does little under "
+        "40 Hz. Smallest step: the least rise of the vibration's frequency for an octave of sound; "
+        "people feel differences from about 35 %. Acceleration: r.m.s. of the chord on the "
+        f'simulated rigs. *{OTHER_MAPPING}* is `music` with `mapping = "jnd"`.',
         tuple(rows),
         footnote=f"Values and their reasons: {reasons}.",
     )
 
 
 def _mean_lag_ms(way: Way) -> float:
-    window_s = TransformParameters().window_s
     places = np.random.default_rng(4).permutation(BURSTS) / BURSTS
-    lags_s = []
-    for audio_hz, place in zip(np.geomspace(*BURST_HZ, BURSTS), places, strict=True):
-        onset_s = BURST_ONSET_S + float(place) * window_s
-        sound = burst(float(audio_hz), BURST_AMPLITUDE, onset_s, BURST_ONSET_S + BURST_STREAM_S)
-        vibration = way.subject.vibration(sound, SAMPLERATE)
-        lags_s.append(onset_lag_s(vibration, SAMPLERATE, onset_s))
-    return 1e3 * float(np.mean(lags_s))
+    bursts_hz = np.geomspace(*BURST_HZ, BURSTS).tolist()
+    return 1e3 * float(
+        np.mean(
+            [
+                burst_lag_s(way.subject, audio_hz, place, BURST_ONSET_S + BURST_STREAM_S)
+                for audio_hz, place in zip(bursts_hz, places.tolist(), strict=True)
+            ]
+        )
+    )
 
 
 def _range_db(signal: FloatArray) -> float:
@@ -123,9 +114,9 @@ def _octave_rows(way: Way, felt: dict[str, FloatArray]) -> list[Row]:
 
 
 def _moved_m_s2(rig: Rig, vibration: FloatArray) -> float:
-    twin = SimulatedRig(rig, SAMPLERATE, 1)
-    twin.write(vibration[:, None].astype(np.float32))
-    return float(np.sqrt(np.mean(twin.acceleration_m_s2**2)))
+    simulated = SimulatedRig(rig, SAMPLERATE, 1)
+    simulated.write(vibration[:, None].astype(np.float32))
+    return float(np.sqrt(np.mean(simulated.acceleration_m_s2**2)))
 
 
 def _smallest_step_percent(parameters: TransformParameters) -> float:
@@ -137,14 +128,7 @@ def _smallest_step_percent(parameters: TransformParameters) -> float:
 def _cost_rows(ways: list[Way], sound: FloatArray, bench: Workbench) -> list[Row]:
     once = stereo(np.resize(sound, round(COST_S * SAMPLERATE)))
     playbacks = [Playback(way.subject, once, BLOCKSIZE) for way in ways]
-    timings = interleaved(
-        [each.play for each in playbacks],
-        bench.effort.cost_repeats,
-        [each.open for each in playbacks],
-    )
-    rows = []
-    for way, timing in zip(ways, timings, strict=True):
-        low, high = (1e3 * end(timing.seconds) / COST_S for end in (min, max))
-        cost_ms = 1e3 * timing.median_s / COST_S
-        rows.append(Row(COST, cost_ms, "ms", way.name, low=low, high=high))
+    rows: list[Row] = []
+    for way, timing in zip(ways, timed(playbacks, bench.effort.cost_repeats), strict=True):
+        rows += cost_rows(COST, way.name, timing, COST_S)[:1]
     return rows

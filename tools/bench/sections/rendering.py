@@ -1,4 +1,4 @@
-"""Bench on rendering: files through the command line, as a user would do it."""
+"""Section on rendering: files through the command line."""
 
 from __future__ import annotations
 
@@ -16,12 +16,9 @@ import soundfile
 from audioflinger_hook.offline.workers import usable_cores
 from tools.bench.cost import in_ffts
 from tools.bench.report import Missing, Must, Row, Section
-from tools.bench.sounds.signals import (
-    PROJECT_ROOT,
-    SAMPLERATE,
-    demo_sound,
-)
+from tools.bench.sounds.signals import SAMPLERATE, demo_sound
 from tools.bench.workbench import Workbench, not_compiled
+from tools.records import PROJECT_ROOT
 
 PACKAGE = "audioflinger_hook"
 LONG_S = 600.0
@@ -32,8 +29,7 @@ A_CORE = {"live": Must(">=", 400.0), "reference": Must(">=", 250.0)}
 A_CORE_FFTS = {form: Must("<=", in_ffts(1.0 / must.bound)) for form, must in A_CORE.items()}
 REPEATS = 3
 
-# A small process of its own starts the command: the peak of a child includes what its parent
-# occupied when it was started, and the bench occupies a lot.
+# A small process starts the command, because a child's peak memory includes that of its parent.
 _WATCHER = """
 import json, os, resource, subprocess, sys, time
 start = time.perf_counter()
@@ -44,8 +40,7 @@ print(json.dumps([done.returncode, wall_s, peak_kb, done.stderr[-400:]]))
 """
 
 
-# The same command once everything is imported: the CPU time of the rendering alone, and of the
-# FFT before each.
+# The same command after all imports: the CPU time of the rendering alone, and of an FFT before it.
 _STARTED = """
 import json, os, sys, time
 from tools.bench.cost import rfft_unit_s
@@ -68,13 +63,12 @@ def render_speed(bench: Workbench) -> Section:
     """Wall time and peak memory of `render`, the whole process; and what it costs a core."""
     title = "Rendering a file"
     explanation = (
-        "`cushion render` of the demo scene in a loop, 48 kHz stereo, live form: wall time of the "
-        "whole command, start of Python included, and the most memory that it occupied, which must "
-        "not depend on the length. A core: by CPU time, start left out, the best of "
-        f"{REPEATS} runs; in FFTs what a second of sound costs, against the best FFT. Several "
-        "files: one for each core that may be used, all at once, by wall time, start included; so "
-        "is one file of the reference form that several share. Limits but that of memory are "
-        "asked of ten minutes (full run)."
+        "`cushion render` of the looped demo scene, 48 kHz stereo, live form: wall time of the "
+        "whole command with the start of Python, and its peak memory, which must not depend on "
+        "the length. A core: CPU time without the start, the best of "
+        f"{REPEATS} runs, and in FFTs the cost of a second of sound. Several files: one for each "
+        "core at once, by wall time; and one file of the reference form that several cores share. "
+        "Limits other than memory apply to ten minutes (full run)."
     )
     if importlib.util.find_spec(f"{PACKAGE}.__main__") is None:
         reason = f"`python -m {PACKAGE}` is not there"
@@ -127,13 +121,13 @@ def _a_core(source: Path, name: str, duration_s: float) -> list[Row]:
     spent: dict[str, list[tuple[float, float]]] = json.loads(done.stdout)
     rows = []
     for form, must in A_CORE.items():
-        # The best of both: whatever else the machine does, it adds time.
+        # The best of both: other programs only add time.
         seconds, unit_s = map(min, zip(*spent[form], strict=True))
         limits = (must, A_CORE_FFTS[form]) if duration_s >= LONG_S else (None, None)
-        column, twin = f"x real time a core, {form}", f"a second a core, {form}, FFTs"
-        rows.append(Row(name, duration_s / seconds, "", column, limits[0], ffts_column=twin))
+        column, ffts_column = f"x real time a core, {form}", f"a second a core, {form}, FFTs"
+        rows.append(Row(name, duration_s / seconds, "", column, limits[0], ffts_column=ffts_column))
         ffts = round(seconds / duration_s / unit_s)
-        rows.append(Row(name, ffts, "FFTs", twin, limits[1]))
+        rows.append(Row(name, ffts, "FFTs", ffts_column, limits[1]))
     return rows
 
 
@@ -151,7 +145,7 @@ def _several_files(source: Path, name: str, duration_s: float) -> list[Row]:
 
 
 def _one_file(source: Path, name: str, duration_s: float) -> list[Row]:
-    """Return how many seconds of one sound a second renders, by as many workers as may be."""
+    """Return how many seconds of one sound a second renders, with one worker and with all."""
     if duration_s < LONG_S:  # too short to be shared
         return []
     rows = []
@@ -181,13 +175,13 @@ def _render(*arguments: str) -> tuple[float, float]:
 
 
 def _environment() -> dict[str, str]:
-    """Return an environment with the code that is measured here, whether it is installed or not."""
+    """Return an environment in which Python finds the code that is measured here."""
     path = os.pathsep.join(filter(None, (str(PROJECT_ROOT), os.environ.get("PYTHONPATH"))))
     return os.environ | {"PYTHONPATH": path}
 
 
 def _write_sound(path: Path, duration_s: float) -> None:
-    """Write the demo scene in a loop, 16 bit, without holding all of it."""
+    """Write the looped demo scene, 16 bit, piece by piece."""
     demo = demo_sound()
     demo = np.clip(demo, -1.0, 1.0)
     left = round(duration_s * SAMPLERATE)

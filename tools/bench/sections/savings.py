@@ -1,7 +1,6 @@
-"""Benches on savings: what each rule of "model only what a scene needs" saves, and what it changes.
+"""Section on savings: what the live form saves by leaving out work, and what that changes.
 
-Each rule is switched off from outside, on the running transform, so that the transform itself
-carries no switches. A rule that changes more than its bound is not met.
+Each saving is switched off from outside, so the transform itself carries no switches.
 """
 
 from __future__ import annotations
@@ -37,33 +36,30 @@ from tools.bench.workbench import Workbench
 
 BLOCKSIZE = 256
 EVERY_SAVING = "all savings on"
-SAVED, CHANGE, PARTIAL = "saves at most", "largest change", "of a partial alike"
+SAVED, CHANGE = "saves at most", "largest change"
 DEMO_FROM_S, DEMO_TO_S = 8.0, 12.0
 """Of the demo scene: speech, a second of silence, an explosion, a chord."""
 DEMO_TIMES = 2.5
-"""So many times as long as the other scenes that part is at most; its beginning is left out."""
+"""Longest part of the demo scene, as a multiple of the other scenes' length."""
 PARTIALS_MAX = TransformParameters().partials_max
 
 TIED = 0.06
-"""Bound of what a tie changes: twice the amplitude of white noise's strongest partials, 0.03. Where
-two peaks are as good as equal for the last of n places, anything, however small, decides which one
-is kept. The two may differ by a hundredth, but what is found in the next hop goes on from the one,
-in its phase, and from the other it does not."""
+"""Bound where two peaks tie for the last place: twice 0.03, the strongest partials of white noise.
+ The smallest change then decides which peak, and which phase, is kept."""
 
 ALIKE = 0.1
-"""Two bandwidths are the same within a tenth. A dip over half power ends the walk down a peak;
-where it fills up, the walk goes on to the next."""
+"""Bandwidths within this share of each other are the same."""
 
 INAUDIBLE = 1e-300
-"""Stands for an amplitude of 0 where a rule looks for 0; added to anything it changes nothing."""
+"""Replaces an amplitude of 0 where a rule looks for 0; adding it changes nothing."""
 
 
 @dataclass(frozen=True)
 class Saving:
-    """One saving: what is done without it, how to switch it off, and the bound of its change.
+    """One saving: what is done without it, and how to switch it off.
 
-    bound: of the change of any sample, of full scale, 0 for the same bytes. partial_bound: of the
-    change of any partial's amplitude in hops in which it decides nothing, see `kept_alike`.
+    bound: of the change of any sample, of full scale. partial_bound: of the change of any
+    partial's amplitude, see `kept_alike`.
     """
 
     name: str
@@ -131,7 +127,7 @@ def _sound_every_slot(transform: LiveTransform) -> None:
 
 SAVINGS: tuple[Saving, ...] = (
     Saving("saving off: quiet windows are analysed", _analyse_silence),
-    Saving("saving off: what has rung out plays on", _never_rest, 1e-8),
+    Saving("saving off: vibration that has decayed plays on", _never_rest, 1e-8),
     Saving("saving off: empty slots are played", _sound_every_slot),
     Saving("saving off: small peaks are refined", _examine_every_peak),
     Saving("saving off: bins above the band are kept", _keep_every_bin, 0.02),
@@ -168,10 +164,9 @@ def _clicks(duration_s: float) -> FloatArray:
 
 
 def kept_alike(sound: FloatArray, saving: Saving) -> tuple[float, int, int]:
-    """Return what a saving changes where it decides nothing.
+    """Return the largest change of a partial's amplitude in hops that keep the same peaks.
 
-    The largest change of a partial's amplitude in hops in which the same peaks are kept, each as
-    wide within a tenth; how many hops are others; of how many.
+    Then the number of hops that keep others, and of all hops.
     """
     ours, theirs = (
         LiveTransform(LiveDesign.of(TransformParameters(), SAMPLERATE)) for _ in range(2)
@@ -208,52 +203,37 @@ def _hops(transform: LiveTransform, sound: FloatArray) -> Iterator[tuple[Princip
 
 
 def savings(bench: Workbench) -> Section:
-    """Cost with and without each saving, scene by scene, and what it changes."""
+    """Cost with and without each saving, by scene, and what it changes."""
     rows: list[Row] = []
     missing: list[Missing] = []
     saved: dict[str, list[tuple[float, str]]] = {saving.name: [] for saving in SAVINGS}
     change: dict[str, float] = dict.fromkeys(saved, 0.0)
-    alike: dict[str, list[tuple[float, int, int]]] = {saving.name: [] for saving in SAVINGS}
     for scene, sound in _scenes(bench.effort.saving_s, bench.recordings).items():
         if sound is None:
             missing.append(bench.missing_recordings(f"savings on {scene}"))
             continue
         outputs, timings = _with_and_without(sound, bench.effort.saving_repeats)
-        ms_a_second = 1e3 * SAMPLERATE / sound.size
         every = timings[EVERY_SAVING]
         for name, timing in timings.items():
-            rows.append(Row(name, ms_a_second * timing.median_s, "ms", scene))
+            rows.append(Row(name, 1e3 * SAMPLERATE / sound.size * timing.median_s, "ms", scene))
         for name in saved:
             ratio = float(np.median(np.array(every.seconds) / np.array(timings[name].seconds)))
             saved[name].append((100.0 * (1.0 - ratio), scene))
             largest = float(np.abs(outputs[name] - outputs[EVERY_SAVING]).max())
             change[name] = max(change[name], largest)
-        for saving in SAVINGS:
-            if saving.partial_bound is not None:
-                alike[saving.name].append(kept_alike(sound, saving))
     for saving in SAVINGS:
         most, scene = max(saved[saving.name])
         must = Must("<=", saving.bound)
         rows.append(Row(saving.name, most, "%", SAVED, note=f"most on {scene}"))
         rows.append(Row(saving.name, change[saving.name], "", CHANGE, must))
-        if saving.partial_bound is not None:
-            partial_change, _, _ = max(alike[saving.name])
-            others, hops = (sum(one[place] for one in alike[saving.name]) for place in (1, 2))
-            must = Must("<=", saving.partial_bound)
-            note = f"it decides something in {others} of {hops} hops"
-            rows.append(Row(saving.name, partial_change, "", PARTIAL, must, note=note))
     return Section(
         "What each saving saves",
-        "The live form leaves out what a scene does not need. First the cost of a second with "
-        f"all of its savings, then without one at a time (one channel, blocks of {BLOCKSIZE} "
-        f"frames, in NumPy, medians of {bench.effort.saving_repeats} over "
-        f"{bench.effort.saving_s:g} s; the kernel leaves out the same). Then the most that this "
-        "one saves on any scene, and the most that it changes any sample, full scale being 1, with "
-        "the bound that it states. In noise two peaks can tie for the last of "
-        f"{PARTIALS_MAX} places, and what is a hundred times weaker than either then decides which "
-        "one is kept, and in which phase the next goes on from it. So for the images of high peaks "
-        "there is also what they change otherwise: the amplitude of a partial, in hops in which "
-        "the same peaks are kept, each as wide as it is.",
+        "The live form leaves out work that a scene does not need. First the cost of a second with "
+        f"all savings, then without one at a time (one channel, blocks of {BLOCKSIZE} frames, in "
+        f"NumPy, medians of {bench.effort.saving_repeats} over {bench.effort.saving_s:g} s). Then "
+        "the most that it saves on any scene, and the largest change of any sample, of full "
+        f"scale. In noise two peaks can tie for the last of {PARTIALS_MAX} places; a tiny change "
+        "then decides which one is kept.",
         tuple(rows),
         tuple(missing),
     )

@@ -1,168 +1,145 @@
-"""Benches on growth: of cost with duration and channels, and of memory with time."""
+"""Sections on scaling: how cost depends on duration, channels, sample rate and actuators."""
 
 from __future__ import annotations
 
-import gc
-import os
-import resource
-import sys
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.design.synthesis import LiveGrid
-from tools.bench.cost import Timings, interleaved
-from tools.bench.measures.vibration import growth_exponent
-from tools.bench.report import Must, Row, Section
-from tools.bench.sounds.signals import (
-    SAMPLERATE,
-    Stereo,
-    chord,
-    demo_sound,
-)
-from tools.bench.workbench import LIVE, Playback, Stream, Subject, Workbench
+from audioflinger_hook.transform import FloatArray, HapticTransform
+from device.rig import PAPER
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import ModelLevel
+from tools.bench.cost import interleaved
+from tools.bench.report import Must, Row, Section, number
+from tools.bench.sounds.signals import SAMPLERATE, Stereo, chord
+from tools.bench.workbench import LIVE, Playback, Subject, Workbench, timed
 
 CHANNELS = (1, 2, 4, 8, 16, 32)
 DURATION_PARTS = (16, 8, 4, 2, 1)
 LINEAR = Must("<=", 1.1)
 TOTAL, PER_UNIT = "CPU time", "for each second or channel-second"
-REPEATS = 3
-OPENINGS = 15
+REPEATS, OPENINGS = 3, 15
 BLOCKSIZE = 32_768
 
-NO_GROWTH_KB = Must("<=", 256.0)
-NO_GROWTH_OBJECTS = Must("<=", 200)
-"""What the interpreter moves about by itself; a hop that kept one array would keep thousands."""
-WARM_LOOPS = 2
+RIG_RATES = (8_000, 16_000, 48_000, 96_000, 192_000)
+RIG_DURATION_PARTS = (8, 4, 2, 1)
+ACTUATORS = (1, 2, 4, 8)
+RIG_LONGEST_S = 4.0
+TOLERANCE = 1e-2
+LEVEL_V = 10.0
+MODELS = (ModelLevel.LINEAR, ModelLevel.NONLINEAR, None)
+"""None: selected by block at TOLERANCE."""
 
 
-def cost_growth(bench: Workbench) -> Section:
-    """How cost grows with the sound's length and with its channels."""
+def exponent(sizes: Sequence[float], costs: Sequence[float]) -> float:
+    """Return p of cost ~ size^p, fitted over all points: 1 is linear, 2 is quadratic."""
+    slope, _ = np.polyfit(np.log(sizes), np.log(costs), 1)
+    return float(slope)
+
+
+def cost_scaling(bench: Workbench) -> Section:
+    """How cost depends on the sound's duration and on its channels."""
     effort = bench.effort
     live = bench.subject(LIVE)
     each = Subject(LIVE, partial(HapticTransform, form="live", per_channel=True))
     (opening,) = interleaved([lambda: live.start(SAMPLERATE, 2)], OPENINGS)
-    durations_s = [effort.growth_s / part for part in DURATION_PARTS]
-    by_duration = _timed([(live, chord(length_s)) for length_s in durations_s])
+    durations_s = [effort.scaling_s / part for part in DURATION_PARTS]
     voice = chord(effort.channels_s)[:, :1]
-    by_channels = _timed([(each, np.repeat(voice, channels, axis=1)) for channels in CHANNELS])
     rows = [Row("opening a stream", 1e3 * opening.median_s, "ms", TOTAL)]
-    rows += _growth_rows(
+    rows += _rows(
         "duration",
         [(f"{duration_s:g} s of stereo", duration_s) for duration_s in durations_s],
-        [timing.median_s for timing in by_duration],
+        [(live, chord(duration_s)) for duration_s in durations_s],
         1.0,
     )
-    rows += _growth_rows(
+    rows += _rows(
         "channels, each by itself",
-        [
-            (f"{channels} of them, {effort.channels_s:g} s", float(channels))
-            for channels in CHANNELS
-        ],
-        [timing.median_s for timing in by_channels],
+        [(f"{count} of them, {effort.channels_s:g} s", float(count)) for count in CHANNELS],
+        [(each, np.repeat(voice, count, axis=1)) for count in CHANNELS],
         effort.channels_s,
     )
     return Section(
-        "Growth of cost",
-        "Twice the sound should cost twice as much, and so should twice the channels: the "
-        "exponent p of cost ~ size^p is 1. A chord of ten partials, large blocks; the opening of "
-        "the stream is measured by itself and not a part of it.",
+        "Scaling of cost",
+        "Twice the duration or twice the channels should cost twice as much: the exponent p of "
+        "cost ~ size^p is 1. A chord of ten partials in large blocks; opening the stream is "
+        "measured on its own.",
         tuple(rows),
     )
 
 
-def _timed(sounds: list[tuple[Subject, Stereo]]) -> list[Timings]:
-    """Return what it costs to play each sound by a subject, in turns."""
-    playbacks = [Playback(subject, sound, BLOCKSIZE) for subject, sound in sounds]
-    return interleaved(
-        [each.play for each in playbacks], REPEATS, [each.open for each in playbacks]
-    )
-
-
-def _growth_rows(
-    what: str, sizes: list[tuple[str, float]], costs_s: list[float], seconds: float
+def _rows(
+    what: str, sizes: list[tuple[str, float]], sounds: list[tuple[Subject, Stereo]], unit_s: float
 ) -> list[Row]:
-    """Return cost and cost per unit of each size, and the exponent of all."""
+    """Return the cost of each size, its share of a unit of the size, and the exponent."""
+    timings = timed([Playback(*sound, BLOCKSIZE) for sound in sounds], REPEATS)
+    costs_ms = [1e3 * timing.median_s for timing in timings]
     rows = []
-    for (name, size), cost_s in zip(sizes, costs_s, strict=True):
-        rows.append(Row(f"{what}: {name}", 1e3 * cost_s, "ms", TOTAL))
-        rows.append(Row(f"{what}: {name}", 1e3 * cost_s / (size * seconds), "ms", PER_UNIT))
-    exponent = growth_exponent([size for _, size in sizes], costs_s)
-    rows.append(Row(f"{what}: exponent", exponent, "", TOTAL, LINEAR))
-    return rows
+    for (name, size), cost_ms in zip(sizes, costs_ms, strict=True):
+        rows.append(Row(f"{what}: {name}", cost_ms, "ms", TOTAL))
+        rows.append(Row(f"{what}: {name}", cost_ms / (size * unit_s), "ms", PER_UNIT))
+    fitted = exponent([size for _, size in sizes], costs_ms)
+    return [*rows, Row(f"{what}: exponent", fitted, "", TOTAL, LINEAR)]
 
 
-@dataclass(frozen=True)
-class Held:
-    """What the process holds more at the end than at the start of `frames` frames of a stream.
-
-    resident_kb: memory that it occupies; objects: blocks that Python allocated and did not free,
-    at least one for each array.
-    """
-
-    frames: int
-    resident_kb: float
-    objects: int
-
-
-def memory_growth(stream: Stream, sound: Stereo, blocksize: int, frames: int) -> Held:
-    """Return how much more is held after about `frames` frames of a looped sound.
-
-    Whole loops of whole blocks, so that both readings come at the same place of the sound, after
-    some loops to warm up.
-    """
-    blocks = [
-        sound[first : first + blocksize]
-        for first in range(0, len(sound) - blocksize + 1, blocksize)
+def rig_scaling(bench: Workbench) -> Section:
+    """What the rig costs at other rates, over other durations, and with more actuators."""
+    longest_s = min(RIG_LONGEST_S, bench.effort.rig_s / 20.0)
+    durations_s = [longest_s / part for part in RIG_DURATION_PARTS]
+    cases = [
+        *((rate, longest_s, 1) for rate in RIG_RATES),
+        *((SAMPLERATE, duration_s, 1) for duration_s in durations_s),
+        *((SAMPLERATE, longest_s, count) for count in ACTUATORS),
     ]
-    loop_frames = len(blocks) * blocksize
-    loops = max(1, -(-frames // loop_frames))
-
-    def play(times: int) -> None:
-        for _ in range(times):
-            for block in blocks:
-                stream.process(block)
-
-    play(WARM_LOOPS)
-    gc.collect()
-    resident, objects = resident_bytes(), sys.getallocatedblocks()
-    play(loops)
-    gc.collect()
-    return Held(
-        loops * loop_frames,
-        (resident_bytes() - resident) / 1024.0,
-        sys.getallocatedblocks() - objects,
-    )
-
-
-def memory_held(bench: Workbench) -> Section:
-    """Whether a stream holds more memory the longer it runs."""
-    hop_frames = LiveGrid.at(TransformParameters(), SAMPLERATE).hop_frames
-    held = memory_growth(
-        bench.subject(LIVE).start(SAMPLERATE, 2),
-        demo_sound(),
-        hop_frames,
-        bench.effort.hops_held * hop_frames,
-    )
+    rows = []
+    for model in MODELS:
+        column = f"{model}" if model else f"selected at {TOLERANCE:g}"
+        timings = interleaved([_rig_work(model, *case) for case in cases], REPEATS)
+        costs = [timing.median_s for timing in timings]
+        by_rate, rest = costs[: len(RIG_RATES)], costs[len(RIG_RATES) :]
+        by_duration, by_count = rest[: len(durations_s)], rest[len(durations_s) :]
+        usual = by_rate[RIG_RATES.index(SAMPLERATE)]
+        shares = [cost / length_s for cost, length_s in zip(by_duration, durations_s, strict=True)]
+        for rate, cost in zip(RIG_RATES, by_rate, strict=True):
+            rows.append(
+                Row(f"sample rate: {number(rate / 1e3)} kHz", cost / usual, "times", column)
+            )
+        rows.append(Row("sample rate: exponent", exponent(RIG_RATES, by_rate), "", column))
+        for length_s, share in zip(durations_s, shares, strict=True):
+            name = f"duration: {number(length_s)} s, a second of it"
+            rows.append(Row(name, share / shares[0], "times", column))
+        fitted = exponent(durations_s, by_duration)
+        rows.append(Row("duration: exponent", fitted, "", column, LINEAR))
+        for count, cost in zip(ACTUATORS, by_count, strict=True):
+            name = f"number of actuators: {count}, each"
+            rows.append(Row(name, cost / count / by_count[0], "times", column))
+        fitted = exponent(ACTUATORS, by_count)
+        rows.append(Row("number of actuators: exponent", fitted, "", column, LINEAR))
     return Section(
-        "Memory over time",
-        "A stream may run for weeks, so it must not hold more and more: what the process holds "
-        f"after {held.frames // hop_frames} hops of the demo scene in a loop, less what it held "
-        "before. The soak at the end of this page is the long form of it.",
-        (
-            Row("growth of memory", held.resident_kb, "kB", must=NO_GROWTH_KB),
-            Row("objects left over", float(held.objects), must=NO_GROWTH_OBJECTS),
-        ),
+        "Scaling of the rig's cost",
+        "CPU time of the same drive, a swelling tone, as ratios within one run. Another sample "
+        f"rate is compared with {number(SAMPLERATE)} Hz, a second of another duration with one of "
+        "the shortest, one of several actuators with one alone. Linear scaling is a ratio of 1 "
+        "for durations and actuators, and an exponent of 1.",
+        tuple(rows),
+        footnote="The linear model computes every sample, so its cost rises with the rate. The "
+        "non-linear one computes about 6 000 nodes a second at any rate.",
     )
 
 
-def resident_bytes() -> int:
-    """Return the memory that the process occupies now, or did at most where Linux does not say."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-    except (OSError, ValueError, IndexError):
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return pages * os.sysconf("SC_PAGE_SIZE")
+def _rig_work(
+    model: ModelLevel | None, samplerate: int, duration_s: float, actuators: int
+) -> partial[None]:
+    times = np.arange(round(samplerate * duration_s)) / samplerate
+    swell = 0.2 + 0.8 * np.sin(math.pi * times / duration_s) ** 2
+    volts = LEVEL_V * swell * np.sin(math.tau * 60.0 * times)
+    rigs = [AdaptiveActuator(PAPER, samplerate, TOLERANCE, level=model) for _ in range(actuators)]
+    return partial(_move_all, rigs, volts)
+
+
+def _move_all(rigs: list[AdaptiveActuator], volts: FloatArray) -> None:
+    for rig in rigs:
+        rig.reset()
+        rig.move(volts)

@@ -1,5 +1,4 @@
-"""Benches on speech suppression: what of speech it finds, what else it takes for speech, and
-whether an effect is still felt while somebody speaks."""
+"""Sections on speech suppression: hits on speech, false alarms, and effects under speech."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ from audioflinger_hook.transform.live.speech import SpeechSuppressor
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.spectrum import ComplexArray
 from tools.bench.measures.similarity import level_db
-from tools.bench.report import Missing, Row, Section
+from tools.bench.report import Missing, Row, Section, line
 from tools.bench.sounds.signals import SAMPLERATE, Recording
 from tools.bench.sounds.speech_sounds import (
     OTHER_HALF,
@@ -32,9 +31,9 @@ TITLE = "Speech suppression"
 EFFECTS_TITLE = "Effects under speech"
 SUPPRESSION_DB = 18.0
 LENGTH_S = 2.0, 6.0
-"""How long a sound is, at least and at most."""
+"""Shortest and longest sound."""
 HEARD_DB = -30.0
-"""A hop holds sound where its level is within this of the sound's highest."""
+"""A hop holds sound if its level is within this of the sound's highest."""
 KNOWN_AFTER_S = 0.5
 BELIEVED = 0.5
 RATIOS_DB = (-10, 0, 10, 20)
@@ -84,7 +83,7 @@ class _Believer(SpeechSuppressor):
 
 
 def heard(sound: FloatArray, samplerate: int = SAMPLERATE) -> Heard:
-    """Listen to (frames,) with suppression on."""
+    """Return what the live form believes of (frames,) with suppression on."""
     form = LiveTransform(LiveDesign.of(ON, samplerate))
     speech = form._speech = _Believer(form)
     form.process(sound)
@@ -107,24 +106,22 @@ def speech_suppression(bench: Workbench) -> Section:
     else:
         missing.append(bench.missing_recordings(f"{TITLE}: recorded speech"))
     rows += _clean("synthetic speech", repeated(scene_track("speech"), length_s), OTHER_HALF)
-    # Rows of speech stand first, whatever could be measured first.
+    # Rows of speech stand first.
     rows.sort(key=lambda row: row.unit == "%" and row.name.startswith("no speech"))
     return Section(
         TITLE,
-        "Share of the hops with sound in which the live form believes that speech is heard: on "
-        "speech these are hits, on anything else false alarms. Speech: spoken names of "
-        "loudspeakers, one woman, and the synthetic man of the demo scene. Known: from "
-        f"{KNOWN_AFTER_S:g} s after its beginning on. Mixed: hits while speech sounds, mean over "
-        "the effects, at a ratio of speech to effects; the worst is in the note. The numbers of "
-        "the rule were set by one half of the recordings and effects, the other half shows what "
-        "they are worth. "
-        f"Lowered: vibration of the speech, once known, of the {SUPPRESSION_DB:g} dB asked for.",
+        "Share of the hops with sound that the live form takes for speech: hits on speech, false "
+        "alarms on other sounds. Speech is recorded names of loudspeakers (one woman) and the "
+        f"synthetic man of the demo scene. Known: from {KNOWN_AFTER_S:g} s after its start. Mixed: "
+        "hits while speech sounds, at a ratio of speech to effects, the mean over the effects; "
+        "the note has the worst. The rule was tuned on one half of the sounds; the other half "
+        f"tests it. Lowered: vibration of known speech, with {SUPPRESSION_DB:g} dB asked for.",
         tuple(rows),
         tuple(missing),
-        footnote="The two halves of the recordings are other words of the same speaker, so they do "
-        "not tell how other voices fare. Misses to know of: the beginning of whatever is said "
-        "after a pause of more than a second, speech as loud as what is mixed into it, and, the "
-        "other way round, telephones and sirens, whose tones glide or come in syllables.",
+        footnote="Both halves of the recordings are of one speaker, so they say nothing of other "
+        "voices. Known misses: the start of speech after a pause of more than a second, and "
+        "speech no louder than other sounds. Known false alarms: telephones and sirens, whose "
+        "tones glide or come in syllables.",
     )
 
 
@@ -184,15 +181,14 @@ def _alarm_and_sound_s(recording: Recording) -> tuple[float, float]:
 
 
 def effects_under_speech(bench: Workbench) -> Section:
-    """What is left of an impact's vibration while somebody speaks, with suppression and without."""
+    """Vibration of an impact during speech, with and without suppression."""
     explanation = (
-        "An impact that comes while somebody speaks, after 4 s of speech: level of the vibration "
-        "in its first second, a full-scale sine being 0 dB, by the ratio of speech to effect. "
-        "Alone: without speech, with suppression on. Both: with speech. Before: in the two "
-        f"seconds of speech before it. Suppression is {SUPPRESSION_DB:g} dB. The paper's law of "
-        "level takes from every partial what the others add to the sum, so speech takes from an "
-        "effect where it is not suppressed, and an effect may come out stronger than alone where "
-        "its own upper partials are taken for speech."
+        "An impact after 4 s of speech: level of the vibration in its first second, by the ratio "
+        "of speech to effect (0 dB is a full-scale sine). Alone: without speech, with suppression. "
+        "Both: with speech. Before: in the two seconds of speech before it. Suppression is "
+        f"{SUPPRESSION_DB:g} dB. In the paper's amplitude mapping partials weaken one another, so "
+        "speech weakens an effect unless it is suppressed. An effect whose upper partials are "
+        "taken for speech can come out stronger than alone."
     )
     voices = {"synthetic speech": scene_track("speech")}
     recorded = spoken(bench.recordings)
@@ -212,13 +208,17 @@ def effects_under_speech(bench: Workbench) -> Section:
                 alone = _vibration(quiet, ON)
                 plain, both = (_vibration(quiet + speech, each) for each in (OFF, ON))
                 name = f"{impact} under {voice}, {ratio_db:+d} dB"
-                rows += [
-                    Row(name, _level(alone[DURING]), "dB", "alone"),
-                    Row(name, _level(plain[DURING]), "dB", "both, off"),
-                    Row(name, _level(both[DURING]), "dB", "both, suppressed"),
-                    Row(name, _level(plain[BEFORE]), "dB", "before, off"),
-                    Row(name, _level(both[BEFORE]), "dB", "before, suppressed"),
-                ]
+                rows += line(
+                    name,
+                    {
+                        "alone": _level(alone[DURING]),
+                        "both, off": _level(plain[DURING]),
+                        "both, suppressed": _level(both[DURING]),
+                        "before, off": _level(plain[BEFORE]),
+                        "before, suppressed": _level(both[BEFORE]),
+                    },
+                    "dB",
+                )
                 if impact == IMPACTS[0] and ratio_db == 0:
                     series[f"{voice}, off"] = _course(plain)
                     series[f"{voice}, on"] = _course(both)

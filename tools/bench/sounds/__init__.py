@@ -1,1 +1,1 @@
-"""Part of the bench."""
+"""The sounds that are measured."""

@@ -1,7 +1,6 @@
-"""What the benches listen to: signals made by formula, and real recordings where there are any.
+"""Signals by formula, and real recordings where there are any.
 
-Signals are float32 or float64 with full scale +-1, (frames,) or (frames, 2); nothing is random
-from run to run.
+Signals are float32 or float64 with full scale +-1, (frames,) or (frames, 2), equal in every run.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ import numpy as np
 import soundfile
 from numpy.typing import NDArray
 
-import audioflinger_hook
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import mixdown
 from audioflinger_hook.transform import FloatArray
+from tools.records import PROJECT_ROOT
 
 SAMPLERATE = 48_000
 """Rate of every scene and every signal that does not say otherwise, in Hz."""
@@ -27,14 +26,13 @@ SAMPLERATE = 48_000
 Stereo = NDArray[np.float32]
 """(frames, 2) at SAMPLERATE."""
 
-PROJECT_ROOT = Path(str(audioflinger_hook.__path__[0])).resolve().parent
 RECORDINGS_VARIABLE = "CUSHION_RECORDINGS"
 RECORDINGS_FOLDER = ".cache/recordings"
 RECORDINGS_COMMAND = "tools/fetch_recordings.sh"
 DEMO_TIMES, DEMO_PART_S = 3.0, (6.9, 8.9)
-"""Of the demo scene, for who has no time for all of it: footsteps, then speech."""
+"""The part of the demo scene for short runs: footsteps, then speech."""
 SHORTEST_S = 0.3
-"""Shorter recordings hold no more than a few windows and are left out."""
+"""Shorter recordings hold only a few windows and are left out."""
 
 _SPOKEN = """
     Front_Center Front_Left Front_Right Noise Rear_Center Rear_Left Rear_Right Side_Left Side_Right
@@ -52,15 +50,15 @@ KNOWN = (
     *(f"alsa/{name}.wav" for name in _SPOKEN.split()),
     *(f"freedesktop/{name}.oga" for name in _DESKTOP.split()),
 )
-"""What the folder holds once `RECORDINGS_COMMAND` has filled it: KIND/FILE."""
+"""The files that `RECORDINGS_COMMAND` fetches: KIND/FILE."""
 
 CHORD_HZ = (110.0, 220.0, 277.2, 329.6, 440.0, 554.4, 659.3, 880.0, 1318.5, 1760.0)
 CHORD_AMPLITUDE = 0.08
 BURST_S, BURST_RISE_S = 0.25, 0.001
 DENORMAL, DENORMAL_FLOAT64 = 1e-40, 1e-310
 """Denormal numbers of float32 and of float64, far under anything audible."""
-WEAK = 1e-30
-"""As inaudible, and a normal number of both: what denormal ones should cost."""
+TINY = 1e-30
+"""As inaudible, and a normal number of both; denormal ones should cost the same."""
 
 
 def tone(
@@ -136,15 +134,14 @@ def recordings_folder() -> Path | None:
 
 
 def load_recordings() -> tuple[Recording, ...]:
-    """Return the folder's recordings longer than 0.3 s, by name; empty where there are none."""
+    """Return the folder's recordings longer than 0.3 s, by name."""
     return examine_recordings()[0]
 
 
 def examine_recordings() -> tuple[tuple[Recording, ...], dict[str, str]]:
-    """Return the folder's recordings longer than 0.3 s, and why others are not among them.
+    """Return the folder's recordings longer than 0.3 s, and why others are missing, by KIND/FILE.
 
-    The second one: by KIND/FILE, the reason, for those that cannot be read, and those of `KNOWN`
-    that are not there. Both are empty where there is no folder.
+    Both are empty where there is no folder.
     """
     folder = recordings_folder()
     if folder is None:
@@ -175,8 +172,7 @@ def speech(recordings: tuple[Recording, ...]) -> Stereo | None:
 class CostScene:
     """A kind of sound whose cost is measured.
 
-    make: (seconds, recordings) to sound of about that length, None where it cannot be had; of the
-    demo scene all, or where that is more than three times as long two seconds.
+    make: (seconds, recordings) to sound of about that length, None without the recordings.
     """
 
     name: str
@@ -190,14 +186,14 @@ def _speech_scene(duration_s: float, recordings: tuple[Recording, ...]) -> Stere
 
 @cache
 def demo_sound() -> Stereo:
-    """Return the mix of the demo scene, not to be written to; it is made once."""
+    """Return the mix of the demo scene, read-only and made once."""
     sound = mixdown(demo_scene())
     sound.flags.writeable = False
     return sound
 
 
 def _demo_scene(duration_s: float, _recordings: tuple[Recording, ...]) -> Stereo:
-    """Return the whole scene, or a part of it where that would take far longer than asked."""
+    """Return the whole scene, or two seconds of it where the scene is three times too long."""
     whole = demo_sound()
     if len(whole) <= DEMO_TIMES * duration_s * SAMPLERATE:
         return whole
@@ -205,17 +201,18 @@ def _demo_scene(duration_s: float, _recordings: tuple[Recording, ...]) -> Stereo
     return whole[first:last]
 
 
+def _constant(value: float, duration_s: float) -> FloatArray:
+    return np.full((round(duration_s * SAMPLERATE), 2), value)
+
+
 COST_SCENES: tuple[CostScene, ...] = (
     CostScene("demo scene", _demo_scene),
     CostScene("chord, 10 modulated partials", lambda s, _: chord(s)),
     CostScene("speech recordings", _speech_scene),
     CostScene("white noise, 0 dBFS", lambda s, _: white_noise(s)),
-    CostScene("silence", lambda s, _: stereo(np.zeros(round(s * SAMPLERATE)))),
-    CostScene("weak numbers", lambda s, _: stereo(np.full(round(s * SAMPLERATE), WEAK))),
-    CostScene("denormal numbers", lambda s, _: stereo(np.full(round(s * SAMPLERATE), DENORMAL))),
-    CostScene("weak numbers of float64", lambda s, _: np.full((round(s * SAMPLERATE), 2), WEAK)),
-    CostScene(
-        "denormal numbers of float64",
-        lambda s, _: np.full((round(s * SAMPLERATE), 2), DENORMAL_FLOAT64),
-    ),
+    CostScene("silence", lambda s, _: _constant(0.0, s).astype(np.float32)),
+    CostScene("tiny normal floats", lambda s, _: _constant(TINY, s).astype(np.float32)),
+    CostScene("denormal floats", lambda s, _: _constant(DENORMAL, s).astype(np.float32)),
+    CostScene("tiny normal floats, float64", lambda s, _: _constant(TINY, s)),
+    CostScene("denormal floats, float64", lambda s, _: _constant(DENORMAL_FLOAT64, s)),
 )

@@ -1,7 +1,6 @@
-"""Sounds on which speech suppression is measured: speech, what is none, and mixtures of the two.
+"""Speech and other sounds on which speech suppression is measured, in two halves.
 
-Everything is in two halves: the numbers of the rule were set by the first one. Signals are
-(frames,) float64 at SAMPLERATE unless they say otherwise, brought to one loudness while they sound.
+The rule was tuned on the first half. Signals are (frames,) float64 at SAMPLERATE, of one loudness.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ HALVES = (CHOSEN_ON, OTHER_HALF)
 LOUDNESS_DB = -22.0
 """r.m.s. of a sound while it sounds, against full scale."""
 SOUNDING_DB = -30.0
-"""It sounds where its level, over 50 ms, is within this of its highest."""
+"""A sound sounds where its level over 50 ms is within this of its highest."""
 LEVEL_S = 0.05
 
 PAUSE_S = 0.1
@@ -118,9 +117,6 @@ def effects(duration_s: float) -> dict[str, dict[str, FloatArray]]:
         OTHER_HALF: ("shots", "motor", "notes on a string"),
     }
     return {half: {name: sounds[half][name] for name in names[half]} for half in HALVES}
-
-
-# --- sounds by formula
 
 
 def _time_s(duration_s: float) -> FloatArray:

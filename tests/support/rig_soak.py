@@ -17,16 +17,16 @@ from device.rig.model_levels import ModelLevel
 from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
 from tools.bench.machine import cpu_model
-from tools.bench.report import Must
-from tools.bench.soak_record import SoakRecord, now
+from tools.bench.soak_record import (
+    NO_CREEP,
+    PASSIVE,
+    PASSIVE_STEPPED,
+    SAMPLES,
+    STEPPED_SAMPLES,
+    SoakRecord,
+)
 from tools.bench.sounds.signals import SAMPLERATE
-
-SAMPLES = 100_000_000
-STEPPED_SAMPLES = 10_000_000
-"""The step by step rung is about as fast as the signal: more would take half an hour."""
-NO_CREEP = Must("<=", 1e-6)
-PASSIVE_DEFAULT, PASSIVE_FALLBACK = Must("<=", 1e-6), Must("<=", 1e-10)
-"""Of the energy, a step: for the rungs that are chosen, and for the one that never fails."""
+from tools.records import now
 
 LOOP_S = 10.0
 SETTLED_LOOPS = 1
@@ -65,8 +65,8 @@ def soak_energy(rung: ModelLevel, samples: int | None = None) -> SoakRecord:
         stream_s=loops * len(volts) / SAMPLERATE,
         took_s=time.process_time() - start_s,
         passed=NO_CREEP.met(creep)
-        and PASSIVE_DEFAULT.met(rise)
-        and (worst is None or PASSIVE_FALLBACK.met(worst)),
+        and PASSIVE.met(rise)
+        and (worst is None or PASSIVE_STEPPED.met(worst)),
         samples=loops * len(volts),
         energy_creep=creep,
         energy_rise=rise,

@@ -1,4 +1,4 @@
-"""Whether a step of the simulated rig makes energy: let in, less heat, less what is stored."""
+"""The energy-balance error of the simulated rig: energy let in, less heat, less what is stored."""
 
 from __future__ import annotations
 
@@ -13,14 +13,8 @@ from device.rig.equations import Equations
 from device.rig.model_levels import ModelLevel
 from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
-from tools.bench.report import Row
-from tools.bench.rig_soak import PASSIVE_DEFAULT, PASSIVE_FALLBACK
-from tools.bench.sections.rig_precision import LEVEL_V, drive
 from tools.bench.sounds.signals import SAMPLERATE
 
-NAME = "energy from nowhere"
-COLUMN = "of the energy, a step"
-DRIVEN_S = 1.0
 NOISE_V = 60.0
 STEPS = 2_000
 FINE = 4
@@ -29,16 +23,12 @@ LEAST = 1e-6
 """Of the largest energy: where less is handled in a step, rounding is all there is."""
 
 
-def passive_rows() -> list[Row]:
-    """The worst step of the non-linear rung, below the stops, and of the one that never fails."""
-    default = worst_step(drive(LEVEL_V, DRIVEN_S))
+def worst_step_of_noise() -> float:
+    """Return the energy-balance error of the step by step model on white noise."""
     p = PAPER.actuator
     stepper = PassiveStepper(Equations(p, energies(p, PAPER.large_signal)), 1.0 / SAMPLERATE)
     stepper.move(NOISE_V * np.random.default_rng(12).standard_normal(STEPS), 0.0)
-    return [
-        Row(f"non-linear, {NAME}", default, "", COLUMN, PASSIVE_DEFAULT),
-        Row(f"step by step, {NAME}", stepper.worst_energy_error, "", COLUMN, PASSIVE_FALLBACK),
-    ]
+    return stepper.worst_energy_error
 
 
 def worst_step(volts: FloatArray) -> float:

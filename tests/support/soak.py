@@ -1,7 +1,4 @@
-"""The transform's soak: a million hops of the live form.
-
-`make soak` runs it through the tests and leaves its record for the report (soak_record.py).
-"""
+"""The soaks of transform and identification: long runs whose records the bench shows."""
 
 from __future__ import annotations
 
@@ -11,18 +8,24 @@ import numpy as np
 
 from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
 from audioflinger_hook.transform.design.synthesis import LiveGrid
+from tests.support.memory import memory_growth
 from tools.bench.machine import cpu_model
+from tools.bench.measures.random_rigs import RIGS, SWEEP_S, found_of, identified
 from tools.bench.measures.vibration import SineFit, sine_fit
-from tools.bench.report import Must
-from tools.bench.sections.scaling import NO_GROWTH_KB, NO_GROWTH_OBJECTS, memory_growth
-from tools.bench.soak_record import SoakRecord, now
+from tools.bench.soak_record import (
+    HOPS,
+    NO_DRIFT_DB,
+    NO_GROWTH_KB,
+    NO_GROWTH_OBJECTS,
+    PURITY,
+    SoakRecord,
+)
 from tools.bench.sounds.signals import (
     SAMPLERATE,
     demo_sound,
     tone,
 )
-
-HOPS = 1_000_000
+from tools.records import now
 
 BLOCKSIZE = 4_096
 TONE_HZ = 440.0
@@ -30,8 +33,6 @@ TONE_HZ = 440.0
 TONE_AMPLITUDE = 0.3
 SETTLED_AFTER_S = 2
 WATCHED_S = 5
-NO_DRIFT_DB = Must("<=", 0.01)
-PURITY = Must("<=", -60.0)
 
 
 def soak_scene(hops: int = HOPS) -> SoakRecord:
@@ -83,3 +84,23 @@ def soak_tone(hops: int = HOPS) -> SoakRecord:
 
 def _fit(seconds: list[FloatArray]) -> SineFit:
     return sine_fit(np.concatenate(seconds), SAMPLERATE)
+
+
+def soak_identification(share: float, rigs: int = RIGS) -> SoakRecord:
+    """What is found of many random rigs by sweeps of that share of Xmax."""
+    start_s = time.process_time()
+    pairs = [identified(seed, share) for seed in range(rigs)]
+    found = found_of(pairs)
+    return SoakRecord(
+        what=f"sweeps at {share:g} Xmax",
+        date=now(),
+        cpu=cpu_model(),
+        stream_s=rigs * SWEEP_S,
+        took_s=time.process_time() - start_s,
+        passed=found.passed,
+        rigs=rigs,
+        f0_error_percent=found.f0_error_percent,
+        q_error_percent=found.q_error_percent,
+        f0_held_percent=found.f0_held_percent,
+        q_held_percent=found.q_held_percent,
+    )

@@ -1,4 +1,4 @@
-"""A comparator that may fail: which one did is told by what it raises."""
+"""A baseline that may fail: what it raises then names it."""
 
 from __future__ import annotations
 
@@ -6,27 +6,27 @@ from audioflinger_hook.transform import FloatArray, Frames
 from tools.bench.workbench import Stream, Subject
 
 
-class ComparatorFailed(Exception):
-    """A comparator could not do what it is for; name: which one."""
+class BaselineFailed(Exception):
+    """A baseline raised an error; name: which one."""
 
     def __init__(self, name: str, error: Exception) -> None:
         super().__init__(f"it failed ({type(error).__name__}: {' '.join(str(error).split())})")
         self.name = name
 
 
-def watched(subject: Subject) -> Subject:
-    """Return a comparator that raises `ComparatorFailed` whatever goes wrong in it."""
+def guarded(subject: Subject) -> Subject:
+    """Return a baseline that raises `BaselineFailed` for every error."""
 
     def start(samplerate: int, channels: int) -> Stream:
         try:
-            return _Watched(subject.name, subject.start(samplerate, channels))
+            return _Guarded(subject.name, subject.start(samplerate, channels))
         except Exception as error:
-            raise ComparatorFailed(subject.name, error) from error
+            raise BaselineFailed(subject.name, error) from error
 
     return Subject(subject.name, start)
 
 
-class _Watched:
+class _Guarded:
     def __init__(self, name: str, stream: Stream) -> None:
         self._name = name
         self._stream = stream
@@ -35,10 +35,10 @@ class _Watched:
         try:
             return self._stream.process(frames)
         except Exception as error:
-            raise ComparatorFailed(self._name, error) from error
+            raise BaselineFailed(self._name, error) from error
 
     def finish(self) -> FloatArray:
         try:
             return self._stream.finish()
         except Exception as error:
-            raise ComparatorFailed(self._name, error) from error
+            raise BaselineFailed(self._name, error) from error

@@ -1,0 +1,67 @@
+"""What a process holds more after a long stream."""
+
+from __future__ import annotations
+
+import gc
+import os
+import resource
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from tools.bench.sounds.signals import Stereo
+from tools.bench.workbench import Stream
+
+WARM_LOOPS = 2
+
+
+@dataclass(frozen=True)
+class Held:
+    """What the process holds more at the end than at the start of `frames` frames of a stream.
+
+    resident_kb: memory that it occupies; objects: blocks that Python allocated and did not free,
+    at least one for each array.
+    """
+
+    frames: int
+    resident_kb: float
+    objects: int
+
+
+def memory_growth(stream: Stream, sound: Stereo, blocksize: int, frames: int) -> Held:
+    """Return how much more is held after about `frames` frames of a looped sound.
+
+    Whole loops of whole blocks, so that both readings come at the same place of the sound, after
+    some loops to warm up.
+    """
+    blocks = [
+        sound[first : first + blocksize]
+        for first in range(0, len(sound) - blocksize + 1, blocksize)
+    ]
+    loop_frames = len(blocks) * blocksize
+    loops = max(1, -(-frames // loop_frames))
+
+    def play(times: int) -> None:
+        for _ in range(times):
+            for block in blocks:
+                stream.process(block)
+
+    play(WARM_LOOPS)
+    gc.collect()
+    resident, objects = resident_bytes(), sys.getallocatedblocks()
+    play(loops)
+    gc.collect()
+    return Held(
+        loops * loop_frames,
+        (resident_bytes() - resident) / 1024.0,
+        sys.getallocatedblocks() - objects,
+    )
+
+
+def resident_bytes() -> int:
+    """Return the memory that the process occupies now, or did at most where Linux does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return pages * os.sysconf("SC_PAGE_SIZE")

@@ -1,0 +1,136 @@
+"""What all pictures share: sheet, frame, legend, limits and names. No pyplot, no global setting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from audioflinger_hook.figures import palette
+
+WIDTH_IN = 10.0
+TEXT_PT, TITLE_PT, SMALL_PT = 10.0, 14.0, 9.0
+LINE_IN = 0.25
+DASHES: Any = (0, (4, 3))
+LETTER_PT, LINE_PT = 4.4, 10.0
+"""Width of a letter and height of a line of the small names in a field."""
+
+Point = tuple[float, float]
+
+
+def sheet(title: str, explanation: str, height_in: float) -> Figure:
+    """Return an empty figure 10 inches wide with its headline."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), facecolor=palette.WHITE)
+    top = 1.0 - LINE_IN / height_in
+    below = top - LINE_IN / height_in
+    figure.text(0.02, top, title, fontsize=TITLE_PT, color=palette.INK, va="center")
+    figure.text(0.02, below, explanation, fontsize=SMALL_PT, color=palette.GREY, va="center")
+    return figure
+
+
+def frame(axis: Axes, title: str = "", *, grid: bool = False, unit: str = "") -> None:
+    """Leave of the frame only what carries the scale; write the title and the unit of x."""
+    for side in ("top", "right", "left"):
+        axis.spines[side].set_visible(False)
+    axis.spines["bottom"].set_color(palette.HAIRLINE)
+    axis.tick_params(labelsize=SMALL_PT, colors=palette.GREY, length=3, color=palette.HAIRLINE)
+    axis.tick_params(which="minor", length=0)
+    if grid:
+        axis.grid(True, axis="y", color=palette.HAIRLINE, lw=0.8)
+    if title:
+        axis.set_title(title, fontsize=TEXT_PT, color=palette.INK)
+    if unit:
+        axis.set_xlabel(unit, fontsize=TEXT_PT, color=palette.GREY, loc="right", labelpad=2)
+
+
+def legend(figure: Figure, left: float, entries: Sequence[tuple[str, str, str]]) -> None:
+    """Write mark, colour and name of each entry in one line under the headline."""
+    height = 1.0 - 3.0 * LINE_IN / figure.get_figheight()
+    for mark, colour, name in entries:
+        figure.text(left, height, mark, color=colour, fontsize=TEXT_PT + 2, va="center")
+        at = left + 0.013 * len(mark) + 0.006
+        figure.text(at, height, name, color=palette.INK, fontsize=TEXT_PT, va="center")
+        left = at + 0.0088 * len(name) + 0.03
+
+
+def limit(axis: Axes, x: float) -> None:
+    """Draw a limit as a dashed vertical line."""
+    axis.axvline(x, color=palette.INK, lw=0.9, ls=DASHES, zorder=1)
+
+
+def ticks_at(axis: Axes, places: Sequence[float], low: float, high: float) -> None:
+    """Label a logarithmic x-axis at those of the places that lie within it."""
+    inside = [place for place in places if low <= place <= high]
+    axis.set_xticks(inside, [f"{place:g}" for place in inside])
+
+
+def note(axis: Axes, text: str, at: Point, **options: Any) -> None:
+    """Write a small grey text at a place that is given as a share of the field."""
+    axis.text(*at, text, fontsize=SMALL_PT, color=palette.GREY, transform=axis.transAxes,
+              va="bottom", **options)  # fmt: skip
+
+
+def number_beside(axis: Axes, text: str, at: Point, *, left: bool = False) -> None:
+    """Write a number to the right of a point, or to its left."""
+    axis.annotate(
+        text, at, xytext=(-6 if left else 6, 0), textcoords="offset points", zorder=4,
+        ha="right" if left else "left", va="center_baseline", fontsize=SMALL_PT - 0.5,
+        color=palette.GREY, bbox={"facecolor": palette.WHITE, "edgecolor": "none", "pad": 0.4},
+    )  # fmt: skip
+
+
+def name_ends(axis: Axes, ends: Sequence[tuple[float, str, str]], x: float, apart: float) -> None:
+    """Write (height, name, colour) of curves beside their ends at x, at least `apart` apart."""
+    height = -np.inf
+    width = float(np.diff(axis.get_xlim())[0])
+    for level, name, colour in sorted(ends):
+        height = max(level, height + apart)
+        axis.annotate(
+            name, (x, level), xytext=(x + 0.06 * width, height), textcoords="data",
+            fontsize=SMALL_PT, color=palette.INK, va="center", annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": colour, "lw": 1.2, "shrinkA": 1, "shrinkB": 0,
+                        "relpos": (0.0, 0.5)},
+        )  # fmt: skip
+
+
+def name_points(axis: Axes, points: Sequence[Point], names: Sequence[tuple[str, Point]]) -> None:
+    """Write names near their points, each where it covers the least of points and other names."""
+    to_points = 72.0 / axis.figure.dpi
+    corners = axis.get_window_extent().get_points() * to_points
+
+    def placed(point: Point) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        return np.asarray(axis.transData.transform(point)) * to_points
+
+    taken = [np.concatenate((placed(point) - 3.0, placed(point) + 3.0)) for point in points]
+    for name, point in names:
+        x, y = placed(point)
+        size = np.array([LETTER_PT * len(name), LINE_PT])
+        best, best_cost = taken[0], np.inf
+        for rise in (0, 6, -6, 12, -12, 18, -18, 26, -26, 34, -34):
+            for left in (x + 6.0, x - 6.0 - size[0], x - 0.5 * size[0]):
+                low = np.array([left, y + rise - 0.5 * LINE_PT])
+                box = np.concatenate((low, low + size))
+                outside = (low < corners[0]).any() or (low + size > corners[1] + [4.0, 0.0]).any()
+                cost = 1e6 * outside + abs(rise) + sum(_overlap(box, other) for other in taken)
+                if cost < best_cost:
+                    best, best_cost = box, cost
+        taken.append(best)
+        rise = best[1] + 0.5 * LINE_PT - y
+        line = {"arrowstyle": "-", "color": palette.GREY, "lw": 0.6, "shrinkB": 2.0}
+        axis.annotate(
+            name, point, xytext=(best[0] - x, rise), textcoords="offset points", va="center",
+            fontsize=7.5, color=palette.GREY, zorder=6,
+            arrowprops=line if abs(rise) >= LINE_PT else None,
+        )  # fmt: skip
+
+
+def _overlap(
+    one: np.ndarray[tuple[int], np.dtype[np.float64]],
+    other: np.ndarray[tuple[int], np.dtype[np.float64]],
+) -> float:
+    """Return the area that two boxes (left, bottom, right, top) share."""
+    shared = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
+    return float(np.prod(np.maximum(0.0, shared)))

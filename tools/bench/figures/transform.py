@@ -1,0 +1,144 @@
+"""Pictures of the transform: what it costs, how soon it is felt, how exact its frequencies are."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from audioflinger_hook.figures import palette
+from tools.bench.figures.sheet import (
+    DASHES,
+    SMALL_PT,
+    TEXT_PT,
+    frame,
+    legend,
+    limit,
+    note,
+    number_beside,
+    sheet,
+    ticks_at,
+)
+from tools.bench.report import BenchReport
+from tools.bench.sections.fidelity import LAG_P95
+from tools.bench.sections.frequency_error import (
+    BOUND,
+    FORMS,
+    LIMITED_SNRS_DB,
+    RANGES_HZ,
+    TIMES_BOUND,
+)
+from tools.bench.sections.speed import BLOCKSIZES, SECOND_MS
+from tools.bench.workbench import LIVE, NUMPY, REFERENCE
+
+TICKS_MS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+BESIDE_LIMIT = 3.5
+"""A number beside a point may reach this many times its cost on the axis."""
+COLOURS = {LIVE: palette.FELT, NUMPY: palette.FELT_LIGHT, REFERENCE: palette.HEARD}
+
+
+def cost(report: BenchReport) -> Figure:
+    """Draw the cost of each scene as points: small blocks left, large blocks right."""
+    rows = [row for row in report.section("Cost of a second of sound").rows if row.unit == "ms"]
+    scenes = list(dict.fromkeys(row.name.rsplit(", blocks of ", 1)[0] for row in rows))
+    costs = [each for row in rows for each in (row.low, row.value, row.high) if each]
+    machine = report.machine
+    figure = sheet(
+        "What a second of sound costs",
+        "CPU time of one thread for 1 s of 48 kHz stereo, in ms: median, smallest and largest. "
+        f"{machine.cpu}, one rfft(2048) {machine.rfft_us:.1f} µs",
+        5.6,
+    )
+    legend(figure, 0.235, [("●", colour, name) for name, colour in COLOURS.items()]
+           + [("- -", palette.INK, f"limit for {LIVE}: {SECOND_MS:g} ms")])  # fmt: skip
+    axes = figure.subplots(1, len(BLOCKSIZES), sharey=True, sharex=True)
+    figure.subplots_adjust(left=0.235, right=0.975, top=0.80, bottom=0.09, wspace=0.06)
+    for axis, blocksize in zip(axes, BLOCKSIZES, strict=True):
+        frame(axis, f"blocks of {blocksize} frames")
+        limit(axis, SECOND_MS)
+        for row in rows:
+            scene, _, size = row.name.rpartition(", blocks of ")
+            if size != str(blocksize) or not row.value:
+                continue
+            line = scenes.index(scene) + 0.26 * (list(COLOURS).index(row.column) - 1)
+            low, high = row.low or row.value, row.high or row.value
+            axis.plot([low, high], [line, line], color=COLOURS[row.column], lw=2.0, zorder=2)
+            axis.plot([row.value], [line], "o", ms=5.5, color=COLOURS[row.column], zorder=3)
+            left = high < SECOND_MS < BESIDE_LIMIT * high
+            number_beside(axis, f"{row.value:.1f}", (low if left else high, line), left=left)
+        axis.set_yticks(range(len(scenes)), scenes, fontsize=TEXT_PT, color=palette.INK)
+        axis.set_ylim(len(scenes) - 0.45, -0.55)
+        axis.set_xscale("log")
+        axis.set_xlim(0.45 * min(costs), 2.2 * max(costs))
+        ticks_at(axis, TICKS_MS, min(costs), 2.2 * max(costs))
+        axis.tick_params(which="minor", length=0)
+        axis.tick_params(axis="y", length=0)
+    frame(axes[-1], unit="ms")
+    axes[-1].tick_params(axis="y", length=0)
+    return figure
+
+
+def lag(report: BenchReport) -> Figure:
+    """Draw the share of bursts that are felt by a time, for both forms, with the limit."""
+    series = report.section("Onset lag").series
+    figure = sheet(
+        "How soon a sound is felt",
+        f"Share of {len(next(iter(series.values())))} tone bursts, 80 to 5000 Hz, whose vibration "
+        "has passed half of its level, by the time since the sound began",
+        4.4,
+    )
+    axis = figure.subplots()
+    figure.subplots_adjust(left=0.075, right=0.975, top=0.84, bottom=0.125)
+    frame(axis, grid=True, unit="ms")
+    latest = 0.0
+    for name, lags_ms in series.items():
+        lags = np.sort(np.array(lags_ms))
+        latest = max(latest, float(lags[-1]))
+        share = 100.0 * np.arange(1, lags.size + 1) / lags.size
+        colour, p95 = COLOURS[name], float(np.percentile(lags, 95))
+        axis.step([lags[0], *lags], [0.0, *share], where="post", color=colour, lw=2.2)
+        axis.plot([p95], [95.0], "o", ms=7, color=colour, mec=palette.WHITE, mew=1.2, zorder=5)
+        axis.annotate(
+            f"{name}\n95 % by {p95:.1f} ms", (float(np.percentile(lags, 60)), 60.0),
+            xytext=(16, -16), textcoords="offset points", fontsize=TEXT_PT, color=colour,
+        )  # fmt: skip
+    limit(axis, LAG_P95.bound)
+    axis.text(LAG_P95.bound + 0.4, 3.0, f"limit: 95 % by {LAG_P95.bound:g} ms", fontsize=SMALL_PT)
+    axis.set_xlim(0.0, 5.0 * np.ceil((latest + 3.0) / 5.0))
+    axis.set_ylim(0.0, 102.0)
+    axis.set_yticks([0, 25, 50, 75, 95, 100], ["0", "25", "50", "75", "95", "100 %"])
+    return figure
+
+
+def frequency(report: BenchReport) -> Figure:
+    """Draw errors in Hz over the signal-to-noise ratio, a field for each range, with the bound."""
+    series = report.section("Frequency error").series
+    snr_db, bound = np.array(series["SNR"]), np.array(series[BOUND])
+    figure = sheet(
+        "How exact a frequency is",
+        "Root mean square error in Hz of one tone in white noise at 48 kHz over the "
+        "signal-to-noise ratio, with the Cramer-Rao bound",
+        4.6,
+    )
+    axes = figure.subplots(1, len(RANGES_HZ), sharex=True, sharey=True)
+    figure.subplots_adjust(left=0.07, right=0.885, top=0.81, bottom=0.125, wspace=0.08)
+    limited = snr_db <= LIMITED_SNRS_DB[-1]
+    for axis, (low_hz, high_hz) in zip(axes, RANGES_HZ, strict=True):
+        span = f"{low_hz:g} to {high_hz:g} Hz"
+        axis.set_yscale("log")
+        frame(axis, span, grid=True)
+        axis.plot(snr_db, bound, color=palette.INK, lw=1.2, ls=DASHES)
+        for form in FORMS:
+            axis.plot(snr_db, series[f"{form}, {span}"], "o-", ms=4, lw=2.0, color=COLOURS[form])
+        if low_hz >= RANGES_HZ[1][0]:
+            limits = TIMES_BOUND.bound * bound[limited]
+            axis.plot(snr_db[limited], limits, color=palette.GREY, lw=4.0, alpha=0.35)
+    ends = {form: series[f"{form}, {span}"][-1] for form in FORMS} | {BOUND: bound[-1]}
+    for name, end in ends.items():
+        axes[-1].annotate(
+            name, (snr_db[-1], end), xytext=(8, 0), textcoords="offset points", va="center",
+            fontsize=SMALL_PT, color=COLOURS.get(name, palette.INK), annotation_clip=False,
+        )  # fmt: skip
+    note(axes[1], f"grey: the limit,\n{TIMES_BOUND.bound:g} times the bound", (0.03, 0.05))
+    frame(axes[-1], unit="dB", grid=True)
+    axes[0].set_ylabel("Hz", rotation=0, fontsize=TEXT_PT, color=palette.GREY, loc="top")
+    return figure

@@ -1,0 +1,234 @@
+"""Section on baselines: both forms of the transform beside other methods, on the same sounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from audioflinger_hook.transform import FloatArray, TransformParameters
+from tools.bench import baselines
+from tools.bench.baselines.guarded import BaselineFailed, guarded
+from tools.bench.measures.similarity import (
+    dominant_hz,
+    envelope_correlation,
+    felt_spectrum,
+    level_db,
+    spectral_distance,
+    st_sim,
+)
+from tools.bench.measures.vibration import energy_above_db, onset_lag_s
+from tools.bench.report import Missing, Row, Section, number
+from tools.bench.sections.fidelity import (
+    AUDIBLE_FROM_HZ,
+    BURST_AMPLITUDE,
+    BURST_HZ,
+    BURST_ONSET_S,
+    BURST_STREAM_S,
+    REST_S,
+)
+from tools.bench.sounds.signals import SAMPLERATE, Recording, burst, chord, tone
+from tools.bench.workbench import (
+    LIVE,
+    NUMPY,
+    REFERENCE,
+    SPEED_SUBJECTS,
+    Playback,
+    Subject,
+    Workbench,
+    timed,
+)
+
+TITLE = "Baselines"
+BLOCKSIZE = 256
+COST_S = 0.5
+FELT_DB = -40.0
+"""Least strength of a felt burst's vibration at 15 to 250 Hz, against the burst."""
+TONES_HZ = (1_000.0, 4_200.0)
+TONE_AMPLITUDE, TONE_S = 0.3, 1.0
+
+COST = "cost of a second, blocks of 256"
+COST_FFTS = f"{COST}, in FFTs"
+LAG_MEAN, LAG_P95 = "onset lag, mean", "onset lag, 95th percentile"
+BURSTS_FELT = "bursts felt"
+CORRELATION = "envelope correlation, median recording"
+LEAK, LEAK_MEDIAN = "energy above 250 Hz, worst recording", "energy above 250 Hz, median recording"
+DISTANCE = "4.2 kHz against 1 kHz, spectral distance"
+HIGH_LEVEL = "4.2 kHz, level of the vibration"
+STRONGEST = ("1 kHz, strongest at", "4.2 kHz, strongest at")
+LIKE_SOUND = "ST-SIM to the sound's own low end"
+LIKE_REFERENCE = "ST-SIM to the paper's vibration"
+
+SUMMARIES: dict[str, tuple[str, Callable[[FloatArray], float], str]] = {
+    CORRELATION: (CORRELATION, np.nanmedian, ""),
+    LEAK: (LEAK, np.nanmax, "dB"),
+    LEAK_MEDIAN: (LEAK, np.nanmedian, "dB"),
+    LIKE_SOUND: (LIKE_SOUND, np.nanmedian, ""),
+    LIKE_REFERENCE: (LIKE_REFERENCE, np.nanmedian, ""),
+}
+"""Rows on recordings: measure, summary over the recordings, unit."""
+
+CRITERIA = {
+    COST: -1, LAG_MEAN: -1, LAG_P95: -1, BURSTS_FELT: 1, CORRELATION: 1, LEAK: -1,
+    LEAK_MEDIAN: -1, DISTANCE: 1, HIGH_LEVEL: 1, LIKE_SOUND: 1, LIKE_REFERENCE: 1,
+}  # fmt: skip
+"""Rows on which a baseline can beat the live form; 1 where more is better, -1 where less is."""
+
+
+def compared(bench: Workbench) -> Section:
+    """Every method on the same sounds, and where a baseline beats the live form."""
+    others, missing = baselines.load()
+    chosen = _spread(bench.recordings, bench.effort.compared_recordings)
+    while True:
+        try:
+            rows = _rows((*bench.subjects, *map(guarded, others)), bench, chosen)
+            break
+        except BaselineFailed as error:  # again without it, so that all rows are of the same sounds
+            command = baselines.COMMAND
+            missing += (Missing(f"every row of the baseline {error.name}", str(error), command),)
+            others = tuple(other for other in others if other.name != error.name)
+    if not chosen:
+        missing += tuple(bench.missing_recordings(f"{TITLE}: {name}") for name in SUMMARIES)
+    return Section(
+        TITLE,
+        "Other methods from sound to vibration, our own implementations in NumPy, not tuned. "
+        "Band-pass: 50 to 250 Hz unchanged. Envelope: levelled, on a resonance at 150 Hz. "
+        "Centroid: one sine at the centroid of 30 to 600 Hz. Octave fold: two peaks, halved until "
+        f"under 230 Hz. Lags are of the bursts felt, over {FELT_DB:g} dB of the burst. High tones "
+        f"are measured at 15 to {AUDIBLE_FROM_HZ:g} Hz, where one feels them. ST-SIM is the "
+        "similarity of patterns in time and frequency, 0 to 1. To the sound's own 20 to 640 Hz it "
+        "favours methods that leave the sound as it is, to the reference form's vibration it "
+        "favours the transform.",
+        tuple(rows),
+        missing,
+        footnote=where_baselines_win(rows, [subject.name for subject in others])
+        + f" Recordings: {len(chosen)} of {len(bench.recordings)}.",
+    )
+
+
+def _rows(
+    subjects: Sequence[Subject], bench: Workbench, recordings: Sequence[Recording]
+) -> list[Row]:
+    in_numpy = tuple(subject for subject in SPEED_SUBJECTS if subject.name == NUMPY)
+    rows = _cost_rows((*subjects, *in_numpy), bench)
+    for subject in subjects:
+        rows += _onset_rows(subject, bench) + _high_tone_rows(subject)
+    return rows + (_recording_rows(subjects, recordings) if recordings else [])
+
+
+def where_baselines_win(rows: Sequence[Row], names: Sequence[str]) -> str:
+    """Return a sentence that names every row in which a baseline beats the live form."""
+    values = {(row.name, row.column): row for row in rows}
+    won = []
+    for name, sign in CRITERIA.items():
+        ours = values.get((name, LIVE))
+        if ours is None or ours.value is None:
+            continue
+        ahead = sorted(
+            (
+                (sign * row.value, row.column, row.value)
+                for other in names
+                if (row := values.get((name, other))) and row.value is not None
+                if sign * row.value > sign * ours.value
+            ),
+            reverse=True,
+        )
+        if ahead:
+            shown = ", ".join(f"{column} {number(value)}" for _, column, value in ahead)
+            unit = f" {ours.unit}" if ours.unit else ""
+            won.append(f"{name} ({shown} against {number(ours.value)}{unit})")
+    if not won:
+        return "No baseline beats the live form in any row where more or less is better."
+    return "A baseline beats the live form in: " + "; ".join(won) + "."
+
+
+def _cost_rows(subjects: Sequence[Subject], bench: Workbench) -> list[Row]:
+    sound = chord(COST_S)
+    repeats = [bench.effort.repeats_of(subject) for subject in subjects]
+    timings = timed([Playback(subject, sound, BLOCKSIZE) for subject in subjects], repeats)
+    rows: list[Row] = []
+    for subject, timing in zip(subjects, timings, strict=True):
+        low, high = (1e3 * end(timing.seconds) / COST_S for end in (min, max))
+        cost_ms = 1e3 * timing.median_s / COST_S
+        rows.append(Row(COST, cost_ms, "ms", subject.name, low=low, high=high))
+        rows.append(Row(COST_FFTS, float(round(timing.median_units / COST_S)), "", subject.name))
+    return rows
+
+
+def _onset_rows(subject: Subject, bench: Workbench) -> list[Row]:
+    """Return how soon bursts are felt, each at another place of the window."""
+    count = bench.effort.compared_bursts
+    window_s = TransformParameters().window_s
+    places = np.random.default_rng(4).permutation(count) / count
+    lags_ms = []
+    for audio_hz, place in zip(np.geomspace(*BURST_HZ, count), places, strict=True):
+        onset_s = BURST_ONSET_S + float(place) * window_s
+        sound = burst(float(audio_hz), BURST_AMPLITUDE, onset_s, BURST_STREAM_S)
+        vibration = subject.vibration(sound, SAMPLERATE)
+        first, last = (round((onset_s + after_s) * SAMPLERATE) for after_s in (0.1, 0.2))
+        strength_db = level_db(float(felt_spectrum(vibration[first:last], SAMPLERATE)[1].sum()))
+        if strength_db - 20.0 * np.log10(BURST_AMPLITUDE) >= FELT_DB:
+            lags_ms.append(1e3 * onset_lag_s(vibration, SAMPLERATE, onset_s))
+    mean = float(np.mean(lags_ms)) if lags_ms else None
+    p95 = float(np.percentile(lags_ms, 95)) if lags_ms else None
+    note = "" if lags_ms else "none felt"
+    return [
+        Row(LAG_MEAN, mean, "ms", subject.name, note=note),
+        Row(LAG_P95, p95, "ms", subject.name, note=note),
+        Row(BURSTS_FELT, float(len(lags_ms)), f"of {count}", subject.name),
+    ]
+
+
+def _high_tone_rows(subject: Subject) -> list[Row]:
+    """Return where 1 kHz and 4.2 kHz are felt, and whether they differ."""
+    settled = [
+        subject.vibration(tone(audio_hz, TONE_AMPLITUDE, TONE_S), SAMPLERATE)[-SAMPLERATE // 2 :]
+        for audio_hz in TONES_HZ
+    ]
+    rows = []
+    for name, vibration in zip(STRONGEST, settled, strict=True):
+        hz = dominant_hz(vibration, SAMPLERATE)
+        rows.append(Row(name, hz, "Hz", subject.name, note="" if hz is not None else "nothing"))
+    distance = spectral_distance(settled[0], settled[1], SAMPLERATE)
+    note = "" if distance is not None else "not felt both"
+    power = float(felt_spectrum(settled[1], SAMPLERATE)[1].sum())
+    against_db = level_db(power) - 20.0 * float(np.log10(TONE_AMPLITUDE))
+    return [
+        *rows,
+        Row(DISTANCE, distance, "", subject.name, note=note),
+        Row(HIGH_LEVEL, against_db, "dB", subject.name),
+    ]
+
+
+def _spread(recordings: tuple[Recording, ...], count: int) -> list[Recording]:
+    """Return that many recordings, evenly from first to last."""
+    places = np.unique(np.linspace(0, len(recordings) - 1, count).round().astype(int))
+    return [recordings[place] for place in places] if recordings else []
+
+
+def _recording_rows(subjects: Sequence[Subject], recordings: Sequence[Recording]) -> list[Row]:
+    """Return similarity and audible energy on recordings, with a second of silence after each."""
+    measured: dict[str, list[dict[str, float]]] = {subject.name: [] for subject in subjects}
+    for item in recordings:
+        rate = item.samplerate
+        rest = np.zeros((round(REST_S * rate), item.frames.shape[1]), item.frames.dtype)
+        frames = np.concatenate((item.frames, rest))
+        sound = frames.astype(np.float64).mean(axis=1)
+        felt = {subject.name: subject.vibration(frames, rate) for subject in subjects}
+        for name, vibration in felt.items():
+            measured[name].append(
+                {
+                    CORRELATION: envelope_correlation(sound, vibration, rate),
+                    LEAK: energy_above_db(vibration, rate, AUDIBLE_FROM_HZ),
+                    LIKE_SOUND: st_sim(vibration, sound, rate),
+                    LIKE_REFERENCE: st_sim(vibration, felt[REFERENCE], rate),
+                }
+            )
+    rows: list[Row] = []
+    for name, results in measured.items():
+        for title, (measure, summary, unit) in SUMMARIES.items():
+            values = np.array([result[measure] for result in results])
+            silent = bool(np.isnan(values).all())
+            value = None if silent else float(summary(values))
+            rows.append(Row(title, value, unit, name, note="silence" if silent else ""))
+    return rows

@@ -1,0 +1,178 @@
+"""Sections on what other programs measured and kept: live latency and the soaks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+from audioflinger_hook.config.settings import LiveSettings
+from device.errors import UsageError
+from tools.bench import soak_record
+from tools.bench.measures.random_rigs import F0_ERROR, HELD, Q_ERROR, RIGS, SNR_DB
+from tools.bench.report import Missing, Must, Row, Section, number
+from tools.bench.soak_record import SoakRecord
+from tools.bench.workbench import Workbench
+from tools.live_latency import record as live_record
+from tools.live_latency.record import LiveRecord
+from tools.records import record_path
+
+MILLION = 1e6
+USUAL_BLOCK_FRAMES = LiveSettings.block_frames
+"""Block size of the daemon's streams by default; limits apply to it."""
+LAG = Must("<=", 90.0)
+NO_GROWTH_MS = Must("<=", 1.0)
+CPU_PERCENT = Must("<=", 8.0)
+
+Kept = TypeVar("Kept")
+Columns = tuple[tuple[str, str, str, Must | None], ...]
+"""Field, column, unit and limit of what is shown of a record."""
+
+_LIVE_COLUMNS: Columns = (
+    ("lag_median_ms", "lag", "ms", LAG),
+    ("lag_p5_ms", "5th percentile", "ms", None),
+    ("lag_p95_ms", "95th percentile", "ms", None),
+    ("growth_ms", "change over the run", "ms", NO_GROWTH_MS),
+    ("hidden_growth_ms", "of it not reported", "ms", NO_GROWTH_MS),
+    ("budget_ms", "reported by the daemon", "ms", None),
+    ("delay_ms", "of it in the delay line", "ms", None),
+    ("resyncs", "resyncs", "", None),
+    ("underflows", "underflows", "", None),
+    ("dropouts", "dropouts", "", None),
+    ("cpu_percent", "CPU", "% of a core", CPU_PERCENT),
+    ("memory_growth_kb", "memory growth", "kB", None),
+    ("machine_pauses", "pauses of the machine", "times", None),
+    ("machine_pause_ms", "longest pause", "ms", None),
+    ("check_median_ms", "instrument's error", "ms", None),
+)
+_SOAK_COLUMNS: Columns = (
+    ("hops", "hops", "", Must(">=", soak_record.HOPS)),
+    ("memory_growth_kb", "growth of memory", "kB", soak_record.NO_GROWTH_KB),
+    ("objects_left", "objects left over", "", soak_record.NO_GROWTH_OBJECTS),
+    ("level_drift_db", "drift of level", "dB", soak_record.NO_DRIFT_DB),
+    ("thdn_start_db", "THD+N at first", "dB", None),
+    ("thdn_end_db", "THD+N at the end", "dB", soak_record.PURITY),
+)
+_ENERGY_COLUMNS: Columns = (
+    ("samples", "samples", "million", Must(">=", soak_record.STEPPED_SAMPLES / MILLION)),
+    ("energy_creep", "change of the largest energy", "", soak_record.NO_CREEP),
+    ("energy_rise", "largest rise after the drive", "", soak_record.PASSIVE),
+    ("energy_from_nowhere", "energy-balance error of a step", "", soak_record.PASSIVE_STEPPED),
+)
+_IDENTIFICATION_COLUMNS: Columns = (
+    ("rigs", "rigs", "", Must(">=", RIGS)),
+    ("f0_error_percent", "largest error of f0", "%", F0_ERROR),
+    ("q_error_percent", "largest error of Q", "%", Q_ERROR),
+    ("f0_held_percent", "intervals that hold f0", "%", HELD),
+    ("q_held_percent", "intervals that hold Q", "%", HELD),
+)
+
+
+def live_latency(_bench: Workbench) -> Section:
+    """The last live measurements."""
+    explanation = (
+        "Delay of the vibration of `cushion run` after its sound, transform included, from the "
+        "monitor of the audible sink to that of the vibration sink, by server and by block size."
+    )
+    return _section(
+        "Live latency", explanation, live_record.RECORD, live_record.COMMAND,
+        live_record.read_records, _live_rows, _live_footnote,
+    )  # fmt: skip
+
+
+def transform_soak(_bench: Workbench) -> Section:
+    """The transform's last soak."""
+    what = f"The live form over {number(soak_record.HOPS)} hops, more than four hours of sound."
+    return _soak("Soak", what, _SOAK_COLUMNS)
+
+
+def rig_soak(_bench: Workbench) -> Section:
+    """The rig's last soak."""
+    what = (
+        f"Each model of the rig over {number(soak_record.SAMPLES / MILLION)} million samples of a "
+        "bounded random drive, ten seconds in a loop; the step by step model, which is slow, over "
+        f"{number(soak_record.STEPPED_SAMPLES / MILLION)} million. The largest energy of each loop "
+        "is compared with the first. Then the drive stops, and the energy may only fall. All "
+        "errors are shares of the stored energy."
+    )
+    return _soak("Soak of the rig", what, _ENERGY_COLUMNS)
+
+
+def identification_soak(_bench: Workbench) -> Section:
+    """The identification's last soak."""
+    what = (
+        f"The random rigs of the section above, {RIGS} at each sweep level, every other one on an "
+        f"occupied seat, with noise at -{SNR_DB:g} dB."
+    )
+    return _soak("Soak of the identification", what, _IDENTIFICATION_COLUMNS)
+
+
+def _section(
+    title: str,
+    explanation: str,
+    record: Path,
+    command: str,
+    read: Callable[[Path], tuple[Kept, ...]],
+    rows: Callable[[Kept], Iterator[Row]],
+    footnote: Callable[[tuple[Kept, ...]], str] = lambda _: "",
+) -> Section:
+    """Return a section of records, or what is missing."""
+    name = title if title.startswith("Soak") else title.lower()
+    try:
+        kept = read(record_path(record))
+    except UsageError as error:
+        return Section(title, explanation, (), (Missing(name, str(error), command),))
+    shown = [row for each in kept for row in rows(each)]
+    if not shown:
+        never = Missing(name, f"{record} has no record of it: never run", command)
+        return Section(title, explanation, (), (never,))
+    return Section(title, explanation, tuple(shown), footnote=footnote(kept))
+
+
+def _soak(title: str, what: str, columns: Columns) -> Section:
+    command = soak_record.COMMAND
+    explanation = f"{what} `{command}` runs it and keeps its last result here."
+
+    def rows(record: SoakRecord) -> Iterator[Row]:
+        verdict = "passed" if record.passed else "failed"
+        when = f"{verdict} on {record.date} in {record.took_s:.0f} s, {record.cpu}"
+        if getattr(record, columns[0][0]) is None:  # a soak of another kind
+            return
+        for index, (field, column, unit, must) in enumerate(columns):
+            value = getattr(record, field)
+            if value is not None:
+                shown = value / MILLION if unit == "million" else float(value)
+                yield Row(record.what, shown, unit, column, must, note="" if index else when)
+
+    return _section(title, explanation, soak_record.RECORD, command, soak_record.read_records, rows)
+
+
+def _live_rows(record: LiveRecord) -> Iterator[Row]:
+    note = f"{record.date}, {record.seconds:.0f} s"
+    if not record.trusted:
+        note += "; not to be trusted: the instrument's own error is large"
+    for field, column, unit, must in _LIVE_COLUMNS:
+        value = getattr(record, field)
+        if value is None:
+            continue
+        if must is NO_GROWTH_MS:
+            value = abs(value)
+        asked = must if record.block_frames == USUAL_BLOCK_FRAMES else None
+        shown = note if field == "lag_median_ms" else ""
+        yield Row(record.name, float(value), unit, column, asked, note=shown)
+
+
+def _live_footnote(records: tuple[LiveRecord, ...]) -> str:
+    cpus = ", ".join(dict.fromkeys(f"{record.cpu} ({record.cores} cores)" for record in records))
+    loads = [load for record in records for load in (record.load_before, record.load_after)]
+    stimuli = ", ".join(dict.fromkeys(record.stimulus for record in records))
+    return (
+        f"`{live_record.COMMAND}` and `make soak` measure it, on a sound server of their own with "
+        f"null sinks, and keep their last results here. Played: {stimuli}. The lag is that of the "
+        "vibration's envelope behind the envelope of what `cushion render` makes of the same "
+        "sound, every few seconds. Not reported is the change of the lag that the status does not "
+        "show. Dropouts are silences over 2 ms amid vibration. Pauses of the machine are times of "
+        "10 ms or more in which no core ran, as virtual machines have; a stream that holds less "
+        "runs dry then. The instrument's error is the lag between two recordings of one monitor. "
+        f"{cpus}, load {min(loads):.1f} to {max(loads):.1f}. Null sinks have no hardware delay."
+    )
