@@ -1,7 +1,7 @@
-"""Two streams for one measurement: it plays on one device and hears another, or ends in silence.
+"""The two streams of a measurement: one plays, the other records.
 
-A measurement does not recover: what it missed cannot be made up for. So whatever happens to either
-stream, a device that goes, another place, a late block, ends it with the reason.
+A measurement cannot recover what it misses. So a lost device, a move or a late block ends it with
+the reason.
 """
 
 from __future__ import annotations
@@ -20,49 +20,44 @@ from device.stream.streams import CaptureStream, PlaybackStream
 from device.units import Float32Array
 
 OUTPUT, INPUT = "cushion_output", "cushion_input"
-"""Names of the PCMs that are needed."""
+"""Names of the necessary PCMs."""
 
 SETTLE_S = 5.0
-"""For so long streams may take until they run where they belong."""
+"""How long the streams may take to run on their devices."""
 
 BLOCK_FRAMES = 1024
-"""Four times the usual: a measurement has time, and what comes late would be lost to it."""
+"""Four times the default: latency does not matter, but a late block would be lost."""
 
-_LOOK_S = 0.02
+_POLL_S = 0.02
 
 
 class MeasuredExchange(Protocol):
-    """What is measured, from the streams' side; see `device.identification.live.exchange`."""
-
-    @property
-    def sounding(self) -> bool:
-        """Whether something is being played."""
-        ...
+    """The measurement, as the streams see it; see `device.identification.live.exchange`."""
 
     def begin(self) -> None:
-        """Both streams are where they belong."""
+        """Start: both streams run on their devices."""
         ...
 
     def abort(self, error: CushionError) -> None:
-        """Silence from the next block on."""
+        """End with an error and silence from the next block on."""
         ...
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the end so long; whether it has ended."""
+        """Wait for the end; whether it has ended."""
         ...
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """For the output's thread."""
+        """Fill a block. Called by the output's audio thread."""
         ...
 
     def on_frames(self, frames: Float32Array, now_s: float) -> None:
-        """For the input's thread."""
+        """Take a block. Called by the input's audio thread."""
         ...
 
 
 @dataclass(frozen=True)
 class StreamEndpoint:
-    """Where one stream leads. name: the server's or the card's; channels: as it is opened."""
+    """The device of one stream. name: for messages. channels: to open it with."""
 
     target: Target
     name: str
@@ -71,15 +66,15 @@ class StreamEndpoint:
 
     @property
     def guarded(self) -> bool:
-        """Whether a server could lead it elsewhere."""
+        """Whether a server could move the stream."""
         return isinstance(self.target, ServerDevice)
 
 
 class MeasurementStreams:
     """A `Transport` of real devices. One thread uses it.
 
-    pcms: with PCMs OUTPUT and INPUT; samplerate: Hz, of both; connection: to the sound server,
-    None where neither way leads there.
+    pcms: with PCMs OUTPUT and INPUT. samplerate: Hz, of both streams. connection: to the sound
+    server; None if neither stream is on a server.
     """
 
     def __init__(
@@ -100,7 +95,7 @@ class MeasurementStreams:
         return self._samplerate
 
     def run(self, exchange: MeasuredExchange) -> None:
-        """Both streams until the measurement has ended; what ended it is left with it.
+        """Run both streams until the measurement ends; it keeps the reason.
 
         Raises
         ------
@@ -108,7 +103,7 @@ class MeasurementStreams:
             A stream cannot be opened.
         """
         with ExitStack() as stack:
-            # last of all: whatever leaves this, Ctrl+C too, leaves silence
+            # closed last: every exit leaves silence, also Ctrl+C
             if self._output.guarded and self._connection is not None:
                 stack.callback(FallbackSink(self._connection).close)
             outward = self._pcms.pcms[OUTPUT]
@@ -133,21 +128,21 @@ class MeasurementStreams:
             )
             stack.callback(capture.close)
             guards = []
-            for stream, way in ((playback, self._output), (capture, self._source)):
-                if way.guarded and self._connection is not None:
-                    guard = StreamGuard(self._connection, stream, way.name, any_source=True)
+            for stream, endpoint in ((playback, self._output), (capture, self._source)):
+                if endpoint.guarded and self._connection is not None:
+                    guard = StreamGuard(self._connection, stream, endpoint.name, any_source=True)
                     stack.callback(guard.release)
                     guards.append(guard)
                 else:
                     stream.audible = True
-            stack.callback(exchange.abort, LostError("the measurement was given up"))
+            stack.callback(exchange.abort, LostError("the measurement was aborted"))
             watch = _Watch(playback, capture, guards, (self._output.name, self._source.name))
             watch.settle(exchange)
             watch.until_the_end(exchange)
 
 
 class _Watch:
-    """Looks after both streams for the thread that waits."""
+    """Watches both streams for the waiting thread."""
 
     def __init__(
         self,
@@ -161,7 +156,7 @@ class _Watch:
         self._names = names
 
     def settle(self, exchange: MeasuredExchange) -> None:
-        """Begin once both run where they belong; LostError if that takes too long."""
+        """Start the measurement when both run; LostError if that takes too long."""
         limit_s = time.monotonic() + SETTLE_S
         while not (
             all(guard.hold.audible for guard in self._guards)
@@ -173,13 +168,13 @@ class _Watch:
                     f"{' and '.join(self._names)} do not run after {SETTLE_S:g} s "
                     f"({', '.join(held) or 'a device delivers nothing'}); check both, and try again"
                 )
-            exchange.wait(_LOOK_S)
+            exchange.wait(_POLL_S)
         self._before = self._counts()
         exchange.begin()
 
     def until_the_end(self, exchange: MeasuredExchange) -> None:
-        """Wait for the end, or bring it about."""
-        while not exchange.wait(_LOOK_S):
+        """Wait for the end, or abort at the first error."""
+        while not exchange.wait(_POLL_S):
             error = self._wrong(time.monotonic())
             if error is not None:
                 exchange.abort(error)

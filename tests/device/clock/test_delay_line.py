@@ -62,6 +62,7 @@ def test_it_plays_once_it_knows_both_sides_and_is_on_target_a_second_later() -> 
         assert course.time_s[settling] < 0.75
 
 
+@EXHAUSTIVE
 def test_five_milliseconds_of_jitter_are_no_reason_to_leave_the_target() -> None:
     course = two_clocks(300, 5 * MS, 45.0)
     assert course.last.resyncs == 0
@@ -94,6 +95,7 @@ def test_bursts_of_four_blocks_are_provided_for(ppm: int) -> None:
     assert course.last.underflows <= 1
 
 
+@EXHAUSTIVE
 def test_blocks_larger_than_said_are_provided_for() -> None:
     line = DelayLine(1, 48_000, 48_000, capture_block=256, output_block=256)
     course = run(line, Side(block=512), Side(block=512, start_s=0.003), 30.0)

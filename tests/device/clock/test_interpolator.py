@@ -38,8 +38,19 @@ def error_db(hz: float, step: float, samplerate: int = 48_000) -> float:
     return float(10 * np.log10(2 * (error**2).mean()))
 
 
-@pytest.mark.parametrize("step", [0.9997, 1.000153, 44_100 / 48_000, 48_000 / 44_100])
-@pytest.mark.parametrize(("hz", "limit_db"), [(20, -148), (250, -147), (500, -129)])
+@pytest.mark.parametrize(
+    "step",
+    [
+        pytest.param(0.9997, marks=pytest.mark.exhaustive),
+        1.000153,
+        44_100 / 48_000,
+        pytest.param(48_000 / 44_100, marks=pytest.mark.exhaustive),
+    ],
+)
+@pytest.mark.parametrize(
+    ("hz", "limit_db"),
+    [pytest.param(20, -148, marks=pytest.mark.exhaustive), (250, -147), (500, -129)],
+)
 def test_a_sine_is_read_as_exactly_as_float32_and_four_frames_allow(
     hz: float, limit_db: float, step: float
 ) -> None:
@@ -128,7 +139,7 @@ def test_what_is_no_vibration_becomes_silence(wrong: float) -> None:
     assert ring.frames[:2].tolist() == [[0.5, 0.0], [0.0, -0.5]]
 
 
-@pytest.mark.parametrize("hz", [20, 60, 250])
+@pytest.mark.parametrize("hz", [20, pytest.param(60, marks=pytest.mark.exhaustive), 250])
 @pytest.mark.parametrize("to_silence", [True, False])
 def test_a_join_has_no_step_in_value_or_slope(hz: float, to_silence: bool) -> None:
     before = tone(hz, 0.1, 48_000, 0.8, phase=1.0).astype(np.float32)[:, np.newaxis]
