@@ -1,5 +1,5 @@
-/* The linear rung of the actuator, compiled; rig/actuator.py says the same with SciPy's sosfilt and
- * NumPy, in the same order, so with the same roundings. */
+/* The linear model of the actuator. rig/actuator.py computes the same with SciPy's sosfilt and NumPy
+ * in the same order, and therefore with the same rounding. */
 
 #include "blocks.h"
 
@@ -12,7 +12,7 @@
 #define STATE (2 * SECTIONS + TAPS)
 #define TOGETHER 512
 
-/* The voltage through the poles: two second-order sections without zeros, each transposed. */
+/* Filters the voltage with two transposed second-order sections without zeros. */
 static size_t pass_poles(const double *restrict volts, size_t frames, double limit,
                          const double *poles, double *restrict state, double *restrict filtered)
 {
@@ -42,8 +42,8 @@ static size_t pass_poles(const double *restrict volts, size_t frames, double lim
     return replaced;
 }
 
-/* One quantity from what came through the poles, three frames of before and these. */
-static void weighed(const double *restrict recent, size_t frames, const double *taps,
+/* Computes one quantity from the filtered voltage: three earlier frames, then these. */
+static void apply_taps(const double *restrict recent, size_t frames, const double *taps,
                     double *restrict moved)
 {
     const double newest = taps[0], one = taps[1], two = taps[2], oldest = taps[3];
@@ -89,7 +89,7 @@ static size_t move(const Py_buffer *views, size_t start, size_t stop, double lim
         replaced += pass_poles(volts + start, frames, limit, views[POLES].buf, state,
                                filtered + TAPS);
         for (size_t one = 0; one < quantities; one++)
-            weighed(filtered + 1, frames, taps + one * TAPS, moved + one * all + start);
+            apply_taps(filtered + 1, frames, taps + one * TAPS, moved + one * all + start);
         memcpy(last, filtered + frames, TAPS * sizeof(double));
         start += frames;
     }

@@ -1,49 +1,20 @@
 """The simulated rig: every stage between the vibration signal and the seat.
 
-    dac.py -> amplifier.py -> actuator.py -> instruments.py
-    `---- twin.py ----'       |- linear_system.py
-                              adaptive.py, report.py          rig.py describes all: rig_file.py
-                              |- choice.py, hand_over.py    reads paper.toml, consumer.toml or
-                              |- node_grid.py, levels.py     another, within limits.py and without
-                              |  collocation.py             contradictions.py
-                              |  passive_step.py
-                              `- equations.py, co_energy.py, shapes.py, thermal.py
+| module | holds |
+| --- | --- |
+| parameters, rig, rig_file, perturbed_rigs | what a rig is, its TOML file, and variants of it |
+| electronics, actuator, instruments | DAC and amplifier; linear actuator; accelerometer to DAQ |
+| simulated_rig | all stages behind `VibrationOutput` |
+| shapes, co_energy, equations, thermal, seat | the physics beyond the linear actuator |
+| collocation, small_matrices, node_grid, passive_step | solvers of the non-linear equations |
+| segment, model_levels, model_selection, adaptive_actuator | the cheapest model that suffices |
+| report | models, cost and true error of a run, second by second |
 
-The linear actuator is one class; whoever needs more of its physics takes the adaptive one, which
-adds what a tolerance asks for: from shapes.py, through energies, to equations and their solutions.
-
-Here only the descriptions are imported: the stages need SciPy, which takes half a second to load,
-and whoever wants a name or an error should not wait for it.
+Only the descriptions are imported here, because SciPy takes half a second to load.
 """
 
-from device.rig.parameters import (
-    AccelerometerParameters,
-    ActuatorParameters,
-    AmplifierParameters,
-    ConditioningParameters,
-    DacParameters,
-    DaqParameters,
-    LargeSignalParameters,
-    SeatParameters,
-    ThermalParameters,
-)
-from device.rig.rig import Rig, Source
+from device.rig.parameters import ActuatorParameters
+from device.rig.rig import Rig
 from device.rig.rig_file import CONSUMER, PAPER, read_rig, rig_by_name
 
-__all__ = [
-    "CONSUMER",
-    "PAPER",
-    "AccelerometerParameters",
-    "ActuatorParameters",
-    "AmplifierParameters",
-    "ConditioningParameters",
-    "DacParameters",
-    "DaqParameters",
-    "LargeSignalParameters",
-    "Rig",
-    "SeatParameters",
-    "Source",
-    "ThermalParameters",
-    "read_rig",
-    "rig_by_name",
-]
+__all__ = ["CONSUMER", "PAPER", "ActuatorParameters", "Rig", "read_rig", "rig_by_name"]

@@ -8,15 +8,14 @@ follows from the same co-energy:
 Between samples the voltage is taken as a straight line (first-order hold), and for such a voltage
 the solution is exact. Before the first sample it was 0.
 
-How it is computed. The exact step s[n] = P s[n-1] + A v[n-1] + B v[n] (Van Loan 1978) has three
-poles, and displacement, velocity, current and acceleration share them. So the voltage passes once
-through the poles, as second-order sections, and each quantity is a sum of the last four results,
-with its own four taps. All are sums in a fixed order over one sample after the other, therefore
-the bytes do not depend on how the signal is split into blocks; and as v[n] enters s[n], the last
-sample of a block is the true state there, not a shifted one.
+The exact step s[n] = P s[n-1] + A v[n-1] + B v[n] (Van Loan 1978) has three poles, which all
+quantities share. The voltage passes once through the poles, as second-order sections. Each quantity
+is a sum of the last four results, with its own four taps. The order of all sums is fixed, so the
+bytes do not depend on how the signal is split into blocks. As v[n] enters s[n], the last sample of
+a block is the true state there.
 
-One compiled function does that for all quantities, or SciPy and NumPy where it could not be built:
-the same sums in the same order, for three times the cost in long blocks and nine in short ones.
+One compiled function computes all quantities. SciPy and NumPy replace it where it could not be
+built: the same sums in the same order, at three times the cost in long blocks and nine in short.
 """
 
 from collections.abc import Sequence
@@ -41,11 +40,11 @@ QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 def state_space(
     p: ActuatorParameters, source_impedance_ohm: float
 ) -> tuple[FloatArray, FloatArray, dict[Quantity, FloatArray]]:
-    """s' = rate s + drive v, and the row that gives each quantity from s.
+    """Return rate and drive of s' = rate s + drive v, and the row of each quantity.
 
-    s = (x sqrt(k), x' sqrt(m), i sqrt(L)): half its square is the stored energy. In these
+    s = (x sqrt(k), x' sqrt(m), i sqrt(L)), so half its square is the stored energy. In these
     coordinates the exchange of energy is antisymmetric, which keeps the exponential well
-    conditioned whatever the units.
+    conditioned.
     """
     m, c, k = p.moving_mass_kg, p.damping_n_s_per_m, p.stiffness_n_per_m
     bl, inductance = p.force_factor_n_per_a, p.inductance_h
@@ -72,7 +71,7 @@ def state_space(
 def first_order_hold(
     rate: FloatArray, drive: FloatArray, period_s: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(P, A, B) of s[n] = P s[n-1] + A v[n-1] + B v[n], exact for v linear between samples.
+    """Return P, A, B of s[n] = P s[n-1] + A v[n-1] + B v[n], exact for v linear between samples.
 
     Van Loan, "Computing integrals involving the matrix exponential", 1978: one exponential of the
     state, the voltage and its slope a sample holds all three.
@@ -93,17 +92,17 @@ _TAPS = 4
 _ABSURD_V = 1e100
 _SILENT_V = 1e-30
 _PART_FRAMES = 32_768
-"""The signal is computed in parts that end at multiples of this, so that memory stays flat. There
-a state that has decayed is set to 0: at fixed places, so that it does not depend on the blocks.
-At audio rates denormal numbers, slow on many processors, would come far later."""
+"""The signal is computed in parts that end at multiples of this, which bounds the memory. There a
+decayed state is set to 0, at fixed places, so that the result does not depend on the blocks.
+Denormal numbers, which are slow on many processors, would come far later."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion at each sample, float64 arrays of (frames,); what was not asked for has length 0.
+    """Motion at each sample, float64, (frames,); quantities that were not asked for have length 0.
 
-    displacement_m is positive where a positive current pushes; it and its rate, velocity_m_s, are
-    against the frame. seat_acceleration_m_s2: of the frame, where a level knows it moves.
+    Displacement and velocity are relative to the frame; a positive current pushes to positive
+    displacement. The seat's acceleration is that of the frame.
     """
 
     displacement_m: FloatArray
@@ -114,11 +113,12 @@ class Motion:
 
 
 class LinearActuator:
-    """The actuator at one sample rate; holds its state between blocks. One thread calls `move`.
+    """The linear actuator at one sample rate. One thread calls `move`.
 
-    samplerate: Hz, above 0; source_impedance_ohm: Rs of the amplifier, 0 or more.
-
-    replaced_samples: volts that were not finite and were taken as 0, so far.
+    Attributes
+    ----------
+    replaced_samples : int
+        Volts that were not finite and became 0, so far.
 
     Raises
     ------
@@ -156,26 +156,11 @@ class LinearActuator:
         self._state[:] = 0.0
         self._frames_to_check = _PART_FRAMES
 
-    @property
-    def displacement_m(self) -> float:
-        """x at the last sample, m."""
-        return self._now("displacement_m")
-
-    @property
-    def velocity_m_s(self) -> float:
-        """x' at the last sample, m/s."""
-        return self._now("velocity_m_s")
-
-    @property
-    def current_a(self) -> float:
-        """i at the last sample, A."""
-        return self._now("current_a")
-
     def move(self, volts: FloatArray, outputs: Sequence[Quantity] = QUANTITIES) -> Motion:
-        """The motion while the next volts, (frames,), are applied: always finite.
+        """Return the motion under the next volts, (frames,); it is always finite.
 
-        NaN, infinity and magnitudes that no voltage has (above 1e100) count as 0. outputs: what
-        to compute; each quantity adds a third to the cost of the poles.
+        NaN, infinity and magnitudes above 1e100 count as 0. Each quantity in outputs adds a third
+        to the cost of the poles.
         """
         volts = np.ascontiguousarray(volts, dtype=np.float64)
         wanted = tuple(outputs)
@@ -204,14 +189,14 @@ class LinearActuator:
         return Motion(*[rows[name] if name in rows else np.empty(0) for name in QUANTITIES])
 
     def _taps_of(self, wanted: tuple[Quantity, ...]) -> FloatArray:
-        """The taps of these quantities, (quantities, 4)."""
+        """Return the taps of these quantities, (quantities, 4)."""
         if wanted not in self._weights:
             rows = np.array([self._taps[name] for name in wanted])
             self._weights[wanted] = rows.reshape(len(wanted), _TAPS)
         return self._weights[wanted]
 
     def _pass_poles(self, volts: FloatArray) -> FloatArray:
-        """(frames + 3,): three results of before, then those of at most one part's volts."""
+        """Return (frames + 3,): three earlier results, then those of these volts."""
         drive, replaced = finite_or_zero(volts, _ABSURD_V)
         self.replaced_samples += replaced
         end = _TAPS + len(drive)
@@ -222,7 +207,7 @@ class LinearActuator:
         return self._filtered[1:end]
 
     def _let_decay(self, frames: int) -> None:
-        """Where a part ends with these frames, set a state that has decayed to 0."""
+        """Set a decayed state to 0 if a part ends with these frames."""
         self._frames_to_check -= frames
         if self._frames_to_check == 0:
             self._frames_to_check = _PART_FRAMES
@@ -230,36 +215,29 @@ class LinearActuator:
                 self._sections[:] = 0.0
 
     def _weigh(self, quantity: Quantity, recent: FloatArray, out: FloatArray) -> None:
-        """Put a quantity into (frames,) from (frames + 3,) of the filtered drive."""
+        """Compute a quantity, (frames,), from the filtered drive, (frames + 3,)."""
         taps, frames = self._taps[quantity], len(out)
         product = self._product[:frames]
         np.multiply(recent[:frames], taps[_TAPS - 1], out=out)
-        # Not np.convolve: its order of summation may vary with the place in the array.
+        # np.convolve may vary its order of summation within the array.
         for delay in reversed(range(_TAPS - 1)):
             start = _TAPS - 1 - delay
             np.multiply(recent[start : start + frames], taps[delay], out=product)
             out += product
 
-    def _now(self, quantity: Quantity) -> float:
-        value = np.empty(1)
-        self._weigh(quantity, self._last, value)
-        return float(value[0])
 
-
-# The same few actuators are made again and again, and a matrix exponential waits for all threads
-# of its library. What is kept is never written to.
+# The same few actuators are created repeatedly, and a matrix exponential waits for all threads of
+# its library. Cached arrays are never written to.
 @lru_cache(maxsize=256)
 def _filters(
     p: ActuatorParameters, samplerate: float, source_impedance_ohm: float
 ) -> tuple[FloatArray, dict[Quantity, FloatArray]]:
-    """The second-order sections (2, 6) of the poles, gain 1 at 0 Hz, and the taps (4,) of each
-    quantity, the newest sample's first.
-    """
+    """Return the poles' sections, (2, 6), with gain 1 at 0 Hz, and each quantity's taps, (4,)."""
     rate, drive, rows = state_space(p, source_impedance_ohm)
     step, from_last, from_new = first_order_hold(rate, drive, 1.0 / samplerate)
     poles = _sections_of(np.linalg.eigvals(rate), 1.0 / samplerate)
 
-    # State after each of the first samples of an impulse; the taps make the poles repeat it.
+    # The state after the first samples of an impulse; the taps make the poles reproduce it.
     states = [from_new, step @ from_new + from_last]
     while len(states) < _TAPS:
         states.append(step @ states[-1])
@@ -273,11 +251,10 @@ def _filters(
 
 
 def _sections_of(rates: NDArray[Any], period_s: float) -> FloatArray:
-    """Second-order sections with the poles exp(rate T) of three rates: one real, then the pair.
+    """Return second-order sections with the poles exp(rate T): one real, then the pair.
 
-    A pair is complex (the resonance) or, where it is damped more than critically, the two slower
-    real ones. Two short sections stay accurate where one of third order, with all its poles close
-    to 1, would lose digits.
+    The pair is complex, or the two slower real ones if it is overdamped. One section of third order
+    with all its poles close to 1 would lose digits.
     """
     order = np.lexsort((rates.real, np.abs(rates.imag)))
     single, *pair = np.exp(rates[order] * period_s)
@@ -285,7 +262,7 @@ def _sections_of(rates: NDArray[Any], period_s: float) -> FloatArray:
 
 
 def _section(poles: list[complex]) -> list[float]:
-    """(b0, b1, b2, a0, a1, a2) with these two poles, real or conjugate, and gain 1 at 0 Hz."""
+    """Return (b0, b1, b2, a0, a1, a2) for two real or conjugate poles, gain 1 at 0 Hz."""
     first, second = poles
     gain = ((1 - first) * (1 - second)).real
     return [gain, 0.0, 0.0, 1.0, -(first + second).real, (first * second).real]

@@ -3,10 +3,10 @@
     W'(x, i) = Phi(x) i + L(x) i^2 / 2            V(x) = k x^2 / 2 + ...
 
 W' is the magnetic co-energy (equation 9): the first term is the coil in the magnet's field, the
-second the reluctance. Its derivatives are all there is of the transducer: force dW'/dx, flux
-linkage dW'/di, incremental inductance d^2W'/di^2; and as the mixed derivative is the same both
-ways, what the force takes out of the electrical side is just what it puts into the motion. V is
-the energy in spring and stops. Pure functions; any thread may call them.
+second the reluctance. Its derivatives describe the whole transducer: force dW'/dx, flux linkage
+dW'/di, incremental inductance d^2W'/di^2. The mixed derivatives are equal, so the force gives the
+motion exactly the energy that it takes from the electrical side. V is the energy in spring and
+stops. Pure functions; any thread may call them.
 """
 
 import math
@@ -44,15 +44,15 @@ class CoEnergy:
         return self.inductance.jet(x)[0] + 0.0 * i
 
     def current_a(self, x: FloatArray, flux_linkage_wb: FloatArray) -> FloatArray:
-        """The current that belongs to a flux linkage, A: the inverse of dW'/di."""
+        """The current for a flux linkage, A: the inverse of dW'/di."""
         return (flux_linkage_wb - self.magnet.jet(x)[0]) / self.inductance.jet(x)[0]
 
     def stored_energy_j(self, x: FloatArray, i: FloatArray) -> FloatArray:
-        """i dW'/di - W' (Legendre): what the current has put into the field, J."""
+        """i dW'/di - W' (Legendre transform): the energy in the field, J."""
         return i * self.flux_linkage_wb(x, i) - self.value(x, i)
 
     def at(self, x: FloatArray, flux_linkage_wb: FloatArray) -> "CoEnergyAt":
-        """All that the equations of motion and their derivatives need, in one pass."""
+        """Return what the equations of motion and their derivatives need, in one pass."""
         flux, force_factor, force_factor_slope = self.magnet.jet(x)
         inductance, slope, curvature = self.inductance.jet(x)
         i = (flux_linkage_wb - flux) / inductance
@@ -70,8 +70,7 @@ class CoEnergy:
 class CoEnergyAt(NamedTuple):
     """Derivatives of W' at (x, flux linkage), arrays of one shape.
 
-    flux_slope: d^2W'/dx di, Wb/m or N/A: of the flux with x and of the force with i.
-    force_slope: d^2W'/dx^2, N/m, at constant current.
+    flux_slope is d^2W'/dx di, Wb/m or N/A; force_slope is d^2W'/dx^2 at constant current, N/m.
     """
 
     current_a: FloatArray
@@ -83,10 +82,10 @@ class CoEnergyAt(NamedTuple):
 
 @dataclass(frozen=True)
 class Energies:
-    """Everything that stores energy in an actuator but its masses, and what its stops dissipate.
+    """Everything but masses that stores energy in an actuator, and the loss of its stops.
 
-    potential: V in J; stops: part of V; stop_loss_s_per_m: their damping is that times their
-    force, per speed (Hunt and Crossley 1975), at either stop and in either direction.
+    The potential V, in J, includes the stops. Their damping per speed is stop_loss_s_per_m times
+    their force (Hunt and Crossley 1975), at either stop and in either direction.
     """
 
     co_energy: CoEnergy
@@ -96,7 +95,7 @@ class Energies:
 
 
 def linear_energies(p: ActuatorParameters) -> Energies:
-    """Those of the linear actuator: Phi = Bl x, L constant, V = k x^2 / 2, no stops."""
+    """Return those of the linear actuator: Phi = Bl x, L constant, V = k x^2 / 2, no stops."""
     return Energies(
         CoEnergy(
             Polynomial((0.0, p.force_factor_n_per_a)),
@@ -109,7 +108,7 @@ def linear_energies(p: ActuatorParameters) -> Energies:
 
 
 def energies(p: ActuatorParameters, large: LargeSignalParameters | None) -> Energies:
-    """Those of an actuator with its large-signal behaviour; without that, the linear ones.
+    """Return those of an actuator with its large-signal behaviour, or the linear ones.
 
     Bl falls as 1 / (1 + (x / reach)^2); k rises by its share times (x / Xmax)^2.
     """
@@ -131,9 +130,9 @@ def energies(p: ActuatorParameters, large: LargeSignalParameters | None) -> Ener
 
 
 def magnetic_divided(co_energy: CoEnergy, x0: float, x1: float) -> tuple[float, ...]:
-    """What a discrete gradient of the field's energy needs of a step from x0 to x1.
+    """Return flux and 1 / L at both ends of a step, each with its divided difference.
 
-    Flux at both ends and its divided difference; 1 / L at both ends and its divided difference.
+    The discrete gradient of the field's energy is made of them.
     """
     flux0, flux1 = co_energy.magnet.value(x0), co_energy.magnet.value(x1)
     l0, l1 = co_energy.inductance.value(x0), co_energy.inductance.value(x1)
@@ -148,7 +147,7 @@ def magnetic_divided(co_energy: CoEnergy, x0: float, x1: float) -> tuple[float, 
 
 
 def stored_energy_j(energies: Energies, x: FloatArray, current_a: FloatArray) -> FloatArray:
-    """Energy in spring, stops and field, J, at each excursion and current."""
+    """Return the energy in spring, stops and field, J, at each excursion and current."""
     return np.asarray(energies.potential.jet(x)[0]) + energies.co_energy.stored_energy_j(
         x, current_a
     )

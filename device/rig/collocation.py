@@ -1,18 +1,18 @@
 """Fourth-order Hermite-Simpson collocation over a whole block of steps at once.
 
 Between two nodes the solution is a cubic that satisfies the equations at both ends and in the
-middle (Lobatto IIIA, three stages):
+middle (Lobatto IIIA, three stages; Hairer and Wanner, Solving ODEs II, IV.5):
 
     d_m = (d_n + d_n+1) / 2 + h / 8 (f_n - f_n+1)
     d_n+1 = d_n + h / 6 (f_n + 4 f_m + f_n+1)
 
-Newton's method changes all nodes of the block together. With J the analytic Jacobian, a change of
-d_n by e_n changes what is left over by R e_n and one of d_n+1 by -Q e_n+1, so that
+Newton's method changes all nodes of the block together. With the analytic Jacobian J, a change
+e_n of d_n changes the residual by R e_n, and e_n+1 of d_n+1 by -Q e_n+1. Therefore
 
     e_n+1 = Q^-1 R e_n + Q^-1 left_n,    Q, R = I ∓ h/6 J_n,n+1 ∓ h/3 J_m + h^2/12 J_m J_n,n+1
 
-which is one solution with a lower triangular band. Where J is the linear part, Q and R are the
-same everywhere: that is the solution of the linear equations under any remainder.
+which is one solution with a lower triangular band. If J is the linear part, Q and R are constant,
+and the result solves the linear equations for any known remainder.
 """
 
 from dataclasses import dataclass
@@ -20,24 +20,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from device.rig.equations import EXCURSION, FLUX, Equations, Pass, Remainder
-from device.rig.small_matrices import Factors, SmallMatrix, at, combined, product
+from device.rig.equations import EXCURSION, FLUX, Equations, Evaluation, Remainder
+from device.rig.small_matrices import Factors, SmallMatrix, combine, multiply, select_points
 from device.units import FloatArray
 
 MAX_ITERATIONS = 12
 CONVERGED = 1e-9
-"""The next change of Newton's method, by what the last two foretell, as a share of the block's
-largest excursion, flux and speed."""
+"""Largest predicted next change of Newton's method, as a share of the block's largest excursion,
+flux and speed."""
 _FREEZE = 0.05
-"""Below this change the Jacobian is kept: each further iteration then gains as much again."""
+"""Below this change the Jacobian is reused: convergence is then fast enough."""
 
 
 @dataclass(frozen=True)
 class Base:
-    """The linear solution on the ground at some points: the nodes, or the middles between.
+    """The linear solution on solid ground at the nodes or at the middles, (points,) each.
 
-    excursion_m, speed_m_s (of the excursion), flux_wb, acceleration_m_s2: (points,) each; the last
-    is used with a seat only.
+    The speed is that of the excursion; the acceleration is used with a seat only.
     """
 
     excursion_m: FloatArray
@@ -47,12 +46,12 @@ class Base:
 
 
 Bases = tuple[Base, Base]
-"""At the nodes, (nodes,), and in the middles, (nodes - 1,)."""
+"""At the nodes, (nodes,), and at the middles, (nodes - 1,)."""
 
 
 @dataclass(frozen=True)
 class Linear:
-    """d and its rate at the nodes, (states, nodes), and in the middles, (states, nodes - 1)."""
+    """d and its rate at the nodes, (states, nodes), and at the middles, (states, nodes - 1)."""
 
     nodes: FloatArray
     node_rates: FloatArray
@@ -62,9 +61,9 @@ class Linear:
 
 @dataclass(frozen=True)
 class Path(Linear):
-    """What Newton's method found, with the whole current at the same points.
+    """The result of Newton's method with the total current at the same points.
 
-    converged: whether the last change was small enough; all is finite then.
+    If it converged, everything is finite.
     """
 
     node_currents_a: FloatArray
@@ -74,10 +73,7 @@ class Path(Linear):
 
 
 class Collocation:
-    """Solves the equations on nodes one step apart. One thread uses an object.
-
-    step_s: h, above 0.
-    """
+    """Solves the equations on nodes that are step_s apart. One thread uses an object."""
 
     def __init__(self, equations: Equations, step_s: float) -> None:
         self.equations = equations
@@ -89,10 +85,7 @@ class Collocation:
     def linear_path(
         self, base: Bases, start: FloatArray, g: tuple[Remainder, Remainder] | None = None
     ) -> Linear:
-        """d' = A d + E g for a g that is known at the nodes and in the middles, or is 0.
-
-        start: d at the first node, (states,).
-        """
+        """Solve d' = A d + E g for a known g, or 0, from d at the first node, (states,)."""
         equations, h, size = self.equations, self.step_s, self.equations.states
         nodes = len(base[0].excursion_m)
         d = np.zeros((size, nodes))
@@ -116,13 +109,13 @@ class Collocation:
         return Linear(d, rates, middles, equations.linear_rate(middles) + between)
 
     def remainder(self, base: Bases, path: "Linear") -> tuple[Remainder, Remainder]:
-        """g of S + d at the nodes and in the middles."""
+        """Return g of S + d at the nodes and at the middles."""
         return self._at(base[0], path.nodes)[0], self._at(base[1], path.middles)[0]
 
     def newton_path(self, base: Bases, guess: FloatArray) -> Path:
-        """d of the full equations from a guess at the nodes, (states, nodes); its first stays.
+        """Solve the full equations from a guess at the nodes, (states, nodes); its first is kept.
 
-        Where it does not converge, the path says so and may hold anything.
+        If it does not converge, the path says so and its values are undefined.
         """
         with np.errstate(all="ignore"):
             return self._newton(base, guess.copy())
@@ -157,7 +150,7 @@ class Collocation:
             size = float(np.max(np.abs(change).max(axis=1) / scales))
             if not size < 1e3:  # NaN as well
                 break
-            # The next change would be smaller by as much again, at least.
+            # The next change would be smaller by at least the same factor.
             converged = size * (min(size / last, 1.0) if last else 1.0) <= CONVERGED
             keep, last = size <= _FREEZE, size
         finite = bool(np.isfinite(d).all() and np.isfinite(middle_rates).all())
@@ -172,13 +165,13 @@ class Collocation:
             converged and finite,
         )
 
-    def _at(self, base: Base, d: FloatArray) -> tuple[Remainder, Pass]:
+    def _at(self, base: Base, d: FloatArray) -> tuple[Remainder, Evaluation]:
         y = base.excursion_m + d[EXCURSION]
         w = base.speed_m_s + self.equations.relative_speed(d)
         return self.equations.remainder(y, w, base.flux_wb + d[FLUX])
 
     def _scales(self, base: Base, d: FloatArray) -> FloatArray:
-        """What a change of each state is compared with, (states,): never 0."""
+        """Return the scale of each state's change, (states,), never 0."""
         p = self.equations.actuator
         y = max(_peak(base.excursion_m), _peak(d[EXCURSION]), 1e-6 * p.x_max_m)
         flux = max(_peak(base.flux_wb), p.force_factor_n_per_a * y)
@@ -187,7 +180,7 @@ class Collocation:
 
 
 class _Newton:
-    """Q and R of a block, factored: from what is left over in each step to the changes."""
+    """Q and R of a block, factored: they turn the residual of each step into changes."""
 
     def __init__(
         self, size: int, jacobian: SmallMatrix, h: float, middles: SmallMatrix | None = None
@@ -196,10 +189,11 @@ class _Newton:
         if middles is None:
             middles = jacobian
         else:
-            first, last = at(jacobian, slice(None, -1)), at(jacobian, slice(1, None))
+            first = select_points(jacobian, slice(None, -1))
+            last = select_points(jacobian, slice(1, None))
         a, b, c = h / 6.0, h / 3.0, h * h / 12.0
-        onward = combined(size, 1.0, (a, first), (b, middles), (c, product(middles, first)))
-        back = combined(size, 1.0, (-a, last), (-b, middles), (c, product(middles, last)))
+        onward = combine(size, 1.0, (a, first), (b, middles), (c, multiply(middles, first)))
+        back = combine(size, 1.0, (-a, last), (-b, middles), (c, multiply(middles, last)))
         self._size = size
         self._factors = Factors(size, back)
         columns = [
@@ -215,14 +209,14 @@ class _Newton:
 
     @property
     def onward(self) -> FloatArray:
-        """Q^-1 R where it is the same everywhere, (states, states)."""
+        """Q^-1 R, (states, states), if it is constant."""
         matrix = np.zeros((self._size, self._size))
         for place, entry in self.onward_entries.items():
             matrix[place] = entry
         return matrix
 
     def solve(self, left: FloatArray) -> FloatArray:
-        """Q^-1 left, (states, steps)."""
+        """Return Q^-1 left, (states, steps)."""
         solved = self._factors.solve(list(left))
         result = np.zeros_like(left)
         for row, entry in enumerate(solved):
@@ -234,7 +228,7 @@ class _Newton:
 class _Recurrence:
     """e_n+1 = M_n e_n + right_n from 0, by forward substitution in a band.
 
-    Memory is kept from call to call: taking a megabyte anew costs more than the arithmetic.
+    Memory is reused between calls: allocating a megabyte costs more than the arithmetic.
     """
 
     def __init__(self, size: int) -> None:
@@ -243,23 +237,23 @@ class _Recurrence:
         self._columns = np.zeros((0, size, 2 * size))
 
     def set(self, onward: SmallMatrix, steps: int) -> None:
-        """Take M_n of so many steps, each entry a number or (steps,); M_0 is not used."""
+        """Set M_n for all steps, each entry a number or (steps,); M_0 is not used."""
         if steps > len(self._columns):
             self._columns = np.zeros((steps, self._size, 2 * self._size))
         for (row, column), entry in onward.items():
-            # In the column of e_n the rows of e_n+1 follow; on the diagonal, in place 0, is 1.
+            # A band column holds the diagonal, which is 1, then the rows of e_n and e_n+1.
             inner = entry[1:] if isinstance(entry, np.ndarray) else entry
             place = self._columns[: steps - 1, column, self._size + row - column]
             np.negative(inner, out=place)
         self._steps = steps
 
     def hold(self, onward: SmallMatrix, steps: int) -> None:
-        """Take one M for all steps; where it already holds that, nothing is done."""
+        """Set one M for all steps, once."""
         if steps > len(self._columns):
             self.set(onward, max(steps, 1024))
 
     def run(self, right: FloatArray) -> FloatArray:
-        """All e but the first, (states, steps); steps as set, or fewer."""
+        """Return all e but the first, (states, steps), for as many steps as set or fewer."""
         steps = right.shape[1]
         columns = self._columns[:steps].reshape(-1, 2 * self._size)
         solved, _ = dtbtrs(columns.T, right.T.reshape(-1, 1), uplo="L", diag="U", overwrite_b=1)

@@ -1,4 +1,4 @@
-"""The power amplifier: line level in, the voltage that drives the actuator out."""
+"""DAC and power amplifier: from vibration samples to the voltage that drives the actuator."""
 
 from typing import Any
 
@@ -9,61 +9,64 @@ from scipy.signal import butter, sosfilt, sosfreqz
 from device.rig.parameters import AmplifierParameters, DacParameters
 from device.units import Float32Array, FloatArray, finite_or_zero
 
-_OUT_OF_REACH = 0.45
-"""A low-pass from this share of the sample rate on leaves all that can be there as it is."""
+_MAX_CORNER = 0.45
+"""Corners above this share of the sample rate are left out."""
 
 
 class Band:
-    """Butterworth filters of second order at one sample rate, Hz. One thread calls `passed`.
+    """A high-pass and a low-pass, Butterworth of second order. One thread calls `filter`.
 
-    low_cut_hz, high_cut_hz: the corners, -3 dB; 0 and infinity leave an end open. A corner that
-    the sample rate cannot show is left out.
+    Parameters
+    ----------
+    low_cut_hz, high_cut_hz : float
+        The corners, -3 dB; 0 and infinity leave an end open.
+    samplerate : float
+        Hz.
     """
 
     def __init__(self, low_cut_hz: float, high_cut_hz: float, samplerate: float) -> None:
         self.samplerate = samplerate
         sections: list[NDArray[Any]] = []
-        if 0.0 < low_cut_hz < _OUT_OF_REACH * samplerate:
+        if 0.0 < low_cut_hz < _MAX_CORNER * samplerate:
             sections.append(butter(2, low_cut_hz, "high", fs=samplerate, output="sos"))
-        if high_cut_hz < _OUT_OF_REACH * samplerate:
+        if high_cut_hz < _MAX_CORNER * samplerate:
             sections.append(butter(2, high_cut_hz, "low", fs=samplerate, output="sos"))
-        self._sections = np.concatenate(sections) if sections else np.empty((0, 6))
+        self.sections: FloatArray = np.concatenate(sections) if sections else np.empty((0, 6))
         self.reset()
-
-    @property
-    def sections(self) -> FloatArray:
-        """(n, 6): the second-order sections, n 0 to 2; not to be written to."""
-        return self._sections
 
     def reset(self) -> None:
         """Come to rest; the next block may have another number of channels."""
         self._state: FloatArray | None = None
 
-    def passed(self, volts: FloatArray) -> FloatArray:
-        """(frames,) or (frames, channels) filtered; the same array where nothing is to be done."""
-        if not len(self._sections) or not len(volts):
+    def filter(self, volts: FloatArray) -> FloatArray:
+        """Return (frames,) or (frames, channels) filtered; the same array if nothing changes."""
+        if not len(self.sections) or not len(volts):
             return volts
         if self._state is None:
-            self._state = np.zeros((len(self._sections), 2, *volts.shape[1:]))
-        filtered, self._state = sosfilt(self._sections, volts, axis=0, zi=self._state)
+            self._state = np.zeros((len(self.sections), 2, *volts.shape[1:]))
+        filtered, self._state = sosfilt(self.sections, volts, axis=0, zi=self._state)
         return np.asarray(filtered)
 
     def response(self, frequencies_hz: FloatArray) -> NDArray[np.complex128]:
-        """What it does to each frequency, Hz, (bins,): for taking it out of a measurement."""
-        if not len(self._sections):
+        """Return the frequency response, (bins,)."""
+        if not len(self.sections):
             return np.ones(len(frequencies_hz), np.complex128)
-        _, found = sosfreqz(self._sections, worN=frequencies_hz, fs=self.samplerate)
+        _, found = sosfreqz(self.sections, worN=frequencies_hz, fs=self.samplerate)
         return np.asarray(found, np.complex128)
 
 
 class Dac:
-    """Rounds to the converter's steps, saturates at full scale, and gives volts.
+    """A converter that rounds to its steps, saturates at full scale, and gives volts.
 
-    Codes are two's complement: -1.0 to 1.0 less one step, rounded to nearest, ties to even; no
-    dither. State: the two counts. One thread calls it.
+    Codes are two's complement: -1.0 to 1.0 less one step, rounded to nearest, ties to even,
+    without dither. One thread calls it.
 
-    clipped_samples: samples beyond ±1.0 so far; 1.0 itself saturates by one step and is not
-    counted. replaced_samples: samples that were not finite and became 0.
+    Attributes
+    ----------
+    clipped_samples : int
+        Samples beyond ±1.0 so far. 1.0 itself saturates by one step and does not count.
+    replaced_samples : int
+        Samples that were not finite and became 0.
     """
 
     def __init__(self, parameters: DacParameters) -> None:
@@ -76,12 +79,12 @@ class Dac:
         self.replaced_samples = 0
 
     def volts(self, vibration: FloatArray | Float32Array) -> FloatArray:
-        """Volts of samples of any shape, in a new array of that shape."""
+        """Return the volts for samples of any shape, in a new array."""
         samples, replaced = finite_or_zero(vibration.astype(np.float64, order="C"))
         self.replaced_samples += replaced
         self.clipped_samples += int(np.count_nonzero(np.abs(samples) > 1.0))
         codes = 2.0 ** (self.parameters.bits - 1)
-        # Clipped first: a sample near the largest float64 would overflow.
+        # Clip first: a sample near the largest float64 would overflow.
         np.clip(samples, -1.0, 1.0 - 1.0 / codes, out=samples)
         samples *= codes
         np.rint(samples, out=samples)
@@ -90,13 +93,15 @@ class Dac:
 
 
 class Amplifier:
-    """A plain amplifier: gain, its band, then clipping at its limit.
+    """An amplifier with gain, band and clipping. One thread calls it.
 
-    Its source impedance is no business of the signal here: it stands in series in the actuator's
-    circuit (`LinearActuator`). Nor is its current limit: the twin counts where it would act.
-    State: the band and the count. One thread calls it.
+    Its source impedance is part of the actuator's circuit (`LinearActuator`). Its current limit
+    is not simulated: the simulated rig counts the samples beyond it.
 
-    samplerate: Hz. clipped_samples: samples beyond the limit so far.
+    Attributes
+    ----------
+    clipped_samples : int
+        Samples beyond the output limit so far.
     """
 
     def __init__(self, parameters: AmplifierParameters, samplerate: float = 48_000.0) -> None:
@@ -110,9 +115,9 @@ class Amplifier:
         self.clipped_samples = 0
 
     def drive(self, volts: FloatArray) -> FloatArray:
-        """Open-circuit output, V, in a new array, for finite (frames,) or (frames, channels)."""
+        """Return the open-circuit output, V, for finite (frames,) or (frames, channels)."""
         limit = self.parameters.output_limit_v
-        output = self._band.passed(volts * self.parameters.gain)
+        output = self._band.filter(volts * self.parameters.gain)
         self.clipped_samples += int(np.count_nonzero(np.abs(output) > limit))
         np.clip(output, -limit, limit, out=output)
         return output

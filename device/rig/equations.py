@@ -7,9 +7,8 @@
 
 With s = (y, u, lambda[, z, z']) this is s' = A s + B v + E g(s): a linear part, and a remainder g
 of two components, a force and a voltage. The linear actuator on the ground (actuator.py) knows its
-answer S to the same voltage exactly; what is missing, d = s - S, follows d' = A d + E g(S + d), in
-which the voltage is gone, and with a seat the frame is pushed by the force that S has on it. So
-whatever is approximated here is approximated in d alone.
+answer S to the same voltage exactly. The difference d = s - S follows d' = A d + E g(S + d) without
+the voltage; with a seat, the force of S pushes the frame. So only d is ever approximated.
 """
 
 from dataclasses import dataclass
@@ -26,10 +25,7 @@ EXCURSION, SPEED, FLUX, FRAME, FRAME_SPEED = range(5)
 
 
 class Remainder(NamedTuple):
-    """g at some points of time, (points,) each: what the linear force and voltage lack.
-
-    current_a: the whole current there.
-    """
+    """g at some points of time, (points,) each, and the total current there."""
 
     force_n: FloatArray
     volts: FloatArray
@@ -37,7 +33,7 @@ class Remainder(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """The derivatives of g with y, y' and lambda, (points,) each; the others are 0."""
+    """The derivatives of g by y, y' and lambda, (points,) each; the others are 0."""
 
     force_y: FloatArray
     force_w: FloatArray
@@ -50,8 +46,12 @@ class Slopes(NamedTuple):
 class Equations:
     """Linear part and remainder of one actuator with the amplifier's impedance in its circuit.
 
-    resistance_ohm: of the coil now, by its temperature, with the source in series; the linear
-    part keeps that at rest. One thread uses an object.
+    One thread uses an object.
+
+    Attributes
+    ----------
+    resistance_ohm : float
+        Source and coil at its present temperature; the linear part keeps the value at rest.
     """
 
     actuator: ActuatorParameters
@@ -94,21 +94,23 @@ class Equations:
             }
         self.matrix = matrix
         self.shares = {SPEED: 1.0 / m} | ({FRAME_SPEED: -1.0 / seat.mass_kg} if seat else {})
-        """E: what one newton of remainder does to each rate; a volt goes to the flux alone."""
+        """E: how one newton of remainder changes each rate; a volt changes the flux only."""
         self._rows = [
             [(column, value) for (row, column), value in matrix.items() if row == r]
             for r in range(self.states)
         ]
 
     def relative_speed(self, state: FloatArray) -> FloatArray:
-        """y' of states (states, points)."""
+        """Return y' of states, (states, points)."""
         speed: FloatArray = state[SPEED]
         if self.seat is None:
             return speed
         return np.asarray(speed - state[FRAME_SPEED])
 
-    def remainder(self, y: FloatArray, w: FloatArray, flux: FloatArray) -> tuple[Remainder, "Pass"]:
-        """g at excursion, its rate and flux linkage, and what `slopes` needs of the same pass."""
+    def remainder(
+        self, y: FloatArray, w: FloatArray, flux: FloatArray
+    ) -> tuple[Remainder, "Evaluation"]:
+        """Return g for excursion, its rate and flux, and what `slopes` needs of this evaluation."""
         e = self.energies
         at = e.co_energy.at(y, flux)
         spring = e.potential.jet(y)
@@ -120,10 +122,10 @@ class Equations:
             force -= stop_force * w
         volts = (self.linear_resistance_ohm / self.inductance) * (flux - self.force_factor * y)
         volts -= self.resistance_ohm * at.current_a
-        return Remainder(force, volts, at.current_a), Pass(y, w, at, spring[2], stop_force)
+        return Remainder(force, volts, at.current_a), Evaluation(y, w, at, spring[2], stop_force)
 
-    def slopes(self, done: "Pass") -> Slopes:
-        """The derivatives of g where it was computed."""
+    def slopes(self, done: "Evaluation") -> Slopes:
+        """Return the derivatives of g at the same points."""
         at, e = done.at, self.energies
         per_flux = at.flux_slope / at.inductance_h
         force_y = at.force_slope - per_flux * at.flux_slope - done.spring_slope + self.stiffness
@@ -142,7 +144,7 @@ class Equations:
         )
 
     def jacobian(self, slopes: Slopes) -> SmallMatrix:
-        """d(A d + E g)/dd as a small matrix whose entries are numbers or (points,)."""
+        """Return d(A d + E g)/dd as a small matrix; entries are numbers or (points,)."""
         matrix = dict(self.matrix)
         touching = bool(np.any(slopes.force_w))
         for row, share in self.shares.items():
@@ -158,7 +160,7 @@ class Equations:
         return matrix
 
     def linear_rate(self, d: FloatArray) -> FloatArray:
-        """A d of (states, points)."""
+        """Return A d, (states, points)."""
         rate: FloatArray = np.empty_like(d)
         for row, entries in enumerate(self._rows):
             (column, value), *rest = entries
@@ -170,7 +172,7 @@ class Equations:
     def add_remainder(
         self, rate: FloatArray, g: Remainder | None, acceleration_m_s2: FloatArray | None
     ) -> FloatArray:
-        """Rate + E g, in place, and what the linear solution's acceleration does to the frame."""
+        """Add E g to a rate in place, and the push of the linear solution on the frame."""
         if g is not None:
             for row, share in self.shares.items():
                 rate[row] += share * g.force_n
@@ -180,8 +182,8 @@ class Equations:
         return rate
 
 
-class Pass(NamedTuple):
-    """What one pass through g leaves for its derivatives."""
+class Evaluation(NamedTuple):
+    """Intermediate results of one evaluation of g, for its derivatives."""
 
     y: FloatArray
     w: FloatArray

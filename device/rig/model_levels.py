@@ -1,15 +1,16 @@
-"""The levels of the adaptive over one segment of signal: what each adds to the linear solution.
+"""The models of one actuator over one segment of signal: what each adds to the linear solution.
 
-    LINEAR      nothing, but the motion that another level has left decays by the linear equations
-    CORRECTED   the remainder of the linear solution, passed through the linear equations once
+    LINEAR      nothing, but motion left by another model decays by the linear equations
+    CORRECTED   the remainder of the linear solution, filtered once by the linear equations
                 (the Born term)
-    NONLINEAR   the equations themselves by collocation; into the end stops at double its rate
-    STEPPED     the equations sample by sample, passive; what the other could not solve
+    NONLINEAR   the full equations by collocation; at twice the node rate inside the end stops
+    STEPPED     the full equations sample by sample, passive; for what NONLINEAR cannot solve
 
-Each begins with the same excursion, speed and flux, so that any may follow any.
+Each begins with the same excursion, speed and flux, so any model may follow any other.
 """
 
 import enum
+from functools import partial
 
 import numpy as np
 
@@ -24,21 +25,21 @@ from device.rig.equations import (
     Equations,
     Remainder,
 )
-from device.rig.node_grid import NodeGrid, cubic, quadratic
+from device.rig.node_grid import NodeGrid, interpolate_cubic, interpolate_quadratic
 from device.rig.passive_step import PassiveStepper
 from device.rig.segment import Correction, Segment, join_corrections
 from device.units import FloatArray
 
-_ABOVE_THE_NODES = 0.02
-"""Second difference of the current from sample to sample, as a share of its peak, above which it
-has content that nodes and middles at twice 6 kHz would mistake for vibration."""
+_MAX_BEND = 0.02
+"""Largest second difference of the current between samples, as a share of its peak. Beyond it,
+nodes and middles would alias high frequencies into the vibration."""
 
 _PIECE_NODES = 33
-"""Where a segment does not converge, it is tried again in pieces of so many nodes."""
+"""A segment that does not converge is solved again in pieces of this many nodes."""
 
 
 class ModelLevel(enum.StrEnum):
-    """From the cheapest to the one that never fails."""
+    """The models, from the cheapest to the one that never fails."""
 
     LINEAR = "linear"
     CORRECTED = "linear and one correction"
@@ -47,7 +48,7 @@ class ModelLevel(enum.StrEnum):
 
 
 class ModelLevels:
-    """Every level of one actuator on one grid. One thread uses an object."""
+    """All models of one actuator on one grid. One thread uses an object."""
 
     def __init__(self, equations: Equations, grid: NodeGrid) -> None:
         self.equations = equations
@@ -63,7 +64,7 @@ class ModelLevels:
         self.iterations = 0
         self.stepped_samples = 0
 
-    def answer(
+    def solve(
         self, level: ModelLevel, segment: Segment, start: FloatArray, under: FloatArray
     ) -> Correction:
         """Return one level's correction from d at the first node, (states,).
@@ -71,31 +72,31 @@ class ModelLevels:
         under: where the path begins whose remainder CORRECTED uses.
         """
         if level is ModelLevel.LINEAR and self.equations.seat is None and not np.any(start):
-            return self.nothing(segment)
+            return self.zero_correction(segment)
         if level is ModelLevel.STEPPED:
-            return self.stepped(segment, start)
-        bases = self.bases(segment, self.spacing)
-        linear = self.linear(bases, under if level is ModelLevel.CORRECTED else start)
+            return self.solve_stepped(segment, start)
+        bases = self.base_solutions(segment, self.spacing)
+        linear = self.solve_linear(bases, under if level is ModelLevel.CORRECTED else start)
         if level is ModelLevel.LINEAR:
-            return self.of_linear(bases, linear)
+            return self.correct_by(bases, linear)
         if level is ModelLevel.CORRECTED:
-            born, g = self.corrected(bases, start, linear)
-            return self.of_linear(bases, born, g, linear)
-        return self.nonlinear(segment, start, linear)
+            born, g = self.solve_born(bases, start, linear)
+            return self.correct_by(bases, born, g, linear)
+        return self.solve_nonlinear(segment, start, linear)
 
-    def bases(self, segment: Segment, spacing: int) -> Bases:
-        """The linear solution at nodes and middles that far apart."""
+    def base_solutions(self, segment: Segment, spacing: int) -> Bases:
+        """Return the linear solution at nodes and middles with that spacing."""
         p = self.equations.actuator
         nodes, middles = slice(0, None, spacing), slice(spacing // 2, None, spacing)
         flux = p.force_factor_n_per_a * segment.displacement_m + p.inductance_h * segment.current_a
         return self._base(segment, flux, nodes), self._base(segment, flux, middles)
 
-    def linear(self, bases: Bases, start: FloatArray) -> Linear:
-        """d without a remainder."""
+    def solve_linear(self, bases: Bases, start: FloatArray) -> Linear:
+        """Return d without a remainder."""
         return self._coarse.linear_path(bases, start)
 
-    def nothing(self, segment: Segment) -> Correction:
-        """The linear solution as it is."""
+    def zero_correction(self, segment: Segment) -> Correction:
+        """Return a correction of 0."""
         frames = len(segment.volts) - 1
         end = np.zeros(self.equations.states)
         names = (*QUANTITIES, SEAT_ACCELERATION)
@@ -105,27 +106,27 @@ class ModelLevels:
         found.is_zero = True
         return found
 
-    def corrected(
+    def solve_born(
         self, bases: Bases, start: FloatArray, before: Linear
     ) -> tuple[Linear, tuple[Remainder, Remainder]]:
-        """d under the remainder of another path, and that remainder."""
+        """Return d under the remainder of another path, and that remainder."""
         g = self._coarse.remainder(bases, before)
         return self._coarse.linear_path(bases, start, g), g
 
-    def of_linear(
+    def correct_by(
         self,
         bases: Bases,
         path: Linear,
         g: tuple[Remainder, Remainder] | None = None,
         under: Linear | None = None,
     ) -> Correction:
-        """The correction that a linear path is; under: the path that g belongs to."""
+        """Return the correction of a linear path; g is the remainder of the path `under`."""
         p = self.equations.actuator
         currents = []
         for k, (base, d) in enumerate(zip(bases, (path.nodes, path.middles), strict=True)):
             current = (d[FLUX] - p.force_factor_n_per_a * d[EXCURSION]) / p.inductance_h
             if g is not None and under is not None:
-                # What the current of g's path is beyond the linear one there.
+                # The current of g's path beyond the linear one.
                 other = (under.nodes, under.middles)[k]
                 y, flux = base.excursion_m + other[EXCURSION], base.flux_wb + other[FLUX]
                 linear = (flux - p.force_factor_n_per_a * y) / p.inductance_h
@@ -136,23 +137,23 @@ class ModelLevels:
             found.under_end = under.nodes[:, -1].copy()
         return found
 
-    def nonlinear(self, segment: Segment, start: FloatArray, guess: Linear) -> Correction:
-        """d of the full equations; where they do not converge, in pieces, at last by steps."""
-        low = self._low_band(segment) if self._has_more_content(segment) else segment
-        bases = self.bases(low, self.spacing)
+    def solve_nonlinear(self, segment: Segment, start: FloatArray, guess: Linear) -> Correction:
+        """Return d of the full equations; without convergence, in pieces or step by step."""
+        low = self._filter_low_band(segment) if self._has_more_content(segment) else segment
+        bases = self.base_solutions(low, self.spacing)
         nodes = guess.nodes.copy()
         nodes[:, 0] = start
         path = self._coarse.newton_path(bases, nodes)
         self.iterations += path.iterations
         if not path.converged:
-            return self._in_pieces(segment, start)
-        found = self._of_path(path, bases, self.spacing)
+            return self._solve_pieces(segment, start)
+        found = self._correct_by_path(path, bases, self.spacing)
         if found.excursion_peak_m <= self.equations.energies.stops.start:
             return found
-        return self._refined(low, self._doubled(path)) or self._in_pieces(segment, start)
+        return self._refine(low, self._double(path)) or self._solve_pieces(segment, start)
 
-    def stepped(self, segment: Segment, start: FloatArray) -> Correction:
-        """d sample by sample."""
+    def solve_stepped(self, segment: Segment, start: FloatArray) -> Correction:
+        """Return d sample by sample."""
         state, size = start.copy(), self.equations.states
         p = self.equations.actuator
         y, w, i = segment.displacement_m, segment.velocity_m_s, segment.current_a
@@ -172,11 +173,13 @@ class ModelLevels:
             SEAT_ACCELERATION: self._frame_acceleration(added, whole[FRAME], whole[FRAME_SPEED]),
         }
         return Correction(
-            end, {name: values.view for name, values in samples.items()}, whole[EXCURSION]
+            end,
+            {name: partial(samples.__getitem__, name) for name in samples},
+            whole[EXCURSION],
         )
 
-    def _doubled(self, path: Linear) -> FloatArray:
-        """Nodes and middles as the nodes of the finer grid."""
+    def _double(self, path: Linear) -> FloatArray:
+        """Return nodes and middles as the nodes of the finer grid."""
         twice = np.empty((len(path.nodes), 2 * path.nodes.shape[1] - 1))
         twice[:, ::2], twice[:, 1::2] = path.nodes, path.middles
         return twice
@@ -186,13 +189,13 @@ class ModelLevels:
         if len(i) < 3:
             return False
         bend = float(np.max(np.abs(i[2:] - 2.0 * i[1:-1] + i[:-2])))
-        return bend > _ABOVE_THE_NODES * float(np.max(np.abs(i)))
+        return bend > _MAX_BEND * float(np.max(np.abs(i)))
 
-    def _low_band(self, segment: Segment) -> Segment:
-        """Without what nodes and middles would mistake; the linear solution still has all of it.
+    def _filter_low_band(self, segment: Segment) -> Segment:
+        """Return the segment without the content that nodes and middles would alias.
 
-        A triangle has double zeros at the multiples of twice their rate; a second difference
-        makes up for its droop. Beyond the ends the signal is mirrored in the end point.
+        The linear solution keeps all of it. A triangle has double zeros at the multiples of twice
+        the node rate; a second difference compensates its droop. Ends are point-mirrored.
         """
         width = self.spacing // 2
         box = np.full(width, 1.0 / width)
@@ -209,41 +212,41 @@ class ModelLevels:
         return Segment(segment.volts, *smooth)
 
     def frame_share(self, acceleration_m_s2: FloatArray) -> FloatArray:
-        """The frame's acceleration by that of the moving mass alone, (frames,)."""
+        """Return the frame's acceleration due to that of the moving mass alone, (frames,)."""
         seat = self.equations.seat
         return acceleration_m_s2 * (-self.equations.mass / seat.mass_kg if seat else 0.0)
 
     def _frame_acceleration(
         self, added_m_s2: FloatArray, frame_m: FloatArray, frame_m_s: FloatArray
     ) -> FloatArray:
-        """What is to be added to the share that the linear solution has in it."""
+        """Return what to add to the linear solution's share."""
         seat = self.equations.seat
         if seat is None:
             return np.zeros_like(added_m_s2)
         force = seat.stiffness_n_per_m * frame_m + seat.damping_n_s_per_m * frame_m_s
         return np.asarray(self.frame_share(added_m_s2) - force / seat.mass_kg)
 
-    def _refined(self, segment: Segment, guess: FloatArray) -> Correction | None:
-        """On the finer grid, None where it does not converge."""
+    def _refine(self, segment: Segment, guess: FloatArray) -> Correction | None:
+        """Solve on the finer grid; None if it does not converge."""
         spacing = self.spacing // 2
-        bases = self.bases(segment, spacing)
+        bases = self.base_solutions(segment, spacing)
         path = self._fine.newton_path(bases, guess)
         self.iterations += path.iterations
-        return self._of_path(path, bases, spacing) if path.converged else None
+        return self._correct_by_path(path, bases, spacing) if path.converged else None
 
-    def _in_pieces(self, segment: Segment, start: FloatArray) -> Correction:
+    def _solve_pieces(self, segment: Segment, start: FloatArray) -> Correction:
         pieces = []
         length, samples = (_PIECE_NODES - 1) * self.spacing, len(segment.volts) - 1
         for first in range(0, samples, length):
             piece = segment.part(first, min(first + length, samples))
             nodes = (len(piece.volts) - 1) // (self.spacing // 2) + 1
             guess = np.repeat(start[:, None], nodes, axis=1)
-            found = self._refined(piece, guess) or self.stepped(piece, start)
+            found = self._refine(piece, guess) or self.solve_stepped(piece, start)
             pieces.append(found)
             start = found.end
         return join_corrections(pieces)
 
-    def _of_path(self, path: Path, bases: Bases, spacing: int) -> Correction:
+    def _correct_by_path(self, path: Path, bases: Bases, spacing: int) -> Correction:
         p = self.equations.actuator
         currents = []
         whole = (path.node_currents_a, path.middle_currents_a)
@@ -264,20 +267,20 @@ class ModelLevels:
         speed = self.equations.relative_speed
 
         def displacement() -> FloatArray:
-            return cubic(path.nodes[EXCURSION], speed(path.nodes), step_s, spacing)
+            return interpolate_cubic(path.nodes[EXCURSION], speed(path.nodes), step_s, spacing)
 
         def velocity() -> FloatArray:
-            return cubic(speed(path.nodes), speed(path.node_rates), step_s, spacing)
+            return interpolate_cubic(speed(path.nodes), speed(path.node_rates), step_s, spacing)
 
         def acceleration() -> FloatArray:
-            return quadratic(path.node_rates[SPEED], path.middle_rates[SPEED], spacing)
+            return interpolate_quadratic(path.node_rates[SPEED], path.middle_rates[SPEED], spacing)
 
         def frame_acceleration() -> FloatArray:
             if self.equations.seat is None:
                 return np.zeros((path.nodes.shape[1] - 1) * spacing)
-            frame = cubic(path.nodes[FRAME], path.nodes[FRAME_SPEED], step_s, spacing)
+            frame = interpolate_cubic(path.nodes[FRAME], path.nodes[FRAME_SPEED], step_s, spacing)
             speeds, rates = path.nodes[FRAME_SPEED], path.node_rates[FRAME_SPEED]
-            moving = cubic(speeds, rates, step_s, spacing)
+            moving = interpolate_cubic(speeds, rates, step_s, spacing)
             return self._frame_acceleration(acceleration(), frame, moving)
 
         return Correction(
@@ -285,7 +288,7 @@ class ModelLevels:
             {
                 "displacement_m": displacement,
                 "velocity_m_s": velocity,
-                "current_a": lambda: quadratic(node_currents, middle_currents, spacing),
+                "current_a": lambda: interpolate_quadratic(node_currents, middle_currents, spacing),
                 "acceleration_m_s2": acceleration,
                 SEAT_ACCELERATION: frame_acceleration,
             },

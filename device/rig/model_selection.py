@@ -1,12 +1,12 @@
-"""Which level a block needs: the cheapest whose estimated error stays inside the tolerance.
+"""Which model a block needs: the cheapest whose estimated error stays inside the tolerance.
 
-The error of the linear level is estimated by 1.5 times the Born term, that of the Born term by 1.5
-times what a second one would change (error_estimate.py). Both begin with the best that is known
-of the state, so what cheap levels of earlier blocks have left ringing is in the estimate.
+The estimate of the linear model's error is 1.5 times the Born term. That of the Born term is 1.5
+times the change by a second one. Both begin with the best known state, so the estimate includes
+what cheap models of earlier blocks left ringing.
 
-Where blocks that swung no further were beyond all cheap levels, the estimate is left out and the
-non-linear level taken at once, for several such blocks together. It is the dearest, so this may
-cost a little and never accuracy; now and then the estimate is made nonetheless.
+If blocks with no larger excursion exceeded the tolerance with all cheap models, the non-linear
+model is used without an estimate, for several such blocks together. It is the most expensive, so
+this may cost a little but never accuracy. From time to time the estimate is made nonetheless.
 """
 
 import math
@@ -22,10 +22,24 @@ from device.rig.segment import Correction, Segment
 from device.units import FloatArray
 
 MARGIN = 1.5
-"""The Born term times this estimates the error of what is without it."""
+"""The Born term times this estimates the error without it."""
 FLOOR = 0.01
-"""Errors are shares of a block's peak, or of this share of Xmax where it moves less."""
+"""Errors are shares of a block's peak, or of this share of Xmax if the block moves less."""
 ALL = slice(None)
+
+_NONLINEAR_ERROR = 1e-6
+"""Assumed error of the non-linear model, as a share of the peak."""
+_BEYOND = 3.0
+"""A block is beyond a correction if the estimated error exceeds the tolerance by this factor."""
+_BEYOND_SHARE = 0.7
+"""Blocks with this share of such a block's excursion are assumed to be beyond it as well, because
+a correction's error grows with the square of the excursion."""
+_RAISE = 1.2
+"""If one of them is not, the assumption is raised to this multiple of its excursion."""
+_MAX_TOGETHER = 6
+"""Most non-linear blocks solved together; more of them save nothing."""
+_MAX_SURE = 16
+"""Most blocks from one estimate to the next."""
 
 
 class Errors(NamedTuple):
@@ -36,78 +50,54 @@ class Errors(NamedTuple):
 
 
 class ErrorEstimate:
-    """Estimates of one actuator's errors, from changes that a better level would make."""
+    """Estimates one actuator's errors from the changes that a better model makes."""
 
     def __init__(self, actuator: ActuatorParameters) -> None:
         floor_m = FLOOR * actuator.x_max_m
         self._floors = Errors(floor_m, floor_m * actuator.resonance_rad_s**2)
 
     def share(self, change: Errors, peaks: Errors) -> float:
-        """The estimate: the larger share of its peak, with the margin; infinite if not finite."""
+        """Return the larger share of its peak, with the margin; infinity if it is not finite."""
         largest = max(error / peak for error, peak in zip(change, peaks, strict=True))
         return MARGIN * largest if math.isfinite(largest) else math.inf
 
     def peaks(self, bases: Bases, path: Linear, nodes: slice = ALL) -> Errors:
-        """Of the motion at some nodes, not below the floor."""
+        """Return the peaks of the motion at some nodes, at least the floor."""
         y = np.abs(bases[0].excursion_m[nodes] + path.nodes[EXCURSION, nodes]).max()
         a = np.abs(bases[0].acceleration_m_s2[nodes] + path.node_rates[SPEED, nodes]).max()
         pairs = zip((float(y), float(a)), self._floors, strict=True)
         return Errors(*(max(peak, floor) for peak, floor in pairs))
 
 
-def difference(one: Linear, other: Linear, nodes: slice = ALL) -> Errors:
-    """The largest differences of two paths at some nodes."""
+def largest_difference(one: Linear, other: Linear, nodes: slice = ALL) -> Errors:
+    """Return the largest differences of two paths at some nodes."""
     y = np.abs(one.nodes[EXCURSION, nodes] - other.nodes[EXCURSION, nodes]).max()
     a = np.abs(one.node_rates[SPEED, nodes] - other.node_rates[SPEED, nodes]).max()
     return Errors(float(y), float(a))
 
 
-_NONLINEAR_ERROR = 1e-6
-"""Of the non-linear level, as a share of the peak: it is carried, too."""
-
-
-_BEYOND = 3.0
-"""A correction's estimated error, over the tolerance, from which on a block is beyond it."""
-_NO_LESS = 0.7
-"""Blocks that swing so much of one that is beyond are taken to be so too: the error of a
-correction goes with the square of the level."""
-_MORE = 1.2
-"""Where one of them turns out not to be, those are that swing so much more than it."""
-_TOGETHER = 6
-"""Blocks of the non-linear level at once: longer ones save nothing more."""
-_LONGEST_SURE = 16
-"""Blocks from one estimate to the next."""
-
-
-class Chosen(NamedTuple):
-    """A level for a block, its estimated error, its answer, and what the next one says of d at the
-    end, (states,).
-
-    above: the next one's answer, from the better state on, None if it was not computed.
-    """
+class SelectedModel(NamedTuple):
+    """The model for one block, and its result."""
 
     level: ModelLevel
-    estimate: float
-    found: Correction
-    better: FloatArray
-    above: Correction | None = None
+    estimate: float  # of its error
+    correction: Correction
+    better: FloatArray  # d at the end by the next better model, (states,)
+    above: Correction | None = None  # of the next better model, if it was computed
 
 
-class Quiet(NamedTuple):
-    """What is estimated of blocks that are linear enough, and the better d at the last one's end.
+class LinearBlocks(NamedTuple):
+    """Consecutive blocks for which the linear model suffices."""
 
-    estimates: errors; peaks_m: of the excursion; both one a block.
-    """
-
-    estimates: list[float]
-    peaks_m: list[float]
-    better: FloatArray
+    estimates: list[float]  # of the error of each block
+    peaks_m: list[float]  # the excursion of each block
+    better: FloatArray  # d at the end by the next better model, (states,)
 
 
 class ModelSelector:
-    """Chooses among one actuator's levels for a tolerance. One thread uses an object.
+    """Selects among one actuator's models for a tolerance. One thread uses an object.
 
-    early: whether blocks that are surely beyond all cheap levels go without an estimate.
+    With `early`, blocks that surely need the non-linear model get no estimate.
     """
 
     def __init__(self, levels: ModelLevels, tolerance: float, early: bool = True) -> None:
@@ -117,60 +107,60 @@ class ModelSelector:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what blocks were like."""
+        """Forget what earlier blocks needed."""
         self._beyond_m = math.inf
         self._sure_for = 1
         self._left = 0
 
-    def sure(self, segment: Segment, block_nodes: int) -> int:
-        """How many of several blocks, from the first on, only the non-linear level can do."""
+    def count_nonlinear(self, segment: Segment, block_nodes: int) -> int:
+        """Return how many of the first blocks surely need the non-linear model."""
         if not (self.early and self._left):
             return 0
-        blocks = (len(segment.volts) - 1) // (block_nodes * self._levels.spacing)
+        frames = block_nodes * self._levels.spacing
+        blocks = (len(segment.volts) - 1) // frames
         found = 0
-        for block in range(min(blocks, self._left, _TOGETHER)):
-            first = block * block_nodes * self._levels.spacing
-            last = first + block_nodes * self._levels.spacing
-            if self._swing_m(segment.part(first, last)) < self._beyond_m:
+        for block in range(min(blocks, self._left, _MAX_TOGETHER)):
+            part = segment.part(block * frames, (block + 1) * frames)
+            if self._excursion_m(part) < self._beyond_m:
                 break
             found += 1
         self._left -= found
         return found
 
-    def dearest(self, segment: Segment, better: FloatArray) -> Chosen:
-        """The non-linear level without an estimate."""
-        found = self._levels.answer(ModelLevel.NONLINEAR, segment, better, better)
-        return Chosen(ModelLevel.NONLINEAR, _NONLINEAR_ERROR, found, found.end)
+    def solve_nonlinear(self, segment: Segment, better: FloatArray) -> SelectedModel:
+        """Use the non-linear model without an estimate."""
+        found = self._levels.solve(ModelLevel.NONLINEAR, segment, better, better)
+        return SelectedModel(ModelLevel.NONLINEAR, _NONLINEAR_ERROR, found, found.end)
 
-    def _swing_m(self, segment: Segment) -> float:
+    def _excursion_m(self, segment: Segment) -> float:
         return float(np.abs(segment.displacement_m[:: self._levels.spacing]).max())
 
     def _learn(self, segment: Segment, beyond: bool) -> None:
-        """Take notice of an estimate that was made."""
-        swing_m = self._swing_m(segment)
+        """Update the excursion from which on blocks are assumed to be beyond cheap models."""
+        excursion_m = self._excursion_m(segment)
         if beyond:
-            if swing_m >= self._beyond_m:
-                self._sure_for = min(2 * self._sure_for, _LONGEST_SURE)
-            self._beyond_m = min(self._beyond_m, _NO_LESS * swing_m)
-        elif swing_m >= self._beyond_m:
-            self._beyond_m, self._sure_for = _MORE * swing_m, 1
+            if excursion_m >= self._beyond_m:
+                self._sure_for = min(2 * self._sure_for, _MAX_SURE)
+            self._beyond_m = min(self._beyond_m, _BEYOND_SHARE * excursion_m)
+        elif excursion_m >= self._beyond_m:
+            self._beyond_m, self._sure_for = _RAISE * excursion_m, 1
         self._left = self._sure_for
 
-    def quiet(
+    def find_linear(
         self, segment: Segment, start: FloatArray, better: FloatArray, block_nodes: int
-    ) -> Quiet:
-        """Of several blocks, the first ones that are linear enough.
+    ) -> LinearBlocks:
+        """Return the first of several blocks for which the linear model suffices.
 
-        One estimate for all of them is cheaper, and what earlier ones leave is in it.
+        One estimate for all of them is cheaper and includes what earlier blocks left ringing.
         """
-        bases = self._levels.bases(segment, self._levels.spacing)
-        linear = self._levels.linear(bases, start)
-        born, _ = self._levels.corrected(bases, better, linear)
+        bases = self._levels.base_solutions(segment, self._levels.spacing)
+        linear = self._levels.solve_linear(bases, start)
+        born, _ = self._levels.solve_born(bases, better, linear)
         estimates: list[float] = []
         peaks_m: list[float] = []
         for first in range(0, len(bases[0].excursion_m) - 1, block_nodes):
             nodes = slice(first, first + block_nodes + 1)
-            change = difference(born, linear, nodes)
+            change = largest_difference(born, linear, nodes)
             estimate = self._errors.share(change, self._errors.peaks(bases, born, nodes))
             if estimate > self.tolerance:
                 break
@@ -178,36 +168,38 @@ class ModelSelector:
             excursion_m = bases[0].excursion_m[nodes] + linear.nodes[0, nodes]
             peaks_m.append(float(np.abs(excursion_m).max()))
         end = born.nodes[:, len(estimates) * block_nodes].copy()
-        return Quiet(estimates, peaks_m, end)
+        return LinearBlocks(estimates, peaks_m, end)
 
-    def one(self, segment: Segment, start: FloatArray, better: FloatArray) -> Chosen:
-        """For one block.
+    def select(self, segment: Segment, start: FloatArray, better: FloatArray) -> SelectedModel:
+        """Select the model for one block.
 
-        start: d at its first node as it was shown so far; better: as the level above knows it.
+        The argument `start` is d at its first node by the present model, `better` by the next
+        better one.
         """
         levels = self._levels
-        bases = levels.bases(segment, levels.spacing)
-        linear = levels.linear(bases, start)
-        born, g = levels.corrected(bases, better, linear)
-        first = difference(born, linear)
+        bases = levels.base_solutions(segment, levels.spacing)
+        linear = levels.solve_linear(bases, start)
+        born, g = levels.solve_born(bases, better, linear)
+        first = largest_difference(born, linear)
         peaks = self._errors.peaks(bases, born)
         estimate = self._errors.share(first, peaks)
         if estimate <= self.tolerance:
             self._learn(segment, beyond=False)
-            found, above = levels.of_linear(bases, linear), levels.of_linear(bases, born, g, linear)
-            return Chosen(ModelLevel.LINEAR, estimate, found, above.end, above)
+            found = levels.correct_by(bases, linear)
+            above = levels.correct_by(bases, born, g, linear)
+            return SelectedModel(ModelLevel.LINEAR, estimate, found, above.end, above)
         if np.any(better != start):
-            linear = levels.linear(bases, better)
-            born, g = levels.corrected(bases, better, linear)
-        second, then_g = levels.corrected(bases, better, born)
-        then = difference(second, born)
+            linear = levels.solve_linear(bases, better)
+            born, g = levels.solve_born(bases, better, linear)
+        second, then_g = levels.solve_born(bases, better, born)
+        then = largest_difference(second, born)
         estimate = self._errors.share(then, peaks)
         self._learn(segment, estimate > _BEYOND * self.tolerance)
         if estimate <= self.tolerance:
-            found = levels.of_linear(bases, born, g, linear)
-            above = levels.of_linear(bases, second, then_g, born)
-            return Chosen(ModelLevel.CORRECTED, estimate, found, above.end, above)
-        # A series that shrinks begins Newton's method well; one that grows begins it badly.
+            found = levels.correct_by(bases, born, g, linear)
+            above = levels.correct_by(bases, second, then_g, born)
+            return SelectedModel(ModelLevel.CORRECTED, estimate, found, above.end, above)
+        # A converging series is a good start for Newton's method, a diverging one a bad start.
         guess = second if then.displacement < 0.5 * first.displacement else linear
-        found = levels.nonlinear(segment, better, guess)
-        return Chosen(ModelLevel.NONLINEAR, _NONLINEAR_ERROR, found, found.end)
+        found = levels.solve_nonlinear(segment, better, guess)
+        return SelectedModel(ModelLevel.NONLINEAR, _NONLINEAR_ERROR, found, found.end)

@@ -1,8 +1,8 @@
-"""Where the nodes of the non-linear levels lie between samples, and back from nodes to samples.
+"""The nodes of the non-linear models between samples, and interpolation back to samples.
 
-The nodes come at about 6 kHz whatever the sample rate: every so many samples, with the middles on
-samples too, at double that rate as well (for the end stops). Where samples are too far apart for
-that, the voltage gets more of them, on the straight lines that it is made of: nothing changes.
+Nodes come at about 6 kHz at any sample rate. Nodes and the middles between them lie on samples,
+also at double that rate for the end stops. If samples are too far apart for that, the voltage is
+upsampled along its straight lines, which changes nothing.
 """
 
 from functools import cache
@@ -13,14 +13,19 @@ from device.units import FloatArray
 
 NODES_HZ = 6_000.0
 _FINEST = 4
-"""Samples between nodes: they are halved for the stops, and have middles."""
+"""Least samples between nodes: spacing is halved for the stops, and there are middles."""
 
 
 class NodeGrid:
     """The grid for one sample rate, Hz.
 
-    upsampling: samples of the grid for one of the signal; spacing: samples of the grid from node
-    to node, a multiple of 4; nodes_hz: wanted, reached within a factor of 1.5.
+    Attributes
+    ----------
+    upsampling : int
+        Grid samples per signal sample.
+    spacing : int
+        Grid samples from node to node, a multiple of 4. The node rate is within a factor of 1.5
+        of nodes_hz.
     """
 
     def __init__(self, samplerate: float, nodes_hz: float = NODES_HZ) -> None:
@@ -30,11 +35,11 @@ class NodeGrid:
         self._last_v = 0.0
 
     def reset(self) -> None:
-        """Forget the last sample: it was 0."""
+        """Set the last sample to 0."""
         self._last_v = 0.0
 
-    def upsampled(self, volts: FloatArray) -> FloatArray:
-        """(frames * upsampling,) on the straight lines between the samples and the one before."""
+    def upsample(self, volts: FloatArray) -> FloatArray:
+        """Return (frames * upsampling,) on the straight lines between samples."""
         if self.upsampling == 1 or not len(volts):
             return volts
         before = np.concatenate([[self._last_v], volts[:-1]])
@@ -43,26 +48,16 @@ class NodeGrid:
         return np.asarray(before[:, None] + (volts - before)[:, None] * shares).reshape(-1)
 
 
-def compensate_interpolation(volts: FloatArray) -> FloatArray:
-    """(frames,) whose straight lines come as close to a smooth signal as curves through it would.
-
-    Straight lines through the samples of a sinusoid lose (w T)^2 / 12 of it, 7e-5 at 220 Hz and
-    48 kHz; a second difference puts that back, and (w T)^4 / 360, 2e-9, is left. It takes the next
-    sample as well, so it is for signals that are there as a whole.
-    """
-    raised = volts.copy()
-    raised[1:-1] -= (volts[2:] - 2.0 * volts[1:-1] + volts[:-2]) / 12.0
-    return raised
-
-
-def cubic(nodes: FloatArray, rates: FloatArray, step_s: float, spacing: int) -> FloatArray:
-    """(steps * spacing,) samples after the first node of a cubic through nodes and their rates."""
+def interpolate_cubic(
+    nodes: FloatArray, rates: FloatArray, step_s: float, spacing: int
+) -> FloatArray:
+    """Return (steps * spacing,) samples after the first node of a cubic through nodes and rates."""
     known = np.stack([nodes[:-1], nodes[1:], step_s * rates[:-1], step_s * rates[1:]], axis=1)
     return np.asarray(known @ _cubic_basis(spacing)).reshape(-1)
 
 
-def quadratic(nodes: FloatArray, middles: FloatArray, spacing: int) -> FloatArray:
-    """(steps * spacing,) samples after the first node, of parabolas through three points each."""
+def interpolate_quadratic(nodes: FloatArray, middles: FloatArray, spacing: int) -> FloatArray:
+    """Return (steps * spacing,) samples after the first node of parabolas through three points."""
     known = np.stack([nodes[:-1], middles, nodes[1:]], axis=1)
     return np.asarray(known @ _quadratic_basis(spacing)).reshape(-1)
 

@@ -1,11 +1,11 @@
-"""The level that never fails: one sample at a time, passive whatever the step.
+"""The model that never fails: one sample at a time, passive at any step size.
 
-The energy H(y, u, lambda) = V(y) + m u^2 / 2 + (lambda - Phi(y))^2 / 2 L(y) is differenced, not
-differentiated (discrete gradient, Itoh and Abe 1988, averaged over both orders, so of second
-order): what a step adds to H is just what came in less what became heat, to rounding. Flux and
-current follow from the excursion in closed form, and so do the frame's two states; what is left is
-one scalar equation for the excursion. Its left side grows without bound either way, so there
-always is a solution, and bisection finds what the secant method does not.
+The energy H(y, u, lambda) = V(y) + m u^2 / 2 + (lambda - Phi(y))^2 / 2 L(y) is differenced instead
+of differentiated (discrete gradient, Itoh and Abe 1988, averaged over both orders and therefore of
+second order). A step changes H exactly by the energy supplied less the heat, up to rounding. Flux,
+current and the frame's states follow from the excursion in closed form. One scalar equation
+remains. Its left side is unbounded in both directions, so a solution always exists, and bisection
+finds it if the secant method does not.
 """
 
 import math
@@ -23,25 +23,25 @@ _EPSILON = float(np.finfo(np.float64).eps)
 
 
 class _Tried(NamedTuple):
-    """What follows from a change of the excursion over one step.
+    """The consequences of a change of the excursion over one step."""
 
-    left_n: by how much the forces then differ from what moves the mass so; 0 solves the step.
-    force_n: that moves the mass so; flux_wb at the end; current_a, the mean.
-    """
-
-    left_n: float
-    force_n: float
-    flux_wb: float
-    current_a: float
+    left_n: float  # the residual force; 0 solves the step
+    force_n: float  # the inertial force
+    flux_wb: float  # at the end
+    current_a: float  # the mean
 
 
 class PassiveStepper:
-    """An actuator that goes from sample to sample. One thread calls it.
+    """An actuator that is solved sample by sample. One thread calls it.
 
-    state: y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat. energy_error_j:
-    of the last step, energy that came in and was neither stored nor turned into heat: rounding;
-    worst_energy_error: the largest so far, as a share of the energy handled.
-    bisected: steps so far that the secant method left to bisection.
+    Attributes
+    ----------
+    state : list[float]
+        y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat.
+    energy_error_j : float
+        The energy balance error of the last step: supplied, but neither stored nor heat.
+    worst_energy_error : float
+        The largest so far, as a share of the energy stored or supplied in its step.
     """
 
     def __init__(self, equations: Equations, step_s: float) -> None:
@@ -59,23 +59,22 @@ class PassiveStepper:
         self.reset()
 
     def reset(self) -> None:
-        """Come to rest."""
+        """Come to rest and clear the errors."""
         self.state = [0.0, 0.0, 0.0, 0.0, 0.0]
         self.energy_error_j = 0.0
         self.worst_energy_error = 0.0
-        self.bisected = 0
         self._energy_j = 0.0
 
     def begin(self, state: FloatArray) -> None:
-        """Go on from a state, (3,) or (5,)."""
+        """Continue from a state, (3,) or (5,)."""
         self.state = [*state.tolist(), 0.0, 0.0][:5]
         self._energy_j = self.energy_j()
 
     def move(self, volts: FloatArray, before_v: float) -> FloatArray:
-        """States and more after each of (frames,) volts, (7, frames).
+        """Return y, u, lambda, z, z', current and u' after each of (frames,) volts, (7, frames).
 
-        Rows: y, u, lambda, z, z', the current, u'. Between samples the voltage is a straight
-        line; before_v is the one before the first. All finite for finite volts.
+        Between samples the voltage is a straight line, which begins at before_v. All values are
+        finite for finite volts.
         """
         result = np.empty((7, len(volts)))
         for frame, volt in enumerate(volts.tolist()):
@@ -86,7 +85,7 @@ class PassiveStepper:
         return result
 
     def energy_j(self) -> float:
-        """H at the last sample, with the frame's."""
+        """Return H at the last sample, including the frame."""
         y, u, flux, z, zs = self.state
         e = self.equations.energies
         linkage = flux - e.co_energy.magnet.value(y)
@@ -100,7 +99,7 @@ class PassiveStepper:
     def _step(self, volt: float) -> None:
         y0, u0, _, z0, zs0 = self.state
         h, seat = self.step_s, self.equations.seat
-        # The frame's mean speed were there no force on it.
+        # The frame's mean speed if no force acted on it.
         coast = 0.0
         if seat:
             coast = (2.0 * self._frame_mass * zs0 / h - self._frame_spring * z0) / self._frame_drag
@@ -126,12 +125,12 @@ class PassiveStepper:
             )
 
     def _solve(self, volt: float, free: float) -> tuple[float, "_Tried"]:
-        """The excursion's change over the step, and what comes of it."""
+        """Return the excursion's change over the step and its consequences."""
         equations = self.equations
         stiff = equations.stiffness + equations.damping / self.step_s + self._inertia
         older, tried = free, self._try(free, volt, free)
         newer = free - tried.left_n / stiff
-        # Below a rounding of the excursion itself nothing more can be gained.
+        # A smaller change than the rounding of the excursion gains nothing.
         enough = 2.0 * _EPSILON * (abs(self.state[0]) * 1e-3 + abs(free))
         for _ in range(_SECANT_STEPS):
             before, tried = tried, self._try(newer, volt, free)
@@ -144,7 +143,6 @@ class PassiveStepper:
         return self._bisect(volt, free)
 
     def _bisect(self, volt: float, free: float) -> tuple[float, "_Tried"]:
-        self.bisected += 1
         reach = abs(free) + abs(self.state[0]) + 1e-9
         while (
             self._try(reach, volt, free).left_n < 0.0 or self._try(-reach, volt, free).left_n > 0.0
@@ -162,7 +160,7 @@ class PassiveStepper:
         return high, self._try(high, volt, free)
 
     def _try(self, move: float, volt: float, free: float) -> "_Tried":
-        """What comes of a change of the excursion."""
+        """Return the consequences of a change of the excursion."""
         equations, h = self.equations, self.step_s
         e = equations.energies
         y0, _, flux0, _, _ = self.state
@@ -181,7 +179,7 @@ class PassiveStepper:
         drag = equations.damping + self._stop_drag(y0 + 0.5 * move)
         force = -e.potential.divided(y0, y1) - field - drag * move / h
         inertial = self._inertia * (move - free)
-        # Of the two the inertial one holds the state together: the rounding goes into the other.
+        # The inertial force keeps the state consistent; rounding goes into the other one.
         return _Tried(inertial - force, inertial, flux1, current)
 
     def _stop_drag(self, y: float) -> float:

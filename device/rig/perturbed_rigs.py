@@ -1,4 +1,4 @@
-"""Rigs that an identified rig may truly be: f0 off by a share, since sitters shift it, or by swing.
+"""Actuators that an identified one may really be: a sitter or a large excursion shifts f0.
 
 Pure functions; any thread may call them.
 """
@@ -6,14 +6,11 @@ Pure functions; any thread may call them.
 import math
 from dataclasses import replace
 
-from device.rig import ActuatorParameters
+from device.rig.parameters import ActuatorParameters
 
 
 def detune(p: ActuatorParameters, share: float) -> ActuatorParameters:
-    """The actuator with f0 (1 + share) by another stiffness; mass and friction as they are.
-
-    share: above -1; -0.1 is 10 % lower.
-    """
+    """Return the actuator with its f0 changed by a share (-0.1: 10 % lower) through stiffness."""
     factor = 1.0 + share
     return replace(p, resonance_hz=p.resonance_hz * factor, q_mechanical=p.q_mechanical * factor)
 
@@ -21,11 +18,10 @@ def detune(p: ActuatorParameters, share: float) -> ActuatorParameters:
 def stiffen(
     p: ActuatorParameters, stiffness_rise: float, force_factor_loss: float
 ) -> ActuatorParameters:
-    """The linear actuator that swings as a non-linear one does at Xmax (describing function).
+    """Return the linear actuator that behaves as a non-linear one at Xmax (describing function).
 
-    stiffness_rise, force_factor_loss: shares by which stiffness is larger and Bl smaller there than
-    at rest, both going with x^2. Over a sine, x^2 counts 3/4 of its peak for the spring's force and
-    1/4 for what damps with the velocity.
+    The arguments are the shares by which stiffness is larger and Bl smaller there, both growing
+    with x^2. Over a sine, x^2 counts 3/4 of its peak for the spring and 1/4 for the damping.
     """
     factor = math.sqrt(1.0 + 0.75 * stiffness_rise)
     return replace(

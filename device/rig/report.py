@@ -21,31 +21,15 @@ _COMPARED = ("displacement_m", "acceleration_m_s2")
 
 @dataclass(frozen=True)
 class SecondReport:
-    """One second of a run; the last one may be shorter.
+    """One second of a run; the last one may be shorter."""
 
-    Attributes
-    ----------
-    second, frames : int
-        Its number from 0, and its length.
-    shares : dict[ModelLevel, float]
-        The share of its time per model level; the sum is 1.
-    excursion_peak_m : float
-        The largest excursion at nodes.
-    estimate : float
-        The largest predicted error of its blocks, as a share of the block's peak.
-    error : float | None
-        The largest true error, None without a reference.
-    cost_s : float | None
-        The time it took by the caller's clock, None without one.
-    """
-
-    second: int
+    second: int  # from 0
     frames: int
-    shares: dict[ModelLevel, float]
-    excursion_peak_m: float
-    estimate: float
-    error: float | None
-    cost_s: float | None
+    shares: dict[ModelLevel, float]  # of its time; the sum is 1
+    excursion_peak_m: float  # at nodes
+    estimate: float  # the largest predicted error of its blocks, as a share of the block's peak
+    error: float | None  # the largest true error, None without a reference
+    cost_s: float | None  # by the caller's clock, None without one
 
 
 def report_seconds(

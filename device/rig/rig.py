@@ -21,32 +21,53 @@ from device.rig.parameters import (
 SourceKind = Literal["given", "assumed", "measured", "identified"]
 SOURCE_KINDS: tuple[SourceKind, ...] = get_args(SourceKind)
 
+_MIN_CURRENT_DRIVE_RATIO = 10.0
+"""Ten times the coil's resistance removes nine tenths of the electrical damping."""
+
 
 @dataclass(frozen=True)
 class Source:
-    """Where the value of one parameter comes from.
+    """Where the value of one parameter comes from."""
 
-    parameter: "stage.name"; kind: given (by a paper or a datasheet), assumed, measured, or
-    identified (by a fit to a measurement); words: by whom, why or how; interval: of 95 % for what
-    was measured or identified, in the parameter's unit.
-    """
-
-    parameter: str
-    kind: SourceKind
-    words: str
-    interval: tuple[float, float] | None = None
+    parameter: str  # "stage.name"
+    kind: SourceKind  # given: by a paper or datasheet; identified: by a fit to a measurement
+    words: str  # by whom, why or how
+    interval: tuple[float, float] | None = None  # 95 %, in the parameter's unit
 
 
 @dataclass(frozen=True)
 class Rig:
     """One chain from the vibration signal to the seat and back, under a name.
 
-    sources: one for every value whose file says where it comes from.
+    Attributes
+    ----------
+    name : str
+        The name that `--rig` takes.
+    dac : DacParameters
+        The digital-to-analogue converter.
+    amplifier : AmplifierParameters
+        The power amplifier.
+    actuator : ActuatorParameters
+        The actuator near its rest position.
+    large_signal : LargeSignalParameters | None
+        Its behaviour towards Xmax and beyond.
+    thermal : ThermalParameters | None
+        How its coil warms up.
+    seat : SeatParameters | None
+        The frame, cushion and sitter.
+    accelerometer : AccelerometerParameters | None
+        The sensor at the seat.
+    conditioning : ConditioningParameters | None
+        The sensor's charge amplifier.
+    daq : DaqParameters | None
+        The data-acquisition input.
+    sources : tuple[Source, ...]
+        One for each value whose origin the file states.
 
     Raises
     ------
     UsageError
-        Values of different stages contradict one another; all of them are named.
+        Values of different stages contradict one another; the message names all of them.
     """
 
     name: str
@@ -62,26 +83,25 @@ class Rig:
     sources: tuple[Source, ...] = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        wrong = contradictions(self.stages())
+        wrong = find_contradictions(self.stages())
         if wrong:
             raise UsageError(f"rig {self.name!r}: {'; '.join(wrong)}; correct the rig")
 
     def stages(self) -> dict[str, Any]:
-        """Parameters by the name of the stage, in the order of the flow; without absent ones."""
+        """Return the parameters by the stage's name, in signal order, without absent stages."""
         named = {f.name: getattr(self, f.name) for f in fields(self)}
         return {name: stage for name, stage in named.items() if isinstance(stage, Stage)}
 
     def assumed(self) -> tuple[str, ...]:
-        """The parameters, as "stage.name", whose values nobody gave or measured."""
+        """Return the parameters, as "stage.name", whose values are assumed."""
         return tuple(source.parameter for source in self.sources if source.kind == "assumed")
 
 
-def contradictions(stages: dict[str, Any]) -> list[str]:
-    """What values of different stages contradict one another; absent stages contradict none."""
+def find_contradictions(stages: dict[str, Any]) -> list[str]:
+    """Return what values of different stages contradict one another; absent stages are ignored."""
     get = stages.get
     actuator, amplifier, dac = get("actuator"), get("amplifier"), get("dac")
     large, accelerometer = get("large_signal"), get("accelerometer")
-    conditioning, daq = get("conditioning"), get("daq")
     wrong = []
     if actuator and large and large.stop_m <= actuator.x_max_m:
         wrong.append(
@@ -97,7 +117,7 @@ def contradictions(stages: dict[str, Any]) -> list[str]:
                     f"{name}, {stage.low_cut_hz!r} to {stage.high_cut_hz!r} Hz"
                 )
     if actuator and amplifier:
-        wrong += _against_the_drive_mode(actuator, amplifier)
+        wrong += _drive_mode_contradictions(actuator, amplifier)
     if actuator and accelerometer and accelerometer.resonance_hz < 5 * actuator.resonance_hz:
         wrong.append(
             f"accelerometer.resonance_hz={accelerometer.resonance_hz!r} must be at least five "
@@ -110,26 +130,24 @@ def contradictions(stages: dict[str, Any]) -> list[str]:
                 f"amplifier.output_limit_v={amplifier.output_limit_v!r} must be above one step "
                 f"of the DAC after the gain, {step_v:.3g} V"
             )
-    wrong += _below_the_noise(accelerometer, conditioning, daq)
-    return wrong
+    return wrong + _noise_contradictions(accelerometer, get("conditioning"), get("daq"))
 
 
-def _against_the_drive_mode(a: ActuatorParameters, amplifier: AmplifierParameters) -> list[str]:
+def _drive_mode_contradictions(a: ActuatorParameters, amplifier: AmplifierParameters) -> list[str]:
     ratio = amplifier.source_impedance_ohm / a.resistance_ohm
     words = (
         f"amplifier.drive_mode={amplifier.drive_mode!r} contradicts "
         f"source_impedance_ohm={amplifier.source_impedance_ohm!r}, {ratio:.3g} times "
         "actuator.resistance_ohm"
     )
-    # Ten times the coil's resistance takes away nine tenths of the electrical damping.
-    if amplifier.drive_mode == "current" and ratio < 10.0:
+    if amplifier.drive_mode == "current" and ratio < _MIN_CURRENT_DRIVE_RATIO:
         return [f"{words}: at least 10 times makes a current drive"]
-    if amplifier.drive_mode == "voltage" and ratio >= 10.0:
+    if amplifier.drive_mode == "voltage" and ratio >= _MIN_CURRENT_DRIVE_RATIO:
         return [f"{words}: that is a current drive"]
     return []
 
 
-def _below_the_noise(
+def _noise_contradictions(
     accelerometer: AccelerometerParameters | None,
     conditioning: ConditioningParameters | None,
     daq: DaqParameters | None,

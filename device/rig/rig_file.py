@@ -6,9 +6,9 @@
     force_factor_n_per_a = { value = 9.8, measured = "impedance", interval = [9.6, 10.0] }
     inductance_h = 1e-3
 
-A table a stage, named as the fields of `Rig`. A value may stand alone; the rigs that ship say of
-each where it comes from. `[actuator]` may also state what follows from the rest (stiffness_n_per_m,
-damping_n_s_per_m, q_electrical, q_total): then it has to agree.
+Each stage is a table, named as the fields of `Rig`. A value may stand alone; the shipped rigs state
+the source of each. `[actuator]` may also state derived values (stiffness_n_per_m,
+damping_n_s_per_m, q_electrical, q_total), which must then agree with the rest.
 """
 
 import difflib
@@ -18,51 +18,40 @@ from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from device.errors import UsageError
-from device.rig.parameters import (
-    AccelerometerParameters,
-    ActuatorParameters,
-    AmplifierParameters,
-    ConditioningParameters,
-    DacParameters,
-    DaqParameters,
-    LargeSignalParameters,
-    SeatParameters,
-    Stage,
-    ThermalParameters,
-)
-from device.rig.rig import SOURCE_KINDS, Rig, Source, contradictions
+from device.rig.parameters import ActuatorParameters, Stage
+from device.rig.rig import SOURCE_KINDS, Rig, Source, find_contradictions
 
 SUFFIX = ".toml"
 SHIPPED = ("paper", "consumer")
 
 STAGES: dict[str, type[Stage]] = {
-    "dac": DacParameters,
-    "amplifier": AmplifierParameters,
-    "actuator": ActuatorParameters,
-    "large_signal": LargeSignalParameters,
-    "thermal": ThermalParameters,
-    "seat": SeatParameters,
-    "accelerometer": AccelerometerParameters,
-    "conditioning": ConditioningParameters,
-    "daq": DaqParameters,
+    stage.name: kind
+    for stage in fields(Rig)
+    for kind in (stage.type, *get_args(stage.type))
+    if isinstance(kind, type) and issubclass(kind, Stage)
 }
 REQUIRED = ("dac", "amplifier", "actuator")
-FOLLOWING = ("stiffness_n_per_m", "damping_n_s_per_m", "q_electrical", "q_total")
+DERIVED = ("stiffness_n_per_m", "damping_n_s_per_m", "q_electrical", "q_total")
 AGREEMENT = 0.02
-"""How far a stated value may be from what follows: it is usually given with two or three digits."""
+"""Largest deviation of a stated derived value, which usually has two or three digits."""
 
 
 def read_rig(path: str | Path) -> Rig:
-    """The rig that a file describes; its name is the file's if it states none.
+    """Return the rig that a file describes.
+
+    Parameters
+    ----------
+    path : str | Path
+        A TOML file. Without `name` in it, the rig takes the file's name.
 
     Raises
     ------
     UsageError
-        The file cannot be read, or is no TOML; or values are missing, unknown, of the wrong type,
-        out of range or contradict one another: all of them are named.
+        The file cannot be read or is not TOML. Or values are missing, unknown, of the wrong type,
+        out of range or contradictory; the message names all of them.
     """
     path = Path(path)
     try:
@@ -79,7 +68,7 @@ def read_rig(path: str | Path) -> Rig:
 
 
 def parse_rig(text: str, name: str, origin: str) -> Rig:
-    """The rig that a text in TOML describes. name: if it states none; origin: for messages."""
+    """Return the rig that a TOML text describes; origin names the text in messages."""
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -89,7 +78,7 @@ def parse_rig(text: str, name: str, origin: str) -> Rig:
     stated = document.get("name", name)
     if not (isinstance(stated, str) and stated):
         reading.wrong.append(f"name={stated!r} must be a word")
-    reading.wrong += contradictions(stages)
+    reading.wrong += find_contradictions(stages)
     if reading.wrong:
         raise UsageError(f"the rig file {origin}: {'; '.join(reading.wrong)}; correct the file")
     return Rig(name=stated, sources=tuple(reading.sources), **stages)
@@ -97,13 +86,13 @@ def parse_rig(text: str, name: str, origin: str) -> Rig:
 
 @dataclass
 class _Reading:
-    """What was found in one file: sources, and all that is wrong."""
+    """The sources and problems found in one file."""
 
     wrong: list[str] = field(default_factory=list)
     sources: list[Source] = field(default_factory=list)
 
     def read(self, document: dict[str, Any]) -> dict[str, Any]:
-        """Every stage that is right, by its name."""
+        """Return every valid stage by its name."""
         self._refuse_unknown("", document, [*STAGES, "name", "description"])
         stages: dict[str, Any] = {}
         for name, kind in STAGES.items():
@@ -119,7 +108,7 @@ class _Reading:
     def _stage(self, name: str, kind: type[Stage], table: dict[str, Any]) -> Stage | None:
         before = len(self.wrong)
         known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
-        following = FOLLOWING if name == "actuator" else ()
+        following = DERIVED if name == "actuator" else ()
         self._refuse_unknown(f"{name}.", table, [*known, *following])
         values = {
             key: self._value(f"{name}.{key}", table[key])
@@ -134,7 +123,7 @@ class _Reading:
         if len(self.wrong) > before:
             return None
         for key, value in values.items():
-            if known[key].type is float:
+            if get_args(known[key].type)[0] is float:
                 values[key] = float(value)
         stage = kind(**values)
         if isinstance(stage, ActuatorParameters):
@@ -142,7 +131,7 @@ class _Reading:
         return stage
 
     def _value(self, parameter: str, stated: object) -> Any:
-        """The bare value; its source, if there is one, is kept."""
+        """Return the bare value and keep its source, if there is one."""
         if not isinstance(stated, dict):
             return stated
         kinds = [kind for kind in SOURCE_KINDS if kind in stated]
@@ -202,12 +191,17 @@ PAPER, CONSUMER = _RIGS["paper"], _RIGS["consumer"]
 
 
 def rig_by_name(name: str) -> Rig:
-    """The rig that ships under that name, or the one in that file, if the name ends in .toml.
+    """Return the shipped rig of that name, or the rig in a file.
+
+    Parameters
+    ----------
+    name : str
+        A shipped rig's name, or a path that ends in .toml.
 
     Raises
     ------
     UsageError
-        There is none, with the names there are; or the file is wrong, see `read_rig`.
+        No rig has that name; the message lists the names. Or the file is invalid, see `read_rig`.
     """
     if name in _RIGS:
         return _RIGS[name]

@@ -52,18 +52,9 @@ class Segment:
 class Correction:
     """What a model adds to the linear solution at the samples after the first, (frames,).
 
-    Each quantity is computed only when it is asked for.
-
-    Attributes
-    ----------
-    end : FloatArray
-        d at the last node, (states,); see equations.py.
-    under_end : FloatArray
-        The same for the path whose remainder was used; equal to `end` otherwise.
-    excursions_m : FloatArray
-        The total excursion at nodes or samples.
-    is_zero : bool
-        Whether all samples are 0.
+    Each quantity is computed only when it is asked for. `end` is d at the last node, (states,), and
+    `under_end` that of the path whose remainder was used. `excursions_m` is the total excursion at
+    nodes or samples. `is_zero` says that all samples are 0.
     """
 
     def __init__(
@@ -114,16 +105,9 @@ def crossfade(
     no slope and curvature at its ends does not click. If the old model deviates too far before
     it is faded out, as at the start of a burst, the fade is halved until it fits.
 
-    Parameters
-    ----------
-    values : FloatArray
-        The new model's correction, (frames,).
-    old : FloatArray
-        The old model's correction for the first samples.
-    base : FloatArray | None
-        The linear solution including the sample before; None means 0.
-    allowed_share : float
-        The largest allowed deviation as a share of the total's peak.
+    The corrections are `values`, (frames,), and `old` for the first samples; `base` is the linear
+    solution including the sample before, None for 0. The fade may deviate by `allowed_share` of the
+    total's peak.
     """
     frames = len(old)
     apart = old - values[:frames]

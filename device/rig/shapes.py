@@ -1,9 +1,8 @@
 """Functions of the excursion in closed form, with their derivatives and divided differences.
 
-A shape is data: a few numbers that say how something depends on x, in metres. Nothing is typed in
-twice: what a model needs of a shape, it takes from here. The divided difference
-(f(b) - f(a)) / (b - a) is exact also where a and b are close, and equals f'(a) where they meet;
-discrete gradients are made of it. Pure functions; any thread may call them.
+A shape is data: a few numbers that define a function of x, in metres. The divided difference
+(f(b) - f(a)) / (b - a) is also exact for close a and b, and equals f'(a) for a = b; discrete
+gradients are made of it. Pure functions; any thread may call them.
 """
 
 import math
@@ -18,7 +17,7 @@ Jet = tuple[FloatArray, FloatArray, FloatArray]
 """f, f' and f'' at each x."""
 
 _SMALL = 1e-4
-"""Below it atan(z)/z and tanh(z)/z are taken from their series, to z^4 of 1."""
+"""Below it atan(z)/z and tanh(z)/z are 1 - z^2/3: their series without z^4."""
 
 
 class Shape(Protocol):
@@ -39,7 +38,7 @@ class Shape(Protocol):
 
 @dataclass(frozen=True)
 class Polynomial:
-    """f = c0 + c1 x + c2 x^2 + ...; coefficients: from c0 on, at least one."""
+    """f = c0 + c1 x + c2 x^2 + ... with at least one coefficient."""
 
     coefficients: tuple[float, ...]
 
@@ -62,7 +61,7 @@ class Polynomial:
         return f
 
     def divided(self, a: float, b: float) -> float:
-        """The quotient of f(b) - f(a) by b - a as polynomials: nothing cancels."""
+        """Divide f(b) - f(a) by b - a as polynomials, without cancellation."""
         quotient, at_a = 0.0, 0.0
         for coefficient in self.coefficients[:0:-1]:
             at_a = at_a * a + coefficient
@@ -94,7 +93,7 @@ class Hardening:
         return (0.5 * self.stiffness + 0.25 * self.rise * square) * square
 
     def divided(self, a: float, b: float) -> float:
-        """From b^2 - a^2 = (b - a) (b + a): nothing cancels but a + b where it should."""
+        """Use b^2 - a^2 = (b - a) (b + a), which avoids cancellation."""
         return (a + b) * (0.5 * self.stiffness + 0.25 * self.rise * (a * a + b * b))
 
 
@@ -102,7 +101,7 @@ class Hardening:
 class Arctangent:
     """f = slope reach atan(x / reach): the flux of a coil that leaves its gap, f' = Bl.
 
-    slope: f' at rest; reach: m, above 0, where f' has halved.
+    The slope is f' at rest; at the reach, in m and above 0, f' has halved.
     """
 
     slope: float
@@ -124,7 +123,7 @@ class Arctangent:
         return self.slope * self.reach * math.atan(x / self.reach)
 
     def divided(self, a: float, b: float) -> float:
-        """By atan(v) - atan(u) = atan((v - u) / (1 + u v)), where that holds."""
+        """Use atan(v) - atan(u) = atan((v - u) / (1 + u v)) where that holds."""
         u, v = a / self.reach, b / self.reach
         if u * v <= -0.5:
             return self.slope * (math.atan(v) - math.atan(u)) / (v - u)
@@ -136,7 +135,7 @@ class Arctangent:
 class Tanh:
     """f = level (1 - share tanh(x / reach)): an inductance that falls as the coil leaves its iron.
 
-    level: f at rest; share: 0 to below 1; reach: m, above 0.
+    The level is f at rest; the share is 0 to below 1; the reach, in m, is above 0.
     """
 
     level: float
@@ -155,7 +154,7 @@ class Tanh:
         return self.level * (1.0 - self.share * math.tanh(x / self.reach))
 
     def divided(self, a: float, b: float) -> float:
-        """By tanh v - tanh u = tanh(v - u) (1 - tanh u tanh v)."""
+        """Use tanh v - tanh u = tanh(v - u) (1 - tanh u tanh v)."""
         u, v = a / self.reach, b / self.reach
         product = math.tanh(u) * math.tanh(v)
         return -self.level * self.share / self.reach * (1.0 - product) * _tanh_ratio(v - u)
@@ -163,22 +162,18 @@ class Tanh:
 
 @dataclass(frozen=True)
 class Stops:
-    """f = hardness / 3 indentation^3, beyond ±start: the energy in two end stops.
+    """f = hardness / 3 indentation^3 beyond ±start: the energy in two end stops.
 
-    start: m, above 0; hardness: N/m^2, 0 or more. Its force grows with the square of the
-    indentation, so that it comes smoothly; `indentation` is what their damping depends on.
+    The start, in m, is above 0, and the hardness, in N/m^2, is 0 or more. The force grows with the
+    square of the indentation, so it sets in smoothly.
     """
 
     start: float
     hardness: float
 
-    def indentation(self, x: FloatArray) -> FloatArray:
-        """How far x is beyond a stop, m, 0 or more."""
-        return np.maximum(np.abs(x) - self.start, 0.0)
-
     def jet(self, x: FloatArray) -> Jet:
         """f, f' and f''."""
-        depth = self.indentation(x)
+        depth = np.maximum(np.abs(x) - self.start, 0.0)
         if not depth.any():
             return depth, depth, depth
         pressed = self.hardness * depth
@@ -191,7 +186,7 @@ class Stops:
         return self.hardness / 3.0 * depth * depth * depth
 
     def divided(self, a: float, b: float) -> float:
-        """Each stop by itself: the quotient of cubes times that of the indentations."""
+        """Treat each stop separately: the quotient of cubes times that of the indentations."""
         return self._one(a, b) - self._one(-a, -b)
 
     def _one(self, a: float, b: float) -> float:

@@ -11,7 +11,7 @@ from device.output import VibrationOutput
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier, Dac
-from device.rig.instruments import AccelerometerChain
+from device.rig.instruments import CONDITIONING_V_PER_M_S2
 from device.rig.rig import Rig
 from device.units import Float32Array, FloatArray, check_channels
 
@@ -89,7 +89,6 @@ class SimulatedRig:
             for one in dict.fromkeys(rigs)
             if one is not None
         ]
-        self._instruments = AccelerometerChain()
         self.reset()
 
     @property
@@ -138,7 +137,7 @@ class SimulatedRig:
         self.peak_acceleration_m_s2 = _larger(self.peak_acceleration_m_s2, acceleration)
         self.acceleration_m_s2 = acceleration.T
         if self._recorder:
-            self._recorder.write(self._instruments.volts(self.acceleration_m_s2))
+            self._recorder.write(self.acceleration_m_s2 * CONDITIONING_V_PER_M_S2)
 
     def close(self) -> None:
         """Finish, and close the recorder."""

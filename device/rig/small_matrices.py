@@ -1,6 +1,6 @@
-"""Many small matrices at once: entries by place, each a number or one array over all points.
+"""Many small matrices at once: each entry is a number or an array over all points.
 
-A matrix is a dict from (row, column) to its entry; what is absent is 0 and costs nothing. With
+A matrix is a dict from (row, column) to its entry; an absent entry is 0 and costs nothing. With
 three to five states this is several times faster than NumPy's stacks of matrices.
 """
 
@@ -13,8 +13,8 @@ SmallMatrix = dict[tuple[int, int], Entry]
 Vector = list[Entry]
 
 
-def product(a: SmallMatrix, b: SmallMatrix) -> SmallMatrix:
-    """a b."""
+def multiply(a: SmallMatrix, b: SmallMatrix) -> SmallMatrix:
+    """Return a b."""
     result: SmallMatrix = {}
     for (row, inner), left in a.items():
         for (other, column), right in b.items():
@@ -25,8 +25,8 @@ def product(a: SmallMatrix, b: SmallMatrix) -> SmallMatrix:
     return result
 
 
-def combined(size: int, diagonal: float, *terms: tuple[float, SmallMatrix]) -> SmallMatrix:
-    """diagonal I + the sum of factor times matrix; every entry of the diagonal is there."""
+def combine(size: int, diagonal: float, *terms: tuple[float, SmallMatrix]) -> SmallMatrix:
+    """Return diagonal I + the sum of factor times matrix; the whole diagonal is present."""
     result: SmallMatrix = {(k, k): diagonal for k in range(size)}
     for factor, matrix in terms:
         for place, entry in matrix.items():
@@ -36,15 +36,15 @@ def combined(size: int, diagonal: float, *terms: tuple[float, SmallMatrix]) -> S
     return result
 
 
-def at(matrix: SmallMatrix, points: slice) -> SmallMatrix:
-    """The matrices at some of the points."""
+def select_points(matrix: SmallMatrix, points: slice) -> SmallMatrix:
+    """Return the matrices at some of the points."""
     return {k: e[points] if isinstance(e, np.ndarray) else e for k, e in matrix.items()}
 
 
 class Factors:
-    """LU factors of many matrices, without pivoting: for I - h J with a step that resolves J.
+    """LU factors of many matrices without pivoting, for I - h J with a step that resolves J.
 
-    Where a pivot vanishes the solutions are not finite, and the caller looks for that.
+    If a pivot is 0, the solutions are not finite; the caller checks for that.
     """
 
     def __init__(self, size: int, matrix: SmallMatrix) -> None:
@@ -66,7 +66,7 @@ class Factors:
                         factors[row, column] = known - share * factors[pivot, column]
 
     def solve(self, right: list[Entry | None]) -> list[Entry | None]:
-        """The solution for one right-hand side; None is 0."""
+        """Return the solution for one right-hand side; None is 0."""
         solution = list(right)
         factors, size = self._factors, self._size
         for row in range(size):

@@ -1,4 +1,4 @@
-"""Coil and magnet as two thermal masses, and the resistance that follows from the coil's warmth."""
+"""Coil and magnet as two thermal masses, and the coil's resistance at its temperature."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ COPPER_PER_K = 0.00393
 
 
 class ThermalStep(NamedTuple):
-    """What coil and magnet have after a duration, K: of either before it, K, and of a power, W."""
+    """Temperatures after a duration, K, as factors of those before it, K, and of a power, W."""
 
     coil_by_coil: float
     coil_by_magnet: float
@@ -27,7 +27,10 @@ class Temperatures:
 
         Cc dTc/dt = P - (Tc - Tm) / Rc        Cm dTm/dt = (Tc - Tm) / Rc - Tm / Rm
 
-    coil_k, magnet_k: 0 in the beginning.
+    Attributes
+    ----------
+    coil_k, magnet_k : float
+        0 at the start.
     """
 
     def __init__(self, parameters: ThermalParameters) -> None:
@@ -48,7 +51,7 @@ class Temperatures:
         self.magnet_k = 0.0
 
     def heat(self, power_w: float, duration_s: float) -> None:
-        """Exact for a power in the coil, W, that is constant over the duration, s."""
+        """Heat the coil with a constant power, W, for a duration, s; the solution is exact."""
         step, coil_k, magnet_k = self.step(duration_s), self.coil_k, self.magnet_k
         self.coil_k = step.coil_by_coil * coil_k + step.coil_by_magnet * magnet_k
         self.coil_k += step.coil_by_power * power_w
@@ -56,14 +59,14 @@ class Temperatures:
         self.magnet_k += step.magnet_by_power * power_w
 
     def resistance_ohm(self, resistance_ohm: float) -> float:
-        """What a copper coil of that resistance at ambient_c has now."""
+        """Return the present resistance of a copper coil; the argument holds at ambient_c."""
         ambient = 1.0 + COPPER_PER_K * (self.parameters.ambient_c - 20.0)
         return resistance_ohm * (1.0 + COPPER_PER_K * self.coil_k / ambient)
 
     def step(self, duration_s: float) -> ThermalStep:
-        """The step of a duration, s; those asked for lately are kept."""
+        """Return the step for a duration, s, from a small cache."""
         if duration_s not in self._steps:
-            if len(self._steps) > 64:  # blocks of ever other lengths must not fill the memory
+            if len(self._steps) > 64:  # ever new block lengths must not fill the memory
                 self._steps.clear()
             # Plain floats: two by two is faster without arrays.
             entries = expm(self._rate * duration_s)[:2].ravel().tolist()

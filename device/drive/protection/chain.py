@@ -12,9 +12,10 @@ from functools import lru_cache
 import numpy as np
 from scipy.signal import sosfilt
 
-from device.rig import ActuatorParameters, AmplifierParameters
+from device.rig import ActuatorParameters
 from device.rig.actuator import first_order_hold, state_space
 from device.rig.electronics import Band
+from device.rig.parameters import AmplifierParameters
 from device.units import FloatArray
 
 ACTUATOR_STATES = 3

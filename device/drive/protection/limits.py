@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass
 
 from device.errors import UsageError
-from device.rig import LargeSignalParameters, Rig
+from device.rig import Rig
+from device.rig.parameters import LargeSignalParameters
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,12 @@ from device.drive.protection import (
     limits_of,
 )
 from device.errors import InternalError, UsageError
-from device.rig import CONSUMER, PAPER, Rig, ThermalParameters
+from device.rig import CONSUMER, PAPER, Rig
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
 from device.rig.model_levels import ModelLevel
+from device.rig.parameters import ThermalParameters
 from device.rig.perturbed_rigs import detune, stiffen
 from device.rig.simulated_rig import SimulatedRig
 from device.rig.thermal import COPPER_PER_K

@@ -189,7 +189,7 @@ VALUES = st.none() | st.floats() | st.integers() | st.text(max_size=3) | st.list
 @given(st.data())
 def test_whatever_a_value_is_a_rig_comes_out_or_a_message(data):
     stage = data.draw(st.sampled_from(sorted(STAGES)))
-    name = data.draw(st.sampled_from(sorted(STAGES[stage].LIMITS)))
+    name = data.draw(st.sampled_from(sorted(STAGES[stage].limits())))
     value = data.draw(VALUES)
     problems = STAGES[stage].problems({name: value})
     assert all(problem.startswith(name) and repr(value) in problem for problem in problems)

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from device.errors import InternalError, UsageError, WriteError
 from device.output import VibrationOutput
-from device.rig import PAPER, AmplifierParameters, DacParameters
+from device.rig import PAPER
 from device.rig.actuator import LinearActuator
 from device.rig.electronics import Amplifier, Dac
-from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2, AccelerometerChain
+from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2, CONDITIONING_V_PER_M_S2
+from device.rig.parameters import AmplifierParameters, DacParameters
 from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
 
@@ -84,7 +85,7 @@ def test_the_amplifier_amplifies_and_counts_what_it_clips():
 
 def test_the_instruments_show_one_volt_for_a_hundred_metres_a_second_squared():
     assert ACCELERATION_FULL_SCALE_M_S2 == 100.0
-    assert AccelerometerChain().volts(np.array([[100.0, -50.0]])).tolist() == [[1.0, -0.5]]
+    assert (np.array([100.0, -50.0]) * CONDITIONING_V_PER_M_S2).tolist() == [1.0, -0.5]
 
 
 # ----------------------------------------------------------------------------------------- twin
@@ -115,7 +116,7 @@ def test_the_twin_is_its_stages_one_after_the_other():
     motions = [LinearActuator(rig.actuator, 48_000, 2.0).move(volts[:, c]) for c in range(2)]
     accelerations = [motion.acceleration_m_s2 for motion in motions]
     assert np.array_equal(twin.acceleration_m_s2, np.column_stack(accelerations))
-    assert np.array_equal(recorder.blocks[0], AccelerometerChain().volts(twin.acceleration_m_s2))
+    assert np.array_equal(recorder.blocks[0], twin.acceleration_m_s2 * CONDITIONING_V_PER_M_S2)
     assert twin.peak_current_a == max(np.abs(motion.current_a).max() for motion in motions)
     assert twin.clipped_samples > 0
 

@@ -81,12 +81,6 @@ def test_what_is_beyond_an_instrument_is_clipped_and_counted():
     assert chain.clipped_samples > 1_000
 
 
-def test_above_200_hz_the_accelerometers_resonance_still_does_nothing():
-    chain = InstrumentChain(PAPER, FS)
-    assert 0.0 < chain.accelerometer.rise(220.0) < 1e-5
-    assert chain.accelerometer.rise(85e3) > 20.0
-
-
 def test_instruments_that_are_not_there_or_too_slow_are_refused():
     with pytest.raises(UsageError, match=r"no \[accelerometer\], \[conditioning\], \[daq\]"):
         InstrumentChain(CONSUMER, FS)

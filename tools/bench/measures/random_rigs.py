@@ -15,7 +15,8 @@ from device.identification.acceleration import Mode, identify_mode
 from device.identification.output_error import Estimate
 from device.identification.simulated_laboratory import SimulatedLaboratory
 from device.identification.sweep import Sweep
-from device.rig import PAPER, ActuatorParameters, LargeSignalParameters, Rig, SeatParameters
+from device.rig import PAPER, ActuatorParameters, Rig
+from device.rig.parameters import LargeSignalParameters, SeatParameters
 from tools.bench.report import Must
 
 SNR_DB = 20.0
