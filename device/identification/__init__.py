@@ -1,14 +1,13 @@
-"""Measurement and identification of a rig: sweep in, parameters with intervals out.
+"""Identification of a rig: sweep in, parameters with 95 % intervals out.
 
-    sweep.py -> bench.py (the twin's laboratory) -> recording.py -> transfer.py
-                                                        |             distortion.py
-                                                        `-> acceleration.py, impedance.py
-                                                              `- responses.py, output_error.py
-                                      mechanical.py, moving_mass.py -> rig_values.py
-
-calibration.py does all of it in turn, from low levels on.
-
-Whoever measures a real rig fills a `Recording` with what the DAQ read; the rest is the same.
+| module | holds |
+| --- | --- |
+| sweep, recording, transfer | what is played, what was recorded, and whether it can be used |
+| responses, output_error | models of a response, and their fit |
+| acceleration, impedance, mechanics | f0, Q and sensitivity; R and L; Bl, mass, Qms |
+| calibration, rig_values | all of it in turn, from low levels up; the rig with its new values |
+| simulated_laboratory | plays sweeps to the simulated rig |
+| live/ | plays sweeps to real devices |
 """
 
 from device.identification.recording import IdentificationError

@@ -9,66 +9,61 @@ import numpy as np
 from scipy.fft import irfft
 
 from device.identification import responses
-from device.identification.output_error import Estimate, Fit, Model, better, fit, require
+from device.identification.output_error import Estimate, Fit, Model, fit, is_better, require
 from device.identification.recording import IdentificationError, Recording
+from device.identification.transfer import check_recording
 from device.units import FloatArray
 
 Drive = Literal["voltage", "current"]
 
 WIDEST_F0, WIDEST_Q, WIDEST_SENSITIVITY = 0.02, 0.2, 0.2
-"""Half an interval of 95 %, as a share, beyond which nothing is called identified."""
+"""Half the widest accepted 95 % interval, as a share."""
 MOST_MISFIT = 0.1
 
 F0_BY_LEVEL, Q_BY_LEVEL = 0.19, 0.4
-"""Shares by which f0 and Q rise, times the square of the level in Xmax. A spring that is half as
-stiff again at Xmax raises f0 by 3/8 of that half while it moves so far (describing function); Q
-rises with it, and as a quarter of Bl is lost at Xmax. The intervals go down by so much: they are
-of the rig at rest, and noise is not all that a sweep of some level is wrong by."""
+"""Shares by which f0 and Q rise, per square of the level in Xmax. If stiffness is 50 % higher at
+Xmax, f0 rises by 3/8 of that (describing function). Q rises with it, and because Bl falls by a
+quarter. Intervals are extended down by this much, because they are for the rig at rest."""
 _DELAYS_S = np.arange(-8e-3, 4e-3, 0.25e-3)
-"""Of starts, where it is not known: it was measured at the peak of the impulse response, which
-comes later than its beginning by up to a quarter of a period."""
+"""Starts for an unknown delay. It was measured at the peak of the impulse response, up to a quarter
+of a period after its beginning."""
 _ADVICE = "raise the level a little, make the sweep longer or bring it closer to the resonance"
 
 
 @dataclass(frozen=True)
 class Mode:
-    """What an acceleration sweep says.
+    """The mode that an acceleration sweep shows.
 
-    f0_hz, q: of the mode. Against current they are the mechanical ones, f0 and Qms; against
-    voltage those of the poles under that drive, with the electrical damping in them.
-    sensitivity: m/s^2 per V or A, well above the resonance; Bl / m against current.
-    on_seat: a frame that gives way was needed to explain the response: f0_hz and q are those of
-    the actuator on it. level_of_x_max: the largest excursion of the moving mass in the sweep, as
-    a share of Xmax; the frame's, which goes against it, is not in it. fit: for what follows from
-    several. inverted: the accelerometer shows the other sign, where that was not known.
+    Against current, f0 and Q are the mechanical ones (f0, Qms). Against voltage, they are those of
+    the poles under that drive, including the electrical damping.
     """
 
     drive: Drive
     f0_hz: Estimate
     q: Estimate
-    sensitivity: Estimate
-    on_seat: bool
-    level_of_x_max: float
+    sensitivity: Estimate  # m/s^2 per V or A above the resonance; Bl / m against current
+    on_seat: bool  # the response needs a moving frame; f0 and Q are those on it
+    level_of_x_max: float  # largest excursion of the moving mass, without the frame's
     fit: Fit
-    inverted: bool = False
+    inverted: bool = False  # the accelerometer has the other sign
 
 
 def identify_mode(
     recording: Recording, x_max_m: float, drive: Drive = "voltage", *, widest: float = 1.0
 ) -> Mode:
-    """The mode that a recording of acceleration shows; x_max_m: to state the level.
+    """Return the mode that a recording of acceleration shows.
 
-    widest: factor on the widest intervals that are accepted.
+    x_max_m gives the level; `widest` is a factor on the widest accepted intervals.
 
     Raises
     ------
     IdentificationError
-        No signal, clipping, the wrong channel; a resonance outside the band; a fit that does not
-        converge or does not fit; a value that is not identified. Then there is no number.
+        No signal, clipping or the wrong channel; a resonance outside the band; a fit that does not
+        converge or explain the response; an interval that is too wide.
     """
-    recording.check()
+    check_recording(recording)
     electrical = drive == "voltage"
-    recording, found, on_seat, inverted = _fitted(recording, electrical)
+    recording, found, on_seat, inverted = _fit_mode(recording, electrical)
     refuse_outside(recording, found.logs[1])
     if found.misfit > MOST_MISFIT:
         raise IdentificationError(
@@ -83,12 +78,12 @@ def identify_mode(
         require(name, value, limit * widest, _ADVICE)
     moved = _excursion_m(recording, found, electrical)
     sensitivity, f0, q = values
-    # a clock that is off turns the phase there by so much, and at f0 that falls by 2 Q a share of f
+    # Clock drift turns the phase by this angle, which at f0 shifts it by angle / (2 Q).
     turned = math.tau * f0.value * recording.drift_reach * recording.sweep.duration_s
-    f0 = f0.widened(0.5 * turned / q.value)
+    f0 = f0.widen(0.5 * turned / q.value)
     share = moved / x_max_m
-    square = bent_square(share, on_seat)
-    f0, q = f0.lowered(F0_BY_LEVEL * square), q.lowered(Q_BY_LEVEL * square)
+    square = excursion_square(share, on_seat)
+    f0, q = f0.extend_down(F0_BY_LEVEL * square), q.extend_down(Q_BY_LEVEL * square)
     return Mode(drive, f0, q, sensitivity, on_seat, share, found, inverted)
 
 
@@ -102,47 +97,46 @@ def _model(recording: Recording, electrical: bool) -> Model:
     return model
 
 
-def _fitted(recording: Recording, electrical: bool) -> tuple[Recording, Fit, bool, bool]:
-    """The plain fit, or the one with a seat, where that explains more; with its recording.
+def _fit_mode(recording: Recording, electrical: bool) -> tuple[Recording, Fit, bool, bool]:
+    """Return recording, fit, whether it needs a seat, and whether the polarity is inverted.
 
-    Where the polarity is not known, the one that explains more; whether that is upside down.
+    The simple fit is used unless one with a seat, or the other unknown polarity, explains more.
     """
-    ways = [recording] if recording.polarity_known else [recording, recording.inverted()]
+    candidates = [recording] if recording.polarity_known else [recording, recording.invert()]
     model = _model(recording, electrical)
     found: list[tuple[Recording, Fit]] = []
     errors: list[IdentificationError] = []
-    for way in ways:
+    for candidate in candidates:
         try:
-            found.append((way, fit(way, model, _starts(way, electrical))))
+            found.append((candidate, fit(candidate, model, _starts(candidate, electrical))))
         except IdentificationError as error:
             errors.append(error)
     if not found:
         raise errors[0]
-    way, simple = min(found, key=lambda one: one[1].cost)
-    best, on_seat = with_seat(way, model, simple, simple.logs[1])
-    return way, best, on_seat, way is not recording
+    chosen, simple = min(found, key=lambda one: one[1].cost)
+    best, on_seat = fit_seat(chosen, model, simple, simple.logs[1])
+    return chosen, best, on_seat, chosen is not recording
 
 
-def bent_square(level_of_x_max: float, on_seat: bool) -> float:
-    """Square of how far the spring was bent, in Xmax, at most.
+def excursion_square(level_of_x_max: float, on_seat: bool) -> float:
+    """Return the largest square of the spring's excursion in Xmax.
 
-    On a seat the frame moves against the mass, by m / M of it, which the mass alone does not tell;
-    twice the square is enough for any frame from 2.4 times the moving mass on.
+    On a seat the frame also moves, by m / M, which the mass alone does not show. Twice the square
+    covers any frame of at least 2.4 times the moving mass.
     """
     return level_of_x_max**2 * (2.0 if on_seat else 1.0)
 
 
-def with_seat(recording: Recording, model: Model, simple: Fit, log_hz: float) -> tuple[Fit, bool]:
-    """The simple fit, or one with a seat, and whether: if that explains more, and is one.
+def fit_seat(recording: Recording, model: Model, simple: Fit, log_hz: float) -> tuple[Fit, bool]:
+    """Return the simple fit or, if it explains more, one with a seat; and which it is.
 
-    A seat's own mode lies below that of the actuator, log_hz, and is damped; what is not like
-    that is not in the model.
+    A seat's own mode must be damped and lie below that of the actuator, log_hz.
     """
     own = log_hz - math.log(4.0)
     highest = np.array([log_hz - math.log(1.5), math.log(5.0)] * 2)
     lowest = np.array([math.log(2.0), math.log(0.2)] * 2)
     if np.any(highest < lowest + 0.5):
-        return simple, False  # there is no room for a seat below such a mode
+        return simple, False  # no seat fits below such a mode
     far = np.full(len(simple.logs), 25.0)
     limits = np.concatenate([-far, lowest]), np.concatenate([far, highest])
     seats = [
@@ -152,11 +146,11 @@ def with_seat(recording: Recording, model: Model, simple: Fit, log_hz: float) ->
         richer = fit(recording, model, seats, limits)
     except IdentificationError:
         return simple, False
-    return (richer, True) if better(simple, richer) else (simple, False)
+    return (richer, True) if is_better(simple, richer) else (simple, False)
 
 
 def _starts(recording: Recording, electrical: bool) -> list[FloatArray]:
-    """A grid over the band and usual Q; the sensitivity that suits each follows from it."""
+    """Return a grid over the band and usual Q, each with its best sensitivity."""
     sweep, band = recording.sweep, recording.band
     f = recording.frequencies_hz[band]
     drive, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
@@ -179,12 +173,12 @@ def _starts(recording: Recording, electrical: bool) -> list[FloatArray]:
 
 
 def refuse_outside(recording: Recording, log_hz: float) -> None:
-    """Refuse a resonance that the sweep has not passed; log_hz: of its f0.
+    """Refuse a resonance, by log f0, outside the sweep or too close to its ends.
 
     Raises
     ------
     IdentificationError
-        It is below, above, or so close to an end that the ends decide.
+        The message says at which end.
     """
     sweep = recording.sweep
     low, high = 1.1 * sweep.low_hz, 0.9 * sweep.high_hz
@@ -198,7 +192,7 @@ def refuse_outside(recording: Recording, log_hz: float) -> None:
 
 
 def _excursion_m(recording: Recording, found: Fit, electrical: bool) -> float:
-    """Peak excursion of the moving mass by the model, m: two integrations of its acceleration."""
+    """Return the modelled peak excursion of the moving mass, m, by two integrations."""
     band = recording.band
     f = recording.frequencies_hz[band]
     spectrum = np.zeros(len(recording.frequencies_hz), complex)

@@ -1,7 +1,7 @@
-"""A rig's calibration: sweeps from low to the wanted level, then everything that follows.
+"""Calibration: sweeps at a quarter, half and all of a level, and everything that follows from them.
 
-Nothing here knows whether a twin or a real rig answers: whoever measures is a `Laboratory`. What
-can be identified depends on what it can measure; only that is given.
+A problem at a low level ends the calibration before anything gets loud. Whoever measures is a
+`Laboratory`; only what its channels can identify is given.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,31 +13,41 @@ from scipy.fft import irfft
 
 from device.identification.acceleration import Mode, identify_mode
 from device.identification.impedance import Impedance, identify_impedance
-from device.identification.mechanics import ForceFactor, by_acceleration, by_known_mass, mechanical
+from device.identification.mechanics import (
+    ForceFactor,
+    by_acceleration,
+    by_known_mass,
+    solve_mechanics,
+)
 from device.identification.output_error import Estimate
 from device.identification.recording import IdentificationError, Recording
-from device.identification.rig_values import Values, with_identified, with_matched
+from device.identification.rig_values import Values, add_identified, add_matched
 from device.identification.simulated_laboratory import LARGEST_SHARE
 from device.identification.sweep import Sweep
-from device.identification.transfer import Quality, quality, transfer
+from device.identification.transfer import (
+    Quality,
+    assess_quality,
+    check_recording,
+    estimate_transfer,
+)
 from device.rig.rig import Rig
 
 STEPS = (0.25, 0.5, 1.0)
-"""Of the wanted level."""
+"""Levels in turn, as shares of the wanted one."""
 TOO_FAR = 1.1 * LARGEST_SHARE
 _UNEXPECTED = 1.3
-"""A response may grow by this factor more or less than the level does."""
+"""A response may grow by this factor more or less than the level."""
 
 
 class Laboratory(Protocol):
-    """Whoever plays a sweep and reads what comes of it."""
+    """Plays a sweep and records the response."""
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
-        """One recording a pair (reference, response), all of the same sweep."""
+        """Return a recording per pair (reference, response), all of the same sweep."""
         ...
 
 
-def swept(
+def play_steps(
     laboratory: Laboratory,
     rig: Rig,
     sweep: Sweep,
@@ -46,14 +56,14 @@ def swept(
     *,
     scaled: bool,
 ) -> list[Recording]:
-    """The recordings of the last of STEPS; tell: called with each level before it is played.
+    """Return the recordings of the last of STEPS; `tell` is called before each level.
 
-    scaled: accelerations are in m/s^2, so that how far the next step would move is known.
+    With `scaled`, accelerations are in m/s^2, so the next step's excursion is known in advance.
 
     Raises
     ------
     IdentificationError
-        Something clips or is not as expected; nothing louder was played.
+        Something clips or is unexpected; nothing louder was played.
     """
     recordings: list[Recording] = []
     for step, after in zip(STEPS, (*STEPS[1:], STEPS[-1]), strict=True):
@@ -61,19 +71,19 @@ def swept(
         tell(louder.level)
         before, recordings = recordings, laboratory.measure(louder, pairs)
         for recording in recordings:
-            recording.check()
+            check_recording(recording)
         for quiet, loud in zip(before, recordings, strict=False):
             _compare(quiet, loud)
         for recording in recordings:
             if scaled and recording.names[1] == "acceleration":
                 share = after / step * excursion_m(recording) / rig.actuator.x_max_m
                 if share > TOO_FAR:
-                    raise moves_too_far(rig, share)
+                    raise too_far_error(rig, share)
     return recordings
 
 
-def moves_too_far(rig: Rig, share: float) -> IdentificationError:
-    """The error that a sweep moves, or the next would move, that share of Xmax."""
+def too_far_error(rig: Rig, share: float) -> IdentificationError:
+    """Return the error for an excursion of that share of Xmax."""
     return IdentificationError(
         f"a sweep of that level moves {share:.2f} Xmax, at most {LARGEST_SHARE} is allowed: "
         f"rig {rig.name!r} moves more than it says; lower the level"
@@ -81,11 +91,8 @@ def moves_too_far(rig: Rig, share: float) -> IdentificationError:
 
 
 def excursion_m(recording: Recording) -> float:
-    """Peak excursion that follows from a recorded acceleration, m, without any model.
-
-    Twice integrated in the band, of what follows the reference linearly.
-    """
-    found, band = transfer(recording), recording.band
+    """Return the peak excursion, m, by integrating the linear part of an acceleration twice."""
+    found, band = estimate_transfer(recording), recording.band
     spectrum = np.zeros(len(recording.frequencies_hz), complex)
     motion = found.response * recording.reference_spectrum[band]
     spectrum[band] = motion / -((2.0 * np.pi * found.frequencies_hz) ** 2)
@@ -93,7 +100,7 @@ def excursion_m(recording: Recording) -> float:
 
 
 def _compare(quiet: Recording, loud: Recording) -> None:
-    """Refuse a response that does not grow as the level does."""
+    """Refuse a response that does not grow with the level."""
     ratio = loud.sweep.level / quiet.sweep.level
     grown = float(np.std(loud.response) / np.std(quiet.response))
     if not ratio / _UNEXPECTED <= grown <= ratio * _UNEXPECTED:
@@ -109,37 +116,28 @@ __all__ = ["ALL_PAIRS", "STEPS", "Calibration", "Laboratory", "calibrate"]
 ALL_PAIRS = (("current", "acceleration"), ("voltage", "current"), ("voltage", "acceleration"))
 
 COIL = ("force_factor_n_per_a", "resistance_ohm", "inductance_h", "moving_mass_kg")
-"""What has to be known of an actuator for its mechanics to follow from its damped mode."""
+"""Parameters from which the mechanics follow from the damped mode."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What came of it; None where what was measured does not say it.
+    """The result; None where the measurement does not show it."""
 
-    values: by parameter, with intervals; rig: with them, None where none can be written, and
-    why_not says why. mode: against the current; driven: under the voltage, or for what was played;
-    force_factor: None on a seat that gives way, and without a scale or an impedance. sweep: the
-    loudest. level_of_x_max: how far the mass moved at most, in Xmax; None where the acceleration
-    has no scale, and then neither a sensitivity means anything. matched: f0 and Qms of `rig` are
-    such that with its assumed coil the driven mode is the measured one; they are no `values`.
-    qualities: of every recording.
-    """
-
-    rig: Rig | None
+    rig: Rig | None  # with the values; None if none can be written
     values: Values
-    mode: Mode | None
-    driven: Mode | None
+    mode: Mode | None  # against the current
+    driven: Mode | None  # against the voltage or the played signal
     impedance: Impedance | None
-    force_factor: ForceFactor | None
-    sweep: Sweep
-    level_of_x_max: float | None = None
-    matched: bool = False
-    why_not: str = ""
-    qualities: tuple[Quality, ...] = ()
+    force_factor: ForceFactor | None  # needs solid ground, a scale and an impedance
+    sweep: Sweep  # the loudest
+    level_of_x_max: float | None = None  # largest excursion; None if acceleration has no scale
+    matched: bool = False  # the rig's f0 and Qms rely on its assumed coil, so they are no values
+    why_not: str = ""  # why there is no rig
+    qualities: tuple[Quality, ...] = ()  # of every recording
 
     @property
     def on_seat(self) -> bool:
-        """Whether a frame that gives way was needed to explain any response."""
+        """Whether any response needs a moving frame."""
         return any(found.on_seat for found in (self.mode, self.driven, self.impedance) if found)
 
 
@@ -153,18 +151,32 @@ def calibrate(
     scaled: bool = True,
     weighed: Estimate | None = None,
 ) -> Calibration:
-    """Play the sweep at a quarter, half and all of its level; tell: called with each before it.
+    """Play the sweep at a quarter, half and all of its level, and identify the rig.
 
-    pairs: what the laboratory can measure, of ALL_PAIRS and ("drive", "acceleration"). scaled: its
-    accelerations are in m/s^2. weighed: the moving mass, kg, if it was.
+    Parameters
+    ----------
+    laboratory : Laboratory
+        Who measures.
+    rig : Rig
+        What is known of the rig.
+    sweep : Sweep
+        The loudest sweep.
+    tell : Callable[[float], None]
+        Called with each level before it is played.
+    pairs : Sequence[tuple[str, str]]
+        What the laboratory can measure: of ALL_PAIRS and ("drive", "acceleration").
+    scaled : bool
+        Accelerations are in m/s^2.
+    weighed : Estimate | None
+        The moving mass, kg, if it was weighed.
 
     Raises
     ------
     IdentificationError
-        Something clips or is not as expected, and nothing louder was played; or a value is not
-        identified. Then there is no number at all.
+        Something clips or is unexpected, and nothing louder was played; or a value is not
+        identified.
     """
-    recordings = swept(laboratory, rig, sweep, pairs, tell, scaled=scaled)
+    recordings = play_steps(laboratory, rig, sweep, pairs, tell, scaled=scaled)
     there = {recording.names: recording for recording in recordings}
     mode = driven = impedance = level = None
     x_max_m = rig.actuator.x_max_m if scaled else float("inf")
@@ -175,20 +187,22 @@ def calibrate(
         driven = identify_mode(recording, x_max_m, "voltage")
         level = driven.level_of_x_max if scaled and level is None else level
     if level is not None and level > TOO_FAR:
-        raise moves_too_far(rig, level)
+        raise too_far_error(rig, level)
     if recording := there.get(("voltage", "current")):
         impedance = identify_impedance(recording, level_of_x_max=level or 0.0)
     found = Calibration(
         None, {}, mode, driven, impedance, None, sweep, level,
-        qualities=tuple(quality(recording) for recording in recordings),
+        qualities=tuple(assess_quality(recording) for recording in recordings),
     )  # fmt: skip
     if impedance is None and mode is None:
-        return _by_the_coil(found, rig, there)
-    return _directly(found, rig, scaled, weighed)
+        return _add_by_coil(found, rig, there)
+    return _add_direct(found, rig, scaled, weighed)
 
 
-def _directly(found: Calibration, rig: Rig, scaled: bool, weighed: Estimate | None) -> Calibration:
-    """With what the current says, which needs nothing that the rig's file says."""
+def _add_direct(
+    found: Calibration, rig: Rig, scaled: bool, weighed: Estimate | None
+) -> Calibration:
+    """Add what the current shows; that needs no value of the rig's file."""
     mode, impedance, force_factor = found.mode, found.impedance, None
     values: Values = {}
     if mode is not None:
@@ -206,21 +220,21 @@ def _directly(found: Calibration, rig: Rig, scaled: bool, weighed: Estimate | No
     if force_factor is not None:
         values["actuator.force_factor_n_per_a"] = force_factor.force_factor_n_per_a
         values["actuator.moving_mass_kg"] = force_factor.moving_mass_kg
-    identified = with_identified(rig, values, _words(found))
+    identified = add_identified(rig, values, _describe(found))
     return replace(found, rig=identified, values=values, force_factor=force_factor)
 
 
-def _by_the_coil(
+def _add_by_coil(
     found: Calibration, rig: Rig, there: dict[tuple[str, str], Recording]
 ) -> Calibration:
-    """With the acceleration alone: the mechanics follow as far as the rig's coil is known."""
+    """Add what acceleration alone shows; the mechanics need the rig's coil."""
     assert found.driven is not None
     driving = rig
-    if ("drive", "acceleration") in there:  # the amplifier's output damps less than the terminals
+    if ("drive", "acceleration") in there:  # the amplifier's impedance reduces the damping
         ohms = rig.actuator.resistance_ohm + rig.amplifier.source_impedance_ohm
         driving = replace(rig, actuator=replace(rig.actuator, resistance_ohm=ohms))
     try:
-        mechanics = mechanical(found.driven, driving)
+        mechanics = solve_mechanics(found.driven, driving)
     except IdentificationError as error:
         return replace(found, why_not=str(error))
     values: Values = {
@@ -229,16 +243,16 @@ def _by_the_coil(
     }
     assumed = [name for name in COIL if f"actuator.{name}" in rig.assumed()]
     if not assumed:
-        return replace(found, rig=with_identified(rig, values, _words(found)), values=values)
+        return replace(found, rig=add_identified(rig, values, _describe(found)), values=values)
     driven = found.driven
     words = (
         f"with the assumed {', '.join(assumed)} it gives the mode that was identified, "
-        f"{driven.f0_hz.value:.2f} Hz with Q {driven.q.value:.2f}: {_words(found)}"
+        f"{driven.f0_hz.value:.2f} Hz with Q {driven.q.value:.2f}: {_describe(found)}"
     )
-    return replace(found, rig=with_matched(rig, values, words), matched=True)
+    return replace(found, rig=add_matched(rig, values, words), matched=True)
 
 
-def _words(found: Calibration) -> str:
+def _describe(found: Calibration) -> str:
     level = found.level_of_x_max
     how_far = f"{found.sweep.level:.3g} of full scale" if level is None else f"{level:.3f} Xmax"
     where = "on a seat that gives way" if found.on_seat else "on solid ground"

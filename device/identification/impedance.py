@@ -11,12 +11,13 @@ from device.identification.acceleration import (
     F0_BY_LEVEL,
     MOST_MISFIT,
     Q_BY_LEVEL,
-    bent_square,
+    excursion_square,
+    fit_seat,
     refuse_outside,
-    with_seat,
 )
 from device.identification.output_error import Estimate, Fit, fit, require
 from device.identification.recording import IdentificationError, Recording
+from device.identification.transfer import check_recording
 from device.units import FloatArray
 
 WIDEST = {
@@ -26,7 +27,7 @@ WIDEST = {
     "q_mechanical": 0.3,
     "q_electrical": 0.3,
 }
-"""Half an interval of 95 %, as a share, beyond which nothing is called identified."""
+"""Half the widest accepted 95 % interval, as a share."""
 _ADVICE = (
     "its rise at the resonance is small against the noise: raise the level a little, make the "
     "sweep longer, or measure the acceleration"
@@ -35,41 +36,36 @@ _ADVICE = (
 
 @dataclass(frozen=True)
 class Impedance:
-    """What current for voltage at the coil says. resistance_ohm: Re; inductance_h: Le; f0_hz and
-    q_mechanical: with the coil open; q_electrical: at the coil itself, without a source.
-
-    motional_ohm_rad_s: Bl^2 / m, which becomes Bl where m is known. on_seat: see `Mode`; f0 and m
-    are then those of the actuator on it. fit: for what follows from several.
-    """
+    """What current for voltage at the coil shows; on a seat, f0 and m are those on it."""
 
     resistance_ohm: Estimate
     inductance_h: Estimate
-    f0_hz: Estimate
+    f0_hz: Estimate  # with the coil open
     q_mechanical: Estimate
-    q_electrical: Estimate
-    motional_ohm_rad_s: Estimate
-    on_seat: bool
+    q_electrical: Estimate  # at the coil itself, without a source
+    motional_ohm_rad_s: Estimate  # Bl^2 / m
+    on_seat: bool  # see `Mode`
     fit: Fit
 
 
 MOTIONAL = {4: 1.0, 2: 1.0, 3: -1.0}
-"""Bl^2 / m = Res w0 / Qms, as powers of the fit's parameters; tau makes w0 of f0."""
+"""Bl^2 / m = Res w0 / Qms as powers of the fit's parameters, times tau because w0 = tau f0."""
 
 
 def identify_impedance(recording: Recording, *, level_of_x_max: float = 0.0) -> Impedance:
-    """The electrical side that a recording of current for the coil's voltage shows.
+    """Return the electrical side from a recording of current for the coil's voltage.
 
-    level_of_x_max: how far the sweep moved; the intervals of f0 and Q go down by what that shifts.
+    The intervals of f0 and Q are extended down by the shift at level_of_x_max.
 
     Raises
     ------
     IdentificationError
-        As `identify_mode`: there is no number then.
+        See `identify_mode`.
     """
-    recording.check()
+    check_recording(recording)
     starts = _starts(recording)
     simple = fit(recording, responses.admittance, starts)
-    found, on_seat = with_seat(recording, responses.admittance, simple, simple.logs[2])
+    found, on_seat = fit_seat(recording, responses.admittance, simple, simple.logs[2])
     refuse_outside(recording, found.logs[2])
     if found.misfit > MOST_MISFIT:
         raise IdentificationError(
@@ -87,16 +83,16 @@ def identify_impedance(recording: Recording, *, level_of_x_max: float = 0.0) -> 
     values = {name: found.estimate(power) for name, power in powers.items()}
     for name, value in values.items():
         require(name, value, WIDEST[name], _ADVICE)
-    square = bent_square(level_of_x_max, on_seat)
-    values["f0_hz"] = values["f0_hz"].lowered(F0_BY_LEVEL * square)
+    square = excursion_square(level_of_x_max, on_seat)
+    values["f0_hz"] = values["f0_hz"].extend_down(F0_BY_LEVEL * square)
     for name in ("q_mechanical", "q_electrical"):
-        values[name] = values[name].lowered(Q_BY_LEVEL * square)
+        values[name] = values[name].extend_down(Q_BY_LEVEL * square)
     motional = found.estimate(MOTIONAL, math.tau)
     return Impedance(**values, motional_ohm_rad_s=motional, on_seat=on_seat, fit=found)
 
 
 def _starts(recording: Recording) -> list[FloatArray]:
-    """A grid of f0 and Qms; the rest is linear in the voltage for the current, so it follows."""
+    """Return a grid of f0 and Qms; the other parameters follow by linear least squares."""
     sweep, band = recording.sweep, recording.band
     f = recording.frequencies_hz[band]
     drive, current = recording.reference_spectrum[band], recording.response_spectrum[band]

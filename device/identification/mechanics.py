@@ -1,7 +1,10 @@
-"""f0 and Qms from the mode under voltage drive, where only the acceleration could be measured.
+"""Moving mass, Bl, f0 and Qms, from several measurements or with what the rig's file states.
 
-The mode's poles solve (s^2 + s w0 / Qms + w0^2) (R + s L) + s Bl^2 / m = 0. With R, L, Bl and m as
-the rig has them, that is one complex equation for w0^2 and w0 / Qms, both real.
+Under voltage drive the mode's poles solve (s^2 + s w0 / Qms + w0^2) (R + s L) + s Bl^2 / m = 0.
+With R, L, Bl and m of the rig, this is one complex equation for w0^2 and w0 / Qms, both real.
+
+The impedance alone gives Bl^2 / m only (Thiele, Small). A known mass or Bl / m from an
+accelerometer gives the rest.
 """
 
 import math
@@ -15,10 +18,10 @@ from device.identification.acceleration import (
     WIDEST_F0,
     WIDEST_Q,
     Mode,
-    bent_square,
+    excursion_square,
 )
 from device.identification.impedance import MOTIONAL, Impedance
-from device.identification.output_error import Estimate, product, require
+from device.identification.output_error import Estimate, multiply_powers, require
 from device.identification.recording import IdentificationError
 from device.rig.rig import Rig
 from device.units import FloatArray
@@ -28,30 +31,26 @@ _STEP = 1e-5
 
 @dataclass(frozen=True)
 class Mechanical:
-    """f0_hz and q_mechanical with the coil open; their intervals take the rest of the rig as it
-    is, so they are right as far as that is.
-    """
+    """f0 and Qms with the coil open; the intervals assume that the rest of the rig is exact."""
 
     f0_hz: Estimate
     q_mechanical: Estimate
 
 
-def mechanical(mode: Mode, rig: Rig) -> Mechanical:
-    """What the mode under the rig's drive says of the mechanics.
-
-    voltage: taken at the coil's terminals, so without the source's impedance.
+def solve_mechanics(mode: Mode, rig: Rig) -> Mechanical:
+    """Return f0 and Qms that explain a mode; voltage is that at the coil's terminals.
 
     Raises
     ------
     IdentificationError
-        The rig's Bl, R, L and m contradict the mode, or nothing follows from it.
+        The rig's Bl, R, L and m contradict the mode, or the mode does not ring.
     """
     if mode.drive == "current":
         return Mechanical(mode.f0_hz, mode.q)
     centre = mode.fit.logs[1:3]
-    logs = _solved(centre, rig)
+    logs = _solve_logs(centre, rig)
     columns = [
-        (_solved(centre + shift, rig) - _solved(centre - shift, rig)) / (2.0 * _STEP)
+        (_solve_logs(centre + shift, rig) - _solve_logs(centre - shift, rig)) / (2.0 * _STEP)
         for shift in _STEP * np.eye(2)
     ]
     slopes = np.column_stack(columns)
@@ -61,16 +60,16 @@ def mechanical(mode: Mode, rig: Rig) -> Mechanical:
         Estimate(math.exp(log), math.exp(log - r), math.exp(log + r))
         for log, r in zip(logs, np.minimum(reach, 50.0), strict=True)
     )
-    share = bent_square(mode.level_of_x_max, mode.on_seat)
+    share = excursion_square(mode.level_of_x_max, mode.on_seat)
     require("f0_hz", f0, WIDEST_F0, "measure the current as well")
     require("q_mechanical", q, 2.0 * WIDEST_Q, "measure the current as well")
-    # Qms is what is left of Q when the electrical damping is taken away: so is the level's share.
-    widened = Q_BY_LEVEL * share * max(1.0, float(np.abs(slopes[1]).max()))
-    return Mechanical(f0.lowered(F0_BY_LEVEL * share), q.lowered(widened))
+    # Qms is Q without the electrical damping, so the effect of the level grows alike.
+    extent = Q_BY_LEVEL * share * max(1.0, float(np.abs(slopes[1]).max()))
+    return Mechanical(f0.extend_down(F0_BY_LEVEL * share), q.extend_down(extent))
 
 
-def _solved(logs: FloatArray, rig: Rig) -> FloatArray:
-    """log f0 and Qms for those of the mode."""
+def _solve_logs(logs: FloatArray, rig: Rig) -> FloatArray:
+    """Return the logs of f0 and Qms for those of the mode."""
     a = rig.actuator
     w, q = math.tau * math.exp(logs[0]), math.exp(logs[1])
     real = -w / (2.0 * q)
@@ -106,7 +105,7 @@ class ForceFactor:
 
 
 def by_known_mass(impedance: Impedance, mass: Estimate) -> ForceFactor:
-    """Bl for a moving mass that was weighed, with its interval; kg.
+    """Return Bl for a moving mass, kg, that was weighed.
 
     Raises
     ------
@@ -115,7 +114,7 @@ def by_known_mass(impedance: Impedance, mass: Estimate) -> ForceFactor:
     """
     share = mass.relative / 1.96
     half = {index: 0.5 * power for index, power in MOTIONAL.items()}
-    alone = product([(impedance.fit, half)], math.sqrt(math.tau * mass.value))
+    alone = multiply_powers([(impedance.fit, half)], math.sqrt(math.tau * mass.value))
     spread = math.hypot(math.log(alone.high / alone.value), 0.5 * 1.96 * share)
     force_factor = _around(alone.value, spread)
     require("force_factor_n_per_a", force_factor, WIDEST_BL, "weigh the mass again")
@@ -123,7 +122,7 @@ def by_known_mass(impedance: Impedance, mass: Estimate) -> ForceFactor:
 
 
 def by_acceleration(impedance: Impedance, mode: Mode) -> ForceFactor:
-    """Bl and m from Bl^2 / m of the impedance and Bl / m of the acceleration for the current.
+    """Return Bl and m from the impedance (Bl^2 / m) and acceleration for current (Bl / m).
 
     Raises
     ------
@@ -142,8 +141,8 @@ def by_acceleration(impedance: Impedance, mode: Mode) -> ForceFactor:
         )
     minus = {index: -power for index, power in _SENSITIVITY.items()}
     twice = {index: -2.0 * power for index, power in _SENSITIVITY.items()}
-    force_factor = product([(impedance.fit, MOTIONAL), (mode.fit, minus)], math.tau)
-    mass = product([(impedance.fit, MOTIONAL), (mode.fit, twice)], math.tau)
+    force_factor = multiply_powers([(impedance.fit, MOTIONAL), (mode.fit, minus)], math.tau)
+    mass = multiply_powers([(impedance.fit, MOTIONAL), (mode.fit, twice)], math.tau)
     advice = "fasten the accelerometer to what moves and sweep again"
     require("force_factor_n_per_a", force_factor, WIDEST_BL, advice)
     require("moving_mass_kg", mass, WIDEST_MASS, advice)

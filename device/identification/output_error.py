@@ -21,15 +21,15 @@ Model = Callable[[FloatArray, FloatArray], Response]
 
 _NORMAL_95 = 1.959964
 _WEIGHTINGS = 4
-"""The noise's spectrum is known only after a fit, and a fit needs it: so often both in turn."""
+"""The fit needs the noise's spectrum, which follows from a fit: both alternate this often."""
 _SMOOTH_BINS = 101
 _FAR = 25.0
-"""Logarithms this large are no parameters of a rig: they keep exponentials finite."""
+"""The bound of all logarithms; it keeps exponentials finite."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its interval of 95 %, in the same unit."""
+    """A value with its 95 % interval, in the same unit."""
 
     value: float
     low: float
@@ -45,12 +45,12 @@ class Estimate:
         """low and high."""
         return self.low, self.high
 
-    def lowered(self, share: float) -> "Estimate":
-        """With an interval that reaches down by a share of the value more."""
+    def extend_down(self, share: float) -> "Estimate":
+        """Return the estimate with its interval extended downwards by a share of the value."""
         return Estimate(self.value, self.low - share * self.value, self.high)
 
-    def widened(self, share: float) -> "Estimate":
-        """With an interval that has one of an independent error, of a share of the value, in it."""
+    def widen(self, share: float) -> "Estimate":
+        """Return the estimate with an independent error, a share of the value, in its interval."""
         more = share * self.value
         low = self.value - math.hypot(self.value - self.low, more)
         return Estimate(self.value, low, self.value + math.hypot(self.high - self.value, more))
@@ -58,28 +58,24 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """Logarithms of the parameters, (parameters,), their covariance, and how well it fits.
+    """The result of a fit."""
 
-    misfit: r.m.s. of what is left beyond noise, as a share of the response's r.m.s.; alike:
-    correlation of neighbouring bins of what is left, 0 for noise; cost: for comparing models.
-    """
-
-    logs: FloatArray
-    covariance: FloatArray
-    misfit: float
-    alike: float
-    cost: float
+    logs: FloatArray  # logarithms of the parameters, (parameters,)
+    covariance: FloatArray  # of the logarithms
+    misfit: float  # r.m.s. of the residual beyond noise, as a share of the response's r.m.s.
+    correlation: float  # of neighbouring bins of the residual, 0 for noise
+    cost: float  # for comparing models
     bins: int
 
     def estimate(self, weights: dict[int, float], factor: float = 1.0) -> Estimate:
-        """factor times the product of parameters to some powers, {index: power}."""
-        return product([(self, weights)], factor)
+        """Return factor times the product of parameters to some powers, {index: power}."""
+        return multiply_powers([(self, weights)], factor)
 
 
-def product(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float = 1.0) -> Estimate:
-    """factor times a product of powers of parameters, of one fit or of several independent ones.
+def multiply_powers(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float = 1.0) -> Estimate:
+    """Return factor times a product of powers of parameters, of one or several independent fits.
 
-    Powers are linear in logarithms, so that the interval follows without linearising anything.
+    Powers are linear in logarithms, so the interval follows without linearisation.
     """
     log, variance = math.log(factor), 0.0
     for fit, powers in parts:
@@ -100,16 +96,23 @@ def fit(
     starts: Sequence[FloatArray],
     limits: tuple[FloatArray, FloatArray] | None = None,
 ) -> Fit:
-    """The parameters of a model of responses that explain the recording best.
+    """Return the parameters of a model that explain the recording best.
 
-    starts: several guesses; the best two are followed, so that a wrong one does no harm. limits:
-    lowest and highest logarithms, (parameters,) each; one that ends there is held, and is no longer
-    uncertain.
+    Parameters
+    ----------
+    recording : Recording
+        A checked recording.
+    model : Model
+        A function of responses.py.
+    starts : Sequence[FloatArray]
+        Several guesses; the best two are followed.
+    limits : tuple[FloatArray, FloatArray] | None
+        Lowest and highest logarithms. A parameter at a limit is fixed and has no variance.
 
     Raises
     ------
     IdentificationError
-        It does not converge.
+        The fit does not converge.
     """
     far = np.full(len(starts[0]), _FAR)
     low, high = limits or (-far, far)
@@ -152,10 +155,10 @@ def fit(
         )
     e = left(logs)
     slopes = jacobian(logs)
-    # Bins of one response are alike where the model cannot follow it; noise has them independent.
+    # Neighbouring bins correlate where the model cannot follow; those of noise are independent.
     turned = e * np.exp(-1j * np.angle(drive))
-    alike = float(np.real(np.vdot(turned[1:], turned[:-1])) / np.sum(np.abs(turned) ** 2))
-    held = max(0.0, min(alike, 0.98))
+    correlation = float(np.real(np.vdot(turned[1:], turned[:-1])) / np.sum(np.abs(turned) ** 2))
+    held = max(0.0, min(correlation, 0.98))
     variance = 0.5 * float(np.mean(np.abs(e) ** 2)) * (1.0 + held) / (1.0 - held)
     free = np.flatnonzero(np.minimum(logs - low, high - logs) > 1e-3)
     covariance = np.zeros((len(logs), len(logs)))
@@ -166,11 +169,11 @@ def fit(
     power = float(np.sum(np.abs(measured) ** 2))
     misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / power)
     likelihood = float(np.sum(np.log(deviation**2))) + float(np.sum(np.abs(e) ** 2))
-    return Fit(logs, covariance, misfit, alike, likelihood, len(f))
+    return Fit(logs, covariance, misfit, correlation, likelihood, len(f))
 
 
-def better(simple: Fit, richer: Fit) -> bool:
-    """Whether the richer model explains more than its parameters would explain of noise."""
+def is_better(simple: Fit, richer: Fit) -> bool:
+    """Return whether the richer model explains more than its parameters would of noise."""
     more = len(richer.logs) - len(simple.logs)
     return simple.cost - richer.cost > 2.0 * more * math.log(2 * richer.bins)
 

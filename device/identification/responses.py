@@ -1,7 +1,7 @@
-"""Frequency responses made of factors, with the derivatives of their logarithms. Pure functions.
+"""Frequency responses made of factors, with derivatives by their parameters. Pure functions.
 
-All parameters are logarithms, so that each is well scaled, none can become negative, and an
-interval in them is one in per cent. s = j w.
+All parameters are logarithms: each is well scaled and stays positive, and its interval is relative.
+s = j w.
 """
 
 import math
@@ -12,27 +12,27 @@ from device.identification.recording import ComplexArray
 from device.units import FloatArray
 
 Response = tuple[ComplexArray, ComplexArray]
-"""H at (bins,), and its derivatives with the parameters, (bins, parameters)."""
+"""H, (bins,), and its derivatives by the parameters, (bins, parameters)."""
 
 
 def pair(f: FloatArray, log_hz: float, log_q: float) -> Response:
-    """1 - r^2 + j r / Q, r = f / f0: two poles or zeros, 1 at 0 Hz; derivatives with log f0, Q."""
+    """Return 1 - r^2 + j r / Q with r = f / f0: two poles or zeros, 1 at 0 Hz."""
     r = f / math.exp(log_hz)
     damped: ComplexArray = 1j * r / math.exp(log_q)
     return np.asarray(1.0 - r**2 + damped), np.column_stack([2.0 * r**2 - damped, -damped])
 
 
 def lag(f: FloatArray, log_s: float) -> Response:
-    """1 + s T: one pole or zero; derivative with log T."""
+    """Return 1 + s T: one pole or zero."""
     turn: ComplexArray = 1j * math.tau * f * math.exp(log_s)
     return np.asarray(1.0 + turn), turn[:, None]
 
 
 def seat(f: FloatArray, p: FloatArray) -> Response:
-    """What a frame that gives way does: two zeros over two poles, 1 well above them.
+    """Return the factor of a moving frame: two zeros over two poles, 1 well above them.
 
-    p: log of the zeros' frequency and Q, then of the poles'. The zeros of the response of a mass
-    to a force inside the frame are the frame's own mode.
+    p holds the logs of the zeros' frequency and Q, then of the poles'. The zeros are the frame's
+    own mode.
     """
     above, d_above = pair(f, p[0], p[1])
     below, d_below = pair(f, p[2], p[3])
@@ -44,10 +44,10 @@ def seat(f: FloatArray, p: FloatArray) -> Response:
 
 
 def acceleration(f: FloatArray, p: FloatArray, *, electrical: bool) -> Response:
-    """Acceleration for a drive: S (s/w0)^2 / pair / lag, and the seat's factor where p has it.
+    """Return acceleration for a drive: S (s/w0)^2 / pair / lag, with the seat's factor if in p.
 
-    p: log S, f0, Q[, T][, the seat's four]. The lag, the coil's, is there under voltage drive.
-    S is what is left above the resonance.
+    p holds the logs of S, f0, Q[, T][, the seat's four]. The coil's lag T applies to voltage drive.
+    S is the sensitivity above the resonance.
     """
     d, dd = pair(f, p[1], p[2])
     r2 = -((f / math.exp(p[1])) ** 2)
@@ -71,9 +71,9 @@ DELAY_S = 1e-3
 
 
 def delayed_acceleration(f: FloatArray, p: FloatArray) -> Response:
-    """`acceleration` for a voltage, later by p[4] ms: that parameter is no logarithm.
+    """Return `acceleration` for a voltage, delayed by p[4] ms, which is not a logarithm.
 
-    p: log S, f0, Q, T, the delay[, the seat's four].
+    p holds the logs of S, f0, Q, T, then the delay[, the seat's four].
     """
     h, slopes = acceleration(f, np.delete(p, 4), electrical=True)
     rate: ComplexArray = -1j * math.tau * f * DELAY_S
@@ -83,10 +83,10 @@ def delayed_acceleration(f: FloatArray, p: FloatArray) -> Response:
 
 
 def admittance(f: FloatArray, p: FloatArray) -> Response:
-    """Current for voltage at the coil: 1 / (Re + s Le + Res (s / w0 / Qms) / pair).
+    """Return current for voltage at the coil: 1 / (Re + s Le + Res (s / w0 / Qms) / pair).
 
-    p: log Re, Le, f0, Qms, Res[, the seat's four]. Res = Bl^2 Qms / (m w0) is how far the
-    impedance rises at the resonance.
+    p holds the logs of Re, Le, f0, Qms, Res[, the seat's four]. Res = Bl^2 Qms / (m w0) is the rise
+    of the impedance at the resonance (Thiele, Small).
     """
     d, dd = pair(f, p[2], p[3])
     resistance, inductance = math.exp(p[0]), math.exp(p[1])

@@ -1,4 +1,4 @@
-"""What was identified, written into a rig and its file, each value with its interval."""
+"""Identified values in a rig and its file, each with its interval."""
 
 import json
 from dataclasses import fields, replace
@@ -11,36 +11,36 @@ from device.identification.output_error import Estimate
 from device.rig.rig import Rig, Source
 
 Values = dict[str, Estimate]
-"""By parameter, "actuator.resonance_hz"."""
+"""By parameter, such as "actuator.resonance_hz"."""
 
 
-def with_identified(rig: Rig, values: Values, words: str) -> Rig:
-    """The rig with those values, of origin "identified"; words: by which sweep and how loud.
+def add_identified(rig: Rig, values: Values, words: str) -> Rig:
+    """Return the rig with identified values; the words name the sweep and its level.
 
     Raises
     ------
     UsageError
-        A parameter is not there, or the values contradict the rig.
+        The rig lacks a parameter, or the values contradict the rig.
     """
     known = tuple(
         Source(parameter, "identified", words, estimate.interval)
         for parameter, estimate in values.items()
     )
-    return _replaced(rig, values, known)
+    return _replace_values(rig, values, known)
 
 
-def with_matched(rig: Rig, values: Values, words: str) -> Rig:
-    """The rig with those values, still assumed, as they hold with others that are; words: how.
+def add_matched(rig: Rig, values: Values, words: str) -> Rig:
+    """Return the rig with values that stay "assumed", because they rely on assumed ones.
 
     Raises
     ------
     UsageError
-        As `with_identified`.
+        See `add_identified`.
     """
-    return _replaced(rig, values, tuple(Source(name, "assumed", words) for name in values))
+    return _replace_values(rig, values, tuple(Source(name, "assumed", words) for name in values))
 
 
-def _replaced(rig: Rig, values: Values, known: tuple[Source, ...]) -> Rig:
+def _replace_values(rig: Rig, values: Values, known: tuple[Source, ...]) -> Rig:
     stages = rig.stages()
     changed: dict[str, dict[str, float]] = {}
     for parameter, estimate in values.items():
@@ -55,8 +55,8 @@ def _replaced(rig: Rig, values: Values, known: tuple[Source, ...]) -> Rig:
     return replace(rig, **replaced, sources=others + known)
 
 
-def rig_text(rig: Rig) -> str:
-    """The rig as `read_rig` reads it: TOML, a table a stage, with every source."""
+def format_rig(rig: Rig) -> str:
+    """Return the rig as TOML for `read_rig`, with every source."""
     sources = {source.parameter: source for source in rig.sources}
     lines = [f"name = {json.dumps(rig.name)}"]
     for stage, parameters in rig.stages().items():
@@ -76,8 +76,8 @@ def rig_text(rig: Rig) -> str:
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
-    """The rig's file, whole or not at all; see `write_bytes_atomically` for what it raises."""
-    write_bytes_atomically(path, rig_text(rig).encode())
+    """Write the rig's file atomically; see `write_bytes_atomically` for errors."""
+    write_bytes_atomically(path, format_rig(rig).encode())
 
 
 def _toml(value: object) -> str:

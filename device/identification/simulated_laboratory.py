@@ -1,4 +1,4 @@
-"""The twin's laboratory: a rig's own chain driven by a sweep, read through its instruments."""
+"""A laboratory that plays sweeps to the simulated rig and reads its instruments."""
 
 import math
 from collections.abc import Sequence
@@ -18,16 +18,25 @@ from device.rig.rig import Rig
 from device.units import FloatArray
 
 LARGEST_SHARE = 0.15
-"""Of Xmax. Louder, the spring that hardens shifts f0 by more than the sweep's noise does."""
+"""Largest excursion as a share of Xmax. Beyond it, the hardening spring shifts f0 too much."""
 USUAL_SHARE = 0.05
 
 
 class SimulatedLaboratory:
     """One rig with its instruments; every run begins at rest. One thread uses it.
 
-    seat: on the rig's seat; level: model level, None
-    to let it choose; snr_db: noise added to what is read, in the whole recorded band, relative to
-    the signal during the sweep; seed: of all noise.
+    Parameters
+    ----------
+    rig : Rig
+        It must describe its instruments.
+    seat : bool
+        The actuator is on the rig's seat.
+    level : ModelLevel | None
+        The model of the actuator; None selects it block by block.
+    snr_db : float
+        Noise added to each signal, in the whole recorded band, relative to it during the sweep.
+    seed : int
+        Seed of all noise.
 
     Raises
     ------
@@ -49,19 +58,13 @@ class SimulatedLaboratory:
         InstrumentChain(rig, 48_000)  # refuses a rig without instruments
 
     def sweep_at_excursion(self, sweep: Sweep, share: float = USUAL_SHARE) -> Sweep:
-        """The sweep at the level that, linearly, moves that share of Xmax; full scale at most.
-
-        Raises
-        ------
-        UsageError
-            The share is not above 0, up to 0.15.
-        """
+        """Return the sweep at the level of that share of Xmax; see `sweep_at_excursion`."""
         return sweep_at_excursion(self.rig, sweep, share, seat=self._seat)
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
-        """One recording a pair (reference, response) of "voltage", "current", "acceleration".
+        """Return a recording per pair (reference, response), all of the same sweep.
 
-        All are of the same sweep. Voltage is that at the coil's terminals.
+        Each is of "voltage" (at the coil's terminals), "current" or "acceleration".
         """
         rate = sweep.samplerate
         amplifier = self.rig.amplifier
@@ -78,16 +81,16 @@ class SimulatedLaboratory:
         )
         seeds = np.random.SeedSequence(self._seed).spawn(3)
         noisy = [
-            self._noisy(sweep, signal, np.random.default_rng(seed))
+            self._add_noise(sweep, signal, np.random.default_rng(seed))
             for signal, seed in zip(
                 (motion.acceleration_m_s2, motion.current_a, voltage), seeds, strict=True
             )
         ]
         read = {
             "acceleration": chain.acceleration_m_s2(noisy[0]),
-            "current": _scaled(daq, current_range, rate, self._seed + 2, noisy[1]),
-            # The reference is a divider's volts: loud, and without the noise of the others.
-            "voltage": _scaled(daq, amplifier.output_limit_v, rate, self._seed + 3, voltage),
+            "current": _read_scaled(daq, current_range, rate, self._seed + 2, noisy[1]),
+            # The reference is a divider's volts: loud, without the noise of the others.
+            "voltage": _read_scaled(daq, amplifier.output_limit_v, rate, self._seed + 3, voltage),
         }
         step = 2.0 ** (1 - daq.bits)
         limits = {
@@ -107,7 +110,9 @@ class SimulatedLaboratory:
             for reference, response in pairs
         ]
 
-    def _noisy(self, sweep: Sweep, signal: FloatArray, random: np.random.Generator) -> FloatArray:
+    def _add_noise(
+        self, sweep: Sweep, signal: FloatArray, random: np.random.Generator
+    ) -> FloatArray:
         if math.isinf(self._snr_db):
             return signal
         sounding = signal[sweep.lead_frames : len(signal) - round(sweep.tail_s * sweep.samplerate)]
@@ -116,12 +121,14 @@ class SimulatedLaboratory:
 
 
 def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = False) -> Sweep:
-    """The sweep that, linearly, moves that share of the rig's Xmax; full scale at most.
+    """Return the sweep whose linear excursion is that share of the rig's Xmax.
+
+    Its level is at most full scale.
 
     Raises
     ------
     UsageError
-        The share is not above 0, up to 0.15.
+        The share is not above 0 and at most 0.15.
     """
     if not 0.0 < share <= LARGEST_SHARE:
         raise UsageError(
@@ -136,16 +143,16 @@ def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = Fal
     return replace(sweep, level=min(1.0, share * rig.actuator.x_max_m / peak_m))
 
 
-def _scaled(
+def _read_scaled(
     daq: DaqParameters, full_range: float, rate: float, seed: int, signal: FloatArray
 ) -> FloatArray:
-    """A signal read through a divider or a shunt whose range is that of the DAQ."""
+    """Read a signal through a divider or shunt that fits the DAQ's range."""
     scale = full_range / daq.range_v
     return np.asarray(Daq(daq, rate, seed).volts(signal / scale) * scale)
 
 
 def _correction(chain: InstrumentChain, sweep: Sweep, response: str) -> ComplexArray | None:
-    """What the conditioning amplifier does to each bin of a recording of acceleration."""
+    """Return the conditioning amplifier's response for a recording of acceleration."""
     if response != "acceleration":
         return None
     bins = Recording(sweep, np.zeros(sweep.frames), np.zeros(sweep.frames)).frequencies_hz

@@ -1,8 +1,8 @@
 """The exponential sine sweep and the times at which its harmonics appear.
 
 Farina, "Simultaneous measurement of impulse response and distortion with a swept-sine technique",
-AES 108th Convention, 2000: the frequency rises by the same factor in the same time, so what an
-order of distortion adds arrives, after deconvolution, at a time of its own before the response.
+AES 108th Convention, 2000: the frequency rises exponentially, so after deconvolution each order of
+distortion precedes the linear response by a time of its own.
 """
 
 import math
@@ -19,22 +19,18 @@ from device.units import FloatArray
 class Sweep:
     """A sweep between two silences; full scale is 1.0.
 
-    low_hz, high_hz: where it starts and ends; duration_s: of the sweep itself; level: its
-    amplitude, above 0, up to 1; lead_s: silence before it, in which the noise is heard; tail_s:
-    silence after it, in which the rig comes to rest; samplerate: Hz.
-
     Raises
     ------
     UsageError
-        A value is out of range; all of them are named.
+        A value is out of range; the message names all of them.
     """
 
     low_hz: float = 20.0
     high_hz: float = 400.0
-    duration_s: float = 5.0
-    level: float = 0.1
-    lead_s: float = 0.2
-    tail_s: float = 0.8
+    duration_s: float = 5.0  # of the sweep itself
+    level: float = 0.1  # amplitude, above 0, up to 1
+    lead_s: float = 0.2  # silence before it, which shows the noise
+    tail_s: float = 0.8  # silence after it, in which the rig comes to rest
     samplerate: int = 48_000
 
     def __post_init__(self) -> None:
@@ -53,7 +49,7 @@ class Sweep:
 
     @property
     def rise_s(self) -> float:
-        """Time in which the frequency rises by e."""
+        """Time in which the frequency rises by a factor of e."""
         return self.duration_s / math.log(self.high_hz / self.low_hz)
 
     @property
@@ -63,11 +59,11 @@ class Sweep:
 
     @property
     def frames(self) -> int:
-        """Frames of all of it."""
+        """Frames of sweep and silences."""
         return round((self.lead_s + self.duration_s + self.tail_s) * self.samplerate)
 
     def samples(self) -> FloatArray:
-        """(frames,) between ±level, faded in over two periods and out over a 1/100."""
+        """Return (frames,) between ±level, faded in over two periods and out over 1 %."""
         sounding = round(self.duration_s * self.samplerate)
         time_s = np.arange(sounding) / self.samplerate
         rise = self.rise_s
@@ -83,17 +79,20 @@ class Sweep:
         return whole
 
     def harmonic_lead_s(self, order: int) -> float:
-        """How long before the linear response that of a harmonic appears: 0 for order 1."""
+        """Return how long a harmonic's response precedes the linear one: 0 for order 1."""
         return self.rise_s * math.log(order)
 
 
 MARK_S, GAP_S, REST_S = 0.25, 0.4, 0.2
-"""Of a mark, of the silence behind the first one, and behind the last one."""
+"""Length of a mark, of the silence after the first one, and after the last one."""
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """The samples of one measurement around `sweep`; full scale is 1.0."""
+    """One measurement: a mark, the sweep between its silences, the mark again.
+
+    Two equal marks show the drift between two clocks, because the rig changes both alike.
+    """
 
     sweep: Sweep
 
@@ -104,17 +103,17 @@ class Excitation:
 
     @property
     def sweep_start(self) -> int:
-        """The frame at which the sweep's first silence begins."""
+        """First frame of the sweep's first silence."""
         return self.mark_frames + round(GAP_S * self.sweep.samplerate)
 
     @property
     def second_mark(self) -> int:
-        """The frame at which the second mark begins; the first one begins at 0."""
+        """First frame of the second mark; the first mark begins at 0."""
         return self.sweep_start + self.sweep.frames
 
     @property
     def frames(self) -> int:
-        """Frames of all of it."""
+        """Frames of sweep and silences."""
         rest = round(REST_S * self.sweep.samplerate)
         return self.second_mark + self.mark_frames + rest
 

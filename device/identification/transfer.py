@@ -1,13 +1,19 @@
-"""Transfer function with coherence, and distortion by order, from one sweep. Pure functions."""
+"""Transfer function, coherence and distortion of a recording, and whether it can be used."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from device.identification.recording import ComplexArray, Recording
+from device.identification.recording import ComplexArray, IdentificationError, Recording
 from device.units import FloatArray
 
+_CLIPPED_RUN, _CLIPPED_RUNS = 3, 4
+"""This many samples in a row at the peak, this often: a single crest may stay within one step of a
+converter, but the crests of a sweep differ."""
+_AT_THE_LIMIT = 0.999
+_MIN_SIGNAL = 1.5
+"""A signal's r.m.s. must exceed that of the silence before it by this factor."""
 _BEFORE_S = 0.05
 _FADE_SHARE = 0.2
 _SMOOTH_BINS = 15
@@ -15,22 +21,18 @@ _SMOOTH_BINS = 15
 
 @dataclass(frozen=True)
 class Transfer:
-    """Response for reference inside the swept band, (bins,) each.
-
-    frequencies_hz; response: complex, in the unit of the response per that of the reference;
-    coherence: 0 to 1, the share of the response's power that follows the sweep linearly.
-    """
+    """Response for reference inside the swept band, (bins,) each."""
 
     frequencies_hz: FloatArray
-    response: ComplexArray
-    coherence: FloatArray
+    response: ComplexArray  # in the unit of the response per that of the reference
+    coherence: FloatArray  # share of the response's power that follows the sweep linearly
 
 
-def transfer(recording: Recording) -> Transfer:
-    """The transfer function without what its harmonics and the noise outside its time add.
+def estimate_transfer(recording: Recording) -> Transfer:
+    """Return the transfer function without harmonics and without noise outside its time.
 
-    The impulse response is cut from shortly before its start to as long as the silence after the
-    sweep. Coherence is of means over 15 bins: of what is left beside that response.
+    The impulse response is cut from shortly before its start to the length of the silence after
+    the sweep. Coherence compares means over 15 bins with and without the residual.
     """
     rate = recording.sweep.samplerate
     impulse = _impulse_response(recording)
@@ -48,30 +50,24 @@ def transfer(recording: Recording) -> Transfer:
 
 @dataclass(frozen=True)
 class Distortion:
-    """What one order adds. order: 2 or more; frequencies_hz: of the drive; share: of the linear
-    response at the drive's frequency, by amplitude, (bins,).
+    """What one order adds; shares below the floor are noise."""
 
-    It is limited by the noise: below `floor`, what silence in its place would show, is nothing.
-    """
-
-    order: int
-    frequencies_hz: FloatArray
-    share: FloatArray
-    floor: FloatArray
+    order: int  # 2 or more
+    frequencies_hz: FloatArray  # of the drive, (bins,)
+    share: FloatArray  # of the linear response at the drive's frequency, by amplitude, (bins,)
+    floor: FloatArray  # the share that silence would show, (bins,)
 
 
-def distortion(recording: Recording, orders: int = 5) -> list[Distortion]:
-    """Harmonic distortion of orders 2 to `orders`, at drives whose harmonic is in the band.
+def measure_distortion(recording: Recording, orders: int = 5) -> list[Distortion]:
+    """Return the distortion of orders 2 to `orders` at drives whose harmonic is in the band.
 
-    Orders that have none are left out.
-
-    A sweep's harmonic of order n runs ahead of it by rise ln n, so its impulse response stands
-    alone there (Farina 2000). The floor is taken half way to the next one and to the one before,
-    whichever is more: a response that rings at the ends of the band reaches far ahead of itself.
+    A sweep's harmonic of order n precedes it by rise ln n, so its impulse response stands alone
+    there (Farina 2000). The floor is the larger value half way to either neighbouring order,
+    because a response that rings at the ends of the band spreads far ahead of itself.
     """
     sweep, rate = recording.sweep, recording.sweep.samplerate
     impulse = _impulse_response(recording)
-    linear = np.abs(transfer(recording).response)
+    linear = np.abs(estimate_transfer(recording).response)
     f = recording.frequencies_hz[recording.band]
     found = []
     for order in range(2, orders + 1):
@@ -82,7 +78,7 @@ def distortion(recording: Recording, orders: int = 5) -> list[Distortion]:
         times_s = [lead, 0.5 * (lead + before), 0.5 * (lead + after)]
         fit = [time_s for time_s in times_s if round(time_s * rate) + half <= recording.length]
         if not len(drives) or lead not in fit:
-            break  # this one and all above have no place in the band, or in the recording
+            break  # neither the band nor the recording has room for this and higher orders
         for time_s in fit:
             part = _cut(impulse, -round(time_s * rate), half)
             spectrum = np.abs(rfft(part))[recording.band]
@@ -92,10 +88,10 @@ def distortion(recording: Recording, orders: int = 5) -> list[Distortion]:
 
 
 def _impulse_response(recording: Recording) -> FloatArray:
-    """(length,) by deconvolution in the swept band; its end is what came before time 0."""
+    """Deconvolve in the swept band, (length,); its end precedes time 0."""
     reference, response = recording.reference_spectrum, recording.response_spectrum
     f, sweep = recording.frequencies_hz, recording.sweep
-    # Outside the band there is nothing to divide by; a soft edge does not ring into the response.
+    # The spectrum is empty outside the band; a soft edge does not ring into the response.
     edge = np.clip((f / sweep.low_hz - 0.8) / 0.2, 0.0, 1.0)
     edge *= np.clip((1.1 - f / sweep.high_hz) / 0.1, 0.0, 1.0)
     power = np.abs(reference) ** 2
@@ -111,7 +107,7 @@ def _fade_out(frames: int) -> FloatArray:
 
 
 def _cut(impulse: FloatArray, centre: int, half: int) -> FloatArray:
-    """What is within half frames of a place, at that place; the rest 0."""
+    """Return the impulse response within half frames of a position, windowed; the rest is 0."""
     frames = np.arange(centre - half, centre + half)
     part = np.zeros_like(impulse)
     part[frames] = impulse[frames] * np.hanning(2 * half)
@@ -125,43 +121,38 @@ def _smooth(power: FloatArray) -> FloatArray:
 
 
 LOW_COHERENCE = 0.9
-"""Below, a tenth of the response's power is noise, distortion or something else."""
+"""Below this, a tenth of the response's power is not a linear response."""
 
 ABOVE_FLOOR = 3.0
-"""Distortion below so many times what silence in its place shows is noise."""
+"""Distortion must exceed its floor by this factor."""
 
 _JOINED_HZ = 2.0
 _SMOOTH_HZ = 5.0
-"""Shares are r.m.s. values over so much: the largest of many bins of noise would look like one."""
+"""Shares are r.m.s. values over this width; the largest of many noisy bins would mislead."""
 
 
 @dataclass(frozen=True)
 class Harmonic:
-    """The most that one order adds. order: 2 or more; largest_share: of the linear response, by
-    amplitude, at a drive of at_hz; 0 where nothing stands above the noise.
-    """
+    """The largest share that one order adds; 0 if nothing exceeds the noise."""
 
-    order: int
-    largest_share: float
-    at_hz: float
+    order: int  # 2 or more
+    largest_share: float  # of the linear response, by amplitude
+    at_hz: float  # of the drive
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Of one recording. names: its reference and response; coherence: the median; low_hz: the
-    ranges, Hz, in which it is below LOW_COHERENCE; harmonics: by order,
-    those that band and length of the sweep have room for.
-    """
+    """How linear one recording's response is."""
 
     names: tuple[str, str]
-    coherence: float
-    low_hz: tuple[tuple[float, float], ...]
-    harmonics: tuple[Harmonic, ...]
+    coherence: float  # the median
+    low_hz: tuple[tuple[float, float], ...]  # ranges with coherence below LOW_COHERENCE
+    harmonics: tuple[Harmonic, ...]  # the orders that band and sweep have room for
 
 
-def quality(recording: Recording, orders: int = 5) -> Quality:
-    """What can be said of a recording besides its fit."""
-    found = transfer(recording)
+def assess_quality(recording: Recording, orders: int = 5) -> Quality:
+    """Return coherence and distortion of a recording."""
+    found = estimate_transfer(recording)
     f = found.frequencies_hz
     ranges: list[tuple[float, float]] = []
     for hz in f[found.coherence < LOW_COHERENCE]:
@@ -171,10 +162,10 @@ def quality(recording: Recording, orders: int = 5) -> Quality:
             ranges.append((float(hz), float(hz)))
     harmonics = []
     sweep = recording.sweep
-    for one in distortion(recording, orders):
+    for one in measure_distortion(recording, orders):
         apart_s = sweep.harmonic_lead_s(one.order + 1) - sweep.harmonic_lead_s(one.order)
         if 0.5 * apart_s < 1.0 / sweep.low_hz:
-            break  # the sweep is too quick to tell such orders apart
+            break  # the sweep is too short to separate these orders
         step_hz = float(f[1] - f[0])
         share, floor = (
             _rms_smooth(values, _SMOOTH_HZ / step_hz) for values in (one.share, one.floor)
@@ -189,7 +180,61 @@ def quality(recording: Recording, orders: int = 5) -> Quality:
 
 
 def _rms_smooth(values: FloatArray, bins: float) -> FloatArray:
-    """R.m.s. over so many bins around each."""
+    """Return the r.m.s. over neighbouring bins."""
     box = np.ones(max(1, min(round(bins), len(values))))
     mean = np.convolve(values**2, box, "same") / np.convolve(np.ones_like(values), box, "same")
     return np.asarray(np.sqrt(mean))
+
+
+def check_recording(recording: Recording) -> None:
+    """Refuse a recording that has no signal, clips, or shows the wrong channel.
+
+    Raises
+    ------
+    IdentificationError
+        The message gives the reason, the values and what to do.
+    """
+    lead = slice(0, round(0.9 * recording.sweep.lead_frames))
+    sounding = slice(recording.sweep.lead_frames, None)
+    signals = (recording.reference, recording.response)
+    for name, samples in zip(recording.names, signals, strict=True):
+        noise, whole = float(np.std(samples[lead])), float(np.std(samples[sounding]))
+        if whole <= _MIN_SIGNAL * noise or not np.any(samples[sounding]):
+            raise IdentificationError(
+                f"{name}: no signal, {whole:.3g} r.m.s. during the sweep and {noise:.3g} in "
+                "the silence before it; check power, cables and that channel, or raise the "
+                "level"
+            )
+    found = estimate_transfer(replace(recording, correction=None))  # without the correction
+    coherent = float(np.median(found.coherence))
+    if coherent < 0.3:
+        raise IdentificationError(
+            f"{recording.names[1]} does not follow the sweep: its coherence is {coherent:.2f}, it "
+            "must be 0.3 or more; this is another channel, or noise: check which input it is"
+        )
+    gain = np.abs(found.response)
+    spread = float(np.std(found.response) / np.mean(gain))
+    if spread < 0.05:
+        raise IdentificationError(
+            f"{recording.names[1]} is the {recording.names[0]} itself, times {np.mean(gain):.3g}, "
+            f"to {100 * spread:.1f} %; this is the wrong channel: check which input it is"
+        )
+    for name, samples, limit in zip(recording.names, signals, recording.limits, strict=True):
+        if clipped := _count_clipped(samples, limit, plateaus=samples is recording.response):
+            raise IdentificationError(
+                f"{name}: {clipped} samples clip at {np.abs(samples).max():.4g}; lower the "
+                "level, or the gain of that input"
+            )
+
+
+def _count_clipped(samples: FloatArray, limit: float, *, plateaus: bool) -> int:
+    """Count samples at the limit, or, if it is unknown, at a peak to which crests are cut."""
+    magnitude = np.abs(samples)
+    beyond = int(np.count_nonzero(magnitude >= _AT_THE_LIMIT * limit))
+    if beyond or not plateaus:
+        return beyond
+    at_peak = magnitude >= magnitude.max() * (1.0 - 1e-4)
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], at_peak.astype(np.int8), [0]])))
+    runs = ends[1::2] - ends[::2]
+    runs = runs[runs >= _CLIPPED_RUN]
+    return int(runs.sum()) if len(runs) >= _CLIPPED_RUNS else 0

@@ -1,4 +1,4 @@
-"""What each channel of the input is, and its physical unit for full scale."""
+"""What each input channel carries, and its physical value at full scale."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from device.errors import UsageError
 QUANTITIES = ("acceleration", "current", "voltage", "loopback")
 UNUSED = "-"
 DRIVE = "drive"
-"""The name of what was played where no channel shows it; also of the loop-back."""
+"""The name of the played signal, and of its loop-back."""
 
 MOST_CHANNELS = 32
 
@@ -16,24 +16,20 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True)
 class Inputs:
-    """The input's channels in order, each one of QUANTITIES or "-", and what their volts mean.
-
-    full_scale_v: peak volts at the input for a sample of 1.0; acceleration_v_per_m_s2: of the
-    accelerometer with its conditioning amplifier; shunt_ohm: what the current's channel is across;
-    voltage_ratio: volts at the coil per volt at the input. None where it is not known.
+    """The input's channels in order, each of QUANTITIES or "-", and their scales.
 
     Raises
     ------
     UsageError
-        A name is unknown or given twice, nothing can be identified from these, or what makes
-        volts or amperes of a channel is missing or out of range.
+        A name is unknown or given twice, the channels identify nothing, or a scale is missing or
+        out of range.
     """
 
     names: tuple[str, ...]
-    full_scale_v: float | None = None
-    acceleration_v_per_m_s2: float | None = None
-    shunt_ohm: float | None = None
-    voltage_ratio: float = 1.0
+    full_scale_v: float | None = None  # peak volts at the input for a sample of 1.0
+    acceleration_v_per_m_s2: float | None = None  # accelerometer with its conditioning amplifier
+    shunt_ohm: float | None = None  # the current's channel is across it
+    voltage_ratio: float = 1.0  # volts at the coil per volt at the input
 
     def __post_init__(self) -> None:
         used = [name for name in self.names if name != UNUSED]
@@ -79,26 +75,26 @@ class Inputs:
 
     @classmethod
     def parse(cls, text: str, **known: float | None) -> "Inputs":
-        """Of a text "acceleration,current,-"; known: the other fields that are not None."""
+        """Parse "acceleration,current,-"; `known` are the other fields, None for unknown ones."""
         names = tuple(part.strip() for part in text.split(","))
         return cls(names, **{key: value for key, value in known.items() if value is not None})
 
     def index(self, name: str) -> int | None:
-        """The channel of that name, from 0."""
+        """Return the channel of that name, from 0."""
         return self.names.index(name) if name in self.names else None
 
     @property
     def used(self) -> tuple[int, ...]:
-        """The channels that are something, from 0."""
+        """The channels that are used, from 0."""
         return tuple(i for i, name in enumerate(self.names) if name != UNUSED)
 
     @property
     def acceleration_scaled(self) -> bool:
-        """Whether acceleration is in m/s^2; else in shares of the input's full scale."""
+        """Whether acceleration is in m/s^2 rather than in shares of full scale."""
         return self.acceleration_v_per_m_s2 is not None
 
     def scale(self, name: str) -> float:
-        """The physical value of a sample of 1.0: m/s^2, A, V at the coil; else 1."""
+        """Return the physical value of a sample of 1.0: m/s^2, A, V at the coil; otherwise 1."""
         volts = self.full_scale_v or 1.0
         if name == "acceleration":
             return volts / self.acceleration_v_per_m_s2 if self.acceleration_v_per_m_s2 else 1.0
@@ -109,7 +105,7 @@ class Inputs:
 
     @property
     def pairs(self) -> tuple[Pair, ...]:
-        """The (reference, response) that can be looked at."""
+        """The available pairs (reference, response)."""
         there, pairs = set(self.names), []
         if {"current", "acceleration"} <= there:
             pairs.append(("current", "acceleration"))

@@ -1,9 +1,8 @@
-"""One measurement from the callbacks' side: listen, play once, record, and fall silent on anything.
+"""One measurement in the streams' callbacks: listen, play once, record, and stop on any problem.
 
-`fill` and `on_frames` are called by the threads of two streams. They never block, raise nothing and
-allocate no more than a block; the arrays for all of the recording are there before they begin.
-What was unexpected is kept as the error that the measurement ends with; from then on `fill` writes
-nothing, so that the very next block is silent.
+Two streams' threads call `fill` and `on_frames`. Neither blocks, raises or allocates more than a
+block; the arrays for the whole recording exist before. The first problem becomes the measurement's
+error; from then on `fill` writes nothing, so the very next block is silent.
 """
 
 import math
@@ -17,32 +16,47 @@ from device.identification.recording import IdentificationError
 from device.units import Float32Array, FloatArray
 
 BACKGROUND_S = 0.4
-"""For so long nothing is played, to hear what is there already."""
+"""Time without output, to measure the background."""
 
 MOST_LATENCY_S = 0.8
-"""From a frame that is played until it comes back."""
+"""Longest time from a played frame until it is recorded."""
 
 STALL_S = 0.5
-"""Without a callback of the other stream for so long there is nobody to listen, or to play."""
+"""The other stream has stopped if it has no callback for this long."""
 
 LOUDEST_BACKGROUND = 0.02
-"""R.m.s. of what is there before the sweep, as a share of the input's full scale."""
+"""Largest r.m.s. before the sweep, as a share of the input's full scale."""
 
 NO_SIGNAL_S = 1.1
-"""What is digital silence for so long since something was played will stay silent."""
+"""A channel with digital silence for this long after playback began has no signal."""
 
 _CLIPPED = 0.999
 
 
 class Exchange:
-    """Plays (frames,) on one channel and records all of the input's.
+    """Plays (frames,) on one channel, once, and records all channels of the input.
 
-    samples: between ±1; samplerate: Hz; names: of the input's channels, "-" for one that is not
-    looked at; output_channel: from 0, None for every one. One measurement; make another for the
-    next. `begin`, `abort`: any thread.
+    Any thread may call `begin` and `abort`.
 
-    ended: set once all is recorded or something ended it. error: what did, None if nothing.
-    background_frames: of the recording, before the first frame was played.
+    Parameters
+    ----------
+    samples : FloatArray
+        Between ±1.
+    samplerate : int
+        Hz.
+    names : Sequence[str]
+        Of the input's channels; "-" is not checked.
+    output_channel : int | None
+        From 0; None plays on every channel.
+
+    Attributes
+    ----------
+    ended : threading.Event
+        Set once all is recorded or a problem ended it.
+    error : CushionError | None
+        The problem, if any.
+    background_frames : int
+        Recorded frames before the first played one.
     """
 
     def __init__(
@@ -72,38 +86,33 @@ class Exchange:
         self._heard_s = self._filled_s = -math.inf
 
     def begin(self) -> None:
-        """From now on frames count: both streams are where they belong."""
+        """Start counting frames; both streams are connected to the right devices."""
         self._begun = True
 
     def abort(self, error: CushionError) -> None:
-        """Silence from the next block on; the first error is the one that is kept."""
+        """Be silent from the next block on, and keep the first error."""
         if self.error is None and not self.ended.is_set():
             self.error = error
         self.ended.set()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the end so long; whether it has ended. Any thread but the streams'."""
+        """Wait for the end and return whether it came. Not for the streams' threads."""
         return self.ended.wait(seconds)
 
     @property
     def sounding(self) -> bool:
-        """Whether something is being played, or is still to be recorded."""
+        """Whether playback or its recording is in progress."""
         return self._may_play and not self.ended.is_set()
 
     @property
-    def played_frames(self) -> int:
-        """Frames handed out so far."""
-        return self._played
-
-    @property
     def recorded(self) -> Float32Array:
-        """(frames, channels), read only: background first; after `ended` only."""
+        """The recording, (frames, channels), read only, background first; valid after `ended`."""
         view = self._recorded[: self._got]
         view.setflags(write=False)
         return view
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write the next frames into `out`, (frames, channels), all 0. The output's thread."""
+        """Write the next frames into `out`, (frames, channels) of zeros. The output's thread."""
         self._filled_s = now_s
         if not self._may_play or self.ended.is_set():
             return
@@ -118,14 +127,14 @@ class Exchange:
             out[: len(part), self._channel] = part
 
     def on_frames(self, frames: Float32Array, now_s: float) -> None:
-        """Take what arrived, (frames, channels). The input's thread."""
+        """Record the next frames, (frames, channels). The input's thread."""
         self._heard_s = now_s
         if not self._begun or self.ended.is_set():
             return
         if self._may_play and now_s - self._filled_s > STALL_S:
             self.abort(LostError("the output stopped during the sweep; check it, and sweep again"))
             return
-        self._look(frames)
+        self._check_peaks(frames)
         take = min(len(frames), len(self._recorded) - self._got)
         self._recorded[self._got : self._got + take] = frames[:take]
         self._got += take
@@ -144,7 +153,7 @@ class Exchange:
         if self._got == len(self._recorded):
             self.ended.set()
 
-    def _look(self, frames: Float32Array) -> None:
+    def _check_peaks(self, frames: Float32Array) -> None:
         for channel in self._used:
             peak = float(np.abs(frames[:, channel]).max(initial=0.0))
             self._heard[channel] |= peak > 0.0
@@ -159,7 +168,7 @@ class Exchange:
                 return
 
     def _listen(self, frames: Float32Array) -> None:
-        """Gather what is there before anything is played; begin to play if it is quiet."""
+        """Measure the background, and begin to play if it is quiet."""
         self._sum += frames.sum(axis=0, dtype=np.float64)
         self._squares += np.square(frames, dtype=np.float64).sum(axis=0)
         if self._got < self.background_frames:

@@ -1,4 +1,4 @@
-"""A laboratory of real devices: an output that plays the sweep, an input that hears the rig."""
+"""A laboratory of real devices: an output plays the sweep, an input records the rig."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from device.identification.live.two_clocks import (
     DropoutError,
     find_delay,
     find_drift,
-    on_played_clock,
+    resample_to_played,
 )
 from device.identification.recording import IdentificationError, Recording
 from device.identification.sweep import Excitation, Sweep
@@ -23,18 +23,18 @@ from device.rig.parameters import AmplifierParameters
 from device.units import FloatArray
 
 MOST_CHANGE_PPM = 40.0
-"""Between two sweeps: crystals do not change by that; frames that are lost look like it."""
+"""Largest change of the drift between two sweeps. Crystals do not change more; lost frames do."""
 
 MOST_TRIES = 3
-"""Of one sweep, at the same level, where frames are lost: a busy machine loses some."""
+"""Attempts per sweep; a busy machine loses some frames."""
 
-_AUDIBLE = 1.5
-_BEGAN = 0.1
+_MIN_SIGNAL = 1.5
+_MAX_AFTER = 0.1
 _REST_S = 0.2
 
 
 class Transport(Protocol):
-    """Two streams, one each way. samplerate: Hz, of both."""
+    """Two streams at one sample rate, one in each direction."""
 
     @property
     def samplerate(self) -> int:
@@ -42,16 +42,16 @@ class Transport(Protocol):
         ...
 
     def run(self, exchange: Exchange) -> None:
-        """Call `exchange.begin` and its callbacks until it has ended; both streams are silent then.
+        """Call `exchange.begin` and its callbacks until it has ended; then both are silent.
 
-        Raises LostError or NotFoundError where a stream cannot be had or was lost.
+        Raises LostError or NotFoundError if a stream is missing or was lost.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Devices:
-    """What was used: names, and drift of the input's clock against the output's."""
+    """The devices used, their delay, and the drift of the input's clock."""
 
     output: str
     input: str
@@ -60,14 +60,27 @@ class Devices:
 
 
 class LiveLaboratory:
-    """Measures a real rig, as `Laboratory`. One thread uses it.
+    """A `Laboratory` of real devices. One thread uses it.
 
-    inputs: what the input's channels are; output_channel: from 0, None for every one. amplifier:
-    its corners are taken out where the response is that for what was played.
+    Parameters
+    ----------
+    transport : Transport
+        The two streams.
+    inputs : Inputs
+        What the input's channels carry.
+    output_channel : int | None
+        From 0; None plays on every channel.
+    amplifier : AmplifierParameters | None
+        Its band is divided out of a response to the played signal.
 
-    delay_s: of the last sweep, from a frame that is played until it is recorded; drift: of the two
-    clocks in it; repeated: how many sweeps had to be, since frames were lost; current_turned:
-    whether the current was taken the other way round, since a coil takes power.
+    Attributes
+    ----------
+    delay_s : float
+        From a played frame until it is recorded, in the last sweep.
+    repeated : int
+        Sweeps that were repeated because frames were lost.
+    current_turned : bool
+        The current's sign was turned, because a coil takes power.
     """
 
     def __init__(
@@ -88,22 +101,22 @@ class LiveLaboratory:
 
     @property
     def drift(self) -> Drift | None:
-        """Of the last sweep."""
+        """The drift between the two clocks in the last sweep."""
         return self._drifts[-1] if self._drifts else None
 
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
-        """One recording a pair (reference, response), all of the same sweep, in physical units.
+        """Return a recording per pair (reference, response) of one sweep, in physical units.
 
-        "drive" is the loop-back, or what was played; then the response comes later by an unknown
-        time (`Recording.delayed`), as a part of what is fitted.
+        "drive" is the loop-back or the played signal. In the latter case the unknown delay is
+        fitted as well (`Recording.delayed`).
 
         Raises
         ------
         IdentificationError
-            Something clips, is already there, does not follow the sweep, or frames were lost each
-            time (`DropoutError`).
+            Something clips, plays already or does not follow the sweep, or frames were lost in
+            each attempt (`DropoutError`).
         LostError, NotFoundError
-            As `Transport.run`.
+            See `Transport.run`.
         """
         if sweep.samplerate != self._transport.samplerate:
             raise UsageError(
@@ -112,14 +125,14 @@ class LiveLaboratory:
             )
         for tries in range(1, MOST_TRIES + 1):
             try:
-                return self._measured(sweep, pairs)
+                return self._measure_once(sweep, pairs)
             except DropoutError:
                 if tries == MOST_TRIES:
                     raise
                 self.repeated += 1
         raise AssertionError("the last try returns or raises")
 
-    def _measured(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
+    def _measure_once(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         excitation = Excitation(sweep)
         exchange = Exchange(
             excitation.samples, sweep.samplerate, self._inputs.names, self._output_channel
@@ -139,7 +152,7 @@ class LiveLaboratory:
         self.delay_s = delay / sweep.samplerate
         first = background + delay + excitation.sweep_start * (1.0 + 1e-6 * drift.value)
         read = {
-            name: on_played_clock(recorded[:, index], first, drift.value, sweep.frames)
+            name: resample_to_played(recorded[:, index], first, drift.value, sweep.frames)
             * self._inputs.scale(name)
             for name, index in ((name, self._inputs.index(name)) for name in self._inputs.names)
             if index is not None and name != "-"
@@ -176,7 +189,7 @@ class LiveLaboratory:
         )
 
     def _clearest(self) -> tuple[int, str]:
-        """The channel that shows what was played with the least of the rig in it."""
+        """Return the channel that shows the playback with the least effect of the rig."""
         for name in ("loopback", "voltage", "current", "acceleration"):
             if (index := self._inputs.index(name)) is not None:
                 return index, name
@@ -184,14 +197,14 @@ class LiveLaboratory:
 
     def _check_signal(self, samples: FloatArray, background: int, name: str) -> None:
         noise, whole = (float(np.std(s)) for s in (samples[:background], samples[background:]))
-        if whole <= _AUDIBLE * noise or whole == 0.0:
+        if whole <= _MIN_SIGNAL * noise or whole == 0.0:
             raise IdentificationError(
                 f"{name}: no signal, {whole:.3g} r.m.s. of full scale during the sweep and "
                 f"{noise:.3g} before it; check power, volume, cables and that channel, or raise "
                 "the level"
             )
         after = float(np.std(samples[-round(_REST_S * self._transport.samplerate) :]))
-        if after > max(3.0 * noise, _BEGAN * whole):
+        if after > max(3.0 * noise, _MAX_AFTER * whole):
             raise IdentificationError(
                 f"{name}: {after:.3g} r.m.s. of full scale after the sweep, {noise:.3g} before it: "
                 "something else began to play or to move the cushion; end that, and sweep again"

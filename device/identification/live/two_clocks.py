@@ -1,8 +1,8 @@
-"""Where in a recording the sweep is, and how much faster one clock runs than the other.
+"""The delay of a recording, and the drift between the clocks of output and input.
 
-The delay is that of the deconvolved impulse response's peak (Farina 2000), which is near the true
-one for any rig, but within some ms only. The drift comes from two equal marks, whose distance in
-the recording is compared with the played one: what the rig does to them is the same and cancels.
+The delay is that of the deconvolved impulse response's peak (Farina 2000), which is within some ms
+of the true one. The drift comes from two equal marks: their distance in the recording is compared
+with the played one, and the rig's effect on both cancels.
 """
 
 import math
@@ -16,14 +16,14 @@ from device.identification.sweep import Excitation
 from device.units import FloatArray
 
 MOST_DRIFT_PPM = 200.0
-"""Two crystals of ±100 ppm. What is beyond it was lost or inserted on the way."""
+"""Two crystals of ±100 ppm. A larger drift means lost or inserted frames."""
 
 MOST_UNSURE_PPM = 20.0
-"""Half an interval of 95 % of the drift; 20 ppm turn the end of 5 s at 400 Hz by a tenth of a turn
-at most, which a resonance does not notice."""
+"""Half the 95 % interval of the drift. 20 ppm turn the phase after 5 s at 400 Hz by at most a tenth
+of a turn, which does not affect a resonance."""
 
 CLEAREST = 8.0
-"""The peak of an impulse response over its r.m.s. Noise has 5 at such lengths."""
+"""Smallest peak of an impulse response over its r.m.s. Noise of this length has 5."""
 
 _RING_S = 0.2
 _EARLY_S = 0.6
@@ -31,32 +31,29 @@ _BELOW = 1e-2
 
 
 class DropoutError(IdentificationError):
-    """Frames were lost or added between the marks: a sweep that can be repeated."""
+    """Frames were lost or added between the marks; the sweep can be repeated."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """By how much a frame of the recording is shorter than a played one: both in ppm.
-
-    value: above 0 where the recording's clock runs faster; reach: half its interval of 95 %.
-    """
+    """How much faster the recording's clock runs than the output's, in ppm."""
 
     value: float
-    reach: float
+    reach: float  # half its 95 % interval
 
 
 def find_delay(excitation: Excitation, channel: FloatArray, name: str) -> int:
-    """The frame of a recorded channel, (frames,), at which what was played begins in it.
+    """Return the frame of a recorded channel, (frames,), at which the playback begins.
 
     Raises
     ------
     IdentificationError
-        What was played is not in it.
+        The recording does not contain the playback.
     """
     mark = excitation.samples[: excitation.sweep_start]
     early = channel[: excitation.sweep_start + round(_EARLY_S * excitation.sweep.samplerate)]
     found = _peak(excitation, excitation.samples, channel)
-    if found[1] < CLEAREST:  # frames that were lost blur the whole, but not the first mark
+    if found[1] < CLEAREST:  # lost frames blur the whole, but not the first mark
         found = max(found, _peak(excitation, mark, early), key=lambda one: one[1])
     peak, clearness = found
     if clearness < CLEAREST:
@@ -69,7 +66,7 @@ def find_delay(excitation: Excitation, channel: FloatArray, name: str) -> int:
 
 
 def _peak(excitation: Excitation, played: FloatArray, channel: FloatArray) -> tuple[int, float]:
-    """The impulse response's peak, by how many frames late, and how clearly it stands out."""
+    """Return the delay of the impulse response's peak in frames, and its clearness."""
     length = int(next_fast_len(len(channel) + len(played), real=True))
     reference, response = rfft(played, length), rfft(channel - channel.mean(), length)
     power = np.where(_inside(excitation, length), np.abs(reference) ** 2, 0.0)
@@ -81,12 +78,12 @@ def _peak(excitation: Excitation, played: FloatArray, channel: FloatArray) -> tu
 
 
 def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: str) -> Drift:
-    """The drift that the two marks in a recorded channel show, beginning at `delay`.
+    """Return the drift between the two marks in a recorded channel that begins at `delay`.
 
     Raises
     ------
     DropoutError
-        It is not to be told, or larger than two clocks can be: frames were lost or inserted.
+        The drift is uncertain, or too large for two clocks: frames were lost or inserted.
     """
     rate = excitation.sweep.samplerate
     length = excitation.mark_frames + round(_RING_S * rate)
@@ -102,14 +99,14 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
     shape = irfft(cross, size)
     coarse = int(np.argmax(shape))
     coarse -= size if coarse > size // 2 else 0
-    # what is left of the phase, as a straight line through 0
+    # fit the remaining phase by a straight line through 0
     turn = math.tau * rfftfreq(size)[inside]
     cross = cross[inside] * np.exp(1j * turn * coarse)
     weight, phase = np.abs(cross), np.angle(cross)
     total = float(np.sum(weight * turn**2))
     fine = -float(np.sum(weight * turn * phase)) / max(total, 1e-300)
     left = phase + turn * fine
-    # neighbouring bins of a windowed mark go together: as many are independent as it has frames
+    # neighbouring bins of a padded mark correlate: as many are independent as it has frames
     together = size / length
     variance = together * float(np.sum((weight * turn * left) ** 2)) / max(total, 1e-300) ** 2
     ppm = 1e6 / excitation.second_mark
@@ -131,11 +128,13 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
     return found
 
 
-def on_played_clock(channel: FloatArray, first: float, drift_ppm: float, frames: int) -> FloatArray:
-    """(frames,) of a recorded channel at the instants at which frames were played.
+def resample_to_played(
+    channel: FloatArray, first: float, drift_ppm: float, frames: int
+) -> FloatArray:
+    """Resample a recorded channel to the instants of the played frames, (frames,).
 
-    first: the frame of the recording that belongs to the first one. Between frames a cubic through
-    four of them (Lagrange): -137 dB at 500 Hz and 48 kHz.
+    The first one is at frame `first` of the recording. Between frames, a Lagrange cubic through
+    four of them has an error of -137 dB at 500 Hz and 48 kHz.
     """
     step = 1.0 + 1e-6 * drift_ppm
     position = first + step * np.arange(frames)
@@ -160,7 +159,7 @@ def _inside(excitation: Excitation, length: int) -> np.ndarray:
 
 
 def _cut(channel: FloatArray, start: int, frames: int) -> FloatArray:
-    """(frames,) from a frame on, 0 where there is nothing."""
+    """Return (frames,) from a start on, 0 outside the recording."""
     part = np.zeros(frames)
     low, high = max(0, start), min(len(channel), start + frames)
     if high > low:

@@ -12,7 +12,7 @@ from device.identification.calibration import STEPS, calibrate
 from device.identification.live.channels import Inputs
 from device.identification.live.exchange import Exchange
 from device.identification.live.laboratory import MOST_TRIES, LiveLaboratory
-from device.identification.live.two_clocks import find_delay, find_drift, on_played_clock
+from device.identification.live.two_clocks import find_delay, find_drift, resample_to_played
 from device.identification.output_error import Estimate
 from device.identification.recording import Recording
 from device.identification.rig_values import write_rig
@@ -20,6 +20,8 @@ from device.identification.sweep import Excitation, Sweep
 from device.rig import CONSUMER, PAPER, read_rig
 from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
 from tools.bench.measures.random_rigs import truth
+
+EXHAUSTIVE = pytest.mark.exhaustive
 
 SCALES = {
     "full_scale_v": 1.0,
@@ -57,7 +59,7 @@ def refused(devices, rig=PAPER, sweep=SWEEP, error=IdentificationError):
 # --------------------------------------------------------------------------------- what is found
 
 
-@pytest.mark.parametrize("rig", [PAPER, CONSUMER])
+@pytest.mark.parametrize("rig", [PAPER, pytest.param(CONSUMER, marks=EXHAUSTIVE)])
 def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(rig, tmp_path):
     found = calibrated(SimulatedDevices(rig, ALL, drift_ppm=60.0), rig)
     assert len(found.values) == 6
@@ -73,7 +75,7 @@ def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(ri
     assert sources["actuator.resonance_hz"].kind == "identified"
 
 
-@pytest.mark.parametrize("drift_ppm", [-120.0, 120.0])
+@pytest.mark.parametrize("drift_ppm", [-120.0, pytest.param(120.0, marks=EXHAUSTIVE)])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_acceleration_for_what_was_played_needs_neither_one_clock_nor_a_polarity(drift_ppm, sign):
     devices = SimulatedDevices(
@@ -220,7 +222,9 @@ def test_what_begins_to_play_during_the_sweep_ends_it():
     assert devices.runs == 1
 
 
-@pytest.mark.parametrize("frames", [64, 256, 4800])
+@pytest.mark.parametrize(
+    "frames", [256, pytest.param(64, marks=EXHAUSTIVE), pytest.param(4800, marks=EXHAUSTIVE)]
+)
 def test_a_dropout_is_refused_and_nothing_louder_is_played(frames):
     devices = SimulatedDevices(PAPER, ALONE, lost={int(2.0 * RATE): frames}, loses_always=True)
     message = refused(devices)
@@ -305,7 +309,10 @@ def test_a_rig_that_would_move_too_far_is_never_driven_so_far():
 # ------------------------------------------------------------------------------------- the parts
 
 
-@pytest.mark.parametrize("drift_ppm", [-180.0, -3.0, 0.0, 150.0])
+@pytest.mark.parametrize(
+    "drift_ppm",
+    [-180.0, 0.0, pytest.param(-3.0, marks=EXHAUSTIVE), pytest.param(150.0, marks=EXHAUSTIVE)],
+)
 def test_the_drift_of_two_clocks_is_found_to_a_few_ppm(drift_ppm):
     devices = SimulatedDevices(PAPER, ALONE, drift_ppm=drift_ppm, noise=1e-4)
     laboratory = LiveLaboratory(devices, ALONE)
@@ -319,7 +326,7 @@ def test_a_recording_on_the_played_clock_is_as_if_there_was_one():
     excitation = Excitation(SWEEP)
     at = np.arange(excitation.frames + 4000)
     smooth = np.sin(2.0 * np.pi * 300.0 * (at / (1.0 + 150e-6)) / RATE)
-    shown = on_played_clock(smooth, 1000.0 * (1.0 + 150e-6), 150.0, 50_000)
+    shown = resample_to_played(smooth, 1000.0 * (1.0 + 150e-6), 150.0, 50_000)
     exact = np.sin(2.0 * np.pi * 300.0 * (1000.0 + np.arange(50_000)) / RATE)
     assert np.abs(shown - exact).max() < 1e-6
 
@@ -384,4 +391,4 @@ def test_inputs_that_say_nothing_are_refused(text, known, words):
 
 def test_a_delayed_and_inverted_recording_is_still_one():
     recording = Recording(SWEEP, np.ones(SWEEP.frames), np.arange(SWEEP.frames, dtype=np.float64))
-    assert np.array_equal(recording.inverted().response, -recording.response)
+    assert np.array_equal(recording.invert().response, -recording.response)
