@@ -30,6 +30,7 @@ build() {
         cd "$1"
         CC=$compiler CFLAGS=$2 LDFLAGS=$2 "$python" -c 'from setuptools import setup; setup()' \
             -q build_ext --inplace >"$scratch/log" 2>&1
+        CC=$compiler CFLAGS=$2 "$python" -m tests.support.kernel_probes >>"$scratch/log" 2>&1
         ls audioflinger_hook/transform/_kernel*.so device/_blocks*.so >/dev/null
     ) || {
         cat "$scratch/log" >&2

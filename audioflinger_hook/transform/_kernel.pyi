@@ -1,9 +1,8 @@
-"""The compiled part of `kernel.py`, which is the way to use it; and parts of that, for tests."""
+"""The compiled part of `kernel.py`, which is the way to use it."""
 
 from typing import Any
 
-from audioflinger_hook.transform.arrays import FloatArray, Frames, IntArray
-from audioflinger_hook.transform.spectrum import ComplexArray
+from audioflinger_hook.transform.arrays import FloatArray, Frames
 
 NEIGHBOURS: int
 """Bins to either side of a peak that are cleared of its image."""
@@ -55,60 +54,3 @@ class LiveKernel:
 
     def reset(self) -> None:
         """Begin a new stream; the counters go on."""
-
-def find(
-    spectra: ComplexArray,
-    table: FloatArray,
-    turn: FloatArray,
-    first_sample: float,
-    bins: int,
-    first: int,
-    last: int,
-    bin_hz: float,
-    threshold_hz: float,
-    peak_span_min: float,
-    weakest_image: float,
-    side_lobe: float,
-    most: int,
-    row: IntArray,
-    found: FloatArray,
-    /,
-) -> int:
-    """Find the principal frequencies of each row; return how many there are in all.
-
-    spectra: (rows, columns), of which the first `bins` are looked at. table: the window's real
-    spectrum, 1 at 0, without the window's first sample. turn: (2, low bins + NEIGHBOURS), cosine
-    and sine of the turn of each bin's phase to the window's centre. first_sample: as a share of
-    the other samples' sum. first, last: bins on which a peak counts. weakest_image: peaks up to
-    this amplitude keep their image. side_lobe: share of a row's highest amplitude that the others
-    must exceed. most: of more in a row those with the largest r stay.
-
-    Overwritten: row, (rows x most,), the row of each; found, (4, rows x most), their audio_hz,
-    amplitude, bandwidth_hz and r. For `most` over bins // 2 room for bins // 2 will do. All arrays
-    are contiguous.
-
-    Raises
-    ------
-    TypeError
-        Something is of another type.
-    ValueError
-        Something is not contiguous, or its size does not fit the others.
-    """
-
-def spectrum(samples: FloatArray, length: int, bins: FloatArray, /) -> None:
-    """Write the first bins of scipy.fft.rfft(samples, length): bins, (2, bins), real, imaginary.
-
-    samples: (frames,), no more than length; up to length / 2 it is done as of what is padded.
-    length: of the factors 2, 3 and 5.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Something else.
-    """
-
-def fifth_roots(numbers: FloatArray, /) -> None:
-    """Replace numbers from 0 up by their fifth roots."""
-
-def cosines(numbers: FloatArray, /) -> None:
-    """Replace numbers of turns by their cosines."""

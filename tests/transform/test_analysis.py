@@ -16,6 +16,7 @@ from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
 from audioflinger_hook.transform.live.analysis import LiveAnalysis
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
+from tests.support.kernel_probes import probes
 from tests.support.recordings import require_recordings
 from tests.support.signals import (
     chirp,
@@ -30,7 +31,8 @@ from tests.support.signals import (
     white_noise,
 )
 
-_kernel = pytest.importorskip("audioflinger_hook.transform._kernel", exc_type=ImportError)
+if probes is None:
+    pytest.skip("no C compiler", allow_module_level=True)
 
 PARAMETERS = TransformParameters()
 SAMPLERATES = (1_000, 8_000, 44_100, 48_000, 192_000)
@@ -50,7 +52,7 @@ class CompiledAnalysis(LiveAnalysis):
     def _find(self, spectra, side_lobe, most):
         room = len(spectra) * most
         row, found = np.empty(room, dtype=np.intp), np.empty((4, room))
-        count = _kernel.find(
+        count = probes.find(
             spectra,
             self._table,
             self._turn,
@@ -442,10 +444,10 @@ MISTAKES = {
 def test_a_callers_mistake_is_refused(mistake):
     name, value, error = MISTAKES[mistake]
     arguments = good_call()
-    assert _kernel.find(*arguments.values()) == 0
+    assert probes.find(*arguments.values()) == 0
     arguments[name] = value
     with pytest.raises(error):
-        _kernel.find(*arguments.values())
+        probes.find(*arguments.values())
 
 
 @pytest.mark.parametrize("name", ["row", "found"])
@@ -453,13 +455,13 @@ def test_room_for_results_must_be_writable(name):
     arguments = good_call()
     arguments[name].flags.writeable = False
     with pytest.raises(ValueError, match="read-only"):
-        _kernel.find(*arguments.values())
+        probes.find(*arguments.values())
 
 
 @pytest.mark.parametrize("count", [0, 1, 14, 16])
 def test_another_number_of_arguments_is_refused(count):
     with pytest.raises(TypeError):
-        _kernel.find(*[*good_call().values(), None][:count])
+        probes.find(*[*good_call().values(), None][:count])
 
 
 def test_read_only_spectra_are_read():
@@ -474,10 +476,10 @@ def test_every_buffer_is_let_go_of_after_a_call_and_after_a_mistake():
     # A bytearray refuses to grow while anybody holds its buffer.
     memory = bytearray(8 * 64)
     arguments = good_call() | {"table": np.frombuffer(memory, dtype=np.float64)}
-    _kernel.find(*arguments.values())
+    probes.find(*arguments.values())
     with pytest.raises(ValueError, match="most"):
-        _kernel.find(*(arguments | {"most": 0}).values())
+        probes.find(*(arguments | {"most": 0}).values())
     with pytest.raises(TypeError, match="row"):
-        _kernel.find(*(arguments | {"row": np.zeros(10)}).values())
+        probes.find(*(arguments | {"row": np.zeros(10)}).values())
     del arguments
     memory.extend(b"0")

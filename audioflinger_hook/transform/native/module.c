@@ -1,4 +1,4 @@
-/* The kernel as Python sees it: `_kernel.LiveKernel`, and its parts for tests (probes.c). */
+/* The kernel for Python: `_kernel.LiveKernel`. */
 
 #include "module.h"
 
@@ -245,8 +245,7 @@ static PyModuleDef_Slot SLOTS[] = {
 };
 
 static struct PyModuleDef MODULE = {
-    PyModuleDef_HEAD_INIT, .m_name = "_kernel", .m_doc = "The live form, compiled.",
-    .m_methods = PROBES,   .m_slots = SLOTS,
+    PyModuleDef_HEAD_INIT, .m_name = "_kernel", .m_doc = "The live form, compiled.", .m_slots = SLOTS,
 };
 
 PyMODINIT_FUNC PyInit__kernel(void) { return PyModuleDef_Init(&MODULE); }

@@ -24,7 +24,4 @@ int settings_opened(PyObject *given, Settings *settings);
 
 void settings_close(Settings *settings);
 
-/* Parts of the kernel, each by itself, for tests. */
-extern PyMethodDef PROBES[];
-
 #endif

@@ -1,4 +1,5 @@
-/* Parts of the kernel, each by itself, so that tests can hold them against others' results. */
+/* Parts of the kernel, each by itself, so that tests can compare them with other results. Built by
+ * kernel_probes.py; not part of the shipped kernel. */
 
 #include "module.h"
 
@@ -73,7 +74,7 @@ static Py_ssize_t found_in_rows(const Py_buffer *views, const Rule *rule, double
     return total;
 }
 
-PyDoc_STRVAR(find_doc, "Find the principal frequencies of each row; see _kernel.pyi.");
+PyDoc_STRVAR(find_doc, "Find the principal frequencies of each row; see kernel_probes.py.");
 
 static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
 {
@@ -119,7 +120,7 @@ static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
 
 /* ---------------------------------------------------------------------------------- other parts */
 
-PyDoc_STRVAR(spectrum_doc, "Write the spectrum of samples, as scipy.fft.rfft; see _kernel.pyi.");
+PyDoc_STRVAR(spectrum_doc, "Write the spectrum of samples, as scipy.fft.rfft; see kernel_probes.py.");
 
 static PyObject *spectrum(PyObject *Py_UNUSED(module), PyObject *arguments)
 {
@@ -194,10 +195,19 @@ static PyObject *cosines(PyObject *Py_UNUSED(module), PyObject *numbers)
     return in_place(numbers, cosines_of);
 }
 
-PyMethodDef PROBES[] = {
+/* Settings are not read here, but arguments.c refers to their check. */
+const char *settings_misfit(const Settings *Py_UNUSED(settings)) { return NULL; }
+
+static PyMethodDef PROBES[] = {
     {"find", find, METH_VARARGS, find_doc},
     {"spectrum", spectrum, METH_VARARGS, spectrum_doc},
     {"fifth_roots", fifth_roots, METH_O, "Replace numbers by their fifth roots."},
     {"cosines", cosines, METH_O, "Replace numbers of turns by their cosines."},
     {NULL, NULL, 0, NULL},
 };
+
+static struct PyModuleDef MODULE = {
+    PyModuleDef_HEAD_INIT, .m_name = "kernel_probes", .m_size = 0, .m_methods = PROBES,
+};
+
+PyMODINIT_FUNC PyInit_kernel_probes(void) { return PyModule_Create(&MODULE); }
