@@ -88,7 +88,11 @@ sys.exit(main(sys.argv[1:]))
     ("command", "made"),
     [
         (["render", "a.wav", "b.wav", "--out-dir", "out", "--workers", "2"], ["a.wav", "b.wav"]),
-        (["demo", "--fast", "--out", "out"], ["vibration.wav", "acceleration.wav"]),
+        pytest.param(
+            ["demo", "--fast", "--out", "out"],
+            ["vibration.wav", "acceleration.wav"],
+            marks=pytest.mark.exhaustive,
+        ),
         (
             ["run", "--tap", "scene:demo", "--device", "wav:out/r.wav", "--seconds", "0.3"],
             ["r.wav"],
@@ -116,6 +120,7 @@ def test_every_command_works_without_the_kernel_and_says_once_what_it_costs(
         assert (tmp_path / "out" / name).stat().st_size > 1_000
 
 
+@pytest.mark.exhaustive
 def test_a_rendering_without_the_kernel_warns_in_one_line_and_makes_the_same_vibration(tmp_path):
     source = tmp_path / "sound.wav"
     soundfile.write(source, 0.5 * tone(300, 1.0, 8_000), 8_000, subtype="FLOAT")
@@ -159,7 +164,9 @@ def without_use_of(path, tmp_path):
 
 
 @pytest.mark.skipif(kernel_warning() is not None, reason=str(kernel_warning()))
-@pytest.mark.parametrize("share", [0.001, 0.02, 0.5, 0.9])
+@pytest.mark.parametrize(
+    "share", [0.02, *(pytest.param(s, marks=pytest.mark.exhaustive) for s in (0.001, 0.5, 0.9))]
+)
 def test_a_kernel_that_is_cut_off_is_told_and_not_loaded(tmp_path, share):
     # The loader would map what is not there: the process would end by SIGBUS.
     assert kernel._kernel

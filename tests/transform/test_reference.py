@@ -90,6 +90,7 @@ def at_rate(sound, from_rate, to_rate):
     return resample_poly(sound, to_rate // common, from_rate // common, axis=0)
 
 
+@pytest.mark.exhaustive
 def test_it_agrees_with_the_oracle_on_every_recording_as_it_is():
     apart = [disagreement(*recorded(path)) for path in require_recordings()]
     assert share_agreeing(np.concatenate(apart)) >= UNITS_AGREEING
