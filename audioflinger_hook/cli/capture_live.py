@@ -1,4 +1,4 @@
-"""`cushion capture` of what is playing: recorded until it is told to stop."""
+"""`cushion capture` of what plays, until it is stopped."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from audioflinger_hook.capture import CaptureRecorder, CaptureWriter
 from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.cli.terminal import progress_bar, warn
-from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
+from audioflinger_hook.daemon.gc_freeze import freeze_loaded_objects
 from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.sources import TapAddress
@@ -18,10 +18,7 @@ from device.stream import filter_stderr
 def record(
     address: TapAddress, folder: Path, seconds: float, *, debug: bool
 ) -> tuple[CaptureWriter, LiveCapture]:
-    """Record for so many seconds of sound; return what was written, and what was heard.
-
-    What is there when somebody ends it is kept.
-    """
+    """Record so many seconds of sound, or until a signal; return the writer and the capture."""
     if not debug:
         filter_stderr()
     with Wake() as wake, Signals(wake) as signals:
@@ -33,7 +30,7 @@ def record(
                 CaptureRecorder(writer) as recorder,
                 progress_bar(str(address)) as progress,
             ):
-                spare_what_is_there()
+                freeze_loaded_objects()
                 live.begin(recorder)
                 try:
                     while live.heard_s < seconds and not signals.end and not recorder.error:
@@ -41,7 +38,7 @@ def record(
                         progress(live.heard_s, seconds if seconds < float("inf") else None)
                         wake.wait(TICK_S)
                 finally:
-                    live.close()  # nothing is offered any more when the recorder closes
+                    live.close()  # no buffer may arrive after the recorder is closed
         finally:
             live.close()
         if signals.end:

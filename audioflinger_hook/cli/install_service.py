@@ -1,4 +1,4 @@
-"""`cushion install-service`: a systemd user unit that runs the daemon from every login on."""
+"""`cushion install-service`: a systemd user unit that starts the daemon at login."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from device.errors import UsageError
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the unit, or take it away, and print what to type next."""
+    """Write or remove the unit, and print what to type next."""
     if options.remove:
         done = remove()
-        print(f"{done.path}: {'removed' if done.changed else 'was not there'}")
+        print(f"{done.path}: {'removed' if done.changed else 'was not installed'}")
     else:
         arguments = ["--wait"]
         if options.device is not None:
@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
         if options.tap is not None:
             arguments += ["--tap", str(parse_tap(options.tap))]
         done = install(arguments, systemd=systemd_version())
-        print(f"{done.path}: {'written' if done.changed else 'is as it should be'}")
+        print(f"{done.path}: {'written' if done.changed else 'is up to date'}")
     print("next, type:")
     for command in done.commands:
         print(f"    {command}")
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _refuse_without_device() -> None:
-    """Raise UsageError where the config names no device either, or has mistakes."""
+    """Raise UsageError if the config names no device, or has mistakes."""
     path = config.default_path()
     if not path.exists() or load_config(path).live.device is None:
         raise UsageError(

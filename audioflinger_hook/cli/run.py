@@ -1,4 +1,4 @@
-"""`cushion run`: everything this computer plays, felt, until it is told to stop."""
+"""`cushion run`: plays the vibration of what this computer plays, until it is stopped."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from audioflinger_hook.cli.run_reporter import RunReporter
 from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.config import file as config
 from audioflinger_hook.daemon.engine import Clocks
-from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
+from audioflinger_hook.daemon.gc_freeze import freeze_loaded_objects
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, RunConfig
 from audioflinger_hook.daemon.status_report import status_of
@@ -35,11 +35,11 @@ from device.stream import filter_stderr
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run until `--seconds` of sound are over, the sound ends or somebody ends it."""
-    order = _order(options)
+    """Run for `--seconds` of sound, or until the sound ends or a signal arrives."""
+    run_config = _run_config(options)
     if not options.debug:
         filter_stderr()
-    holder = Holder(os.getpid(), datetime.now().isoformat(" ", "seconds"), str(order.device))
+    holder = Holder(os.getpid(), datetime.now().isoformat(" ", "seconds"), str(run_config.device))
     clocks = Clocks(time.monotonic, time.thread_time, _slept_s)
     with (
         RuntimeFolder(os.environ, create=True) as folder,
@@ -49,17 +49,17 @@ def run(options: argparse.Namespace) -> int:
     ):
         recording = None
         if options.record is not None:
-            addresses = str(order.tap), str(order.device)
-            recording = RunRecording(options.record, order.settings, *addresses)
-            order = dataclasses.replace(order, recording=recording)
-        supervisor = Supervisor(order, clocks, wake)
+            addresses = str(run_config.tap), str(run_config.device)
+            recording = RunRecording(options.record, run_config.settings, *addresses)
+            run_config = dataclasses.replace(run_config, recording=recording)
+        supervisor = Supervisor(run_config, clocks, wake)
         signals.on_spinning = supervisor.priority.revoke
 
         def follow_config(now_s: float) -> str:
-            """Read the config again, and return what it changed."""
-            order = dataclasses.replace(_order(options), recording=recording)
-            changes = supervisor.follow(order, now_s)
-            lock.write(dataclasses.replace(holder, device=str(order.device)))
+            """Reload the config and return the changes."""
+            run_config = dataclasses.replace(_run_config(options), recording=recording)
+            changes = supervisor.follow(run_config, now_s)
+            lock.write(dataclasses.replace(holder, device=str(run_config.device)))
             return str(changes)
 
         with recording or nullcontext():
@@ -82,13 +82,13 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _order(options: argparse.Namespace) -> RunConfig:
-    """Return what the config asks for, and over it what the options do.
+def _run_config(options: argparse.Namespace) -> RunConfig:
+    """Return what config and options ask for; options take precedence.
 
     Raises
     ------
     UsageError, NotFoundError
-        One of them has a mistake, or asks for what there is not.
+        One of them has a mistake, or names something that does not exist.
     """
     path = options.config or config.default_path()
     found = load_config(path) if options.config or path.exists() else config.Config()
@@ -110,12 +110,12 @@ def _order(options: argparse.Namespace) -> RunConfig:
             "no device to play the vibration to; `cushion devices` lists them: name one with "
             f"--device, or with the key device in {path}"
         )
-    order = RunConfig(parse_tap(live.tap[0]), parse_device(live.device), settings, live)
-    if order.device.kind == "usb" and not order.tap_is_live:
-        order = dataclasses.replace(order, past_server=not _server_answers())
-    _refuse_what_is_not_there(order)
-    _refuse_overwriting(order.tap, order.device)
-    return order
+    run_config = RunConfig(parse_tap(live.tap[0]), parse_device(live.device), settings, live)
+    if run_config.device.kind == "usb" and not run_config.tap_is_live:
+        run_config = dataclasses.replace(run_config, past_server=not _server_answers())
+    _check_config(run_config)
+    _check_overwriting(run_config.tap, run_config.device)
+    return run_config
 
 
 def _server_answers() -> bool:
@@ -126,22 +126,26 @@ def _server_answers() -> bool:
     return True
 
 
-def _refuse_what_is_not_there(order: RunConfig) -> None:
-    """Raise UsageError or NotFoundError for what cannot be done, or not by this version."""
-    if order.tap.kind not in LIVE_TAPS + PACED_TAPS:
-        raise NotFoundError(f"tap {str(order.tap)!r}: `cushion run` cannot listen to it")
-    _ = order.rules
-    if order.settings.actuators and (order.device_is_a_card or not order.device_is_live):
-        _ = order.settings.numbered_channels  # raises: one goes by a name that only sinks have
-    if order.live.drop_in and order.tap.kind not in ("default", "app"):
+def _check_config(run_config: RunConfig) -> None:
+    """Raise UsageError or NotFoundError for a config that cannot work."""
+    if run_config.tap.kind not in LIVE_TAPS + PACED_TAPS:
+        raise NotFoundError(f"tap {str(run_config.tap)!r}: `cushion run` cannot listen to it")
+    _ = run_config.rules
+    if run_config.settings.actuators and (
+        run_config.device_is_a_card or not run_config.device_is_live
+    ):
+        _ = (
+            run_config.settings.numbered_channels
+        )  # raises if an actuator names a channel, as only sinks have names
+    if run_config.live.drop_in and run_config.tap.kind not in ("default", "app"):
         raise UsageError(
-            f"tap {str(order.tap)!r}: drop-in mode stands in front of the default sink; the tap "
-            "has to be default or app:NAME"
+            f"tap {str(run_config.tap)!r}: drop-in mode forwards to the default sink; the tap "
+            "must be default or app:NAME"
         )
 
 
-def _refuse_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
-    """Raise UsageError where the file to write is one to play."""
+def _check_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
+    """Raise UsageError if the file to write is one to play."""
     if device.kind == "wav":
         played = {"file": [Path(tap.name)], "capture": capture_files(Path(tap.name))}
         for source in played.get(tap.kind, []):
@@ -155,11 +159,11 @@ def _keep_on(
     signals: Signals,
     follow_config: Callable[[float], str],
 ) -> None:
-    """Tick until enough was heard or a signal came; tell systemd and the user what goes on."""
+    """Tick until enough sound was heard or a signal arrives; report to user and systemd."""
     reporter = RunReporter()
     watchdog = Watchdog(watchdog_period_s(os.getpid()))
     reporter.begin(*(address for address, _ in supervisor.endpoints))
-    spare_what_is_there()
+    freeze_loaded_objects()
     try:
         while supervisor.heard_s < seconds and not supervisor.ended:
             if signals.end:
@@ -167,10 +171,10 @@ def _keep_on(
             now_s = time.monotonic()
             if signals.reload:
                 signals.reload = False
-                supervisor.trouble = reporter.reload(follow_config, now_s)
+                supervisor.config_error = reporter.reload(follow_config, now_s)
             supervisor.tick(now_s)
             report = supervisor.states.report(now_s)
-            reporter.tell(report, supervisor.states.notes(), supervisor.warnings, now_s)
+            reporter.report(report, supervisor.states.notes(), supervisor.warnings, now_s)
             if watchdog.due(supervisor.heard_buffers, report.state, now_s):
                 reporter.notifier.watchdog()
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
@@ -181,5 +185,5 @@ def _keep_on(
 
 
 def _slept_s() -> float:
-    """For how long this machine has slept since it was started."""
+    """Return the time that this machine was suspended since its start."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) - time.monotonic()

@@ -1,23 +1,28 @@
-"""What a running daemon tells: its user on stderr, a line each, and systemd."""
+"""Messages of a running daemon: lines on stderr for the user, and notifications for systemd."""
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 
 from audioflinger_hook.cli.terminal import warn
-from audioflinger_hook.service.rate_limit import RateLimit
 from audioflinger_hook.service.state import Note, StateReport
 from audioflinger_hook.service.systemd import Notifier
 from device.errors import CushionError
 
+AT_ONCE = 5
+"""Messages of one kind that may follow each other without a pause."""
+
+EVERY_S = 10.0
+"""Time between messages of one kind in the long run."""
+
+KINDS_MAX = 100
+"""Further kinds count as one."""
+
 
 class RunReporter:
-    """Says what is new, once. Held by the main thread; times are seconds of time.monotonic().
-
-    notifier: systemd's side.
-    """
+    """Reports news once. For the main thread; times are seconds of time.monotonic()."""
 
     def __init__(self) -> None:
         self.notifier = Notifier()
@@ -26,28 +31,28 @@ class RunReporter:
         self._rate_limit = RateLimit()
 
     def begin(self, tap: str, device: str) -> None:
-        """Say what is tapped and where it plays, and that the start is over."""
-        self._say(f"what plays at {tap} is felt at {device}; Ctrl+C ends it")
+        """Report tap and device, and that the start is complete."""
+        self._print(f"sound of {tap} drives {device}; Ctrl+C ends it")
         self.notifier.ready()
 
-    def tell(
+    def report(
         self, report: StateReport, notes: list[Note], warnings: list[str], now_s: float
     ) -> None:
-        """Say what has happened since the last call, and what state that led to."""
+        """Report what has happened since the last call, and the new state."""
         state = f"{report.state.value}{': ' if report.reason else ''}{report.reason}"
         news = state != self._state
         for note in notes:
             if news and note.text == report.reason:
-                continue  # the state says it
+                continue  # the state contains it
             left_out = self._rate_limit.left_out(note.cause, now_s)
             if left_out is not None:
                 more = f" (and {left_out} more like it before)" if left_out else ""
-                self._say(f"{note.cause.value}: {note.text}{more}")
+                self._print(f"{note.cause.value}: {note.text}{more}")
         if news:
             self._state = state
             self.notifier.status(state)
-            self._say(state)
-        # One that counts is told when it begins, and by `end` with what it came to.
+            self._print(state)
+        # A warning with a count is reported at first, and by `end` with its final count.
         told, self._warnings = self._warnings, {}
         for warning in warnings:
             kind = re.sub(r"\d+", "0", warning)
@@ -56,27 +61,54 @@ class RunReporter:
             self._warnings[kind] = told.get(kind, warning)
 
     def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
-        """Let the config be read again and say what that changed, or why it changed nothing.
-
-        Returns the latter, for the warnings, "" where all is well.
-        """
+        """Reload the config and report the changes; return why it failed, or ""."""
         self.notifier.reloading(now_s)
-        trouble = ""
+        config_error = ""
         try:
-            self._say(f"config read again; changed: {follow_config(now_s)}")
+            self._print(f"config reloaded; changed: {follow_config(now_s)}")
         except CushionError as error:
-            trouble = f"the config was not taken: {error}"
-            # Told as one of the warnings; again, even if it was one before.
-            self._warnings = {k: text for k, text in self._warnings.items() if text != trouble}
+            config_error = f"the config was not applied: {error}"
+            # It is reported as a warning, even if the same one was reported before.
+            self._warnings = {k: text for k, text in self._warnings.items() if text != config_error}
         self.notifier.ready(self._state)
-        return trouble
+        return config_error
 
     def end(self, warnings: list[str]) -> None:
-        """Say what is new among the warnings, and tell systemd that it ends."""
+        """Report new warnings, and notify systemd of the end."""
         self.notifier.stopping()
         for warning in warnings:
             if warning not in self._warnings.values():
                 warn(warning)
 
-    def _say(self, text: str) -> None:
+    def _print(self, text: str) -> None:
         print(f"cushion: {text}", file=sys.stderr, flush=True)
+
+
+class RateLimit:
+    """Limits how often messages of one kind are printed. Not for two threads at once.
+
+    Times are seconds of one clock. Its size is bounded.
+    """
+
+    def __init__(self, at_once: int = AT_ONCE, every_s: float = EVERY_S) -> None:
+        if at_once < 1 or not every_s > 0.0:
+            raise ValueError(
+                f"{at_once} at once, one every {every_s} s; allowed: 1 or more, above 0"
+            )
+        self._at_once = at_once
+        self._every_s = every_s
+        # Allowance, time of the last request, and messages left out since the last printed one.
+        self._kinds: dict[Hashable, tuple[float, float, int]] = {}
+
+    def left_out(self, kind: Hashable, now_s: float) -> int | None:
+        """Return how many were left out before this one, None if this one is left out."""
+        if kind not in self._kinds and len(self._kinds) >= KINDS_MAX:
+            kind = None
+        allowance, asked_s, missed = self._kinds.get(kind, (float(self._at_once), now_s, 0))
+        gained = max(0.0, now_s - asked_s) / self._every_s
+        allowance = min(float(self._at_once), allowance + gained)
+        if allowance < 1.0:
+            self._kinds[kind] = (allowance, now_s, missed + 1)
+            return None
+        self._kinds[kind] = (allowance - 1.0, now_s, 0)
+        return missed

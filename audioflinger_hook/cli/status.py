@@ -1,4 +1,4 @@
-"""`cushion status`: what a running daemon says of itself."""
+"""`cushion status`: the status of a running daemon."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ REFRESH_S = 0.5
 
 
 def run(options: argparse.Namespace) -> int:
-    """Ask, and print the answer once, or again and again."""
+    """Print the status once, or repeatedly."""
     if options.watch and not options.json:
         return _watch()
     status = ask_status(ANSWER_S, time.monotonic)
@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _watch() -> int:
-    """Show the status until somebody ends it, or the daemon does."""
+    """Show the status until the user or the daemon ends."""
     from rich.live import Live
 
     with Live(status_view(ask_status(ANSWER_S, time.monotonic)), auto_refresh=False) as live:

@@ -1,9 +1,20 @@
 """The daemon: live sound through the effect into a device, until it is told to stop.
 
-engine         what the audio threads run: captured frames -> effect -> delay line -> device
-capture_queue  captured frames on their way to the engine
-supervisor     the main thread: opens streams, watches them and opens them again
-run_config     what a run was asked for; endpoints: the input and output that this takes
-inputs         a sink's monitor, applications, a file; outputs: a sink, a card, a file
-recording      what ran, kept as a capture; live_capture: a tap alone, kept
+| module | contents |
+| --- | --- |
+| `run_config` | what a run is asked for, and the difference between two such configs |
+| `supervisor` | the main thread: opens streams, watches them and reopens them |
+| `endpoints` | the input and output that a `RunConfig` asks for |
+| `inputs` | a sink's monitor, applications, or a file in real time |
+| `outputs` | a sink, a card, or a file in real time |
+| `capture_queue` | buffers on the way to the engine |
+| `engine` | what the audio threads run: buffers through mixer, effect and drive |
+| `reconnecting_stream` | a stream that is reopened after a failure |
+| `idle_policy`, `stall_detector` | when streams rest; stalls and suspends |
+| `pacing` | the thread that plays and writes files in real time |
+| `drop_in_control` | the virtual sink of drop-in mode |
+| `recording`, `capture_settings` | a run as a capture, with its settings |
+| `live_capture` | `cushion capture` of what plays |
+| `status_report` | the status, collected from all parts |
+| `wake`, `gc_freeze` | events for the main thread; no garbage collection of loaded objects |
 """

@@ -1,4 +1,4 @@
-"""Buffers of one tap on their way into the mix: mixed at once, or queued until the output asks."""
+"""Buffers of one tap on the way to the engine: at once, or queued until the output asks."""
 
 from __future__ import annotations
 
@@ -15,36 +15,34 @@ from audioflinger_hook.sources import PushTap, TapClient
 from device.units import Float32Array
 
 UNASKED_S = 0.05
-"""An output that has not asked for so long does not play: the capture's thread mixes instead."""
+"""After so long without a call of the output, the capture's thread mixes."""
 
 
 class FrameReceiver(Protocol):
-    """Who takes the buffers of a tap: `opened`, then `push`, again and again."""
+    """Takes the buffers of a tap: `opened`, then any number of `push`."""
 
     def opened(self, samplerate: int, channels: int) -> bool:
-        """Be told of a new stream, Hz, before its first buffer; whether the format is another."""
+        """Prepare for a new stream (Hz, channels); return whether the format has changed."""
         ...
 
     def moved(self) -> None:
-        """Be told that the stream goes on from elsewhere in a moment. Any thread."""
+        """Prepare for the stream to move to another source. Any thread."""
         ...
 
     def push(self, frames: Float32Array, now_s: float) -> None:
-        """Take (frames, channels) that came at now_s; on the thread that captures."""
+        """Take (frames, channels) that arrived at `now_s`; on the capture's thread."""
         ...
 
 
 class Feed:
-    """One tap's buffers through an engine: each is recorded, if so, then mixed at once.
+    """Passes one tap's buffers to an engine at once, after a recording has taken them.
 
-    recording: takes them as they are. The supervising thread makes the client, and calls `serve`
-    before the first buffer; `opened` is called while nobody pushes.
-
-    engine: what mixes, None before `serve`.
+    The supervising thread calls `client` and `serve` before the first buffer, and `opened` while
+    no thread pushes. engine: None before `serve`.
     """
 
     records_mix = False
-    """Whether the mix is what was delivered; else the buffers are."""
+    """Whether a recording takes the mix instead of the buffers."""
 
     def __init__(self, recording: RunRecording | None = None) -> None:
         self.engine: Engine | None = None
@@ -53,19 +51,19 @@ class Feed:
         self._client: TapClient | None = None
 
     def client(self, samplerate: int, channels: int) -> TapClient:
-        """Return what plays into the mix, which has this format."""
+        """Return the client that plays into a mix of this format."""
         self._tap = PushTap(samplerate, channels)
         self._client = TapClient(self._tap)
         if self._recording:
-            self._recording.mix_is(samplerate, channels)
+            self._recording.set_mix_format(samplerate, channels)
         return self._client
 
     def serve(self, engine: Engine) -> None:
-        """Bring the buffers to this engine, which was made with `client`."""
+        """Pass the buffers to this engine, which was made with the client."""
         self.engine = engine
 
     def is_at(self, samplerate: int) -> bool:
-        """Whether the buffers have this rate, Hz."""
+        """Return whether the buffers have this rate, Hz."""
         return self._tap is not None and self._tap.samplerate == samplerate
 
     def opened(self, samplerate: int, channels: int) -> bool:
@@ -73,7 +71,7 @@ class Feed:
         return self.follow(samplerate, channels, discontinuity=True)
 
     def follow(self, samplerate: int, channels: int, *, discontinuity: bool) -> bool:
-        """Be told what the next buffer is like, Hz; whether the format is another.
+        """Set the format of the next buffer; return whether it has changed.
 
         discontinuity: whether frames are missing before it.
         """
@@ -96,7 +94,7 @@ class Feed:
     def deliver(
         self, frames: Float32Array, now_s: float, earlier: Sequence[tuple[float, int]] = ()
     ) -> None:
-        """Mix frames that came until now_s; earlier: see `Engine.advance`."""
+        """Mix frames that arrived by `now_s`; earlier: see `Engine.advance`."""
         tap, client, engine = self._tap, self._client, self.engine
         if tap is None or client is None or engine is None or not len(frames):
             return
@@ -107,7 +105,7 @@ class Feed:
             pass
 
     def finish(self, now_s: float) -> Float32Array:
-        """Let the sound end; return the vibration still owed. See `Engine.finish`."""
+        """End the sound; return the last vibration, see `Engine.finish`."""
         assert self._tap is not None
         assert self.engine is not None
         self._tap.end()
@@ -115,15 +113,13 @@ class Feed:
 
 
 class CaptureQueue(Feed):
-    """A `Feed` that mixes on the output's thread, just before the delay line is read.
+    """A `Feed` that queues buffers until the output's thread mixes them, before it reads.
 
-    No frame is felt any later: the output reads all that the delay line has, which lasts for some
-    blocks, and what came by the next read is mixed just before it, by a thread that had to wake
-    up anyway. (A thread that wakes up finds its caches cold, and what it does then takes several
-    times as long; see docs/decisions.md.)
+    This saves CPU time, because one thread wakes up with warm caches instead of two, and adds no
+    latency: the output reads several blocks at once, and new buffers are mixed before each read.
 
-    `push` is called by the capture's thread, `pull` by the output's; one of the two mixes, the
-    other one goes on meanwhile. `opened` and `moved` are the supervising thread's.
+    The capture's thread calls `push`, the output's thread `pull`; whichever finds the other one
+    mixing continues at once. The supervising thread calls `opened` and `moved`.
     """
 
     def __init__(self, recording: RunRecording | None = None) -> None:
@@ -139,7 +135,7 @@ class CaptureQueue(Feed):
     def opened(self, samplerate: int, channels: int) -> bool:
         """See `FrameReceiver`."""
         with self._mixing:
-            self._arrived.clear()  # older than the gap, and perhaps of another format
+            self._arrived.clear()  # they precede the gap and may have another format
             return super().opened(samplerate, channels)
 
     def moved(self) -> None:
@@ -158,7 +154,7 @@ class CaptureQueue(Feed):
             self.pull()
 
     def pull(self) -> None:
-        """Mix all that came so far, unless the other thread is doing that."""
+        """Mix all queued buffers, unless the other thread does."""
         engine = self.engine
         if not self._arrived or engine is None:
             return

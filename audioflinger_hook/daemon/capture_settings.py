@@ -1,4 +1,4 @@
-"""Settings as facts of a capture, and back: a replay needs no other file."""
+"""Settings as facts of a capture and back, so that a replay needs no other file."""
 
 from __future__ import annotations
 
@@ -17,20 +17,17 @@ from device.errors import UsageError
 from device.rig.rig_file import SHIPPED
 
 NESTED = "parameters"
-"""The field of `Settings` whose own fields stand beside the others."""
+"""Field of `Settings` whose own fields are stored beside the others."""
 
 SAID = "said"
-"""The field that is kept as names with commas between them, left out where there are none."""
+"""Field stored as names separated by commas, omitted if there are none."""
 
 ACTUATORS = "actuators"
-"""The field that is kept as JSON: a list of tables, as in a config file."""
+"""Field stored as JSON, a list of tables as in a config file."""
 
 
 def facts_of(settings: Settings) -> Facts:
-    """Return every setting by its name; a path is absolute, what is not set is left out.
-
-    Actuators, where there are any, are one text.
-    """
+    """Return every setting by its name; paths become absolute, unset ones are omitted."""
     chosen = {field.name: getattr(settings, field.name) for field in fields(settings)}
     parameters = chosen.pop(NESTED)
     chosen[ACTUATORS] = _as_text(chosen[ACTUATORS])
@@ -53,7 +50,7 @@ def settings_from(facts: Facts) -> Settings | None:
     Raises
     ------
     UsageError
-        They cannot be used, by this version at least.
+        This version cannot use them.
     """
     if "form" not in facts:
         return None
@@ -89,7 +86,7 @@ def _as_text(actuators: tuple[ActuatorSettings, ...]) -> str | None:
 
 
 def _absolute(rig: str) -> str:
-    """A rig's name, or the absolute path of its file."""
+    """Return a rig's name, or the absolute path of its file."""
     return rig if rig in SHIPPED else str(Path(rig).absolute())
 
 

@@ -1,4 +1,4 @@
-"""Drop-in mode, kept: a virtual sink in front of the speakers, for as long as the daemon runs."""
+"""Drop-in mode: a virtual sink in front of the speakers while the daemon runs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from device.server import DropIn, PulseConnection
 
 
 class DropInControl:
-    """The virtual sink that applications play to, made when there is a server. For the supervisor.
+    """The virtual sink that applications play to. For the supervising thread alone.
 
-    delay_s: by how much the sound is to come later, 0 or more; `lead` sets another.
+    delay_s: delay of the sound, 0 or more.
     """
 
     def __init__(self, delay_s: float) -> None:
@@ -23,17 +23,17 @@ class DropInControl:
 
     @property
     def delay_s(self) -> float:
-        """By how much the sound is later than without us, in seconds; 0 while it is not."""
+        """Delay of the sound in seconds, 0 while there is no virtual sink."""
         return self._drop_in.delay_s if self._drop_in else 0.0
 
     @property
     def warnings(self) -> list[str]:
-        """Why the sound does not pass as it should, one line at most."""
+        """Why the sound does not pass as configured, one line at most."""
         reason = self._drop_in.reason if self._drop_in else self._refusal
         return [f"drop-in: {reason}"] if reason else []
 
-    def keep(self, connection: PulseConnection, haptic_sink: str | None, now_s: float) -> None:
-        """See that it is there. haptic_sink: never forwarded to. It raises nothing."""
+    def maintain(self, connection: PulseConnection, haptic_sink: str | None, now_s: float) -> None:
+        """Make the sink if it is missing; raises nothing. haptic_sink: never forwarded to."""
         if self._drop_in is not None:
             if self._drop_in.haptic_sink != haptic_sink:
                 self._drop_in.haptic_sink = haptic_sink
@@ -50,20 +50,20 @@ class DropInControl:
             self._refusal = ""
             self._backoff.succeeded()
 
-    def lead(self, delay_s: float) -> None:
-        """Let the sound come later by this much from now on."""
+    def set_delay(self, delay_s: float) -> None:
+        """Change the delay of the sound."""
         self._delay_s = delay_s
         if self._drop_in is not None:
             self._drop_in.delay_s = delay_s
 
     def close(self) -> None:
-        """Let the user's sound go on without us. Again too; it raises nothing."""
+        """Remove the sink; the sound continues without it. May be repeated; raises nothing."""
         drop_in, self._drop_in = self._drop_in, None
         if drop_in is not None:
             drop_in.close()
 
     def _made(self, connection: PulseConnection, haptic_sink: str | None) -> DropIn:
-        """A new one; to the sink of before, if it is there: a new server may choose any other."""
+        """Return a new sink, which forwards to the former target if available."""
         names = [sink.name for sink in connection.latest.sinks]
         target = self._target if self._target in names else None
         return DropIn(connection, target, self._delay_s, haptic_sink=haptic_sink)

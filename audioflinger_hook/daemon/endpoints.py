@@ -1,196 +1,163 @@
-"""Both sides of an order, and what they share."""
+"""The input and output that a `RunConfig` asks for, and what they share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from audioflinger_hook.daemon.capture_queue import CaptureQueue, Feed
-from audioflinger_hook.daemon.device_volume import DeviceVolume
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.inputs.applications import ApplicationsFeed, ApplicationsInput
+from audioflinger_hook.daemon.inputs.base import Input
 from audioflinger_hook.daemon.inputs.paced import PacedInput
 from audioflinger_hook.daemon.inputs.sink import SinkInput
+from audioflinger_hook.daemon.outputs.base import DeviceVolume, Output
 from audioflinger_hook.daemon.outputs.card import CardOutput
 from audioflinger_hook.daemon.outputs.paced import PacedOutput
 from audioflinger_hook.daemon.outputs.sink import SinkOutput
 from audioflinger_hook.daemon.pacing import Pacer
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
-from audioflinger_hook.daemon.sides import InputSide, OutputSide
 from audioflinger_hook.service.state import StateKeeper
 from device.errors import UsageError
-from device.rig import rig_by_name
 from device.stream import AudioPriority, PcmConfig
 
 
 class Endpoints:
-    """Both sides of an order. For the supervising thread alone.
+    """Input and output of one run. For the supervising thread alone.
 
-    needs_server: whether one of them does; no server is asked for anything otherwise. feed: what
-    the input delivers into. priority: of the audio threads.
+    needs_server: whether one of them uses the sound server. feed: takes the input's buffers.
 
     Raises
     ------
     UsageError, NotFoundError
-        A file to play, or to write, cannot be used; a rule for applications has a mistake.
+        A file cannot be used, or a rule for applications has a mistake.
     """
 
     def __init__(
         self,
-        order: RunConfig,
+        config: RunConfig,
         clocks: Clocks,
         states: StateKeeper,
         priority: AudioPriority,
         on_heard: Callable[[], None],
     ) -> None:
-        self.needs_server = order.needs_server
+        self.needs_server = config.needs_server
         self._states = states
         self._priority = priority
         self._on_heard = on_heard
-        is_live = order.tap_is_live or order.device_is_live
+        is_live = config.tap_is_live or config.device_is_live
         self._pacer = Pacer(clocks.now_s, exact=not is_live)
         self._pcms: PcmConfig | None = None
-        self.output: OutputSide
-        if not order.device_is_live:
-            chosen = order.settings
-            self.output = PacedOutput(order.device, self._pacer, chosen, order.recording)
         self.feed: Feed | ApplicationsFeed
-        self.input: InputSide
-        if not order.tap_is_live:
-            feed = self.feed = Feed(order.recording)
-            self.input = PacedInput(order.tap, self._pacer, feed)
-            if order.live.include or order.live.exclude:
-                _ = order.rules  # raises: a file has no applications
+        # Files come first: their errors are reported before anything is opened.
+        if not config.device_is_live:
+            self.output = self._make_output(config)
+        if not config.tap_is_live:
+            self.input = self._make_input(config)
         if is_live:
             self._pcms = PcmConfig("cushion_tap", "cushion_output")
-            if order.tap_is_live:
-                self.input = self._live_input(order)
-            if order.device_is_live:
-                self.output = self._live_output(order)
+        if config.tap_is_live:
+            self.input = self._make_input(config)
+        if config.device_is_live:
+            self.output = self._make_output(config)
 
-    def _live_output(self, order: RunConfig) -> SinkOutput | CardOutput:
-        assert self._pcms is not None
-        kind = CardOutput if order.device_is_a_card else SinkOutput
-        return kind(
-            order.device,
-            self._pcms.pcms["cushion_output"],
-            self._states,
-            order.recording,
-            block_frames=order.live.block_frames,
-            priority=self._priority,
-            volume=_volume_of(order),
-            actuators=order.settings.actuators,
-        )
-
-    def _live_input(self, order: RunConfig) -> SinkInput | ApplicationsInput:
-        rules = order.rules
-        if rules is not None:
-            apps = self.feed = ApplicationsFeed(order.recording, self._priority)
-            return ApplicationsInput(_address(order), rules, self._states, apps)
-        feed = self.feed = CaptureQueue(order.recording)
-        assert self._pcms is not None
-        return SinkInput(
-            order.tap,
-            self._pcms.pcms["cushion_tap"],
-            self._states,
-            feed,
-            block_frames=order.live.block_frames,
-            priority=self._priority,
-            on_heard=self._on_heard,
-        )
-
-    def refuse(self, old: RunConfig, new: RunConfig) -> None:
-        """Raise UsageError if what runs cannot go over from one order to the other."""
+    def check_change(self, old: RunConfig, new: RunConfig) -> None:
+        """Raise UsageError if a running daemon cannot change from one config to the other."""
         for what, before, after, live in (
             ("tap", old.tap, new.tap, old.tap_is_live and new.tap_is_live),
             ("device", old.device, new.device, old.device_is_live and new.device_is_live),
         ):
             if before != after and not live:
                 raise UsageError(
-                    f"the {what} {str(before)!r} cannot become {str(after)!r} while it runs; start "
-                    "it anew"
+                    f"the {what} {str(before)!r} cannot become {str(after)!r} while it runs; "
+                    "restart the daemon"
                 )
         if old.needs_server != new.needs_server:
             raise UsageError(
                 f"the device {str(old.device)!r} cannot become {str(new.device)!r} while "
-                f"{str(old.tap)!r} plays: one is the sound server's, the other is not; start it "
-                "anew"
+                f"{str(old.tap)!r} plays: only one of them uses the sound server; restart the "
+                "daemon"
             )
         paced = [old.tap] * (not old.tap_is_live) + [old.device] * (not old.device_is_live)
         if paced and ConfigDiff.between(old, new).engine:
             raise UsageError(
-                "form, channels, effects_file, rig, damping, protection, and which actuators there "
-                f"are, stay as they are while {str(paced[0])!r} is in use; start it anew"
+                "form, channels, effects_file, rig, damping, protection and the list of actuators "
+                f"cannot change while {str(paced[0])!r} is in use; restart the daemon"
             )
         if old.device == new.device and old.settings.actuators != new.settings.actuators:
-            self.output.refuse(new.settings.actuators)
+            self.output.check_actuators(new.settings.actuators)
         if old.recording and old.settings != new.settings:
-            raise UsageError(
-                "settings cannot change while --record keeps what they make; start it anew"
-            )
-        _ = new.rules
+            raise UsageError("settings cannot change during --record; restart the daemon")
+        _ = new.rules  # raises if a rule has a mistake
 
-    def lead_input(self, order: RunConfig) -> bool:
-        """Listen elsewhere; whether that takes another engine."""
-        rules = order.rules
-        if isinstance(self.input, SinkInput) and rules is None:
-            self.input.lead(order.tap)
-            return False
-        if isinstance(self.input, ApplicationsInput) and rules is not None:
-            self.input.lead(_address(order), rules)
+    def configure(self, config: RunConfig) -> None:
+        """Take what applies to the present input and output."""
+        self.input.configure(config)
+        self.output.configure(config)
+
+    def retarget_input(self, config: RunConfig) -> bool:
+        """Take sound from another tap; return whether that needs another engine."""
+        if self.input.retarget(config):
             return False
         self.input.close()
-        self.input = self._live_input(order)
+        self.input = self._make_input(config)
         return True
 
-    def lead_output(self, order: RunConfig) -> None:
-        """Play elsewhere; `suit` is to be called anew."""
-        kind = CardOutput if order.device_is_a_card else SinkOutput
-        if isinstance(self.output, CardOutput | SinkOutput) and isinstance(self.output, kind):
-            self.output.lead(order.device)
-            return
-        self.output.close()
-        self.output = self._live_output(order)
-
-    def take(self, order: RunConfig) -> None:
-        """Open streams with so many frames a callback from now on; set the device's volume.
-
-        And take what hangs at its channels.
-        """
-        for side in (self.input, self.output):
-            if isinstance(side, SinkInput | SinkOutput | CardOutput):
-                side.block_frames = order.live.block_frames
-        if isinstance(self.output, SinkOutput | CardOutput):
-            self.output.volume.want(_volume_of(order))
-        self.output.wire(order.settings.actuators)
+    def retarget_output(self, config: RunConfig) -> None:
+        """Play to another device; it then needs its format."""
+        if not self.output.retarget(config):
+            self.output.close()
+            self.output = self._make_output(config)
 
     def close(self) -> None:
-        """Let both fall silent; they go on when they are kept again. Again too."""
+        """Close both, until they are maintained again. May be repeated."""
         self.output.close()
         self.input.close()
 
     def end(self, *, keep: bool) -> None:
-        """Let go of both; keep: a file that was written stays. WriteError: it cannot."""
+        """Close both for good; keep: whether a file stays. WriteError: it cannot be kept."""
         self.close()
         self._pacer.close()
         if self._pcms:
             self._pcms.close()
-        self.input.end(keep=keep)
+        self.input.end()
         self.output.end(keep=keep)
 
+    def _make_input(self, config: RunConfig) -> Input:
+        if not config.tap_is_live:
+            feed = self.feed = Feed(config.recording)
+            paced = PacedInput(config.tap, self._pacer, feed)
+            if config.live.include or config.live.exclude:
+                _ = config.rules  # raises: a file has no applications
+            return paced
+        if config.rules is not None:
+            apps = self.feed = ApplicationsFeed(config.recording, self._priority)
+            return ApplicationsInput(config, self._states, apps)
+        assert self._pcms is not None
+        queue = self.feed = CaptureQueue(config.recording)
+        return SinkInput(
+            config.tap,
+            self._pcms.pcms["cushion_tap"],
+            self._states,
+            queue,
+            block_frames=config.live.block_frames,
+            priority=self._priority,
+            on_heard=self._on_heard,
+        )
 
-def _volume_of(order: RunConfig) -> DeviceVolume:
-    settings = order.settings
-    rigs = {actuator.rig or settings.rig for actuator in settings.actuators} or {settings.rig}
-    # One volume for all channels: that of the rig which bears least.
-    limit_db = min(rig_by_name(rig).dac.volume_limit_db for rig in rigs)
-    return DeviceVolume(order.live.device_volume_db, limit_db)
-
-
-def _address(order: RunConfig) -> str:
-    """What the user asked to hear, for people."""
-    live = order.live
-    if order.tap.kind == "app":
-        return ", ".join(live.tap)
-    words = [f"only {', '.join(live.include)}"] if live.include else []
-    words += [f"not {', '.join(live.exclude)}"] if live.exclude else []
-    return f"{order.tap} ({'; '.join(words)})"
+    def _make_output(self, config: RunConfig) -> Output:
+        if not config.device_is_live:
+            return PacedOutput(config.device, self._pacer, config.settings, config.recording)
+        assert self._pcms is not None
+        volume = DeviceVolume()
+        volume.request(config)
+        kind = CardOutput if config.device_is_a_card else SinkOutput
+        return kind(
+            config.device,
+            self._pcms.pcms["cushion_output"],
+            self._states,
+            config.recording,
+            block_frames=config.live.block_frames,
+            priority=self._priority,
+            volume=volume,
+            actuators=config.settings.actuators,
+        )

@@ -1,4 +1,4 @@
-"""What the audio threads run: sound through the chain into the delay line, and out."""
+"""What the audio threads run: sound through mixer, effect and drive to the delay line, and out."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
 LATENESS_LEAST_S = 0.0125
-"""An idle machine's callbacks are some ms late now and then: the delay is not to follow that. With
-blocks of 256 frames four of them are then mostly there to be read in one go."""
+"""Callbacks of an idle machine are sometimes late by some ms, which the delay must not follow. It
+also lets the output read four blocks of 256 frames at once in most cases."""
 
 CYCLE_BLOCKS = 8
-"""Blocks that are mixed in one cycle, if so many came since the last one."""
+"""Most blocks mixed in one cycle."""
 
 READ_BLOCKS = 4
-"""Blocks that are read from the delay line in one go, if they are there."""
+"""Most blocks read from the delay line at once."""
 
 FADED = 1e-6
-"""Vibration below this, of full scale, is none: -120 dB."""
+"""Vibration below this share of full scale (-120 dB) counts as none."""
 
 
 @dataclass(frozen=True)
 class Clocks:
-    """Where time comes from, in seconds: now_s goes on, used_s is the calling thread's CPU time.
+    """Sources of time in seconds: the clock, and the CPU time of the calling thread.
 
-    slept_s: how long the machine has slept since it was started, in which now_s stands still.
+    slept_s: time that the machine was suspended since its start; now_s does not count it.
     """
 
     now_s: Callable[[], float]
@@ -46,34 +46,66 @@ class Clocks:
 
 
 OnStep = Callable[[Float32Array, Float32Array, float], None]
-"""(sound as mixed, vibration as sent, when): what one cycle of the chain moved."""
+"""Takes (sound as mixed, vibration as sent, time) of one cycle."""
 
 OnMix = Callable[[Float32Array, float], None]
-"""(sound before all effects, when)."""
+"""Takes (sound before all effects, time)."""
 
 
 class Engine:
-    """One mix of sound on its way to one device.
+    """Sound of one client through mixer, effect and drive into a delay line, and out of it.
 
-    client: plays into the mix, which has its samplerate (Hz) and channels. output_samplerate: of
-    the device, Hz; offset_s: what the user adds to the delay; block_frames: of the streams on
-    both sides; clocks: what time it is, and what the thread has used. bypass_late: whether an
-    effect that uses too much time is passed by: for sound that plays elsewhere meanwhile. on_step:
-    told of every cycle, on the thread that calls `advance`; the arrays are its own. on_mix: told
-    the sound before that, as no effect has changed it yet; the array is the mixer's. `advance` is
-    called by one thread at a time, the capture's or the output's, `fill` by the output's; neither
-    waits for the other. Any thread may read the rest.
+    One thread at a time calls `advance`, the capture's or the output's; the output's thread calls
+    `fill`. Neither waits for the other. Any thread may read the attributes.
 
-    buffers, frames: how many were mixed; frames_max: of a cycle. last_sound_s: when they were not
-    silent. faded: whether the vibration last looked at was none. sound, vibration: their levels.
-    before_fill: called by `fill` before it reads; set it before that. filled_s:
-    when `fill` was called last. drive: from the vibration that `vibration` measures to what the
-    actuators play; driven: the level of each named actuator.
+    Parameters
+    ----------
+    client : Client
+        Plays into the mix, which has its sample rate and channels.
+    output_samplerate : int
+        Of the device, Hz.
+    settings : Settings, optional
+        How vibration is made of sound.
+    clocks : Clocks
+        Sources of time.
+    offset_s : float
+        The user's addition to the delay.
+    block_frames : int
+        Of the streams on both sides.
+    now_s : float
+        When the engine is made.
+    bypass_late : bool
+        Whether to bypass an effect that takes too long; for sound that is also played elsewhere.
+    on_step : callable, optional
+        Receives each cycle's sound and vibration, which it may keep.
+    on_mix : callable, optional
+        Receives the mix before all effects, which it must copy.
+
+    Attributes
+    ----------
+    buffers, frames : int
+        Counts since the start.
+    frames_max : int
+        Most frames of one cycle.
+    last_sound_s : float
+        When the latest frames that were not silent arrived.
+    faded : bool
+        Whether the latest measured vibration is below FADED.
+    sound, vibration : BufferedLevelMeter
+        Levels of the mix, and of the vibration before the drive.
+    drive : Drive
+        From the vibration to what the actuators play.
+    driven : list of BufferedLevelMeter
+        Level of each named actuator.
+    before_fill : callable
+        Called by `fill` before it reads; set it before the first `fill`.
+    filled_s : float
+        When `fill` was called last.
 
     Raises
     ------
     UsageError
-        The settings cannot be used with this mix.
+        The settings do not fit this mix.
     """
 
     def __init__(
@@ -101,7 +133,7 @@ class Engine:
             self.channels,
             settings,
             hal_frames=CYCLE_BLOCKS * block_frames,
-            # Its own time: what the machine spends on others is no fault of an effect.
+            # CPU time of the thread: other programs' load must not count against an effect.
             clock=clocks.used_s if bypass_late else None,
         )
         chosen = self.framework.settings
@@ -118,10 +150,10 @@ class Engine:
         self.filled_s = -math.inf
         self.faded = True
         self.last_sound_s = now_s
-        self._into_line = _IntoLine(self)
-        self._chain = Pipeline(client, self.framework, [self._into_line])
+        self._drive_output = _DriveOutput(self)
+        self._chain = Pipeline(client, self.framework, [self._drive_output])
         if on_mix is not None:
-            self.framework.mixer.on_mix = lambda sound: on_mix(sound, self._into_line.now_s)
+            self.framework.mixer.on_mix = lambda sound: on_mix(sound, self._drive_output.now_s)
         self._read = np.zeros((0, self.drive.outputs), np.float32)
         self._start = self._end = 0
 
@@ -136,10 +168,10 @@ class Engine:
             lateness_least_s=LATENESS_LEAST_S,
         )
 
-    def lead_to(self, samplerate: int, block_frames: int | None = None) -> None:
-        """Go on to an output of another samplerate, Hz, or with other blocks on both sides.
+    def retarget(self, samplerate: int, block_frames: int | None = None) -> None:
+        """Change the output's sample rate in Hz, or the block length on both sides.
 
-        Call it while nobody calls `fill`, and for other blocks nobody `advance` either.
+        Call it while no thread calls `fill` and, for other blocks, none calls `advance`.
         """
         blocks = block_frames or self.block_frames
         rate = round(self.delay_line.samplerate_out)
@@ -149,10 +181,9 @@ class Engine:
             self._drop_ahead()
 
     def follow(self, settings: Settings, offset_s: float) -> None:
-        """Take another level, other parameters and another offset while it runs.
+        """Take other levels, parameters and offset while it runs; for the supervising thread.
 
-        Of actuators level, polarity, delay and source, if their sources stay the same together.
-        For the thread that made it. UsageError: they cannot be had, and nothing has changed.
+        Actuators may change level, polarity, delay, and swap sources. UsageError: nothing changed.
         """
         before_s = self.delay_line.offset_s
         self.delay_line.offset_s = offset_s
@@ -164,19 +195,18 @@ class Engine:
         self.drive.change(settings.actuators)
 
     def advance(self, now_s: float, earlier: Sequence[tuple[float, int]] = ()) -> bool:
-        """Do one cycle with what the client has; False once it has come to its end.
+        """Run one cycle with what the client has; return False at its end.
 
-        now_s: when the sound came, in seconds of time.monotonic(); earlier: see `DelayLine.write`,
-        for a client that hands over all of it at once.
+        now_s: when the sound arrived; earlier: arrival of earlier parts, see `DelayLine.write`.
         """
         began_s = self._clocks.used_s()
-        self._into_line.now_s = now_s
-        self._into_line.earlier = earlier
+        self._drive_output.now_s = now_s
+        self._drive_output.earlier = earlier
         step = self._chain.step(now_s)
         if step is None:
             return False
         audio, vibration = step.audio, step.vibration
-        if not len(vibration):  # too little for a cycle
+        if not len(vibration):  # too few frames for a cycle
             return True
         self.sound.add(audio)
         self.vibration.add(vibration)
@@ -192,25 +222,22 @@ class Engine:
         return True
 
     def finish(self, now_s: float) -> Float32Array:
-        """Let the client come to its end; return the vibration still owed, for `send`.
+        """Play the client to its end; return the last vibration, for `send`.
 
-        On the thread that calls `advance`, which then has nothing left to do.
+        For the thread of `advance`, which must not be called again.
         """
-        held = self._into_line.held = []
+        held = self._drive_output.held = []
         while self.advance(now_s):
             pass
         held.append(self.drive.drain())
         return np.concatenate([self._read[:0], *held])
 
     def send(self, vibration: Float32Array, now_s: float) -> None:
-        """Put vibration that is in no cycle into the delay line; on the thread of `advance`."""
+        """Write vibration to the delay line directly; for the thread of `advance`."""
         self.delay_line.write(vibration, now_s)
 
     def rest(self) -> None:
-        """Forget what was to be played, and what levels were; call it while no stream runs.
-
-        The next sound then goes out as soon as both streams run.
-        """
+        """Clear the delay line, the drive and all levels; call it while no stream runs."""
         self.delay_line.flush()
         self.drive.flush()
         for gathered in self.driven:
@@ -221,15 +248,12 @@ class Engine:
 
     @property
     def read_ahead(self) -> Float32Array:
-        """The vibration that was read and is not played yet; for the thread of `fill`.
-
-        A view, until the next `fill`.
-        """
+        """View of the vibration that was read ahead, valid until the next `fill` of that thread."""
         return self._read[self._start : self._end]
 
     def fill(self, out: Float32Array, now_s: float) -> None:
         """Write what is played next into `out`, (frames, actuators)."""
-        if now_s - self.filled_s > STALLED_S:  # of before a gap
+        if now_s - self.filled_s > STALLED_S:  # it is older than the gap
             self._drop_ahead()
         self.filled_s = now_s
         frames = len(out)
@@ -240,7 +264,7 @@ class Engine:
         out[:] = self._read[start : self._start]
 
     def _read_on(self, frames: int, now_s: float) -> None:
-        """Have `frames` or more read; more only where the delay line has them already."""
+        """Read `frames` from the delay line, and more if it has them already."""
         kept = self.read_ahead
         held = len(kept)
         missing = frames - held
@@ -260,10 +284,11 @@ class Engine:
         self._start = self._end = 0
 
 
-class _IntoLine:
-    """The delay line as an output of the chain; now_s, earlier: when the frames being treated came.
+class _DriveOutput:
+    """The drive and the delay line as an output of the chain.
 
-    held: takes the blocks instead, where it is not None.
+    now_s, earlier: arrival of the frames of this cycle. held: takes the blocks instead if it is
+    not None.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -275,7 +300,7 @@ class _IntoLine:
         self.channels = engine.framework.haptic_channels
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Take one block."""
+        """Drive one block, and write it to the delay line."""
         engine = self._engine
         vibration = engine.drive.process(np.asarray(vibration, np.float32))
         for index, gathered in enumerate(engine.driven):

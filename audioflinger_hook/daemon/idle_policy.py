@@ -1,23 +1,20 @@
-"""When nothing plays, nothing needs to run: the rule for resting and for waking."""
+"""When the streams rest because nothing plays, and when they wake."""
 
 from __future__ import annotations
 
 QUIET_S = 5.0
-"""After silence of this length, if no application plays: none can sound without a new event."""
+"""Silence before resting if no application plays; a new one causes an event."""
 
 SILENT_S = 10.0
-"""After silence of this length although an application plays: its sound may come at any moment,
-and waking up costs it its first tenths of a second."""
+"""Silence before resting although an application plays. Its sound may begin without an event, and
+waking up then costs its first tenths of a second."""
 
 AWAKE_S = 8.0
-"""For so long at least it stays awake: an application may open its stream well before it plays."""
+"""Shortest time awake, as applications may open a stream some time before they play."""
 
 
 class IdlePolicy:
-    """Whether to rest. Pure: time and what is heard come in. For the supervising thread.
-
-    resting: the decision at present.
-    """
+    """Decides whether the streams rest; pure. resting: the current decision."""
 
     def __init__(self, now_s: float) -> None:
         self.resting = False
@@ -29,8 +26,8 @@ class IdlePolicy:
     ) -> bool:
         """Return whether to rest.
 
-        players: indexes of the streams that may sound at any moment; last_sound_s: when sound was
-        heard last, while awake; heard: whether sound was heard while resting.
+        players: indexes of streams that may play; last_sound_s: time of the latest sound while
+        awake; heard: whether sound was noticed while resting.
         """
         came = bool(players - self._players)
         self._players = players
@@ -41,7 +38,7 @@ class IdlePolicy:
             self.resting = now_s - last_sound_s > (SILENT_S if players else QUIET_S)
         return self.resting
 
-    def awake(self, now_s: float) -> None:
-        """Be awake: something changed that the streams have to follow."""
+    def wake(self, now_s: float) -> None:
+        """Wake, because something has changed that concerns the streams."""
         self.resting = False
         self._woke_s = now_s

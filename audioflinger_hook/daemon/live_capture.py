@@ -1,4 +1,4 @@
-"""`cushion capture` of what is playing: a live tap's buffers into a capture, and nothing else."""
+"""`cushion capture` of what plays: the buffers of a live tap in a capture."""
 
 from __future__ import annotations
 
@@ -14,22 +14,21 @@ from device.stream import PcmConfig
 from device.units import Float32Array
 
 TICK_S = 0.05
-"""How often the stream is looked after; events come sooner."""
+"""Time between ticks, unless an event comes sooner."""
 
 LOST_LIMIT_S = 10.0
-"""A server or sink that is away for longer does not come back."""
+"""Longest wait for a lost server or sink."""
 
 LONGEST_WAIT_S = 0.5
 """Between attempts to reach the server."""
 
 
 class LiveCapture:
-    """The buffers of one sink's monitor, or of the default one's, wherever that goes.
+    """Records one sink's monitor, or the default sink's as it changes.
 
-    address: of kind default or sink. `tick` is called by the thread that made it whenever `wake`
-    rings, and TICK_S after the last time anyway; times are seconds of time.monotonic(). The tap
-    is the daemon's: guarded, so never a microphone, and opened again where it was lost. Its
-    buffers are recorded once `begin` was called; a discontinuity marks each reopening and move.
+    Its thread calls `tick` whenever `wake` rings, and at least every TICK_S. The stream is guarded,
+    so it never captures a microphone, and reopened if it is lost. After each reopening and move
+    the capture has a discontinuity.
     """
 
     def __init__(self, address: TapAddress, wake: Wake, now_s: float) -> None:
@@ -47,27 +46,27 @@ class LiveCapture:
 
     @property
     def heard_s(self) -> float:
-        """Seconds of sound that came in."""
+        """Seconds of sound so far."""
         return self._writer.heard_s
 
     @property
     def format(self) -> tuple[int, int]:
-        """Rate in Hz and channels of the last buffer; zeros before the first."""
+        """Rate in Hz and channels of the latest buffer; zeros before the first."""
         return self._writer.format
 
     def look(self) -> None:
-        """See whether server and tap are there.
+        """Check that server and tap are available.
 
         Raises
         ------
         LostError, NotFoundError
-            One is not, with what would help.
+            One is not available.
         """
         self._connection = PulseConnection(Nudge(self._wake))
         self._input.locate(self._connection.latest, None)
 
     def begin(self, recorder: CaptureRecorder) -> None:
-        """Record into stream `tap` from the next buffer on; call it before the first `tick`."""
+        """Record stream `tap` from now on; call it before the first `tick`."""
         self._writer.recorder = recorder
 
     def tick(self, now_s: float) -> None:
@@ -76,7 +75,7 @@ class LiveCapture:
         Raises
         ------
         LostError
-            No sound came for LOST_LIMIT_S, as server or tap were away.
+            Server or tap were lost, and no sound arrived for LOST_LIMIT_S.
         """
         if self._writer.heard_s > self._heard_s:
             self._heard_s, self._well_s, self._reason = self._writer.heard_s, now_s, ""
@@ -84,7 +83,7 @@ class LiveCapture:
             connection = self._connected(now_s)
             if connection is not None:
                 self._input.locate(connection.latest, None)
-                self._input.keep(connection, now_s)
+                self._input.maintain(connection, now_s)
         except (LostError, NotFoundError) as error:
             self._input.close()
             self._reason = f" ({error})"
@@ -95,7 +94,7 @@ class LiveCapture:
             )
 
     def close(self) -> None:
-        """End the capture's stream. Again too; it raises nothing."""
+        """End the capture's stream. May be repeated; raises nothing."""
         self._input.close()
         if self._connection:
             self._connection.close()

@@ -1,4 +1,4 @@
-"""One thread that does what no device asks for: files played, and files written, in real time."""
+"""One thread that plays and writes files in real time."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ from collections.abc import Callable
 from typing import Protocol
 
 BURST = 64
-"""So many blocks may be made up for in a row; then other threads have their turn."""
+"""Most late blocks done in a row, before other threads get a turn."""
 
 BREATH_S = 0.001
-"""How long that turn is."""
+"""Length of that turn."""
 
 LATE_MAX_S = 2.0
-"""What is later than this is not made up for: the time that passed was a pause."""
+"""Lateness that is not caught up, because it was a pause."""
 
 
 class PacedJob(Protocol):
-    """Something to be done block by block. error: what ended it, None for nothing."""
+    """Something done block by block. error: what ended it, None if nothing did."""
 
     error: Exception | None
 
     @property
     def due_s(self) -> float:
-        """When the next block is due, in seconds from the job's start: a count over a rate."""
+        """Time of the next block, in seconds from the job's start."""
         ...
 
     def run(self, now_s: float) -> bool:
-        """Do the next block; False if it was the last."""
+        """Do the next block; return False if it was the last."""
         ...
 
 
 class FrameTime:
-    """Seconds that frames last, from a count: a sum of lengths would drift. samplerate: Hz."""
+    """Duration of all frames so far, from their count, as a sum of durations would drift."""
 
     def __init__(self, samplerate: int) -> None:
         self._before_s = 0.0
@@ -40,7 +40,7 @@ class FrameTime:
         self._samplerate = samplerate
 
     def after(self, frames: int, samplerate: int) -> float:
-        """Return how long all frames so far last, with so many more of that rate, Hz."""
+        """Return the duration in seconds with so many more frames of that rate, Hz."""
         if samplerate != self._samplerate:
             return self._before_s + self._frames / self._samplerate + frames / samplerate
         return self._before_s + (self._frames + frames) / samplerate
@@ -54,46 +54,44 @@ class FrameTime:
 
 
 class Pacer:
-    """Does jobs at their due times, the earliest first, so that jobs stay in step with each other.
+    """Does jobs at their due times, earliest first, on a thread that the first job starts.
 
-    Due times are absolute: nothing drifts. After a stall blocks are made up for, in bursts; after
-    a longer one all jobs are shifted alike. now_s: the clock. exact: tell jobs their due times
-    instead of the time that it is: for jobs that only deal with each other, where nothing is late.
-
-    The supervising thread begins and ends jobs; the thread that does them is made with the first.
-    What a job raises ends it and stays in its `error`.
+    Due times are absolute, so nothing drifts. After a stall, blocks are caught up in bursts; after
+    a longer one, all jobs are shifted alike. An exception ends its job and stays in `error`.
+    The supervising thread begins and ends jobs. exact: whether to pass jobs their due times instead
+    of the time, for jobs that depend on each other only.
     """
 
     def __init__(self, now_s: Callable[[], float], *, exact: bool = False) -> None:
         self._now_s = now_s
         self._exact = exact
-        self._jobs: dict[PacedJob, float] = {}  # and when each began
+        self._jobs: dict[PacedJob, float] = {}  # with the start of each
         self._lock = threading.Lock()
         self._changed = threading.Event()
         self._thread: threading.Thread | None = None
         self._closed = False
 
     def begin(self, job: PacedJob, now_s: float) -> None:
-        """Do this job from now on: what is due by its own count is due now."""
+        """Start or continue a job: its next block is due now."""
         with self._lock:
             self._jobs[job] = now_s - job.due_s
         if self._thread is None and not self._closed:
-            # A daemon: a program that fails before `close` must be able to end.
+            # As a daemon thread, it does not keep a program alive that fails before `close`.
             self._thread = threading.Thread(target=self._keep_pace, name="pacer", daemon=True)
             self._thread.start()
         self._changed.set()
 
     def is_doing(self, job: PacedJob) -> bool:
-        """Whether the job has begun and neither ended nor been ended."""
+        """Return whether the job runs."""
         return job in self._jobs
 
     def end(self, job: PacedJob) -> None:
-        """Do it no more. Once this returns it does not run; it can be begun again later."""
+        """Stop a job. When this returns it does not run; it may begin again later."""
         with self._lock:
             self._jobs.pop(job, None)
 
     def close(self) -> None:
-        """End the thread. Again too."""
+        """End the thread. May be repeated."""
         self._closed = True
         self._changed.set()
         thread, self._thread = self._thread, None
@@ -101,7 +99,7 @@ class Pacer:
             thread.join()
 
     def step(self, now_s: float) -> float:
-        """Do what is due at now_s, a burst at most, and return how long nothing else is; s."""
+        """Do what is due, a burst at most; return the seconds until the next block is due."""
         for _ in range(BURST):
             with self._lock:
                 if not self._jobs:

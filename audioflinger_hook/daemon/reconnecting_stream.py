@@ -1,4 +1,4 @@
-"""A stream of the sound server or a card, kept: opened, watched, given up and opened again."""
+"""A stream to a sound server or card that is watched, and reopened after a failure."""
 
 from __future__ import annotations
 
@@ -13,26 +13,25 @@ from device.server.guard import Hold
 from device.stream import CaptureStream, PlaybackStream
 
 SETTLES_S = 1.0
-"""How long a stream may take from its opening until the server shows it where it belongs."""
+"""Time after opening in which the server may still show the stream elsewhere."""
 
 ASTRAY_S = 0.4
-"""A stream that is elsewhere for less is perhaps being put right by somebody else."""
+"""Time for another program to move a stream back."""
 
 GONE_S = 3.0
-"""The server may be without a stream that runs for so long: one underrun follows another then."""
+"""Time for which the server may not list a running stream, as during a series of underruns."""
 
 LONGEST_WAIT_S = 0.5
-"""Between attempts to open: asking costs the server and us next to nothing."""
+"""Between attempts to open; an attempt costs next to nothing."""
 
 StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)
 
 
 class ReconnectingStream(Generic[StreamT]):
-    """One stream, its guard, and when to open it again. For the supervising thread alone.
+    """One stream, its guard, and the time to reopen it. For the supervising thread alone.
 
-    what: for reasons, as in "the output". lost, moved: what a stream counts as that stopped, or
-    that the server put elsewhere. stream: None while it is closed. guard: of the stream, None for
-    one that no server can put elsewhere.
+    what: subject of messages, as in "the output". lost, moved: causes to count if the stream stops
+    or is moved. stream: None while closed. guard: None on a card, where nothing moves streams.
     """
 
     def __init__(self, what: str, states: StateKeeper, lost: Cause, moved: Cause) -> None:
@@ -47,11 +46,11 @@ class ReconnectingStream(Generic[StreamT]):
 
     @property
     def xruns(self) -> int:
-        """How often PortAudio told of lateness, over all openings."""
+        """Count of late buffers that PortAudio reported, over all openings."""
         return self._xruns_before + (self.stream.xruns if self.stream else 0)
 
     def check(self, now_s: float) -> None:
-        """Give the stream up if it stopped or is not where it belongs."""
+        """Close the stream if it stopped or was moved."""
         stream, guard = self.stream, self.guard
         if stream is None:
             return
@@ -72,12 +71,10 @@ class ReconnectingStream(Generic[StreamT]):
         device_name: str,
         now_s: float,
     ) -> bool:
-        """Open the stream if it is closed and an attempt is due; whether it was opened.
+        """Open a closed stream if an attempt is due; return whether it was opened.
 
-        connection: to the server that has the device; None for a card itself, whose stream needs no
-        guard and is audible at once.
-
-        Raises what `make` raises, and LostError from the guard; the next attempt waits then.
+        connection: to the device's server, None for a card, whose stream is audible at once.
+        Errors of `make` and of the guard are raised, and delay the next attempt.
         """
         if self.stream is not None or self._backoff.wait_s(now_s) > 0.0:
             return False
@@ -95,7 +92,7 @@ class ReconnectingStream(Generic[StreamT]):
         return True
 
     def close(self) -> None:
-        """Fall silent and close. Again too; it raises nothing."""
+        """Stop and close. May be repeated; raises nothing."""
         guard, stream = self.guard, self.stream
         if guard:
             guard.release()
@@ -106,5 +103,5 @@ class ReconnectingStream(Generic[StreamT]):
 
 
 def _is_misplaced(guard: StreamGuard, now_s: float) -> bool:
-    """Whether its stream will not come back to its place by itself."""
+    """Return whether the stream has been elsewhere for too long."""
     return guard.misplaced_s(now_s) > (GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S)

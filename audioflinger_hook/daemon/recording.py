@@ -1,10 +1,9 @@
-"""`cushion run --record`: what was delivered, what was made of it, and what was sent, kept."""
+"""`cushion run --record`: buffers of the tap, the effect and the device in one capture."""
 
 from __future__ import annotations
 
 import os
 from contextlib import suppress
-from types import TracebackType
 
 import numpy as np
 
@@ -17,15 +16,22 @@ from device.units import Float32Array
 
 
 class RunRecording:
-    """A capture of one run: streams `tap`, `effect` and `device`, from the first buffer on.
+    """A capture of one run with streams `tap`, `effect` and `device`, from the first buffer on.
 
-    Nothing is written before `begin`. folder: new or empty; settings: of the run, kept among the
-    capture's facts so that a replay needs no other; tap, device: their addresses. A replay of
-    `tap` gives `effect` bit for bit.
+    A replay of `tap` gives `effect` bit for bit. If writing fails, the capture ends, the run goes
+    on, and `close` raises the error.
 
-    `delivered` and `felt` are called by the thread that mixes, `sent` by the output's, `reopened`
-    while that one rests; none of them waits or raises. Where writing fails, the capture ends as it
-    is and the run goes on: `problem` says so, and `close` raises it.
+    The thread that mixes calls `delivered` and `felt`, the output's thread `sent`, and the
+    supervising thread `reopened` while the output rests. None of them waits or raises.
+
+    Parameters
+    ----------
+    folder : path
+        New or empty; `begin` makes it.
+    settings : Settings
+        Stored in the capture, so that a replay needs no other file.
+    tap, device : str
+        Addresses of the run.
     """
 
     def __init__(
@@ -41,19 +47,19 @@ class RunRecording:
         self._recorder: CaptureRecorder | None = None
 
     def begin(self) -> None:
-        """Make the folder; call it before the first buffer. Raises as `CaptureWriter` does."""
+        """Make the folder, before the first buffer. Raises the errors of `CaptureWriter`."""
         writer = CaptureWriter(self._folder, streams=STREAMS, facts=self._facts)
         self._recorder = CaptureRecorder(writer)
 
     @property
     def problem(self) -> str:
-        """Why nothing is recorded any more, one line; empty while all goes well. Any thread."""
+        """Why the recording has ended, one line, or "". Any thread."""
         error = self._recorder.error if self._recorder else None
         return f"the recording has ended: {error}" if error else self._ended
 
     @property
     def warnings(self) -> list[str]:
-        """What a user should know about the recording, a line each. Any thread."""
+        """Problems of the recording, one line each. Any thread."""
         if self.problem:
             return [self.problem]
         if self._recorder is None:
@@ -65,15 +71,15 @@ class RunRecording:
             if count
         ]
 
-    def mix_is(self, samplerate: int, channels: int) -> None:
-        """Be told the format of the mix, Hz, before the first buffer."""
+    def set_mix_format(self, samplerate: int, channels: int) -> None:
+        """Set the format of the mix (Hz, channels), before the first buffer."""
         self._mix = (samplerate, channels)
 
     def hooks(self, samplerate: int, *, of_mix: bool) -> tuple[OnStep, OnMix | None]:
-        """Return what an engine has to call, for a mix of this rate, Hz.
+        """Return the engine's `on_step` and `on_mix`, for a mix of this rate, Hz.
 
-        of_mix: whether the mix is what was delivered: of many sounds, which no replay could mix
-        again as they came.
+        of_mix: whether to record the mix instead of buffers; a replay could not repeat the mix of
+        several sounds.
         """
 
         def felt(_: Float32Array, vibration: Float32Array, now_s: float) -> None:
@@ -87,12 +93,12 @@ class RunRecording:
     def delivered(
         self, frames: Float32Array, samplerate: int, now_s: float, discontinuity: bool
     ) -> None:
-        """Keep a buffer of the tap; discontinuity: frames are missing before it."""
+        """Record a buffer of the tap; discontinuity: whether frames are missing before it."""
         recorder = self._recorder
         if self._ended or recorder is None:
             return
         if not self._begun and self._mix not in (None, (samplerate, frames.shape[1])):
-            # A replay takes the first buffer's format for the mix: an empty one tells it.
+            # A replay mixes in the format of the first buffer, so an empty one sets it.
             mix_samplerate, mix_channels = self._mix or (samplerate, 1)
             nothing = np.zeros((0, mix_channels), np.float32)
             recorder.offer("tap", nothing, mix_samplerate, now_s)
@@ -101,26 +107,26 @@ class RunRecording:
         recorder.offer("tap", frames, samplerate, now_s, discontinuity=discontinuity)
 
     def felt(self, vibration: Float32Array, samplerate: int, now_s: float) -> None:
-        """Keep the effect's output, before the delay line."""
+        """Record the effect's output, before the delay line."""
         self._offer("effect", vibration, samplerate, now_s)
 
     def reopened(self) -> None:
-        """Be told that a new stream leads to the device."""
+        """Mark that the device's stream was reopened."""
         self._broken["device"] = self._device_begun
 
     def sent(self, frames: Float32Array, samplerate: int, now_s: float) -> None:
-        """Keep what went to the device, as it went."""
+        """Record what was sent to the device."""
         self._device_begun = True
         self._offer("device", frames, samplerate, now_s)
 
     def end(self, why: str) -> None:
-        """Record nothing more, because of `why`: what follows would not be what a replay gives."""
+        """Stop recording, because a replay could not reproduce what follows."""
         self._ended = self._ended or f"the recording {self._folder} has ended: {why}"
 
     def close(self) -> None:
-        """Complete the capture, and raise what made it end before its time. Waits for the disk.
+        """Complete the capture, or raise the error that ended it. Waits for the disk.
 
-        Called when nobody feeds it any more; harmless a second time.
+        Call it when no thread records any more. May be repeated.
         """
         if self._recorder:
             self._recorder.close()
@@ -128,16 +134,11 @@ class RunRecording:
     def __enter__(self) -> RunRecording:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None or not issubclass(kind, CushionError):
             self.close()
             return
-        with suppress(CushionError):  # what ended the run comes first
+        with suppress(CushionError):  # the error that ended the run comes first
             self.close()
 
     def _offer(self, stream: str, frames: Float32Array, samplerate: int, now_s: float) -> None:

@@ -1,4 +1,4 @@
-"""What the daemon was asked for, and what another order changes."""
+"""What one run of the daemon is asked for, and the difference between two such configs."""
 
 from __future__ import annotations
 
@@ -16,18 +16,27 @@ LIVE_TAPS = ("default", "sink", "app")
 PACED_TAPS = ("file", "capture", "scene")
 SERVER_DEVICES = ("sink", "usb")
 CARD_DEVICES = ("hw",)
-"""Kinds of taps and devices: the sound server brings the live ones, cards keep their own time, we
-pace the others."""
+"""Kinds of taps and devices; a thread of the daemon paces those that are not live."""
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that was asked for.
+    """Everything that the config and the options ask for.
 
-    tap, device: where sound comes from and vibration goes; settings: how one is made of the
-    other; live: all else, of which device does not count here, and tap if it is no application.
-    recording: takes what runs; whoever made it begins and closes it. past_server: whether a USB
-    device is a card itself, as there is no sound server.
+    Parameters
+    ----------
+    tap : TapAddress
+        Where sound comes from.
+    device : DeviceAddress
+        Where vibration goes.
+    settings : Settings
+        How vibration is made of sound.
+    live : LiveSettings
+        Everything else; its device does not count here, and its tap only for applications.
+    recording : RunRecording, optional
+        Records the run; its creator begins and closes it.
+    past_server : bool
+        Whether a USB device is opened as a card, because no sound server answers.
     """
 
     tap: TapAddress
@@ -39,34 +48,34 @@ class RunConfig:
 
     @property
     def tap_is_live(self) -> bool:
-        """Whether the sound is the sound server's."""
+        """Whether the sound server provides the sound."""
         return self.tap.kind in LIVE_TAPS
 
     @property
     def device_is_live(self) -> bool:
-        """Whether the vibration goes to something that asks for it in its own time."""
+        """Whether a sink or card paces the output."""
         return self.device.kind in SERVER_DEVICES + CARD_DEVICES
 
     @property
     def device_is_a_card(self) -> bool:
-        """Whether the vibration goes to a card itself, past the sound server."""
+        """Whether the vibration goes to a card without the sound server."""
         return self.device.kind in CARD_DEVICES or (self.past_server and self.device.kind == "usb")
 
     @property
     def needs_server(self) -> bool:
-        """Whether sound or vibration is the sound server's."""
+        """Whether the sound server provides the sound or takes the vibration."""
         return self.tap_is_live or (
             self.device.kind in SERVER_DEVICES and not self.device_is_a_card
         )
 
     @property
     def rules(self) -> AppRules | None:
-        """Return which applications are felt by themselves, None where their mix is.
+        """Return the rules that select single applications, None if a sink's mix is captured.
 
         Raises
         ------
         UsageError
-            A rule cannot be read, or there are rules for a tap that knows no applications.
+            A rule is invalid, or the tap has no single applications.
         """
         include, exclude = self.live.include, self.live.exclude
         if self.tap.kind == "app":
@@ -76,22 +85,20 @@ class RunConfig:
         if self.tap.kind == "default":
             return AppRules(include, exclude)
         raise UsageError(
-            f"tap {str(self.tap)!r} knows no single applications; for include and exclude of "
-            "[applications] the tap has to be default or app:NAME"
+            f"tap {str(self.tap)!r} has no single applications; for include and exclude of "
+            "[applications] the tap must be default or app:NAME"
         )
 
 
 @dataclass(frozen=True)
 class ConfigDiff:
-    """What is another from one order to the next, by what it takes.
+    """What differs between two configs, grouped by what a change interrupts.
 
-    level, volume, offset, priority: nothing is interrupted; volume is the device's own; the offset
-    is a jump of the delay, faded over 5 ms; actuators: level, polarity, delay, source or channels
-    of some, each faded over one block or 10 ms; a priority that is wanted is that of streams that
-    are opened from now on.
-    transform: the vibration fades out and begins anew after the transform's latency. tap, device:
-    the one stream is led elsewhere or opened anew. drop_in: the virtual sink comes or goes.
-    blocks: both streams are opened anew. engine: everything but the connection begins anew.
+    Nothing is interrupted by level, volume (of the device), priority (for streams opened later),
+    actuators (faded) and offset (the delay jumps, faded over 5 ms).
+    A change of transform fades out and restarts after the transform's latency. tap and device
+    affect one stream, drop_in the virtual sink, blocks both streams, engine everything but the
+    connection.
     """
 
     level: bool = False
@@ -108,70 +115,72 @@ class ConfigDiff:
 
     @classmethod
     def between(cls, old: RunConfig, new: RunConfig) -> ConfigDiff:
-        """Return what `new` changes of `old`."""
+        """Return the difference from `old` to `new`."""
         before, after = old.settings, new.settings
-        # The effect takes another level and other parameters while it runs, and nothing else; a
-        # profile is its parameters.
-        alike = replace(
+        # While it runs, the effect takes another level and other parameters; a profile is a set of
+        # parameters.
+        unaffected = replace(
             after,
             gain_db=before.gain_db,
             profile=before.profile,
             parameters=before.parameters,
             said=before.said,
         )
-        follow = _can_follow(before, after)
-        if follow:
-            alike = replace(alike, actuators=before.actuators)
+        actuators_change = _can_change(before, after)
+        if actuators_change:
+            unaffected = replace(unaffected, actuators=before.actuators)
         return cls(
             level=before.gain_db != after.gain_db,
-            actuators=follow and before.actuators != after.actuators,
+            actuators=actuators_change and before.actuators != after.actuators,
             volume=old.live.device_volume_db != new.live.device_volume_db,
             offset=old.live.offset_ms != new.live.offset_ms,
             priority=old.live.realtime != new.live.realtime,
             transform=before.parameters != after.parameters,
-            tap=_what_is_heard(old) != _what_is_heard(new),
+            tap=_selected_sound(old) != _selected_sound(new),
             device=old.device != new.device,
             drop_in=old.live.drop_in != new.live.drop_in,
             blocks=old.live.block_frames != new.live.block_frames,
-            engine=before != alike,
+            engine=before != unaffected,
         )
 
     @property
     def any(self) -> bool:
-        """Whether anything is another."""
+        """Whether anything differs."""
         return any(astuple(self))
 
     def __str__(self) -> str:
-        """Return what changed, for people, in one line."""
+        """Return one line that lists the changes."""
         words = {
             "the level": self.level,
             "the actuators": self.actuators,
             "the device's volume": self.volume,
             "the offset": self.offset,
             "the audio threads' priority": self.priority,
-            "the transform, which begins anew": self.transform and not self.engine,
+            "the transform, which restarts": self.transform and not self.engine,
             "the tap": self.tap,
             "the device": self.device,
             "the virtual sink": self.drop_in,
-            "the blocks, so that both streams open anew": self.blocks and not self.engine,
-            "the effects, so that everything begins anew": self.engine,
+            "the block length, which reopens both streams": self.blocks and not self.engine,
+            "the effects, which restart everything": self.engine,
         }
         changed = [text for text, is_so in words.items() if is_so]
         return ", ".join(changed) or "nothing"
 
 
-def _can_follow(before: Settings, after: Settings) -> bool:
-    """Whether the actuators can go over while they play: as many, the same rigs and sources."""
+def _can_change(before: Settings, after: Settings) -> bool:
+    """Whether the actuators can change while they play: same number, rigs and sources."""
     were, are = before.actuators, after.actuators
-    return before.sources == after.sources and [_fixed(a) for a in were] == [_fixed(a) for a in are]
+    return before.sources == after.sources and [_fixed_settings(a) for a in were] == [
+        _fixed_settings(a) for a in are
+    ]
 
 
-def _fixed(actuator: ActuatorSettings) -> tuple[str | None, ...]:
-    """What stays as it is while it plays."""
+def _fixed_settings(actuator: ActuatorSettings) -> tuple[str | None, ...]:
+    """Return what cannot change while an actuator plays."""
     return actuator.rig, actuator.damping, actuator.protection, actuator.exposure_cap
 
 
-def _what_is_heard(order: RunConfig) -> tuple[object, ...]:
-    live = order.live
-    apps = live.tap if order.tap.kind == "app" else ()
-    return order.tap, apps, live.include, live.exclude
+def _selected_sound(config: RunConfig) -> tuple[object, ...]:
+    live = config.live
+    apps = live.tap if config.tap.kind == "app" else ()
+    return config.tap, apps, live.include, live.exclude

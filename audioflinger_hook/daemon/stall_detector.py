@@ -1,4 +1,4 @@
-"""What made the process, the machine or the sound stand still: noticed, counted, told."""
+"""Notices that the process stalled, the machine was suspended, or the delay line restarted."""
 
 from __future__ import annotations
 
@@ -7,17 +7,14 @@ from collections.abc import Callable
 from audioflinger_hook.service.state import Cause, StateKeeper
 
 STALLED_S = 1.0
-"""A tick later than this: the process stood still."""
+"""Lateness of a tick that counts as a stall of the process."""
 
 SLEPT_S = 0.5
-"""The machine has slept if it did so for longer."""
+"""Shortest suspend that counts."""
 
 
 class StallDetector:
-    """Notices pauses from one tick to the next. For the supervising thread alone.
-
-    slept_s: see `Clocks`.
-    """
+    """Counts stalls from one tick to the next. For the supervising thread alone."""
 
     def __init__(self, states: StateKeeper, slept_s: Callable[[], float]) -> None:
         self._states = states
@@ -27,23 +24,23 @@ class StallDetector:
         self._resyncs = 0
 
     def woke(self, now_s: float, rest_s: float) -> bool:
-        """Whether the machine has slept since the last tick; a stall of the process is counted.
+        """Return whether the machine was suspended since the last tick; count a stall.
 
-        rest_s: how long the ticks are apart at most, if nothing stands still.
+        rest_s: longest time between ticks.
         """
         slept_s = self._slept()
-        lay_s, self._slept_s = slept_s - self._slept_s, slept_s
+        suspended_s, self._slept_s = slept_s - self._slept_s, slept_s
         before_s, self._ticked_s = self._ticked_s, now_s
-        if lay_s > SLEPT_S:
-            self._states.recover(Cause.RESUMED, now_s, f"slept for {lay_s:.0f} s")
+        if suspended_s > SLEPT_S:
+            self._states.recover(Cause.RESUMED, now_s, f"suspended for {suspended_s:.0f} s")
             return True
         late_s = 0.0 if before_s is None else now_s - before_s - rest_s
         if late_s > STALLED_S:
-            self._states.count(Cause.STALL, f"everything stood still for {late_s:.1f} s")
+            self._states.count(Cause.STALL, f"the process stalled for {late_s:.1f} s")
         return False
 
     def count_resyncs(self, resyncs: int) -> None:
-        """Count those of the delay line that are new; resyncs: so far."""
+        """Count new restarts of the delay line; resyncs: total so far."""
         for _ in range(resyncs - self._resyncs):
-            self._states.count(Cause.RESYNC, "the computer was late: the delay was set anew")
+            self._states.count(Cause.RESYNC, "processing fell behind; delay reset")
         self._resyncs = resyncs

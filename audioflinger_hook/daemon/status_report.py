@@ -1,4 +1,4 @@
-"""What a running daemon tells about itself, gathered from all its parts."""
+"""The status of a running daemon, collected from its parts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from device.drive.rig_processor import RigProcessor
 
 
 def status_of(supervisor: Supervisor, now_s: float) -> Status:
-    """Return the whole picture at `now_s`. Any thread may call it; the audio does not notice."""
+    """Return the status at `now_s`. Any thread may call it; audio threads do not wait for it."""
     report = supervisor.states.report(now_s)
     tap, device = supervisor.endpoints
     engine = supervisor.engine

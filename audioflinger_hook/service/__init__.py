@@ -1,11 +1,13 @@
-"""What a running daemon needs besides sound: its states, its status, its place in the system.
+"""What a daemon needs besides sound; nothing here uses audio, a sound server or a device.
 
-One module, one idea; nothing here touches sound, a sound server or a device:
-
-    state, backoff                        what the daemon is doing; when it tries again
-    levels, buffer_times                  measuring, on the audio thread
-    status, document, status_view         what it tells: the document, its JSON, its text
-    folder, lock, socket, ask             one daemon a user, and questions to it
-    notify, watchdog                      what systemd is told
-    unit, udev, install                   what systemd and udev are given
+| module | contents |
+| --- | --- |
+| `state`, `backoff` | the daemon's state; time until the next attempt |
+| `meters` | levels and buffer times, measured on the audio threads |
+| `status`, `status_view`, `json_codec` | the status, its text and its JSON |
+| `runtime_folder` | the private folder, and the lock for one daemon per user |
+| `status_server`, `status_client` | the status socket and its client |
+| `systemd` | notifications and the watchdog |
+| `unit`, `install` | the systemd unit and the udev rule; installing the unit |
+| `one_line` | foreign text as one line |
 """

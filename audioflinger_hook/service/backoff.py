@@ -1,4 +1,4 @@
-"""When to try again: soon at first, then ever less often."""
+"""Time until the next attempt: short at first, doubled after each failure."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Backoff:
         """Failures since the last success."""
 
     def failed(self, now_s: float) -> float:
-        """Take in a failure; return how long to wait from `now_s` on."""
+        """Count a failure; return the wait from `now_s` on."""
         wait_s = self._next_wait_s
         self._next_wait_s = min(self._longest_s, 2.0 * wait_s)
         self._due_s = now_s + wait_s
@@ -33,14 +33,14 @@ class Backoff:
         return wait_s
 
     def succeeded(self) -> None:
-        """Begin anew: the next attempt is due at once, the wait after it is the first one."""
+        """Reset: the next attempt is due at once."""
         self._next_wait_s = self._first_s
         self._due_s = None
         self.failures = 0
 
     def wait_s(self, now_s: float) -> float:
-        """Return how long to wait at `now_s` until the next attempt is due; 0 if it is."""
+        """Return the seconds until the next attempt; 0 if it is due."""
         if self._due_s is None:
             return 0.0
-        # A clock that was set back must not prolong a wait.
+        # If the clock is set back, the wait must not become longer.
         return min(self._longest_s, max(0.0, self._due_s - now_s))

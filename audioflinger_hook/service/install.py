@@ -1,4 +1,4 @@
-"""Putting the user unit where systemd looks for it, and taking it away again."""
+"""Installs and removes the systemd user unit."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FORGET = ("systemctl --user daemon-reload",)
 
 @dataclass(frozen=True)
 class Installed:
-    """What was done: the unit's path, whether its text is new, and the commands to type next."""
+    """The unit's path, whether it has changed, and the commands to type next."""
 
     path: Path
     changed: bool
@@ -32,9 +32,9 @@ class Installed:
 
 
 def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple[str, ...]:
-    """Return how this very program is started: the `cushion` that runs, or Python and -m.
+    """Return the command that starts this program: `cushion`, or Python with -m.
 
-    Links stay: behind the one of a virtual environment is a Python that lacks its packages.
+    Links are not resolved, as the Python behind a virtual environment's link lacks its packages.
     """
     script = Path(argv0).absolute()
     if script.name == "cushion" and script.is_file() and os.access(script, os.X_OK):
@@ -43,7 +43,7 @@ def own_command(argv0: str = sys.argv[0], python: str = sys.executable) -> tuple
 
 
 def systemd_version() -> int:
-    """Return the version of the systemd that is installed, 0 where none answers."""
+    """Return the version of systemd, 0 if there is none."""
     try:
         told = subprocess.run(
             ["systemctl", "--version"],
@@ -60,7 +60,7 @@ def systemd_version() -> int:
 
 
 def unit_path(environ: Mapping[str, str] = os.environ) -> Path:
-    """Return where the unit belongs: $XDG_CONFIG_HOME/systemd/user/cushion.service."""
+    """Return the unit's path, $XDG_CONFIG_HOME/systemd/user/cushion.service."""
     return _home(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / unit.NAME
 
 
@@ -72,15 +72,14 @@ def install(
 ) -> Installed:
     """Write the unit that runs `cushion run` with these arguments.
 
-    command: of `own_command` if not given; systemd: of `systemd_version`. The folders it needs
-    are made. The file appears whole, and only if its text is another. systemd is told nothing:
-    the commands do that.
+    Makes missing folders, and writes the file atomically if its text differs. The returned
+    commands load and start it. command: default `own_command`; systemd: `systemd_version`.
 
     Raises
     ------
     UsageError
-        A path or argument that systemd does not take; a folder that cannot be written; a unit of
-        that name that somebody else has written, which stays.
+        systemd does not accept a path or argument, a folder is not writable, or the unit was not
+        written by this program.
     WriteError
         The disk is full or failed.
     """
@@ -101,14 +100,14 @@ def install(
 
 
 def remove(environ: Mapping[str, str] = os.environ) -> Installed:
-    """Remove the unit that `install` wrote; nothing changes where there is none.
+    """Remove the unit that `install` wrote, if there is one.
 
-    Type the commands of `STOP` before: systemd cannot disable what is gone.
+    systemd cannot disable a removed unit, so the commands of `STOP` come first.
 
     Raises
     ------
     UsageError
-        Somebody else has written it, or the folder cannot be written.
+        The unit was not written by this program, or the folder is not writable.
     """
     path = unit_path(environ)
     if _written_before(path) is None:
@@ -121,13 +120,13 @@ def remove(environ: Mapping[str, str] = os.environ) -> Installed:
 
 
 def _written_before(path: Path) -> str | None:
-    """Return our unit's text, None for nothing there."""
+    """Return the text of the installed unit, None if there is none."""
     text = ""
     try:
         found = path.lstat()
         if stat.S_ISREG(found.st_mode) and found.st_size <= UNIT_BYTES_MAX:
             text = path.read_text(encoding="utf-8")
-    except (FileNotFoundError, NotADirectoryError):  # the latter is for `install` to tell
+    except (FileNotFoundError, NotADirectoryError):  # `install` reports the latter
         return None
     except (OSError, UnicodeDecodeError):
         pass
@@ -141,7 +140,7 @@ def _written_before(path: Path) -> str | None:
 
 def _home(environ: Mapping[str, str], variable: str, otherwise: str) -> Path:
     text = environ.get(variable, "")
-    # As the XDG specification has it, a relative path counts as not set.
+    # The XDG specification requires that relative paths be ignored.
     if text.startswith("/"):
         return Path(text)
     home = environ.get("HOME", "")

@@ -1,4 +1,4 @@
-"""What a running daemon tells about itself: one document, as `cushion status --json` prints it."""
+"""The status of a running daemon, as `cushion status --json` prints it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from audioflinger_hook.service.state import Cause, DaemonState
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A tap or a device: its address as it was asked for, and what is there, None for nothing."""
+    """A tap or a device: the configured address, and the name of what is available or None."""
 
     address: str
     name: str | None = None
@@ -21,7 +21,7 @@ class Endpoint:
 
 @dataclass(frozen=True)
 class Levels:
-    """What comes in and what goes out."""
+    """Levels of the sound and of the vibration."""
 
     sound: Level = field(default_factory=Level)
     vibration: Level = field(default_factory=Level)
@@ -29,11 +29,11 @@ class Levels:
 
 @dataclass(frozen=True)
 class LatencyBudget:
-    """Where the time goes between a sound and its vibration, in ms.
+    """Parts of the delay between a sound and its vibration, in ms.
 
-    offset_ms: what the user added, less what drop-in mode delays the sound by. driving_ms: what
-    damping and protection add. delay_ms: what was asked for by the actuator that comes last.
-    total_ms: by how much the vibration comes later than the sound is played, that of this actuator.
+    offset_ms: the user's offset, less the delay of the sound in drop-in mode. driving_ms: latency
+    of damping and protection. delay_ms: longest delay of an actuator's settings. total_ms: delay of
+    that actuator behind the sound.
     """
 
     tap_ms: float = 0.0
@@ -57,7 +57,7 @@ class LatencyBudget:
         driving_ms: float = 0.0,
         delay_ms: float = 0.0,
     ) -> LatencyBudget:
-        """Return the budget with its sum."""
+        """Return the budget with its total."""
         in_order = (tap_ms, transform_ms, delay_line_ms, output_ms, offset_ms)
         parts_ms = (*in_order, driving_ms, delay_ms)
         return cls(*parts_ms, sum(parts_ms))
@@ -65,10 +65,10 @@ class LatencyBudget:
 
 @dataclass(frozen=True)
 class DelayLineFigures:
-    """The delay line: what its delay should be and is, in ms, and how it is steered there.
+    """State of the delay line: target and actual delay in ms.
 
-    ratio_ppm: how much faster than nominal it is read. resyncs, underflows, overflows: how often
-    it jumped, ran out of frames, lost some. state: in the delay line's own words.
+    ratio_ppm: how much faster than nominal it is read. resyncs, underflows, overflows: counts of
+    jumps, of missing and of lost frames. state: value of `DelayState`.
     """
 
     target_ms: float = 0.0
@@ -82,7 +82,7 @@ class DelayLineFigures:
 
 @dataclass(frozen=True)
 class Xruns:
-    """How often sound was late or lost in the tap, and vibration in the output."""
+    """Counts of late or lost buffers in tap and output."""
 
     tap: int = 0
     output: int = 0
@@ -90,13 +90,12 @@ class Xruns:
 
 @dataclass(frozen=True)
 class ProtectionFigures:
-    """Counts of blocks of 2 ms since the start, and the last one's readings, the worst channel's.
+    """Counts of blocks of 2 ms since the start, and readings of the worst channel.
 
-    limited_blocks: where some drive was taken away; infeasible_blocks: where all of it was, since
-    nothing else would have kept the limits. gain, least_gain: of the drive, now and the smallest,
-    0 to 1. limited_by: what asked for the gain now, "" where nothing did. excursion_mm: amplitude
-    that is predicted; coil_c: predicted, degrees C, None where the rig does not say how it warms
-    up.
+    limited_blocks: blocks with reduced drive; infeasible_blocks: blocks that had to be silenced.
+    gain, least_gain: current and smallest gain of the drive, 0 to 1. limited_by: cause of the gain,
+    "" for none. excursion_mm: predicted amplitude. coil_c: predicted temperature in degrees C, None
+    if the rig lacks thermal data.
     """
 
     blocks: int
@@ -114,11 +113,11 @@ class ProtectionFigures:
 class ExposureFigures:
     """Predicted vibration of the seat since the start, weighted by Wk of ISO 2631-1.
 
-    time_s: of vibration; running_m_s2: r.m.s. of the last second; a8_m_s2: A(8); vdv: m/s^1.75;
-    above_action, above_limit: whether 2002/44/EC says so; extrapolated: share of the energy above
-    80 Hz, where the weighting is an extrapolation. knows_seat: whether the seat is the rig file's,
-    else it is taken to move as the mass does. cap, cap_gain: what `exposure_cap` says, and the gain
-    that is left by it, 0 to 1.
+    time_s: duration of vibration; running_m_s2: r.m.s. of the last second; a8_m_s2: A(8); vdv:
+    m/s^1.75; above_action, above_limit: by the values of 2002/44/EC; extrapolated: share of energy
+    above 80 Hz, where the weighting is extrapolated. knows_seat: whether the rig file describes the
+    seat, which otherwise is assumed to move as the mass. cap, cap_gain: the setting `exposure_cap`
+    and its gain, 0 to 1.
     """
 
     time_s: float
@@ -135,11 +134,10 @@ class ExposureFigures:
 
 @dataclass(frozen=True)
 class ActuatorFigures:
-    """One of several actuators: what was asked for, and what it gets.
+    """One of several actuators: its settings and readings.
 
-    source: of its vibration; channels: of the device, as the config names them; rig: by its own
-    name or its file's. level: of what it gets, protection and its own level included. protection,
-    exposure: None where nothing is done for it.
+    channels: as the config names them; rig: name or file; level: after protection and gain.
+    protection, exposure: None if its rig has neither.
     """
 
     source: str
@@ -155,14 +153,12 @@ class ActuatorFigures:
 
 @dataclass(frozen=True)
 class Status:
-    """The whole picture; made by one thread at one time, read by any.
+    """The whole status at one time.
 
-    version: the program's. pid: its process. since_s: how long the state has lasted.
-    recoveries: how many there were, for every cause. effects_bypassed: the names of the effects
-    that are. limited_samples, replaced_samples: as of `cushion render --json`, since the start.
-    protection, exposure: None without protection; of several actuators those of the one with the
-    least gain, and of the one with the largest dose. actuators: each of them, in the config's
-    order. profile: its name, "" before there is any sound.
+    since_s: duration of the state. recoveries: counts by cause. effects_bypassed: names of effects.
+    limited_samples, replaced_samples: as in `cushion render --json`, since the start. protection,
+    exposure: None without protection; of several actuators, those with the least gain and with the
+    largest dose. actuators: in the config's order. profile: "" before the first sound.
     """
 
     version: str
@@ -201,11 +197,11 @@ class Status:
 
     @classmethod
     def from_json(cls, text: str | bytes) -> Status:
-        """Return the status that a document holds.
+        """Return the status in a document.
 
         Raises
         ------
         UsageError
-            It is not exactly such a document; see `document.from_json`.
+            It is not exactly such a document; see `json_codec.from_json`.
         """
         return from_json(cls, text)

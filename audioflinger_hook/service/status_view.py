@@ -32,7 +32,7 @@ _COLOURS = {
 
 
 def status_text(status: Status, width: int = 80) -> str:
-    """Return the view as plain text, no line wider than `width` cells; legible from 20 on."""
+    """Return the view as plain text with lines of at most `width` cells."""
     console = Console(
         file=io.StringIO(), width=max(1, width), color_system=None, legacy_windows=False
     )
@@ -42,10 +42,9 @@ def status_text(status: Status, width: int = 80) -> str:
 
 
 def status_view(status: Status) -> Table:
-    """Return what rich prints or redraws: a line for each part of the status.
+    """Return the table that rich prints, one row for each part of the status.
 
-    Names come from the sound server and from users: they are shown as text, never as markup or
-    escape sequences.
+    Names from the sound server and from users are shown as text, never as markup.
     """
     table = Table.grid(padding=(0, 1, 0, 0), expand=False)
     table.add_column(style="dim", overflow="fold", min_width=1)
@@ -136,7 +135,7 @@ def _latency(status: Status) -> Text:
     latency = status.latency
     driving = f"driving {latency.driving_ms:.1f} + " if latency.driving_ms else ""
     driving += f"actuator {latency.delay_ms:.1f} + " if latency.delay_ms else ""
-    # What drop-in mode holds the sound back by may be more than all else together.
+    # In drop-in mode the sound may be delayed more than the vibration.
     early_ms = round(-latency.total_ms, 1)
     early = f" ({early_ms:.1f} ms before the sound)" if early_ms > 0.0 else ""
     return Text(
@@ -148,7 +147,7 @@ def _latency(status: Status) -> Text:
 
 
 def _actuator(number: int, actuator: ActuatorFigures) -> list[tuple[str, Text]]:
-    """Return what it is, how strong, and what its own rig's protection and exposure say."""
+    """Return the rows of one actuator: settings, level, protection and exposure."""
     words = [
         f"{one_line(actuator.source)} on {', '.join(one_line(c, 40) for c in actuator.channels)}",
         one_line(actuator.rig),

@@ -12,10 +12,10 @@ from device.errors import UsageError
 
 NAME = "cushion.service"
 MARK = "# Written by `cushion install-service`."
-"""How every unit of ours begins; what does not is the user's own."""
+"""First words of every unit that this program wrote."""
 
 UDEV_PATH = "/etc/udev/rules.d/70-cushion.rules"
-"""Before 73-seat-late.rules, which is what reads the tag."""
+"""The number is below that of 73-seat-late.rules, which reads the tag."""
 
 _USB_ID = re.compile(r"[0-9a-fA-F]{4}")
 
@@ -79,19 +79,18 @@ WantedBy=default.target
 
 
 NOTIFY_RELOAD = 253
-"""The first version of systemd that sends SIGHUP by itself and waits for the reload to end."""
+"""First version of systemd that sends SIGHUP itself and waits for the end of the reload."""
 
 
 def unit_text(command: Sequence[str], state_folder: Path, systemd: int = 0) -> str:
-    """Return the unit that runs a command, its program's absolute path first.
+    """Return the unit that runs a command, which begins with an absolute path.
 
-    state_folder: the one folder besides the runtime folder that the daemon may write; systemd: its
-    version, 0 for any.
+    state_folder: the daemon may write here and in the runtime folder; systemd: version, 0 for any.
 
     Raises
     ------
     UsageError
-        systemd takes no such path or argument.
+        systemd does not accept a path or argument.
     """
     program, *arguments = command
     words = [_program(program), *(_quoted(argument) for argument in arguments)]
@@ -106,8 +105,8 @@ def unit_text(command: Sequence[str], state_folder: Path, systemd: int = 0) -> s
 
 
 def _program(path: str) -> str:
-    # systemd refuses these in a program's name, however they are quoted; and it expands no
-    # variable in it, so that a dollar sign stands for itself.
+    # systemd refuses these characters in a program's name even if quoted. It expands no variables
+    # there, so dollar signs need no escape.
     if not path.startswith("/") or any(sign in path for sign in "\"'\\"):
         raise UsageError(
             f"systemd cannot run {one_line(path)!r}: allowed is an absolute path without quotes "
@@ -122,7 +121,7 @@ def _quoted(argument: str) -> str:
 
 
 def _optional(path: Path) -> str:
-    """Return a path that may be missing, which is what the minus sign says."""
+    """Return a path with a minus sign, so that it may be missing."""
     text = str(path)
     if any(sign in text for sign in "\"'\\"):
         raise UsageError(
@@ -150,12 +149,12 @@ def _is_utf8(text: str) -> bool:
 
 
 def udev_rule(vendor: str | None = None, product: str | None = None) -> str:
-    """Return the rule, for all USB audio devices or for one: its ids as four hex digits each.
+    """Return the rule for all USB audio devices, or for one by its ids of four hex digits.
 
     Raises
     ------
     UsageError
-        An id is something else, or only one of them is given.
+        An id is invalid, or only one is given.
     """
     match = 'ENV{ID_USB_INTERFACES}=="*:0101??:*"'  # audio class, its control interface
     what = "USB audio devices"
@@ -177,7 +176,7 @@ def udev_rule(vendor: str | None = None, product: str | None = None) -> str:
 
 
 def udev_command(rule: str) -> str:
-    """Return the shell command that installs a rule as root, for the user to read and paste."""
+    """Return the shell command that installs a rule as root."""
     return (
         f"sudo tee {UDEV_PATH} >/dev/null <<'END'\n{rule}END\n"
         "sudo udevadm control --reload && "

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from audioflinger_hook.cli.run_reporter import RunReporter
-from audioflinger_hook.service.rate_limit import AT_ONCE, EVERY_S, KINDS_MAX, RateLimit
+from audioflinger_hook.cli.run_reporter import AT_ONCE, EVERY_S, KINDS_MAX, RateLimit, RunReporter
 from audioflinger_hook.service.state import NOTES_MAX, Cause, DaemonState, Note, StateKeeper
 from device.errors import UsageError
 
@@ -16,16 +15,16 @@ def no_manager(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Told:
-    """A teller of one keeper, and what it said last."""
+    """A reporter of one keeper, and what it said last."""
 
     def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
         self._capsys = capsys
         self.keeper = StateKeeper(0.0)
-        self.teller = RunReporter()
+        self.reporter = RunReporter()
 
     def lines(self, now_s: float = 0.0, *warnings: str) -> list[str]:
         report = self.keeper.report(now_s)
-        self.teller.tell(report, self.keeper.notes(), list(warnings), now_s)
+        self.reporter.report(report, self.keeper.notes(), list(warnings), now_s)
         return self._capsys.readouterr().err.splitlines()
 
 
@@ -37,9 +36,9 @@ def told(capsys: pytest.CaptureFixture[str]) -> Told:
 def test_the_first_line_says_what_is_felt_and_where(
     told: Told, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    told.teller.begin("default", "sink:seat")
+    told.reporter.begin("default", "sink:seat")
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == "cushion: what plays at default is felt at sink:seat; Ctrl+C ends it"
+    assert line == "cushion: sound of default drives sink:seat; Ctrl+C ends it"
 
 
 def test_a_state_is_told_once_and_again_with_another_reason(told: Told) -> None:
@@ -54,11 +53,11 @@ def test_what_was_over_within_one_look_is_told_all_the_same(told: Told) -> None:
     told.keeper.enter(DaemonState.RUNNING, 0.0)
     told.lines()
     told.keeper.recover(Cause.TAP_LOST, 1.0, "the tap stopped")
-    told.keeper.count(Cause.DEFAULT_CHANGED, "the tap goes on from b")
+    told.keeper.count(Cause.DEFAULT_CHANGED, "the tap moves to b")
     told.keeper.enter(DaemonState.RUNNING, 1.0)
     assert told.lines(1.0) == [
         "cushion: tap-lost: the tap stopped",
-        "cushion: default-changed: the tap goes on from b",
+        "cushion: default-changed: the tap moves to b",
     ]
     assert told.lines(1.0) == []
 
@@ -77,10 +76,10 @@ def test_a_flood_becomes_a_few_lines_and_a_count(told: Told) -> None:
     told.lines()
     said = []
     for tick in range(1_000):
-        told.keeper.count(Cause.RESYNC, "the computer was late: the delay was set anew")
+        told.keeper.count(Cause.RESYNC, "processing fell behind; delay reset")
         said += told.lines(0.05 * tick)
     assert AT_ONCE + 3 <= len(said) <= AT_ONCE + 1_000 * 0.05 / EVERY_S + 1
-    assert said[0] == "cushion: resync: the computer was late: the delay was set anew"
+    assert said[0] == "cushion: resync: processing fell behind; delay reset"
     assert "more like it before)" in said[-1]
     told.keeper.count(Cause.STALL, "a pause")
     assert told.lines(50.0) == ["cushion: stall: a pause"]
@@ -113,7 +112,7 @@ def test_a_warning_that_counts_is_told_when_it_begins_and_with_its_sum_at_the_en
     told.lines()
     said = [line for count in range(1, 100) for line in told.lines(0.0, f"{count} lost", "a")]
     assert said == ["cushion: warning: 1 lost", "cushion: warning: a"]
-    told.teller.end(["99 lost", "a", "b"])
+    told.reporter.end(["99 lost", "a", "b"])
     lines = capsys.readouterr().err.splitlines()
     assert lines == ["cushion: warning: 99 lost", "cushion: warning: b"]
 
@@ -126,11 +125,11 @@ def test_a_config_that_is_not_taken_is_told_at_every_attempt(told: Told) -> None
         raise UsageError("line 1: it is wrong")
 
     for _ in range(2):
-        trouble = told.teller.reload(fail, 0.0)
-        assert trouble == "the config was not taken: line 1: it is wrong"
+        trouble = told.reporter.reload(fail, 0.0)
+        assert trouble == "the config was not applied: line 1: it is wrong"
         assert told.lines(0.0, trouble) == [f"cushion: warning: {trouble}"]
-    assert told.teller.reload(lambda _: "the level", 0.0) == ""
-    assert told.lines() == ["cushion: config read again; changed: the level"]
+    assert told.reporter.reload(lambda _: "the level", 0.0) == ""
+    assert told.lines() == ["cushion: config reloaded; changed: the level"]
 
 
 def test_of_each_kind_some_are_allowed_at_once_and_then_one_now_and_then() -> None:

@@ -13,9 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.outputs.card import CardOutput
+from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.mixer.pcm import PcmFormat, encode
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from audioflinger_hook.sources import TapAddress
 from device.address import DeviceAddress
 from device.drive import ActuatorSettings
 from device.errors import LostError, NotFoundError, UsageError
@@ -67,7 +70,7 @@ class Rig:
         """What the supervisor does."""
         now_s = time.monotonic() + later_s
         self.output.locate(None)
-        self.output.keep(None, self.fill, now_s)
+        self.output.maintain(None, self.fill, now_s)
         if self.output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
@@ -90,7 +93,7 @@ def test_a_card_gets_the_vibration_in_its_own_format(rig: Rig) -> None:
     assert (place.name, place.samplerate, place.channels) == ("hw:DAC,0", 0, 0)
     rig.tick()
     assert rig.output.name is None  # the mix is not known yet
-    rig.output.suit(RATE, 1)
+    rig.output.set_format(RATE, 1)
     place = rig.output.locate(None)
     assert (place.name, place.samplerate, place.channels) == ("hw:DAC,0", RATE, 2)
     rig.tick()
@@ -108,7 +111,7 @@ def test_actuators_reach_the_channels_that_they_are_wired_to(
 ) -> None:
     rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0, 1))])
     rig.cards.plug(30, "DAC", stream=ADAPTIVE)
-    rig.output.suit(RATE, 2)
+    rig.output.set_format(RATE, 2)
     rig.tick()
     rig.play()
     rig.output.close()
@@ -124,14 +127,14 @@ def test_a_card_with_too_few_channels_for_the_actuators_is_none(
     rig.cards.plug(30, "DAC", stream=ASYNC)
     for known in (False, True):  # the mix
         if known:
-            rig.output.suit(RATE, 2)
+            rig.output.set_format(RATE, 2)
         with pytest.raises(NotFoundError, match="need 3 channels: name others in"):
             rig.output.locate(None)
     wrong = [ActuatorSettings((0,)), ActuatorSettings((5,))]
-    rig.output.wire([ActuatorSettings((0,)), ActuatorSettings((1,))])
+    rig.output.set_actuators([ActuatorSettings((0,)), ActuatorSettings((1,))])
     rig.output.locate(None)
     with pytest.raises(UsageError, match="need 6 channels"):
-        rig.output.refuse(wrong)
+        rig.output.check_actuators(wrong)
 
 
 def test_other_channels_are_gone_over_to_while_the_stream_stays_open(
@@ -139,10 +142,10 @@ def test_other_channels_are_gone_over_to_while_the_stream_stays_open(
 ) -> None:
     rig = Rig(tmp_path, pcms, "30,0", actuators=[ActuatorSettings((5,)), ActuatorSettings((0,))])
     rig.cards.plug(30, "DAC", stream=ADAPTIVE)
-    rig.output.suit(RATE, 2)
+    rig.output.set_format(RATE, 2)
     rig.tick()
     rig.play()
-    rig.output.wire([ActuatorSettings((1,)), ActuatorSettings((7, 2))])
+    rig.output.set_actuators([ActuatorSettings((1,)), ActuatorSettings((7, 2))])
     assert rig.output.is_open
     rig.play()
     rig.output.close()
@@ -159,7 +162,7 @@ def test_without_the_card_there_is_nothing_and_no_other_card_is_taken(rig: Rig) 
 
 def test_a_card_that_is_plugged_in_again_plays_again_whatever_its_number(rig: Rig) -> None:
     rig.cards.plug(30, "DAC", stream=ASYNC)
-    rig.output.suit(RATE, 2)
+    rig.output.set_format(RATE, 2)
     rig.tick()
     rig.play()
     rig.cards.unplug(30)
@@ -176,7 +179,7 @@ def test_a_card_that_is_plugged_in_again_plays_again_whatever_its_number(rig: Ri
 
 def test_a_card_that_has_another_number_at_once_is_opened_anew(rig: Rig) -> None:
     rig.cards.plug(30, "DAC", stream=ASYNC)
-    rig.output.suit(RATE, 2)
+    rig.output.set_format(RATE, 2)
     rig.tick()
     rig.play()
     rig.cards.unplug(30)
@@ -188,7 +191,7 @@ def test_a_card_that_has_another_number_at_once_is_opened_anew(rig: Rig) -> None
 
 def test_a_card_whose_callbacks_stop_is_lost_and_opened_again(rig: Rig) -> None:
     rig.cards.plug(30, "DAC", stream=ASYNC)
-    rig.output.suit(RATE, 2)
+    rig.output.set_format(RATE, 2)
     rig.tick()
     rig.play()
     rig.tick(later_s=1.0)
@@ -204,7 +207,7 @@ def test_a_card_that_another_program_plays_on_is_waited_for(rig: Rig) -> None:
     with pytest.raises(NotFoundError, match=rf"hw:DAC,0 is in use by .* \(process {os.getpid()}\)"):
         rig.output.locate(None)
     rig.cards.use(30, 0)
-    rig.output.suit(RATE, 2)
+    rig.output.set_format(RATE, 2)
     rig.tick()
     rig.cards.use(30, os.getpid())  # ourselves
     rig.tick()
@@ -213,10 +216,12 @@ def test_a_card_that_another_program_plays_on_is_waited_for(rig: Rig) -> None:
 
 def test_a_card_that_plays_another_format_than_asked_for_is_opened_in_that_one(rig: Rig) -> None:
     folder = rig.cards.plug(30, "PCH")
-    rig.output.lead(DeviceAddress("hw", "PCH"))
-    rig.output.suit(RATE, 1)
+    other_card = DeviceAddress("hw", "PCH")
+    config = RunConfig(TapAddress("default"), other_card, Settings(), LiveSettings())
+    assert rig.output.retarget(config)
+    rig.output.set_format(RATE, 1)
     (folder / "pcm0p/sub0/hw_params").write_text(HW_PARAMS.format("S16_LE", 2, RATE))
-    with pytest.raises(LostError, match="hw:PCH,0 plays S16_LE, not S32_LE"):
+    with pytest.raises(LostError, match="hw:PCH,0 plays S16_LE instead of S32_LE"):
         rig.tick()
     assert rig.states.state is DaemonState.WAITING_FOR_DEVICE
     rig.tick()
@@ -234,7 +239,7 @@ def test_a_card_that_cannot_be_opened_is_awaited_with_a_reason_and_ever_less_oft
 ) -> None:
     rig = Rig(tmp_path, pcms, target=CardDevice)
     rig.cards.plug(30, "DAC", stream=ASYNC)
-    rig.output.suit(RATE, 2)
+    rig.output.set_format(RATE, 2)
     with pytest.raises(LostError, match="cannot open hw:30,0 for playback"):
         rig.tick()
     report = rig.states.report(time.monotonic())
@@ -248,6 +253,6 @@ def test_a_card_that_cannot_be_opened_is_awaited_with_a_reason_and_ever_less_oft
 
 def test_a_card_that_offers_nothing_that_suits_says_what_it_offers(rig: Rig) -> None:
     rig.cards.plug(30, "DAC", stream=ASYNC)
-    rig.output.suit(RATE, 3)
+    rig.output.set_format(RATE, 3)
     with pytest.raises(NotFoundError, match="hw:DAC,0: the card cannot be opened with 3 to 32"):
         rig.output.locate(None)

@@ -14,9 +14,9 @@ import pytest
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon import endpoints
 from audioflinger_hook.daemon.engine import Clocks
+from audioflinger_hook.daemon.outputs.base import Fill
 from audioflinger_hook.daemon.outputs.card import CardOutput
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.daemon.sides import Fill
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.mixer.pcm import PcmFormat, decode
@@ -66,10 +66,10 @@ class Rig:
             def file(self, card: int, device: int) -> ToFile:
                 return ToFile(folder / f"{card}.raw")
 
-            def keep(self, connection: Any, fill: Fill, now_s: float) -> None:
+            def maintain(self, connection: Any, fill: Fill, now_s: float) -> None:
                 assert self._found
                 paced = Paced(fill, self._found.samplerate or RATE)
-                super().keep(connection, paced.fill, now_s)
+                super().maintain(connection, paced.fill, now_s)
 
         monkeypatch.setattr(endpoints, "CardOutput", FileCard)
         source = sound(folder / "in.wav", noise(20 * RATE, 2), RATE)

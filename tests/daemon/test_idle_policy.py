@@ -94,9 +94,9 @@ def test_the_other_output_rate_begins_another_delay_line_and_keeps_the_effect() 
     tap, live = engine()
     play(tap, live, 0.3, 0.5, 0.0)
     before = live.delay_line
-    live.lead_to(RATE_HZ)
+    live.retarget(RATE_HZ)
     assert live.delay_line is before
-    live.lead_to(44_100)
+    live.retarget(44_100)
     assert live.delay_line.samplerate_out == 44_100
     play(tap, live, 0.3, 0.5, 0.5)
     assert live.vibration.loudest > 0.05

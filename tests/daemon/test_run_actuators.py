@@ -111,7 +111,7 @@ def test_status_tells_of_each_and_a_reload_reaches_them_without_a_gap(tmp_path, 
         after = status()
         config.write_text(THREE.replace("[2]", "[7]") + 'protection = "on"\n')
         process.send_signal(signal.SIGHUP)
-        until(lambda: any("start it anew" in w for w in status()["warnings"]), process)
+        until(lambda: any("restart the daemon" in w for w in status()["warnings"]), process)
         assert status()["actuators"][1]["channels"] == ["2"]
         process.send_signal(signal.SIGTERM)
         _, stderr = process.communicate(timeout=20)

@@ -31,17 +31,17 @@ ORDER = RunConfig(TapAddress("default"), DeviceAddress("sink", "a"), Settings(),
         (
             replace(ORDER, settings=Settings(parameters=TransformParameters(partials_max=3))),
             ConfigDiff(transform=True),
-            "the transform, which begins anew",
+            "the transform, which restarts",
         ),
         (
             replace(ORDER, settings=Settings(profile="game")),
             ConfigDiff(transform=True),
-            "the transform, which begins anew",
+            "the transform, which restarts",
         ),
         (
             replace(ORDER, settings=Settings(form="reference", gain_db=-1.0)),
             ConfigDiff(level=True, engine=True),
-            "the level, the effects, so that everything begins anew",
+            "the level, the effects, which restart everything",
         ),
         (replace(ORDER, settings=Settings(channels="each")), ConfigDiff(engine=True), None),
         (replace(ORDER, settings=Settings(effects_file=Path("x"))), ConfigDiff(engine=True), None),
@@ -218,9 +218,9 @@ def test_other_blocks_take_another_delay_line_with_the_same_offset() -> None:
     live.hear(0.2)
     live.engine.delay_line.offset_s = 0.1
     before = live.engine.delay_line
-    live.engine.lead_to(RATE_HZ, BLOCK)
+    live.engine.retarget(RATE_HZ, BLOCK)
     assert live.engine.delay_line is before
-    live.engine.lead_to(RATE_HZ, 1_024)
+    live.engine.retarget(RATE_HZ, 1_024)
     assert live.engine.delay_line is not before
     assert live.engine.delay_line.offset_s == 0.1
     assert live.engine.delay_line.status.target_s > 0.1 + 2.5 * 1_024 / RATE_HZ

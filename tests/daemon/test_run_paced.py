@@ -68,7 +68,7 @@ def error_db(got: Float32Array, wanted: Float32Array) -> float:
 def told(stderr: str) -> list[str]:
     """What it says of itself, but for the first line and what a busy machine makes of the delay."""
     lines = [line.removeprefix("cushion: ") for line in stderr.splitlines()]
-    assert lines[0].startswith("what plays at ")
+    assert lines[0].startswith("sound of ")
     return [line for line in lines[1:] if not line.startswith("resync: ")]
 
 
@@ -275,13 +275,13 @@ def test_while_a_file_plays_its_level_may_change_and_what_begins_anew_may_not(tm
             for line in process.stderr:
                 if line == "cushion: running\n":
                     break
-            reload(process, "gain_db = -6\n", "config read again; changed: the level")
+            reload(process, "gain_db = -6\n", "config reloaded; changed: the level")
             reload(process, 'tap = "default"\n', "is not TOML")  # twice in one file
             config.write_text(f'tap = "default"\ndevice = "wav:{out}"\n')
             reload(process, "", f"the tap 'file:{source}' cannot become 'default'")
             config.write_text(f'tap = "file:{source}"\ndevice = "wav:{out}"\ngain_db = -6\n')
             reload(process, "", "changed: nothing")
-            reload(process, '[transform]\nchannels = "each"\n', "stay as they are while 'file:")
+            reload(process, '[transform]\nchannels = "each"\n', "cannot change while 'file:")
             process.send_signal(signal.SIGINT)
             process.communicate(timeout=20)
         finally:

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
+from audioflinger_hook.daemon.gc_freeze import freeze_loaded_objects
 from device.stream import CaptureStream, PcmConfig, PlaybackStream, filter_stderr
 from device.stream.pcms import ServerDevice
 from device.units import Float32Array
@@ -63,7 +63,7 @@ def main(
     capture = CaptureStream(
         config.pcms["bare_tap"], RATE_HZ, 2, captured, block_frames=block_frames
     )
-    spare_what_is_there()
+    freeze_loaded_objects()
     print("ready", flush=True)
     while not threading.Event().wait(TELLS_S):
         for late in (captured, played):

@@ -21,7 +21,7 @@ import pytest
 from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.gc_freeze import spare_what_is_there
+from audioflinger_hook.daemon.gc_freeze import freeze_loaded_objects
 from device.clock.shared_state import DelayState, DelayStatus
 from device.stream import CaptureStream, PcmConfig, PlaybackStream, portaudio
 from device.stream.pcms import ServerDevice
@@ -147,7 +147,7 @@ def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
         streams.append(
             CaptureStream(config.pcms["cushion_tap"], RATE_HZ, 2, feed.push, block_frames=blocks)
         )
-        spare_what_is_there()  # as the daemon does
+        freeze_loaded_objects()  # as the daemon does
         yield engine
         assert all(stream.errors == {} for stream in streams)
     finally:

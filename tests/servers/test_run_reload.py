@@ -132,7 +132,7 @@ def test_another_parameter_of_the_transform_takes_effect_while_the_streams_stay(
         before = pitch_hz(more(felt, 0.5))
         streams = connections(server, "sink-inputs")
         config("[transform]", "vibration_top_hz = 120")
-        assert "the transform, which begins anew" in reload(daemon)
+        assert "the transform, which restarts" in reload(daemon)
         wait_for(
             lambda: 1.0 < pitch_hz(felt()[-RATE_HZ // 4 :]) < before - 10.0, "a lower pitch", 3.0
         )
@@ -364,7 +364,7 @@ def test_blocks_of_other_lengths_carry_the_vibration(
         assert status.delay_line.target_ms > 2.5e3 * frames / RATE_HZ
         felt_before = level_db(more(felt, 0.5))
         config("block_frames = 512")
-        assert "both streams open anew" in reload(daemon)
+        assert "which reopens both streams" in reload(daemon)
         daemon.wait(
             lambda s: (
                 s.state is DaemonState.RUNNING
@@ -390,7 +390,7 @@ def test_the_form_of_the_transform_can_be_changed_too(
     ):
         wait_for(lambda: felt_now(felt), "vibration")
         config("[transform]", 'channels = "each"')
-        assert "everything begins anew" in reload(daemon)
+        assert "which restart everything" in reload(daemon)
         wait_for(lambda: not felt_now(felt), "an end")
         wait_for(lambda: felt_now(felt), "vibration again", 15.0)
         assert daemon.wait_state(DaemonState.RUNNING).warnings == ()
@@ -415,7 +415,7 @@ def test_fifty_signals_in_a_row_do_no_harm(
             )
             daemon.process.send_signal(signal.SIGHUP)
         config("gain_db = -10")
-        assert "config read again" in reload(daemon)
+        assert "config reloaded" in reload(daemon)
         wait_for(
             lambda: abs(level_db(felt()[-RATE_HZ // 4 :]) - loud + 10.0) < 3.0,
             "the last level",

@@ -1,4 +1,4 @@
-"""Single applications before the mix, each on a track of its own."""
+"""Single applications before the server mixes them, each on a track of its own."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from dataclasses import dataclass
 from functools import partial
 
 from audioflinger_hook.daemon.engine import Engine
+from audioflinger_hook.daemon.inputs.base import Input
 from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
 from audioflinger_hook.daemon.recording import RunRecording
+from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
 from audioflinger_hook.sources import VoicesClient
 from audioflinger_hook.sources.applications import Voice
 from device.errors import CushionError, LostError, NotFoundError
-from device.server import AppCaptures, AppRules, PulseConnection, ServerSnapshot
+from device.server import AppCaptures, PulseConnection, ServerSnapshot
 from device.server.app_capture import AppCapture, EndReason
 from device.server.app_rules import app_name
 from device.server.snapshot import Stream
@@ -22,19 +24,19 @@ from device.stream import AudioPriority
 from device.units import Float32Array
 
 CAPTURES_MAX = 32
-"""More applications than anybody listens to at once; each capture costs its share of CPU."""
+"""Limit of the CPU load; more applications rarely play at once."""
 
-NOBODY = "no application plays"
+NO_APPLICATION = "no application plays"
 
-USUAL_SAMPLERATE = 48_000
-USUAL_CHANNELS = 2
+DEFAULT_SAMPLERATE = 48_000
+DEFAULT_CHANNELS = 2
 
 
 @dataclass(frozen=True)
 class Applications:
-    """What is captured at one moment; samplerate (Hz) and channels are those of the mix.
+    """The captured applications, and the format of their mix.
 
-    left_out: how many applications were too many.
+    left_out: count of applications beyond CAPTURES_MAX.
     """
 
     streams: tuple[Stream, ...]
@@ -44,17 +46,16 @@ class Applications:
 
     @property
     def name(self) -> str:
-        """The applications' names."""
+        """Names of the applications."""
         names = dict.fromkeys(app_name(stream) for stream in self.streams)
-        return ", ".join(names) or NOBODY
+        return ", ".join(names) or NO_APPLICATION
 
 
 class ApplicationsFeed:
-    """Buffers of several applications through one engine, mixed first.
+    """Passes buffers of several applications to one engine, which mixes them.
 
-    recording: takes the mix for what was delivered, since that is what the effect gets. priority:
-    what the thread of all captures asks for. The supervising thread makes the client, and calls
-    `serve` before the first buffer.
+    The supervising thread calls `client` and `serve` before the first buffer. A recording gets the
+    mix instead of the buffers. priority: of the thread that captures.
     """
 
     records_mix = True
@@ -69,21 +70,21 @@ class ApplicationsFeed:
         self._recording = recording
 
     def client(self, samplerate: int, channels: int) -> VoicesClient:
-        """Return what plays into the mix, which has this format."""
+        """Return the client that plays into a mix of this format."""
         self.voices = VoicesClient(samplerate, channels)
         if self._recording:
-            self._recording.mix_is(samplerate, channels)
+            self._recording.set_mix_format(samplerate, channels)
         return self.voices
 
     def serve(self, engine: Engine) -> None:
-        """Bring the buffers to this engine, which was made with `client`."""
+        """Pass the buffers to this engine, which was made with the client."""
         self.engine = engine
 
     def push(self, voice: Voice, frames: Float32Array, now_s: float) -> None:
-        """Take frames of one application; on the thread of all captures."""
+        """Take frames of one application; on the thread that captures."""
         thread = threading.get_ident()
         if self._priority is not None and thread != self._thread:
-            self._thread = thread  # another one with every connection
+            self._thread = thread  # every connection has a new thread
             self._priority.claim()
         voices, engine = self.voices, self.engine
         if voices is None or engine is None or not len(frames):
@@ -93,90 +94,84 @@ class ApplicationsFeed:
             pass
 
 
-class ApplicationsInput:
-    """Sound of the applications that some rules select. For the supervising thread alone.
+class ApplicationsInput(Input):
+    """Sound of the applications that the config's rules select, none of which need to exist.
 
-    address: as the user wrote it. They may come and go: none at all is no failure. feed: what
-    their buffers go through, on the thread of all captures.
+    feed: takes their buffers on the thread that captures. The others methods are for the
+    supervising thread.
     """
 
     needs_server = True
-    ended = False
 
-    def __init__(
-        self, address: str, rules: AppRules, states: StateKeeper, feed: ApplicationsFeed
-    ) -> None:
-        self._address = address
+    def __init__(self, config: RunConfig, states: StateKeeper, feed: ApplicationsFeed) -> None:
+        super().__init__(_address(config))
+        rules = config.rules
+        assert rules is not None
         self._rules = rules
         self._states = states
         self._feed = feed
         self._captures: AppCaptures | None = None
         self._open: dict[int, tuple[AppCapture, Voice]] = {}
         self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
-        self._found = Applications((), USUAL_SAMPLERATE, USUAL_CHANNELS)
+        self._found = Applications((), DEFAULT_SAMPLERATE, DEFAULT_CHANNELS)
         self._xruns_before = 0
-
-    def __str__(self) -> str:
-        return self._address
 
     @property
     def may_rest(self) -> bool:
-        """While none of them plays; what is silent now may sound at any moment."""
+        """Whether all applications pause; a silent one may sound at any moment."""
         return all(stream.corked for stream in self._found.streams)
 
     @property
     def name(self) -> str | None:
-        """What is listened to, None while it is not."""
+        """Names of the captured applications."""
         return self._found.name if self._captures else None
 
     @property
     def xruns(self) -> int:
-        """How often frames were missing."""
+        """Count of gaps in the captured sound."""
         return self._xruns_before + sum(capture.xruns for capture, _ in self._open.values())
 
     @property
     def warnings(self) -> list[str]:
-        """That some are left out, if so."""
+        """One line if there are too many applications."""
         if not self._found.left_out:
             return []
         return [
-            f"{self._found.left_out} applications are not felt: {CAPTURES_MAX} at once are; "
-            "name fewer of them"
+            f"{self._found.left_out} applications have no vibration: at most {CAPTURES_MAX} are "
+            "captured; name fewer of them"
         ]
 
-    def lead(self, address: str, rules: AppRules) -> None:
-        """Listen to others from now on."""
-        self._address, self._rules = address, rules
+    def retarget(self, config: RunConfig) -> bool:
+        """Capture other applications, if the config still selects single ones."""
+        if config.rules is None:
+            return False
+        self._rules, self.address = config.rules, _address(config)
+        return True
 
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Applications:
-        """Find the applications to capture now, and return them.
+        """Return the applications to capture; device: the vibration's sink, never captured.
 
-        device: the sink that the vibration goes to, whose sound is never captured. The mix has
-        the default sink's format, so that the server need not convert much.
+        The mix has the default sink's format, so that the server converts little.
         """
         assert snapshot is not None
         streams = self._rules.select(snapshot, device)
         default = next((s for s in snapshot.sinks if s.name == snapshot.default_sink), None)
         self._found = Applications(
             streams[:CAPTURES_MAX],
-            default.samplerate if default else USUAL_SAMPLERATE,
-            default.channels if default else USUAL_CHANNELS,
+            default.samplerate if default else DEFAULT_SAMPLERATE,
+            default.channels if default else DEFAULT_CHANNELS,
             max(0, len(streams) - CAPTURES_MAX),
         )
         return self._found
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
-        """Return the streams that may sound at any moment."""
+        """Return the streams that may play."""
         return frozenset(stream.index for stream in self._found.streams if not stream.corked)
 
-    def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
-        """It does not rest while there is anything to hear."""
-        return False
+    def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
+        """Capture exactly what was located.
 
-    def keep(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Capture what was located, and nothing else.
-
-        Raises LostError or NotFoundError where libpulse gives no second connection.
+        LostError, NotFoundError: libpulse provides no second connection.
         """
         captures = self._captures
         if captures is not None and captures.lost is not None:
@@ -195,16 +190,12 @@ class ApplicationsInput:
         self._backoff.succeeded()
 
     def close(self) -> None:
-        """End all captures. Again too; it raises nothing."""
+        """End all captures. May be repeated; raises nothing."""
         for index in tuple(self._open):
             self._end(index)
         captures, self._captures = self._captures, None
         if captures is not None:
             captures.close()
-
-    def end(self, *, keep: bool) -> None:
-        """End all captures."""
-        self.close()
 
     def _follow(self, captures: AppCaptures, now_s: float) -> None:
         wanted = {stream.index: stream for stream in self._found.streams}
@@ -225,7 +216,7 @@ class ApplicationsInput:
             capture = captures.open(
                 stream.index, voices.samplerate, voices.channels, partial(self._feed.push, voice)
             )
-        except NotFoundError:  # it has ended meanwhile
+        except NotFoundError:  # it ended in the meantime
             voices.remove(voice)
             return
         except LostError:
@@ -239,3 +230,13 @@ class ApplicationsInput:
         self._xruns_before += capture.xruns
         if self._feed.voices:
             self._feed.voices.remove(voice)
+
+
+def _address(config: RunConfig) -> str:
+    """Return the selection of applications as text for messages."""
+    live = config.live
+    if config.tap.kind == "app":
+        return ", ".join(live.tap)
+    words = [f"only {', '.join(live.include)}"] if live.include else []
+    words += [f"not {', '.join(live.exclude)}"] if live.exclude else []
+    return f"{config.tap} ({'; '.join(words)})"

@@ -1,4 +1,4 @@
-"""The tap of a sink: its monitor, captured, wherever the default goes."""
+"""The monitor of one sink, or of the default sink as it changes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from audioflinger_hook.daemon.capture_queue import FrameReceiver
+from audioflinger_hook.daemon.inputs.base import Input
 from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
+from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, StateKeeper
 from audioflinger_hook.sources import TapAddress
 from device.errors import LostError, NotFoundError
@@ -20,95 +22,85 @@ from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
 LISTENING_FRAMES = 4_096
-"""A block while it only listens: 85 ms at 48 kHz, which is what sound then comes late by."""
+"""Block while only listening: at 48 kHz, sound is noticed within 85 ms."""
 
 
-class SinkInput:
+class SinkInput(Input):
     """Sound of one sink of the server: the default one, or one by name.
 
-    taker: who gets its buffers, on PortAudio's thread. name: of the monitor that is captured,
-    None while none is. block_frames: of a callback; priority: what its thread asks for; both of
-    streams that are opened from now on. on_heard: called by PortAudio's thread when there is sound
-    while it only listens. For the supervising thread alone.
+    receiver: takes its buffers, on PortAudio's thread. block_frames, priority: of streams that are
+    opened later. on_heard: called by PortAudio's thread if sound arrives while it only listens.
     """
 
     needs_server = True
-    may_rest = True
-    ended = False
 
     def __init__(
         self,
         address: TapAddress,
         pcm: Pcm,
         states: StateKeeper,
-        taker: FrameReceiver,
+        receiver: FrameReceiver,
         *,
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
         on_heard: Callable[[], None] = lambda: None,
     ) -> None:
+        super().__init__(str(address))
         self.block_frames = block_frames
         self._on_heard = on_heard
         self._heard = False
         self._priority = priority
-        self._asked = False
-        self._address = address
+        self._retargeted = False
+        self._tap = address
         self._pcm = pcm
         self._states = states
-        self._taker = taker
-        self._kept: ReconnectingStream[CaptureStream] = ReconnectingStream(
-            "the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED
-        )
-        self._ear: ReconnectingStream[CaptureStream] = ReconnectingStream(
-            "the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED
+        self._receiver = receiver
+        self._capture, self._listener = (
+            ReconnectingStream[CaptureStream]("the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED)
+            for _ in range(2)
         )
         self._found: Source | None = None
         self._source: Source | None = None
 
-    def __str__(self) -> str:
-        return str(self._address)
+    @property
+    def may_rest(self) -> bool:
+        """Yes: while closed, it listens."""
+        return True
 
     @property
     def name(self) -> str | None:
-        """What is there."""
-        return self._source.name if self._source and self._kept.stream else None
+        """Name of the captured monitor."""
+        return self._source.name if self._source and self._capture.stream else None
 
     @property
     def xruns(self) -> int:
-        """How often PortAudio told of lateness."""
-        return self._kept.xruns
+        """Count of late or lost buffers that PortAudio reported."""
+        return self._capture.xruns
 
     @property
     def tag(self) -> str | None:
-        """What the server shows of the stream."""
-        return self._kept.stream.tag if self._kept.stream else None
+        """Name of the stream on the server."""
+        return self._capture.stream.tag if self._capture.stream else None
 
-    @property
-    def warnings(self) -> list[str]:
-        """None."""
-        return []
+    def configure(self, config: RunConfig) -> None:
+        """Take the block length of streams that are opened later."""
+        self.block_frames = config.live.block_frames
 
-    def lead(self, address: TapAddress) -> None:
-        """Go on from another tap, on the same stream if that can be."""
-        self._address = address
-        self._asked = True
+    def retarget(self, config: RunConfig) -> bool:
+        """Take sound from another sink, on the same stream if possible."""
+        if config.rules is not None:
+            return False
+        self._tap, self.address = config.tap, str(config.tap)
+        self._retargeted = True
+        return True
 
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Source:
-        """Find the monitor to capture, and return it.
-
-        device: the sink that the vibration goes to, which is never tapped, and neither is one that
-        it comes to by virtual sinks and loopbacks.
-
-        Raises
-        ------
-        NotFoundError
-            There is none, or it would feed back; nothing else is tapped instead.
-        """
+        """Find the monitor. device: the vibration's sink; no sink it forwards to is tapped."""
         assert snapshot is not None
-        if self._address.kind != "sink":
+        if self._tap.kind != "sink":
             source = default_monitor(snapshot, device)
         else:
-            source = monitor_of(snapshot, self._address.name)
+            source = monitor_of(snapshot, self._tap.name)
             if source.monitor_of == device:
                 raise NotFoundError(
                     f"the tap {str(self)!r} is the sink that the vibration goes to, which would "
@@ -123,7 +115,7 @@ class SinkInput:
         return source
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
-        """Return the applications' streams that may sound in this monitor at any moment."""
+        """Return the applications' streams that may play into this monitor."""
         if snapshot is None or self._found is None:
             return frozenset()
         sink = self._found.monitor_of
@@ -134,106 +126,104 @@ class SinkInput:
         )
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
-        """Return whether sound was heard; listens as long as an application may sound.
+        """Return whether sound arrived; listens while applications may play.
 
-        In blocks as long as possible: ten times a second costs next to nothing.
+        The long blocks cost next to nothing.
         """
         source = self._found
         if connection is None or source is None or not self.players(connection.latest):
-            self._ear.close()
+            self._listener.close()
             return False
         heard, self._heard = self._heard, False
-        if self._ear.stream is not None and self._source is not source:
+        if self._listener.stream is not None and self._source is not source:
             moved = self._source is None or self._source.index != source.index
             if moved:
-                self._ear.close()
-        self._ear.check(now_s)
-        with suppress(LostError, NotFoundError):  # the next look at the server tells
+                self._listener.close()
+        self._listener.check(now_s)
+        with suppress(LostError, NotFoundError):  # the next snapshot shows what happened
             self._pcm.target = ServerDevice(source.name)
             self._source = source
-            self._ear.open(lambda: self._ear_at(source), connection, source.name, now_s)
+            self._listener.open(
+                lambda: self._stream(source, self._notice, LISTENING_FRAMES, None),
+                connection,
+                source.name,
+                now_s,
+            )
         return heard
 
-    def keep(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Bring the capture nearer to what was located.
-
-        Raises LostError or NotFoundError where it cannot be opened; another try follows.
-        """
-        kept, source = self._kept, self._found
+    def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
+        """Open, check, move or reopen the capture."""
+        capture, source = self._capture, self._found
         assert connection is not None
         assert source is not None
-        self._ear.close()
-        if kept.stream is not None and self._source is not None:
+        self._listener.close()
+        if capture.stream is not None and self._source is not None:
             if source.name != self._source.name:
-                self._lead(connection, source)
+                self._move(connection, source)
             else:
-                kept.check(now_s)
-        self._asked = False
-        if kept.stream is None:
+                capture.check(now_s)
+        self._retargeted = False
+        if capture.stream is None:
             self._pcm.target = ServerDevice(source.name)
-            if self._taker.opened(source.samplerate, source.channels):
+            if self._receiver.opened(source.samplerate, source.channels):
                 self._states.count(
                     Cause.FORMAT_CHANGED,
                     f"{source.name} has {source.samplerate} Hz, channels: {source.channels}",
                 )
-            kept.open(lambda: self._capture(source), connection, source.name, now_s)
+            capture.open(
+                # PortAudio's thread calls the receiver itself.
+                lambda: self._stream(
+                    source, self._receiver.push, self.block_frames, self._priority
+                ),
+                connection,
+                source.name,
+                now_s,
+            )
             self._source = source
 
     def close(self) -> None:
-        """End the capture. Again too; it raises nothing."""
-        self._kept.close()
-        self._ear.close()
+        """End the capture. May be repeated; raises nothing."""
+        self._capture.close()
+        self._listener.close()
 
-    def end(self, *, keep: bool) -> None:
-        """End the capture."""
-        self.close()
-
-    def _capture(self, source: Source) -> CaptureStream:
+    def _stream(
+        self,
+        source: Source,
+        on_frames: Callable[[Float32Array, float], None],
+        block_frames: int,
+        priority: AudioPriority | None,
+    ) -> CaptureStream:
         return CaptureStream(
             self._pcm,
             source.samplerate,
             source.channels,
-            self._on_frames,
+            on_frames,
             audible=False,
-            block_frames=self.block_frames,
-            priority=self._priority,
+            block_frames=block_frames,
+            priority=priority,
         )
 
-    def _ear_at(self, source: Source) -> CaptureStream:
-        return CaptureStream(
-            self._pcm,
-            source.samplerate,
-            source.channels,
-            self._overhear,
-            audible=False,
-            block_frames=LISTENING_FRAMES,
-        )
-
-    def _overhear(self, frames: Float32Array, now_s: float) -> None:
-        """Notice sound; on PortAudio's thread."""
+    def _notice(self, frames: Float32Array, now_s: float) -> None:
+        """Notice sound while listening; on PortAudio's thread."""
         if frames.any():
             self._heard = True
             self._on_heard()
 
-    def _lead(self, connection: PulseConnection, source: Source) -> None:
-        """Let the tap go on from another monitor, on the same stream if the format is the same."""
-        stream, guard = self._kept.stream, self._kept.guard
+    def _move(self, connection: PulseConnection, source: Source) -> None:
+        """Move the stream to another monitor; close it if the format differs."""
+        stream, guard = self._capture.stream, self._capture.guard
         assert stream is not None
         assert guard is not None
-        if not self._asked:
-            self._states.count(Cause.DEFAULT_CHANGED, f"the tap goes on from {source.name}")
+        if not self._retargeted:
+            self._states.count(Cause.DEFAULT_CHANGED, f"the tap moves to {source.name}")
         served = find_tagged(connection.latest.source_outputs, stream.tag)
         if served is None or (source.samplerate, source.channels) != (
             stream.samplerate,
             stream.channels,
         ):
-            self._kept.close()
+            self._capture.close()
             return
         guard.retarget(source.name)
-        self._taker.moved()
+        self._receiver.moved()
         connection.move_source_output(served.index, source.index)
         self._source = source
-
-    def _on_frames(self, frames: Float32Array, now_s: float) -> None:
-        """Take captured frames; on PortAudio's thread."""
-        self._taker.push(frames, now_s)

@@ -1,21 +1,22 @@
-"""A file, or the simulated rig, in the place of a device: it takes vibration in real time."""
+"""A file, or the simulated rig, that takes vibration in real time instead of a device."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.inputs.base import FixedNode
+from audioflinger_hook.daemon.outputs.base import Fill, Output
 from audioflinger_hook.daemon.pacing import FrameTime, Pacer
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.daemon.sides import Actuated, Fill
 from audioflinger_hook.pipeline.drive_factory import channel_map_of, simulated_rig_of
 from device.address import DeviceAddress
 from device.atomic_file import AtomicFile
-from device.drive import ChannelRouter
+from device.drive import ActuatorSettings, ChannelRouter
 from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name
@@ -24,25 +25,20 @@ from device.server import PulseConnection, ServerSnapshot
 from device.wav_output import WavOutput
 
 BLOCK_FRAMES = 256
-"""What a sound server asks for at a time."""
+"""Block that a sound server would ask for."""
 
 
-class PacedOutput:
-    """A WAV file or the twin, asked for by nobody: blocks are taken as their time comes.
+class PacedOutput(Output):
+    """A WAV file or the simulated rig; the pacer's thread writes each block when it is due.
 
-    address: of kind wav or twin; settings: say what rigs the twin has, and what actuators hang at
-    which channels. It has the mix's rate and the vibration's channels, or as many as the actuators
-    need. A file appears with `end(keep=True)`, whole, and has a silence its length. Closed,
-    it pauses. For the supervising thread alone; the pacer's thread writes.
+    `end(keep=True)` completes the file, which contains a silence at its full length. `close`
+    pauses. All methods are for the supervising thread.
 
     Raises
     ------
     UsageError
-        The file cannot be written there; there is no such rig.
+        The file cannot be written, or there is no such rig.
     """
-
-    needs_server = False
-    xruns = 0
 
     def __init__(
         self,
@@ -51,27 +47,24 @@ class PacedOutput:
         settings: Settings | None = None,
         recording: RunRecording | None = None,
     ) -> None:
-        self._address = address
+        super().__init__(address)
         self._pacer = pacer
         self._recording = recording
-        self._job: _Taking | None = None
+        self._job: _Writer | None = None
         self._settings = settings or Settings()
         self._router = ChannelRouter(self._settings.actuators)
         self._make = _maker(address, self._settings)
         self._format: tuple[int, int] | None = None
 
-    def __str__(self) -> str:
-        return str(self._address)
-
     @property
     def may_rest(self) -> bool:
-        """Only what keeps no time of its own."""
-        return self._address.kind != "wav"
+        """Not for a file, whose length is the length of the run."""
+        return self.address.kind != "wav"
 
     @property
     def name(self) -> str | None:
-        """What is written to, while it is."""
-        return str(self._address) if self.is_open else None
+        """The address, while it is written to."""
+        return str(self) if self.is_open else None
 
     @property
     def is_open(self) -> bool:
@@ -79,13 +72,8 @@ class PacedOutput:
         return self._job is not None and self._pacer.is_doing(self._job)
 
     @property
-    def warnings(self) -> list[str]:
-        """None."""
-        return []
-
-    @property
     def summary(self) -> str:
-        """What the rig did, one line; empty for a file, and before the first block."""
+        """Peaks of the simulated rig in one line; empty for a file, and before the first block."""
         output = self._job.output if self._job else None
         if not isinstance(output, SimulatedRig):
             return ""
@@ -95,47 +83,45 @@ class PacedOutput:
             f"current {output.peak_current_a:.2f} A"
         )
 
-    def suit(self, samplerate: int, channels: int) -> None:
-        """Be told the mix's rate, Hz, and the vibration's channels, before the first `keep`."""
+    def set_format(self, samplerate: int, channels: int) -> None:
+        """Set the rate of the mix in Hz and the channels of the vibration, before `maintain`."""
         self._format = (samplerate, channel_map_of(self._settings, channels).channels)
 
-    def refuse(self, actuators: Actuated) -> None:
-        """Raise UsageError if these do not fit what is written, or the rigs that are simulated."""
+    def check_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
+        """Raise UsageError if these do not fit the file's channels, or the simulated rigs."""
         before, after = self._settings, replace(self._settings, actuators=tuple(actuators))
         if before.numbered_channels.channels != after.numbered_channels.channels:
             raise UsageError(
                 f"{self} has {before.numbered_channels.channels} channels for the actuators, and "
-                f"cannot have {after.numbered_channels.channels} while it runs; start it anew"
+                f"cannot have {after.numbered_channels.channels} while it runs; restart the daemon"
             )
-        if self._address.kind == "twin" and _rigs(before) != _rigs(after):
+        if self.address.kind == "twin" and _rigs(before) != _rigs(after):
             raise UsageError(
-                "the simulated rigs stay on their channels while they run; start it anew"
+                "the simulated rigs cannot change channels while they run; restart the daemon"
             )
 
-    def wire(self, actuators: Actuated) -> None:
+    def set_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
         """Take these actuators, without a gap."""
         self._settings = replace(self._settings, actuators=tuple(actuators))
-        self._router.change(self._settings.actuators, self._settings.numbered_channels)
+        if actuators or self._router.actuators:
+            self._router.change(self._settings.actuators, self._settings.numbered_channels)
 
-    def delay_s(self, snapshot: ServerSnapshot | None) -> float:
-        """Nothing is on its way."""
-        return 0.0
+    def locate(self, snapshot: ServerSnapshot | None) -> FixedNode:
+        """Return the file or rig, which is always available."""
+        return FixedNode(str(self), *(self._format or (0, 0)))
 
-    def locate(self, snapshot: ServerSnapshot | None) -> _Device:
-        """It is there."""
-        return _Device(str(self._address), *(self._format or (0, 0)))
-
-    def keep(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
-        """Take vibration, or go on. Raises what has ended it, for good (WriteError: disk full)."""
+    def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
+        """Take vibration, or continue. Raises the final error (WriteError: disk full)."""
         job = self._job
         if job is None:
             assert self._format is not None
-            channel_map = channel_map_of(self._settings, self._format[1])
-            fill = self._router.connect(fill, channel_map, BLOCK_FRAMES)
-            job = self._job = _Taking(self._make(*self._format), fill, self._recording)
+            job = self._job = _Writer(self._make(*self._format), self._recording)
         if job.error is not None:
             raise job.error
         if not self._pacer.is_doing(job):
+            assert self._format is not None
+            channel_map = channel_map_of(self._settings, self._format[1])
+            job.fill = self._router.connect(fill, channel_map, BLOCK_FRAMES)
             if self._recording:
                 self._recording.reopened()
             self._pacer.begin(job, now_s)
@@ -146,7 +132,7 @@ class PacedOutput:
             self._pacer.end(self._job)
 
     def end(self, *, keep: bool) -> None:
-        """Finish the file, or drop it."""
+        """Complete the file, or discard it."""
         self.close()
         if self._job is not None:
             if keep and self._job.error is None:
@@ -155,44 +141,35 @@ class PacedOutput:
                 self._job.output.abort()
 
 
-@dataclass(frozen=True)
-class _Device:
-    """What takes the vibration, as a place."""
+class _Writer:
+    """The job: take a block when its first frame is due; fill: set before the job begins."""
 
-    name: str
-    samplerate: int
-    channels: int
-
-
-class _Taking:
-    """The job: a block is taken when its first frame is due."""
-
-    def __init__(self, output: VibrationOutput, fill: Fill, recording: RunRecording | None) -> None:
+    def __init__(self, output: VibrationOutput, recording: RunRecording | None) -> None:
         self.error: Exception | None = None
         self.output = output
-        self._fill = fill
+        self.fill: Fill
         self._recording = recording
-        self._taken = FrameTime(output.samplerate)
+        self._written = FrameTime(output.samplerate)
         self._block = np.zeros((BLOCK_FRAMES, output.channels), np.float32)
 
     @property
     def due_s(self) -> float:
-        """When what was taken has been played."""
-        return self._taken.after(0, self.output.samplerate)
+        """End of what was written, in seconds from the start."""
+        return self._written.after(0, self.output.samplerate)
 
     def run(self, now_s: float) -> bool:
-        """Take the next block."""
+        """Write the next block."""
         block, output = self._block, self.output
-        self._fill(block, now_s)
+        self.fill(block, now_s)
         output.write(block)
-        self._taken.add(len(block), output.samplerate)
+        self._written.add(len(block), output.samplerate)
         if self._recording:
             self._recording.sent(block, output.samplerate, now_s)
         return True
 
 
 def _rigs(settings: Settings) -> list[str | None]:
-    """The rig at every channel, None for none."""
+    """Return the rig of each channel, None for none."""
     return [
         None if index is None else settings.actuators[index].rig or settings.rig
         for index in settings.numbered_channels.sources
@@ -200,9 +177,9 @@ def _rigs(settings: Settings) -> list[str | None]:
 
 
 def _maker(address: DeviceAddress, settings: Settings) -> Callable[[int, int], VibrationOutput]:
-    """Return what opens the output for a rate in Hz and channels; what is wrong shows at once."""
+    """Return a function of rate in Hz and channels that opens the output; errors appear here."""
     if settings.actuators:
-        _ = settings.numbered_channels  # raises: one of them goes by a name
+        _ = settings.numbered_channels  # raises if an actuator names a channel
     if address.kind == "wav":
         path = Path(address.name)
         AtomicFile(path).abort()
@@ -213,4 +190,4 @@ def _maker(address: DeviceAddress, settings: Settings) -> Callable[[int, int], V
         return lambda samplerate, channels: simulated_rig_of(
             settings, samplerate, channel_map_of(settings, channels)
         )
-    raise InternalError(f"device {str(address)!r} is none that is paced")
+    raise InternalError(f"device {str(address)!r} is not a paced one")

@@ -1,0 +1,277 @@
+"""What every output offers to the supervisor, and what outputs with a PortAudio stream share."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Generic, TypeVar
+
+from audioflinger_hook.daemon.inputs.base import AudioNode
+from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
+from audioflinger_hook.daemon.recording import RunRecording
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.service.state import Cause, StateKeeper
+from device.address import DeviceAddress
+from device.drive import ActuatorSettings, ChannelMap, ChannelRouter
+from device.errors import CushionError, UsageError
+from device.rig import rig_by_name
+from device.server import PulseConnection, ServerSnapshot
+from device.stream import AudioPriority, PlaybackStream
+from device.stream.pcms import Pcm
+from device.stream.portaudio import BLOCK_FRAMES
+from device.stream.sample_format import SampleFormat
+from device.units import Float32Array
+
+Fill = Callable[[Float32Array, float], None]
+"""(out, now_s): writes what is played next."""
+
+SetVolume = Callable[[float], None]
+"""Sets a device to a level in dB and unmutes it; raises CushionError if it cannot."""
+
+NodeT = TypeVar("NodeT", bound=AudioNode)
+
+
+class Output(ABC):
+    """Where vibration goes. For the supervising thread alone.
+
+    address: as the user wrote it.
+    """
+
+    needs_server = False
+    """Whether the sound server provides it."""
+
+    def __init__(self, address: DeviceAddress) -> None:
+        self.address = address
+
+    def __str__(self) -> str:
+        return str(self.address)
+
+    @property
+    def may_rest(self) -> bool:
+        """Whether it may be closed while nothing plays."""
+        return True
+
+    @property
+    @abstractmethod
+    def name(self) -> str | None:
+        """What is open, None while nothing is."""
+
+    @property
+    @abstractmethod
+    def is_open(self) -> bool:
+        """Whether it plays, or did until a moment ago."""
+
+    @property
+    def xruns(self) -> int:
+        """Count of late buffers that PortAudio reported."""
+        return 0
+
+    @property
+    def warnings(self) -> list[str]:
+        """Problems that the user should know, one line each."""
+        return []
+
+    @property
+    def summary(self) -> str:
+        """One line about the whole run, usually empty."""
+        return ""
+
+    def delay_s(self, snapshot: ServerSnapshot | None) -> float:
+        """Return the delay of a frame after it was written, 0 if unknown."""
+        return 0.0
+
+    def configure(self, config: RunConfig) -> None:
+        """Take the actuators, and what applies to streams that are opened later."""
+        self.set_actuators(config.settings.actuators)
+
+    def retarget(self, config: RunConfig) -> bool:
+        """Play to another device; return False if that needs another output."""
+        return False
+
+    @abstractmethod
+    def locate(self, snapshot: ServerSnapshot | None) -> AudioNode:
+        """Find the device. NotFoundError: it is not available; no other replaces it."""
+
+    @abstractmethod
+    def set_format(self, samplerate: int, channels: int) -> None:
+        """Set the rate of the mix in Hz and the channels of the vibration, before `maintain`."""
+
+    @abstractmethod
+    def check_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
+        """Raise UsageError if the device lacks channels for these actuators."""
+
+    @abstractmethod
+    def set_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
+        """Take actuators that `check_actuators` accepted.
+
+        Playing continues if their number and the open channels stay the same; otherwise it stops
+        until the next `maintain`.
+        """
+
+    @abstractmethod
+    def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
+        """Open, check or reopen what was located.
+
+        LostError, NotFoundError: the next call tries again; other errors are final.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stop, until the next `maintain`. May be repeated; raises nothing."""
+
+    def end(self, *, keep: bool) -> None:
+        """Close for good; keep: whether a written file stays. WriteError: it cannot be kept."""
+        self.close()
+
+
+class StreamOutput(Output, Generic[NodeT]):
+    """An output with a PortAudio stream, on a sink or a card.
+
+    block_frames, priority: of streams that are opened later. recording: receives what is played.
+    """
+
+    def __init__(
+        self,
+        address: DeviceAddress,
+        pcm: Pcm,
+        states: StateKeeper,
+        recording: RunRecording | None = None,
+        *,
+        block_frames: int = BLOCK_FRAMES,
+        priority: AudioPriority | None = None,
+        volume: DeviceVolume | None = None,
+        actuators: Sequence[ActuatorSettings] = (),
+    ) -> None:
+        super().__init__(address)
+        self.block_frames = block_frames
+        self.volume = volume or DeviceVolume()
+        self._priority = priority
+        self._pcm = pcm
+        self._states = states
+        self._recording = recording
+        self._router = ChannelRouter(actuators)
+        self._stream = ReconnectingStream[PlaybackStream](
+            "the output", states, Cause.DEVICE_LOST, Cause.DEVICE_MOVED
+        )
+        self._haptic_channels = 1
+        self._found: NodeT | None = None
+        self._playing: NodeT | None = None
+
+    @property
+    def name(self) -> str | None:
+        """Name of the open device."""
+        return self._playing.name if self._playing and self._stream.stream else None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it plays, or did until a moment ago."""
+        return self._stream.stream is not None
+
+    @property
+    def xruns(self) -> int:
+        """Count of late buffers that PortAudio reported."""
+        return self._stream.xruns
+
+    @property
+    def warnings(self) -> list[str]:
+        """Why the volume differs from the configured one."""
+        return [self.volume.warning] if self.volume.warning else []
+
+    def configure(self, config: RunConfig) -> None:
+        """Take block length, volume and actuators."""
+        self.block_frames = config.live.block_frames
+        self.volume.request(config)
+        super().configure(config)
+
+    def set_format(self, samplerate: int, channels: int) -> None:
+        """Set the channels of the vibration; a device has its own rate."""
+        self._haptic_channels = channels
+
+    def set_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
+        """Take these actuators; see `Output`."""
+        channel_map = None
+        if self._playing is not None:
+            with suppress(UsageError):  # another device follows
+                channel_map = self._channel_map(self._playing, actuators)
+        if not self._router.change(actuators, channel_map):
+            self.close()
+
+    def close(self) -> None:
+        """Stop. May be repeated; raises nothing."""
+        self._stream.close()
+
+    @abstractmethod
+    def _channel_map(self, node: NodeT, actuators: Sequence[ActuatorSettings]) -> ChannelMap:
+        """Return which actuator each channel of this device plays; raises UsageError."""
+
+    def _playback(
+        self,
+        node: NodeT,
+        fill: Fill,
+        set_volume: SetVolume,
+        sample_format: SampleFormat = SampleFormat.FLOAT32,
+    ) -> PlaybackStream:
+        """Return a new stream to this device, whose volume is set first."""
+        self.volume.set(set_volume)
+        recording, samplerate = self._recording, node.samplerate
+        sent = None
+        if recording is not None:
+            recording.reopened()
+
+            def sent(frames: Float32Array, now_s: float) -> None:
+                recording.sent(frames, samplerate, now_s)
+
+        channel_map = self._channel_map(node, self._router.actuators)
+        return PlaybackStream(
+            self._pcm,
+            samplerate,
+            node.channels,
+            self._router.connect(fill, channel_map, self.block_frames),
+            sent,
+            block_frames=self.block_frames,
+            priority=self._priority,
+            sample_format=sample_format,
+        )
+
+
+class DeviceVolume:
+    """The device's own volume, set when the device is opened. For the supervising thread alone.
+
+    wanted_db: 0 or less, None to leave the device as it is. limit_db: the rig's limit, which
+    replaces a higher volume. warning: why the volume differs from `wanted_db`, "" if it does not.
+    """
+
+    def __init__(self, wanted_db: float | None = None, limit_db: float = 0.0) -> None:
+        self.wanted_db = wanted_db
+        self.limit_db = limit_db
+        self.warning = ""
+        self._last: tuple[float | None, float] = None, limit_db
+
+    def request(self, config: RunConfig) -> None:
+        """Take the volume that a config asks for; `update` sets it."""
+        settings = config.settings
+        rigs = {actuator.rig or settings.rig for actuator in settings.actuators} or {settings.rig}
+        self.wanted_db = config.live.device_volume_db
+        # All channels have one volume, so the most sensitive rig sets the limit.
+        self.limit_db = min(rig_by_name(rig).dac.volume_limit_db for rig in rigs)
+
+    def set(self, set_volume: SetVolume) -> None:
+        """Set the volume before the device plays; raises nothing."""
+        self._last, self.warning = (self.wanted_db, self.limit_db), ""
+        if self.wanted_db is None:
+            return
+        problem = ""
+        if self.wanted_db > self.limit_db:
+            problem = f"the rig allows at most {self.limit_db:g} dB, which is set instead"
+        try:
+            set_volume(min(self.wanted_db, self.limit_db))
+        except CushionError as error:
+            problem = str(error)
+        if problem:
+            self.warning = f"device_volume_db = {self.wanted_db:g}: {problem}"
+
+    def update(self, set_volume: SetVolume) -> None:
+        """Set the volume if the config changed; changes made elsewhere stay. Raises nothing."""
+        if (self.wanted_db, self.limit_db) != self._last:
+            self.set(set_volume)
