@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from audioflinger_hook.mixer.mixer import Mixer, MixerState
 from audioflinger_hook.mixer.track import Track
-from audioflinger_hook.mixer.volume import gain_db, gains_of
+from audioflinger_hook.mixer.volume import decibels, gains_of
 
 _COLUMNS = (
     "Id", "Active", "Name", "Session", "S", "Format", "Chn", "SRate", "L dB", "R dB", "FrmCnt",
@@ -101,8 +101,8 @@ def _row(track: Track, mix_channels: int) -> tuple[str, ...]:
         track.format.value,
         str(track.channels),
         str(track.samplerate),
-        f"{gain_db(gains[0]):.1f}",
-        f"{gain_db(right):.1f}",
+        f"{decibels(gains[0]):.1f}",
+        f"{decibels(right):.1f}",
         str(track.ring.capacity_frames),
         str(track.frames_ready),
         str(track.start_threshold),

@@ -108,6 +108,6 @@ def _rise(frames: int) -> NDArray[np.float32]:
     return (np.arange(frames, dtype=np.float64) / frames).astype(np.float32)[:, None]
 
 
-def gain_db(gain: float) -> float:
+def decibels(gain: float) -> float:
     """Return a gain in decibels, -inf for 0, for dumps."""
     return 20.0 * math.log10(gain) if gain > 0.0 else -math.inf

@@ -306,7 +306,7 @@ def set_card_volume(
     with CardMixer(card, devices) as mixer:
         if not mixer.volumes and not mixer.switches:
             raise NotFoundError(
-                f"sound card {card} has no volume control; set the level with gain_db, or at the "
+                f"sound card {card} has no volume control; set the level in the config, or at the "
                 "amplifier"
             )
         levels_db, failures = [], []
