@@ -175,4 +175,4 @@ def test_cards_are_written_as_alsa_writes_them(text: str) -> None:
 
 def test_a_card_that_is_written_otherwise_is_refused() -> None:
     error = refused(call("run", "--device", "hw:a,b"))
-    assert "a card is written hw:CARD or hw:CARD,DEVICE" in error
+    assert "write hw:CARD or hw:CARD,DEVICE" in error
