@@ -29,10 +29,10 @@ EARLY_S = 5.0
 """How much earlier a section starts. Measured: other pasts are forgotten within 3 s."""
 
 WORTH_EARLY = 3.0
-"""A section is at least so many times longer than it starts early; else it gains nothing."""
+"""Least ratio of a section's length to its early start; below this, sections gain nothing."""
 
 UNRELATED = ("channels", "parameters", "rig", "damping", "protection", "exposure_cap", "said")
-"""Settings that a section takes as they are, or that only matter after the transform."""
+"""Settings that apply to sections too, or only after the transform."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Work spread over processes: results in order, and a process that dies costs its own item only.
 
-`concurrent.futures` cannot be used here: its pool breaks as a whole when one process dies, cannot
-end work that is under way, and does not say what ended a process.
+`concurrent.futures` does not suffice. Its pool breaks as a whole when one process dies. It cannot
+end work that is under way, and does not report the signal that ended a process.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class _Worker:
 
 
 class Workers(Generic[Result]):
-    """Calls `work(item, report_share)` for every item, each in a process of its own.
+    """Calls `work(item, report_share)` for every item, each in a separate process.
 
     Use it as a context manager, from one thread. Leaving it ends work that is under way, by
     KeyboardInterrupt in the process, and waits for it. The processes ignore SIGINT.

@@ -131,7 +131,7 @@ class Framework:
     def change(self, settings: Settings) -> None:
         """Take other parameters and another level from the next cycle on.
 
-        All other settings must be as they are. A level is reached within one buffer. With other
+        All other settings must be unchanged. A level is reached within one buffer. With other
         parameters the vibration fades out within one buffer and restarts `latency_frames` later.
         Parameters are checked here, on the calling thread.
 

@@ -26,7 +26,7 @@ class Step(NamedTuple):
 
 
 class RealTimePace:
-    """Due times of frames that are played in real time, for sound without a clock of its own.
+    """Due times of frames that are played in real time, for sound without a clock.
 
     Parameters
     ----------

@@ -84,12 +84,12 @@ class ChannelMap:
 
     @cached_property
     def is_identity(self) -> bool:
-        """Whether each channel plays the actuator of its own number."""
+        """Whether each channel plays the actuator with the same number."""
         return self.sources == tuple(range(self.actuators))
 
     @cached_property
     def is_direct(self) -> bool:
-        """Whether each channel plays the actuator of its number, or all the only one."""
+        """Whether the map is the identity, or all channels play the only actuator."""
         return self.is_identity or (self.actuators == 1 and set(self.sources) == {0})
 
     def write(self, vibration: Float32Array | FloatArray, out: Float32Array) -> None:

@@ -12,7 +12,7 @@ from device.errors import InternalError
 from device.units import Float32Array
 
 Fill = Callable[[Float32Array, float], None]
-"""(out, now_s): writes what is played next, (frames, actuators)."""
+"""(out, now_s): writes the next vibration, (frames, actuators)."""
 
 
 class ChannelRouter:
@@ -53,7 +53,7 @@ class ChannelRouter:
 
 
 class RoutedFill:
-    """Fills a device's channels from a `Fill` with one column for each actuator.
+    """Fills a device's channels from a `Fill` that has one column for each actuator.
 
     The output's thread calls `fill`; any thread may call `change`.
 
@@ -88,7 +88,7 @@ class RoutedFill:
         self._wanted = channel_map
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write what is played next, (frames, channels)."""
+        """Write the next vibration, (frames, channels)."""
         old, new = self._map, self._wanted
         if new is old and new.is_direct:
             self._fill(out[:, : new.actuators], now_s)

@@ -46,7 +46,7 @@ class Driver(Protocol):
         ...
 
     def process(self, vibration: FloatArray) -> FloatArray | Float32Array:
-        """Return what is played for a block, which does not change."""
+        """Return the driven vibration for a block, which does not change."""
         ...
 
 

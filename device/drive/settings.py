@@ -1,4 +1,4 @@
-"""What a user may choose of one actuator, and of several together."""
+"""What a user may choose for one actuator, and for several together."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from device.units import db_to_amplitude
 from device.values import Choice, Described, Description, Number, Refusal, Text
 
 SOURCES = ("mix", "left", "right", "front", "back")
-"""Which vibration an actuator may play; "all" says the same as "mix"."""
+"""Vibration that an actuator may play; "all" means "mix"."""
 
 POLARITIES = ("normal", "inverted")
 DAMPING = ("off", "auto")
@@ -19,11 +19,11 @@ PROTECTION = ("off", "on")
 EXPOSURE_CAP = ("off", "action", "limit")
 
 GAIN_MIN_DB, GAIN_MAX_DB = -60.0, 0.0
-"""At 0 dB full scale of the vibration is full scale of the device: more would be cut."""
+"""At 0 dB, full scale of the vibration is full scale of the device; more would be clipped."""
 
 DELAY_MAX_MS = 500.0
-"""Sound takes half a second for 170 m, which is further apart than any two seats; memory for so
-much is taken from the start."""
+"""Sound travels 170 m in this time, further than any two seats are apart. It sets the memory that
+is allocated at the start."""
 
 ACTUATORS_MAX = CHANNELS_MAX
 """One for each channel."""
@@ -112,13 +112,13 @@ class ActuatorSettings(Described):
 
     @property
     def factor(self) -> float:
-        """What level and polarity multiply by: -1 to 1."""
+        """Factor of level and polarity, -1 to 1."""
         amplitude = db_to_amplitude(self.gain_db)
         return -amplitude if self.polarity == "inverted" else amplitude
 
 
 def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
-    """Why the channels of several actuators are refused, by the actuator's number from 1."""
+    """Return why channels of several actuators are refused, by the actuator's number from 1."""
     if len(wired) > ACTUATORS_MAX:
         allowed = f"up to {ACTUATORS_MAX} actuators"
         return {ACTUATORS_MAX + 1: Refusal("is one too many", allowed)}
@@ -126,11 +126,11 @@ def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
 
 
 def sources_of(actuators: Sequence[ActuatorSettings]) -> tuple[str, ...]:
-    """The sources that somebody plays, each once, in the order of `SOURCES`."""
+    """Return the sources that actuators play, each once, in the order of `SOURCES`."""
     played = {actuator.source for actuator in actuators}
     return tuple(source for source in SOURCES if source in played)
 
 
 def wiring_of(actuators: Sequence[ActuatorSettings]) -> Wiring:
-    """The channels of every actuator."""
+    """Return the channels of every actuator."""
     return tuple(actuator.channels for actuator in actuators)

@@ -1,4 +1,4 @@
-"""The automatic choice: what leaves least behind in the worst case, for the volts there are."""
+"""The automatic choice: the least residual in the worst case, within the available volts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -6,10 +6,15 @@ from typing import get_args
 
 import numpy as np
 
-from device.drive.damping.design import Damping, inverse_damping, no_damping, shaper_damping
-from device.drive.damping.inverse import resonance_of
+from device.drive.damping.design import (
+    Damping,
+    ShaperKind,
+    inverse_damping,
+    no_damping,
+    resonance_of,
+    shaper_damping,
+)
 from device.drive.damping.residual import Residual, burst_response, undamped
-from device.drive.damping.shaper import ShaperKind
 from device.errors import UsageError
 from device.rig import ActuatorParameters
 
@@ -23,8 +28,12 @@ SHIFT = (1.0, 1.02, 1.04, 1.06)
 class Uncertainty:
     """How far the rig may be from what was identified.
 
-    resonance: share of f0 either way, 0 to 0.5: of the fit, and of sitters, who shift it by some
-    10 %. q_mechanical: (lowest, highest) that it may be, or None where the rig's is exact.
+    Attributes
+    ----------
+    resonance : float
+        Share of f0 in either direction, 0 to 0.5; sitters alone shift it by about 10 %.
+    q_mechanical : tuple[float, float] | None
+        Lowest and highest value; None if the rig's is exact.
     """
 
     resonance: float = 0.1
@@ -45,11 +54,20 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A damping with what it leaves behind, all against undamped current drive.
+    """A damping and its residual, against undamped current drive.
 
-    as_believed: of the rig as identified; worst_db: the largest residual of all rigs that it may
-    be; affordable: whether its peak volts, as believed, are within the headroom. makeup: what
-    drive has to be multiplied by for a burst as strong as without damping.
+    Attributes
+    ----------
+    damping : Damping
+        The filter.
+    as_believed : Residual
+        For the rig as identified.
+    worst_db : float
+        Largest residual of all possible rigs.
+    affordable : bool
+        Whether its peak volts for the believed rig are within the headroom.
+    makeup : float
+        Factor on the drive that makes a burst as strong as without damping.
     """
 
     damping: Damping
@@ -60,8 +78,8 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Choice:
-    """The chosen candidate, and all there were, the best first."""
+class DampingChoice:
+    """The chosen candidate, and all candidates, the best first."""
 
     chosen: Candidate
     candidates: tuple[Candidate, ...] = field(repr=False)
@@ -79,15 +97,24 @@ def choose_damping(
     headroom_db: float = HEADROOM_DB,
     source_impedances_ohm: Sequence[float] = (0.0,),
     latency_s: float = 0.0,
-) -> Choice:
-    """The damping with the least residual in the worst case; takes some tenths of a second.
+) -> DampingChoice:
+    """Return the damping with the least residual in the worst case; takes some tenths of a second.
 
-    headroom_db: peak volts that may be spent beyond those of undamped current drive, for the same
-    vibration. source_impedances_ohm: of the drive modes that the amplifier has. latency_s: how
-    much delay a damping may add; 0 leaves out the shapers.
+    If nothing is within the headroom, the choice is what needs the fewest volts; `affordable` is
+    then False.
 
-    Where nothing is within the headroom, what needs the fewest volts is chosen: a choice is always
-    made, and `affordable` says what it is.
+    Parameters
+    ----------
+    p : ActuatorParameters
+        The actuator as identified.
+    uncertainty : Uncertainty | None
+        How far it may be from that; None for the default.
+    headroom_db : float
+        Peak volts beyond those of undamped current drive for the same vibration.
+    source_impedances_ohm : Sequence[float]
+        Of the amplifier's drive modes.
+    latency_s : float
+        Delay that a damping may add; 0 excludes shapers.
 
     Raises
     ------
@@ -98,8 +125,8 @@ def choose_damping(
         raise UsageError(f"headroom_db={headroom_db!r} must be a number; correct it")
     if not source_impedances_ohm:
         raise UsageError("no source impedance to choose from; name at least that of the amplifier")
-    may_be = _rigs_that_it_may_be(p, uncertainty or Uncertainty())
-    references = [undamped(q_rig, detuning=d) for q_rig, d in may_be]
+    possible = _possible_rigs(p, uncertainty or Uncertainty())
+    references = [undamped(q_rig, detuning=d) for q_rig, d in possible]
     reference = undamped(p)
     candidates = []
     for source in source_impedances_ohm:
@@ -111,7 +138,7 @@ def choose_damping(
             shown = believed.against(reference)
             worst_db = max(
                 burst_response(rig, damping, detuning=d).against(other).residual_db
-                for (rig, d), other in zip(may_be, references, strict=True)
+                for (rig, d), other in zip(possible, references, strict=True)
             )
             candidates.append(
                 Candidate(
@@ -123,20 +150,20 @@ def choose_damping(
                 )
             )
     candidates.sort(key=_rank)
-    return Choice(candidates[0], tuple(candidates))
+    return DampingChoice(candidates[0], tuple(candidates))
 
 
 def _rank(candidate: Candidate) -> tuple[bool, float]:
-    """Affordable ones by their worst case, then the others by their volts."""
+    """Sort affordable ones by their worst case, then the others by their volts."""
     if candidate.affordable:
         return False, candidate.worst_db
     return True, candidate.as_believed.peak_volts_db
 
 
-def _rigs_that_it_may_be(
+def _possible_rigs(
     p: ActuatorParameters, uncertainty: Uncertainty
 ) -> list[tuple[ActuatorParameters, float]]:
-    """Rigs, and by which share of f0 each is detuned: all corners, and f0 as believed."""
+    """Return all corners of the uncertainty: rigs, and the share of f0 by which each is detuned."""
     low, high = uncertainty.q_mechanical or (p.q_mechanical, p.q_mechanical)
     shares = {0.0, -uncertainty.resonance, uncertainty.resonance}
     return [
@@ -145,7 +172,7 @@ def _rigs_that_it_may_be(
 
 
 def _dampings(p: ActuatorParameters, source_impedance_ohm: float) -> list[Damping]:
-    """Everything that could be done to the drive at this source impedance."""
+    """Return all candidates at this source impedance."""
     ringing = resonance_of(p, source_impedance_ohm)
     dampings = [no_damping(source_impedance_ohm)]
     if ringing.q > 0.5:

@@ -1,4 +1,4 @@
-"""Damping in the live path: a section and, for a shaper, a few taps."""
+"""Damping in the live path: a second-order section or the taps of a shaper."""
 
 import numpy as np
 from scipy.signal import sosfilt
@@ -10,22 +10,31 @@ from device.units import Block, Float32Array, FloatArray, check_channels, finite
 _ABSURD = 1e30
 _SILENT = 1e-30
 _REST_S = 0.05
-"""A state that has decayed is set to 0 at multiples of this, so that it never gets as small as
-slow, denormal numbers: even a pair at 500 Hz with Q 0.3 falls by no more than 1e-114 in between."""
+"""A decayed state is set to 0 at multiples of this time, before it becomes denormal and slow. In
+between, even a pair at 500 Hz with Q 0.3 falls by at most 1e-114."""
 
 
 class Damper:
-    """Damps one stream of vibration; holds its state. One thread calls it.
+    """Damps one stream of vibration, with a delay of `damping.latency_s`. One thread calls it.
 
-    samplerate: Hz; channels: 1 or more, which all get the same damping (actuators that differ get
-    a damper each, on their columns). Its delay is `damping.latency_s`.
+    Parameters
+    ----------
+    damping : Damping
+        The filter.
+    samplerate : float
+        Rate in Hz.
+    channels : int
+        Number of channels, 1 or more, all with the same filter.
 
-    replaced_samples: those that were not finite, or absurd, and were taken as 0, so far.
+    Attributes
+    ----------
+    replaced_samples : int
+        Samples so far that were not finite, or beyond 1e30, and counted as 0.
 
     Raises
     ------
     UsageError
-        The samplerate is too low for the damping.
+        The sample rate is too low for the filter.
     """
 
     def __init__(self, damping: Damping, samplerate: float, channels: int) -> None:
@@ -45,21 +54,20 @@ class Damper:
 
     @property
     def latency_frames(self) -> int:
-        """By how many frames the vibration comes later: those of the damping's latency."""
+        """Delay of the vibration in frames."""
         return round(self.damping.latency_s * self.samplerate)
 
     def reset(self) -> None:
-        """Forget everything; the count is 0."""
+        """Come to rest; the count becomes 0."""
         self.replaced_samples = 0
         self._state = np.zeros((len(self._sections), 2, self.channels))
         self._past = np.zeros((int(self._delays[-1]), self.channels))
         self._frames_to_check = self._part_frames
 
     def process(self, block: Block) -> Block:
-        """Damp a block of (frames, channels) in place, any number of frames; return it.
+        """Damp a block, (frames, channels), in place and return it.
 
-        The state is float64, and no byte depends on how the stream is cut into blocks. What comes
-        out is finite.
+        The output is finite and does not depend on the lengths of blocks.
         """
         check_channels(block, self.channels)
         start = 0
@@ -70,7 +78,7 @@ class Damper:
         return block
 
     def _filtered(self, block: FloatArray | Float32Array) -> FloatArray:
-        """A part of a block, which ends at most where the state is to be looked at."""
+        """Return a part of a block, filtered; it ends where the state is checked, or before."""
         samples, replaced = finite_or_zero(block.astype(np.float64), _ABSURD)
         self.replaced_samples += replaced
         samples = self._shaped(samples)
@@ -84,7 +92,7 @@ class Damper:
         return samples
 
     def _shaped(self, samples: FloatArray) -> FloatArray:
-        """The sum of the delayed copies, always added in the same order."""
+        """Return the sum of the delayed copies, always added in the same order."""
         longest = len(self._past)
         if longest:
             samples = np.concatenate([self._past, samples])

@@ -1,25 +1,136 @@
-"""A way of damping, as numbers that do not depend on the samplerate."""
+"""Damping filters as numbers that do not depend on the sample rate: resonance inverse, shapers.
+
+The resonance inverse puts zeros on the poles of the actuator and a well damped pair in their place.
+The poles are those of the electro-mechanical system, not f0 and Qts: with a coil of 1 mH the
+`paper` rig rings at 91.8 Hz. Zeros at 90 Hz would leave 1 dB more at +10 % of f0.
+
+An input shaper adds delayed copies of the signal, so that their free vibrations cancel (Singer and
+Seering, "Preshaping command inputs to reduce system vibration", 1990). An impulse makes a resonance
+with frequency f and Q swing. Half a damped period later the swing is opposite, and smaller by
+K = exp(-pi / sqrt(4 Q^2 - 1)). ZV adds a copy there. ZVD does so twice, which tolerates an
+inexact f.
+"""
+
+from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
-from device.drive.damping.inverse import Resonance, inverse_sections, resonance_of
-from device.drive.damping.shaper import Impulses, ShaperKind, input_shaper
 from device.errors import UsageError
 from device.rig import ActuatorParameters
+from device.rig.actuator import state_space
 from device.units import FloatArray
+
+ShaperKind = Literal["zv", "zvd"]
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """A pair of poles: its magnitude over 2 pi in Hz, and its Q, at most 0.5 for real poles."""
+
+    frequency_hz: float
+    q: float
+
+    def __post_init__(self) -> None:
+        for name in ("frequency_hz", "q"):
+            number = getattr(self, name)
+            if not (math.isfinite(number) and number > 0.0):
+                raise UsageError(f"{name}={number!r} of a resonance must be above 0; correct it")
+
+    def polynomial(self, samplerate: float) -> FloatArray:
+        """Return (z - e^(pT)) (z - e^(p'T)) for the poles p and p', highest power first, (3,).
+
+        The actuator's step has its poles there too, so that they cancel exactly at any rate.
+        """
+        w = math.tau * self.frequency_hz
+        damping = 1.0 / (2.0 * self.q)
+        root = np.sqrt(complex(damping**2 - 1.0))
+        pair = np.exp(np.array([-damping + root, -damping - root]) * w / samplerate)
+        return np.array([1.0, -(pair[0] + pair[1]).real, (pair[0] * pair[1]).real])
+
+
+def resonance_of(p: ActuatorParameters, source_impedance_ohm: float = 0.0) -> Resonance:
+    """Return the pair of poles with which the actuator rings at this source impedance."""
+    rate, _, _ = state_space(p, source_impedance_ohm)
+    poles = np.linalg.eigvals(rate)
+    # The coil's pole is real. The pair is complex, or the two slowest poles.
+    pair = poles[np.lexsort((np.abs(poles), -np.abs(poles.imag)))][:2]
+    magnitude = math.sqrt(abs(pair[0] * pair[1]))
+    return Resonance(magnitude / math.tau, magnitude / -float((pair[0] + pair[1]).real))
+
+
+def inverse_sections(ringing: Resonance, wanted: Resonance, samplerate: float) -> FloatArray:
+    """Return the second-order section that turns one resonance into another, (1, 6).
+
+    Its gain is 1 at 0 Hz, and at most 1 if the wanted Q is lower at the same frequency. UsageError:
+    a resonance is not below half the sample rate.
+    """
+    highest_hz = max(ringing.frequency_hz, wanted.frequency_hz)
+    if not samplerate > 2.0 * highest_hz:
+        raise UsageError(
+            f"samplerate={samplerate!r} Hz is too low for a resonance at {highest_hz:.1f} Hz; "
+            f"choose more than {2.0 * highest_hz:.0f} Hz"
+        )
+    zeros, poles = ringing.polynomial(samplerate), wanted.polynomial(samplerate)
+    return np.array([[*(zeros * (poles.sum() / zeros.sum())), *poles]])
+
+
+@dataclass(frozen=True)
+class Impulses:
+    """A shaper: amplitudes, which sum to 1, and their delays in seconds."""
+
+    delays_s: tuple[float, ...]
+    amplitudes: tuple[float, ...]
+
+    @property
+    def latency_s(self) -> float:
+        """Delay of slow signals, s: the centroid of the impulses."""
+        return sum(d * a for d, a in zip(self.delays_s, self.amplitudes, strict=True))
+
+    def taps(self, samplerate: float) -> FloatArray:
+        """Return the amplitude for each frame of delay, (frames,), interpolated linearly."""
+        taps = np.zeros(math.floor(max(self.delays_s) * samplerate) + 2)
+        for delay_s, amplitude in zip(self.delays_s, self.amplitudes, strict=True):
+            frame, rest = divmod(delay_s * samplerate, 1.0)
+            taps[int(frame)] += amplitude * (1.0 - rest)
+            taps[int(frame) + 1] += amplitude * rest
+        return np.trim_zeros(taps, "b")
+
+
+def input_shaper(ringing: Resonance, kind: ShaperKind) -> Impulses:
+    """Return the shaper of that kind. UsageError: the resonance does not ring (Q up to 0.5)."""
+    if ringing.q <= 0.5:
+        raise UsageError(f"a resonance with Q {ringing.q:.2f} does not ring: no shaper is needed")
+    root = math.sqrt(4.0 * ringing.q**2 - 1.0)
+    half_s = ringing.q / (ringing.frequency_hz * root)  # half a damped period
+    swing = math.exp(-math.pi / root)
+    binomial = (1.0, swing) if kind == "zv" else (1.0, 2.0 * swing, swing**2)
+    whole = sum(binomial)
+    return Impulses(
+        tuple(step * half_s for step in range(len(binomial))),
+        tuple(share / whole for share in binomial),
+    )
 
 
 @dataclass(frozen=True)
 class Damping:
-    """What is done to the drive, and the amplifier that it is meant for.
+    """One damping filter, and the amplifier that it is meant for.
 
-    name: what a user chooses it by. source_impedance_ohm: of that amplifier; 0 is voltage drive,
-    which damps by itself (Qts), a large one current drive, which does not (Qms). ringing, wanted:
-    the resonance that a resonance inverse removes and the one it puts there, or None. impulses:
-    of an input shaper, or None. gain: applied besides, 1 unless a level is to be made up for.
+    Attributes
+    ----------
+    name : str
+        Kind of filter.
+    source_impedance_ohm : float
+        Of the amplifier: 0 for voltage drive, which damps (Qts); large for current drive (Qms).
+    ringing, wanted : Resonance | None
+        Resonance that a resonance inverse removes, and the one that replaces it.
+    impulses : Impulses | None
+        Of an input shaper.
+    gain : float
+        Additional factor.
     """
 
     name: str
@@ -37,30 +148,26 @@ class Damping:
 
     @property
     def latency_s(self) -> float:
-        """By how much the vibration comes later, s: 0 but for a shaper.
-
-        The inverse is of minimum phase: the first sample passes at once, and with a lower Q the
-        seat moves sooner, not later.
-        """
+        """Delay of the vibration, s; 0 without a shaper, since the inverse has minimum phase."""
         return self.impulses.latency_s if self.impulses else 0.0
 
     def sections(self, samplerate: float) -> FloatArray:
-        """(n, 6): second-order sections with n 0 or 1, without the gain."""
+        """Return the second-order sections without the gain, (n, 6), n 0 or 1."""
         if self.ringing is None or self.wanted is None:
             return np.empty((0, 6))
         return inverse_sections(self.ringing, self.wanted, samplerate)
 
     def taps(self, samplerate: float) -> FloatArray:
-        """(frames,): what the shaper convolves with; one tap of 1 without a shaper."""
+        """Return the taps of the shaper, (frames,); one tap of 1 without a shaper."""
         return self.impulses.taps(samplerate) if self.impulses else np.ones(1)
 
-    def with_gain(self, gain: float) -> "Damping":
-        """The same with another gain, above 0."""
+    def with_gain(self, gain: float) -> Damping:
+        """Return the same filter with another gain, above 0."""
         return replace(self, gain=gain)
 
 
 def no_damping(source_impedance_ohm: float = 0.0) -> Damping:
-    """The drive as it is: only the amplifier's source impedance damps."""
+    """Return a filter that changes nothing: only the amplifier's source impedance damps."""
     return Damping("none", source_impedance_ohm)
 
 
@@ -71,12 +178,11 @@ def inverse_damping(
     *,
     caution: float = 1.0,
 ) -> Damping:
-    """The resonance inverse to a chosen Q, at the frequency at which the actuator rings.
+    """Return the resonance inverse to a chosen Q, at the frequency at which the actuator rings.
 
-    wanted_q: what is left, above 0; 0.5 and less come to rest without swinging. caution: above 0
-    to 1; times the Q that is removed. Below 1 the dip in the drive is shallower, and so takes
-    fewer volts to make up for and suffers less from a resonance that lies beside it, but it does
-    less on it.
+    wanted_q: above 0; up to 0.5 the actuator does not swing. caution: factor on the removed Q, up
+    to 1. A lower value makes the dip in the drive shallower: it needs fewer volts and tolerates
+    another resonance better, but damps less.
     """
     if not 0.0 < caution <= 1.0:
         raise UsageError(f"caution={caution!r} must be above 0 and at most 1; correct it")
@@ -96,10 +202,10 @@ def shaper_damping(
     *,
     shift: float = 1.0,
 ) -> Damping:
-    """An input shaper for the actuator; UsageError where it does not ring by itself.
+    """Return an input shaper for the actuator. UsageError: the actuator does not ring.
 
-    shift: times the frequency at which it rings. A few percent make the worst case better, since
-    what is left is not the same above and below it.
+    shift: factor on the frequency. A few percent improve the worst case, since the residual is not
+    symmetric around the resonance.
     """
     ringing = resonance_of(p, source_impedance_ohm)
     tuned = replace(ringing, frequency_hz=shift * ringing.frequency_hz)

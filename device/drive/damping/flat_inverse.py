@@ -1,15 +1,15 @@
-"""The flat inverse: the drive with which a non-linear actuator moves just as a linear one would.
+"""The flat inverse: the drive with which a non-linear actuator moves as a linear one would.
 
 The excursion is a flat output of the actuator (Fliess et al., "Flatness and defect of non-linear
-systems", 1995): a wanted x, with its derivatives up to the third, gives force, current and voltage
-by the equations of motion alone, without integrating or looking ahead,
+systems", 1995). A wanted x and its first three derivatives give force, current and voltage by the
+equations of motion, without integration or look-ahead,
 
     F = m x'' + c x' + V'(x),    dW'/dx (x, i) = F,    v = R i + d/dt dW'/di (x, i)
 
-and W' (rig/co_energy.py) is quadratic in i, so the current is in closed form. What is wanted is
-what the linear rung does with the same drive; its state gives all three derivatives exactly. So a
-damping that was designed for the linear actuator holds at any level, and distortion is gone, as
-far as the rig is the one described.
+and W' (rig/co_energy.py) is quadratic in i, so that the current has a closed form. The wanted
+motion is that of the linear model with the same drive, whose state gives the derivatives exactly.
+A damping for the linear actuator then holds at any level without distortion, if the rig is as
+described.
 """
 
 from dataclasses import replace
@@ -25,27 +25,33 @@ from device.units import FloatArray, finite_or_zero
 _ABSURD_V = 1e6
 
 _WEAKEST = 0.25
-"""Share of Bl at rest that the root in the current is at least: where there is no current for a
-force, since it lies far beyond the stops, the nearest one is taken."""
+"""Least value of the root in the current, as a share of Bl. No current gives a force far beyond the
+stops; the nearest one is used there."""
 
 
 class FlatInverse:
-    """Turns the drive of a linear actuator into that of the rig's own; holds its state.
+    """Turns the drive of a linear actuator into that of the rig's actuator, without delay.
 
-    rig: with its [large_signal]; samplerate: Hz, as of `LinearActuator`. Both drives are the
-    amplifier's open-circuit volts, (frames,); the source impedance is the amplifier's. It adds no
-    delay: a sample in is a sample out, and no byte depends on how the stream is cut into blocks.
+    Both drives are the amplifier's open-circuit volts, (frames,). It needs up to three times the
+    volts at Xmax and does not know the amplifier's limits. Stops are ignored, since no drive helps
+    against them. One thread calls it.
 
-    It asks for more volts than it was given, at Xmax up to three times, and knows nothing of the
-    amplifier's limits. Beyond the stops, against which no drive helps, it goes on as if there were
-    none. One thread calls it.
+    Parameters
+    ----------
+    rig : Rig
+        With its [large_signal].
+    samplerate : float
+        Rate in Hz, as for `LinearActuator`.
 
-    beyond_samples: those, so far, for which the wanted excursion lies beyond the stops.
+    Attributes
+    ----------
+    beyond_samples : int
+        Samples so far whose wanted excursion is beyond the stops.
 
     Raises
     ------
     UsageError
-        The rig describes no large-signal behaviour; the samplerate is out of range.
+        The rig describes no large-signal behaviour, or the sample rate is out of range.
     """
 
     def __init__(self, rig: Rig, samplerate: float) -> None:
@@ -59,24 +65,24 @@ class FlatInverse:
         self._p = p
         self._ohm = p.resistance_ohm + source
         self._stop_m = rig.large_signal.stop_m
-        # Without the stops: against those no drive helps.
+        # Without the stops, against which no drive helps.
         self._energies = energies(p, replace(rig.large_signal, stop_n_per_m2=0.0))
         self.reset()
 
     def reset(self) -> None:
-        """Come to rest; the count is 0."""
+        """Come to rest; the count becomes 0."""
         self._linear.reset()
         self.beyond_samples = 0
 
     @property
     def latency_frames(self) -> int:
-        """0: it looks at nothing to come."""
+        """0: it needs no look-ahead."""
         return 0
 
     def process(self, volts: FloatArray) -> FloatArray:
-        """The volts, (frames,), with which the rig moves as a linear one with `volts`; finite.
+        """Return the finite volts, (frames,), that move the rig as `volts` would move a linear one.
 
-        What is not finite in `volts`, or beyond 1e6 V, counts as 0.
+        Samples that are not finite, or beyond 1e6 V, count as 0.
         """
         p = self._p
         drive, _ = finite_or_zero(np.asarray(volts, dtype=np.float64), _ABSURD_V)
@@ -93,7 +99,7 @@ class FlatInverse:
         co_energy = self._energies.co_energy
         _, force_factor, force_factor_slope = co_energy.magnet.jet(x)
         inductance, gradient, curvature = co_energy.inductance.jet(x)
-        # The root that is F / Bl where the inductance does not change, written without a loss.
+        # Equals F / Bl for a constant inductance; in this form no digits cancel.
         least = (_WEAKEST * force_factor) ** 2
         root = np.sqrt(np.maximum(force_factor**2 + 2.0 * gradient * force_n, least))
         current_a = 2.0 * force_n / (force_factor + root)

@@ -1,14 +1,13 @@
-"""What a burst leaves behind: the energy after its end, how long it lasts, and the volts it took.
+"""What a burst leaves behind: residual energy, settling time, and the volts that it took.
 
-Definitions, for a burst of 50 ms of a sine at the f0 that the rig is believed to have:
+Definitions, for a 50 ms burst of a sine at the f0 that the rig is believed to have:
 
-- residual: energy of the acceleration after the burst's end over that within it. Within it is
-  what was wanted, so two ways of driving are compared at the same vibration. A damping that has
-  a latency has its end later by it.
+- residual: energy of the acceleration after the burst's end over that within it. The end is later
+  by the latency of the damping.
 - settling: time after the end until the acceleration stays under 10 % of the burst's peak.
 - peak volts: at the actuator's terminals, for the same r.m.s. acceleration within the burst.
-- detuning: the true f0 is off by a stiffness that is another one, mass and friction are as
-  believed. Filter and burst stay where they are.
+- detuning: the true stiffness gives another f0; mass and friction are as believed. Filter and
+  burst do not change.
 """
 
 import math
@@ -26,18 +25,27 @@ from device.units import FloatArray, amplitude_to_db
 BURST_S = 0.05
 SETTLED = 0.1
 CURRENT_DRIVE_OHM = 1e5
-"""A source impedance with which the actuator's own 3.3 ohm count for nothing (3e-5)."""
+"""A source impedance beside which the actuator's 3.3 ohm are negligible (3e-5)."""
 
 SAMPLERATE = 48_000
 _DECAYS = 12.0
-"""Time constants of the slowest mode that are watched: e^-24 of its energy is left then."""
+"""Number of time constants of the slowest mode after the burst: e^-24 of its energy remains."""
 
 
 @dataclass(frozen=True)
 class BurstResponse:
-    """One burst: residual (a share), settling_s, and peak_v for 1 m/s^2 r.m.s. within the burst.
+    """The response to one burst.
 
-    rms_m_s2: within the burst, for a drive of 1 V (or, by a current source, about 1 A).
+    Attributes
+    ----------
+    residual : float
+        Energy after the burst as a share of that within it.
+    settling_s : float
+        Settling time.
+    peak_v : float
+        Peak volts for 1 m/s² r.m.s. within the burst.
+    rms_m_s2 : float
+        Within the burst, for a drive of 1 V (with a current source, about 1 A).
     """
 
     residual: float
@@ -46,7 +54,7 @@ class BurstResponse:
     rms_m_s2: float
 
     def against(self, reference: "BurstResponse") -> "Residual":
-        """The same in dB of another way of driving."""
+        """Return the difference from another response in dB."""
         return Residual(
             residual_db=amplitude_to_db(math.sqrt(self.residual / reference.residual)),
             settling_s=self.settling_s,
@@ -56,7 +64,7 @@ class BurstResponse:
 
 @dataclass(frozen=True)
 class Residual:
-    """A burst against a reference: residual_db of energy, settling_s, and peak_volts_db."""
+    """A burst against a reference: residual energy and peak volts in dB, and the settling time."""
 
     residual_db: float
     settling_s: float
@@ -71,10 +79,10 @@ def burst_response(
     burst_s: float = BURST_S,
     frequency_hz: float | None = None,
 ) -> BurstResponse:
-    """The response of the linear rung; see the definitions above.
+    """Return the response of the linear model; see the definitions above.
 
-    p: as believed; detuning: share of f0 by which it truly is another one. frequency_hz: of the
-    burst, f0 as believed by default.
+    p: the believed actuator; detuning: share by which the true f0 differs. frequency_hz: of the
+    burst; default: the believed f0.
     """
     true = detune(p, detuning)
     frequency_hz = frequency_hz or p.resonance_hz
@@ -82,7 +90,7 @@ def burst_response(
     frames = round((burst_s + max(longest_s, burst_s) + damping.latency_s) * SAMPLERATE)
     burst = sine_burst(frames, burst_s, frequency_hz)
     source = damping.source_impedance_ohm
-    # As a current source the amplifier gives so many amperes: the same order of volts.
+    # Scaled so that a current source gives about the same volts.
     drive = Damper(damping, SAMPLERATE, 1).process(burst[:, None])[:, 0] * (1.0 + source)
     motion = LinearActuator(true, SAMPLERATE, source).move(
         drive.astype(np.float64), ("acceleration_m_s2", "current_a")
@@ -94,7 +102,7 @@ def burst_response(
 def measured(
     acceleration_m_s2: FloatArray, volts: FloatArray, burst_s: float, latency_s: float
 ) -> BurstResponse:
-    """What acceleration and volts at the terminals, (frames,) each, say of a burst from 0 on."""
+    """Return the response to a burst from 0 on. Acceleration, terminal volts: (frames,)."""
     end = round((burst_s + latency_s) * SAMPLERATE)
     within, after = acceleration_m_s2[:end], acceleration_m_s2[end:]
     rms_m_s2 = math.sqrt(np.sum(within**2) / (burst_s * SAMPLERATE))
@@ -108,17 +116,17 @@ def measured(
 
 
 def undamped(p: ActuatorParameters, *, detuning: float = 0.0) -> BurstResponse:
-    """The reference: current drive, where nothing but the actuator's own friction damps."""
+    """Return the reference: current drive, where only the actuator's friction damps."""
     return burst_response(p, no_damping(CURRENT_DRIVE_OHM), detuning=detuning)
 
 
 def decay_s(p: ActuatorParameters, source_impedance_ohm: float) -> float:
-    """How long an actuator is watched after a burst: e^-24 of the energy is left then."""
+    """Return the time after a burst in which the energy falls to e^-24."""
     return _DECAYS * p.q_total(source_impedance_ohm) / (math.pi * p.resonance_hz)
 
 
 def sine_burst(frames: int, burst_s: float, frequency_hz: float) -> FloatArray:
-    """(frames,): a sine from 0, then silence."""
+    """Return a sine from 0, then silence, (frames,)."""
     burst = np.zeros(frames)
     burst_frames = round(burst_s * SAMPLERATE)
     phase = math.tau * frequency_hz / SAMPLERATE * np.arange(burst_frames)

@@ -1,4 +1,4 @@
-"""What accumulates over a day: r.m.s., A(8), VDV, of acceleration that is weighted already."""
+"""What accumulates over a day of weighted acceleration: r.m.s., A(8), VDV; and the cap on it."""
 
 import math
 from dataclasses import dataclass
@@ -11,24 +11,37 @@ from device.units import FloatArray
 
 ACTION_A8_M_S2, LIMIT_A8_M_S2 = 0.5, 1.15
 ACTION_VDV, LIMIT_VDV = 9.1, 21.0
-"""Directive 2002/44/EC, article 3: m/s^2 over eight hours, and m/s^1.75."""
+"""Directive 2002/44/EC, article 3: m/s² over eight hours, and m/s^1.75."""
 
 DAY_S = 8 * 3600.0
 RUNNING_S = 1.0
 """Time constant of the running r.m.s. (ISO 2631-1, equation 3)."""
 
 _SILENT = 1e-60
-"""Energy that counts for none, long before numbers get as small as slow ones."""
+"""Energy that counts as none, long before numbers become denormal and slow."""
+
+_FREE = 0.5
+"""Share of the allowed dose after which the cap begins to act: 71 % of the A(8) limit."""
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """Readings, of weighted acceleration and the worst channel.
+    """Readings of the weighted acceleration so far, for the worst channel.
 
-    time_s: so far; running_m_s2: r.m.s. of about the last second; most_running_m_s2: its largest
-    (MTVV); rms_m_s2: of all the time; a8_m_s2: A(8), what is so far, spread over eight hours;
-    vdv: m/s^1.75; extrapolated: share of the weighted energy that lies above 80 Hz, where
-    ISO 2631-1 gives no weighting.
+    Attributes
+    ----------
+    time_s : float
+        Duration.
+    running_m_s2, most_running_m_s2 : float
+        R.m.s. of about the last second, and its largest value (MTVV).
+    rms_m_s2 : float
+        R.m.s. of all the time.
+    a8_m_s2 : float
+        A(8): the same energy spread over eight hours.
+    vdv : float
+        Vibration dose value in m/s^1.75.
+    extrapolated : float
+        Share of the weighted energy above 80 Hz, where ISO 2631-1 gives no weighting.
     """
 
     time_s: float
@@ -41,17 +54,17 @@ class Exposure:
 
     @property
     def above_action(self) -> bool:
-        """Whether an action value of 2002/44/EC is reached: 0.5 m/s^2 A(8), or 9.1 VDV."""
+        """Whether an action value of 2002/44/EC is reached: 0.5 m/s² A(8), or 9.1 VDV."""
         return self.a8_m_s2 >= ACTION_A8_M_S2 or self.vdv >= ACTION_VDV
 
     @property
     def above_limit(self) -> bool:
-        """Whether a limit value of 2002/44/EC is reached: 1.15 m/s^2 A(8), or 21 VDV."""
+        """Whether a limit value of 2002/44/EC is reached: 1.15 m/s² A(8), or 21 VDV."""
         return self.a8_m_s2 >= LIMIT_A8_M_S2 or self.vdv >= LIMIT_VDV
 
     @property
     def time_to_action_s(self) -> float:
-        """After how long at the running level A(8) reaches its action value; inf in silence."""
+        """Time at the running level until A(8) reaches its action value; inf in silence."""
         left = DAY_S * (ACTION_A8_M_S2**2 - self.a8_m_s2**2)
         return max(0.0, left) / self.running_m_s2**2 if self.running_m_s2 else math.inf
 
@@ -67,7 +80,12 @@ class Exposure:
 class Dose:
     """Accumulates weighted acceleration. One thread calls `add`; any may call `exposure`.
 
-    samplerate: Hz; channels: 1 or more, each on its own.
+    Parameters
+    ----------
+    samplerate : float
+        Rate in Hz.
+    channels : int
+        Number of channels, each with a dose.
     """
 
     def __init__(self, samplerate: float, channels: int) -> None:
@@ -88,7 +106,7 @@ class Dose:
         self._above_past = np.zeros((len(self._above), 2, channels))
 
     def add(self, weighted_m_s2: FloatArray) -> None:
-        """Add (frames, channels), finite. The sums depend on the parts by rounding only."""
+        """Add (frames, channels), finite. The lengths of blocks only change the rounding."""
         if not len(weighted_m_s2):
             return
         squares = weighted_m_s2**2
@@ -105,7 +123,7 @@ class Dose:
         self._most = np.maximum(self._most, running.max(axis=0))
 
     def exposure(self) -> Exposure:
-        """Readings of the channel with the largest A(8)."""
+        """Return the readings of the channel with the largest A(8)."""
         worst = int(self._squares.argmax())
         squares = float(self._squares[worst])
         time_s = self._frames * self._period_s
@@ -119,3 +137,29 @@ class Dose:
             vdv=float(self._fourths[worst] * self._period_s) ** 0.25,
             extrapolated=min(1.0, float(self._high[worst]) / squares) if squares else 0.0,
         )
+
+
+def cap_gain(exposure: Exposure, a8_m_s2: float, vdv: float) -> float:
+    """Return the gain, 0 to 1, that lets a day's dose approach its limits but not pass them.
+
+    A dose grows with the second power of the gain (VDV: the fourth). Beyond half of the allowed
+    dose, that power is the remaining dose over half of the allowed one. The gain falls slowly and
+    the limit is never reached, if little is added between two calls. Any thread may call it.
+
+    Parameters
+    ----------
+    exposure : Exposure
+        The day so far.
+    a8_m_s2 : float
+        Limit of A(8) in m/s², above 0.
+    vdv : float
+        Limit of the VDV in m/s^1.75, above 0.
+    """
+    by_a8 = math.sqrt(_remaining((exposure.a8_m_s2 / a8_m_s2) ** 2))
+    by_vdv = math.sqrt(math.sqrt(_remaining((exposure.vdv / vdv) ** 4)))
+    return min(by_a8, by_vdv)
+
+
+def _remaining(used: float) -> float:
+    """Return 1 up to the free share of the dose; from there the value falls to 0."""
+    return min(1.0, max(0.0, (1.0 - used) / (1.0 - _FREE)))

@@ -1,7 +1,7 @@
 """The frequency weighting Wk of ISO 2631-1:1997, for vertical vibration of the seat.
 
-Four parts (its annex A): band limits of second order at 0.4 and 100 Hz, the transition from
-acceleration to velocity at 12.5 Hz, and the upward step about 2.37 and 3.35 Hz.
+It has four parts (annex A): band limits of second order at 0.4 and 100 Hz, the transition from
+acceleration to velocity at 12.5 Hz, and the step up between 2.37 and 3.35 Hz.
 """
 
 import math
@@ -14,7 +14,7 @@ from device.errors import UsageError
 from device.units import FloatArray
 
 HIGHEST_HZ = 80.0
-"""Where the standard's weighting ends; above it the same formula is an extrapolation."""
+"""End of the standard's weighting; above it the same formula is an extrapolation."""
 
 LOWEST_SAMPLERATE = 2_000.0
 
@@ -41,11 +41,11 @@ _PARTS: tuple[_Part, ...] = (
         math.sqrt(2.37 * 3.35),
     ),
 )
-"""Numerator, denominator (powers of s, highest first) and the frequency that is kept exactly."""
+"""Numerator, denominator (powers of s, highest first) and the frequency that stays exact."""
 
 
 def wk_response(frequency_hz: FloatArray) -> NDArray[np.complex128]:
-    """The complex factor of Wk at each frequency, any shape, in Hz: 0.636 at 20 Hz."""
+    """Return the complex factor of Wk at each frequency in Hz, any shape: 0.636 at 20 Hz."""
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     response = np.ones_like(s)
     for numerator, denominator, _ in _PARTS:
@@ -54,16 +54,16 @@ def wk_response(frequency_hz: FloatArray) -> NDArray[np.complex128]:
 
 
 def wk_sections(samplerate: float) -> FloatArray:
-    """(4, 6): second-order sections for `scipy.signal.sosfilt`, in float64.
+    """Return Wk as second-order sections for `scipy.signal.sosfilt`, (4, 6), in float64.
 
-    samplerate: Hz, 2000 or more. Bilinear, each part exact at its own frequency: that frequency
-    is pre-warped. In lower precision, or as one polynomial, poles as close to 1 as those of
-    0.4 Hz would be lost.
+    samplerate: Hz, 2000 or more. The bilinear transform is pre-warped, so that each part is exact
+    at its frequency. Lower precision, or one polynomial, would lose poles as close to 1 as those of
+    0.4 Hz.
 
     Raises
     ------
     UsageError
-        The samplerate is lower.
+        The sample rate is too low.
     """
     if not samplerate >= LOWEST_SAMPLERATE:
         raise UsageError(

@@ -1,44 +1,52 @@
 """The governor: for each block the largest gain after which everything can still be stopped.
 
 A scalar governor (Gilbert, Kolmanovsky and Tan, "Discrete-time reference governors and the
-nonlinear control of systems with state and control constraints", 1995) on a stack of linear
-models. The drive of block k is u (g' (1 - r) + g r), with a ramp r from 0 to 1 between the gain of
-before, g', and the new one, g. Wanted is the largest g for which every model stays inside the
-limits during block k, during block k + 1 (whose drive is known: the look-ahead) with the gain
-going down to 0, and in the free swing after that. All of it is a + g b with a and b known, so
-every sample and every model bounds g.
+nonlinear control of systems with state and control constraints", 1995) on several linear models.
+The drive of block k is u (g' (1 - r) + g r): r is a ramp from 0 to 1, g' the last gain, g the new
+one. The largest g is wanted for which every model stays inside the limits in three phases:
 
-The gain 0 for the next block is then always there: it is what has just been tried. Every smaller
-gain is there too, as both ends are. So a block without an answer comes from outside only.
+- during block k,
+- during block k + 1, whose drive is known, while the gain falls to 0,
+- in the free swing after that.
 
-On its own this would push on until the last moment and then stop altogether, in every period. So
-beside it the same models are run without any gain: what they exceed the limits by, held for a
-while, is the gain that is asked for. A signal that goes on as it is gets it and never meets the
-bound; the bound is there for what begins.
+All of it is a + g b with known a and b, so every sample and every model bounds g. The gain 0 for
+the next block has then just been tested, and all smaller gains are possible too. Only an outside
+cause can make a block without a possible gain.
+
+Alone, this would push to the last moment and then stop in every period. The same models therefore
+also run without any gain. What they exceed the limits by is held for a while and gives the demanded
+gain. A steady signal gets that gain and never meets the bound, which is left for onsets.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from device.drive.protection.chain import ACTUATOR_STATES, LAST
+from device.drive.protection.drive_model import ACTUATOR_STATES, LAST
 from device.drive.protection.prediction import Prediction
 from device.units import FloatArray
 
 _ROUNDING = 1e-6
 """Share of a limit that arithmetic may be off by, over the whole of a signal."""
 _TOGETHER = 1e-9
-"""Share of a limit below which motion is none."""
+"""Share of a limit below which motion counts as none."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a block may have: gain (channels,), 0 to 1.
+    """The gain that a block may have.
 
-    demand: (channels,), what would be reached without any gain, as a share of the limits;
-    infeasible: how many channels had no gain that keeps all limits. power_a2: (4, channels), mean
-    square of the believed model's current as the coefficients of 1, g and g^2, and without any
-    gain.
+    Attributes
+    ----------
+    gain : FloatArray
+        (channels,), 0 to 1.
+    demand : FloatArray
+        (channels,): what would be reached without any gain, as a share of the limits.
+    infeasible : int
+        Channels without a gain that keeps all limits.
+    power_a2 : FloatArray
+        (4, channels): mean square of the believed model's current, as the coefficients of 1, g
+        and g², and without any gain.
     """
 
     gain: FloatArray
@@ -57,12 +65,23 @@ class _Block:
 
 
 class Governor:
-    """The models of the actuators on `channels` channels, and their gains. One thread calls it.
+    """The models of the actuators, and their gains. One thread calls it.
 
-    prediction: for one length of block; level: |drive| that is not to be exceeded; current_a:
-    limit of the current of the models whose current the prediction knows, or None.
+    Parameters
+    ----------
+    prediction : Prediction
+        For one length of block.
+    channels : int
+        Number of actuators.
+    level : float
+        Limit of |drive|.
+    current_a : float | None
+        Limit of the current, None for none.
 
-    gain: (channels,) at the end of the last block.
+    Attributes
+    ----------
+    gain : FloatArray
+        (channels,), at the end of the last block.
     """
 
     def __init__(
@@ -78,7 +97,7 @@ class Governor:
         states = self._of_state = slice(-prediction.states, None)
         ends = np.arange(len(prediction.moved_by_drive)).reshape(-1, prediction.rows)[:, states]
         self._state_rows = ends.size
-        # Where nothing is in reach, the states and the believed model's current are all.
+        # If no limit is in reach, only the states and the believed model's current are needed.
         self._calm_by_drive = np.vstack(
             [prediction.moved_by_drive[ends.ravel()], prediction.current_by_drive[:frames]]
         )
@@ -91,13 +110,13 @@ class Governor:
         self.gain: FloatArray = np.ones(channels)
         self._ones: FloatArray = np.ones(channels)
         self._states: FloatArray = np.zeros((models, self._prediction.states, channels))
-        # The same models without any gain; None while they are one and the same.
+        # The same models without any gain; None while they are identical.
         self._alone: FloatArray | None = None
         self._known = _Block(np.zeros((self._prediction.block_frames, channels)))
 
     @property
     def swing_m(self) -> FloatArray:
-        """(channels,): amplitude that the energy of the believed model suffices for, m."""
+        """(channels,): amplitude in m for which the energy of the believed model is enough."""
         x, v = self._states[0, :2]
         swing: FloatArray = self._prediction.swing_m * np.hypot(x, v)
         return swing
@@ -105,13 +124,13 @@ class Governor:
     def take(self, ahead: FloatArray) -> None:
         """Take the block after the known one: (block_frames, channels), finite.
 
-        It is kept, and must not be changed any more. Then follows `pass_on` or, where that says
-        None, `decide` and `advance`.
+        It is kept and must not change any more. Call `pass_on` next; if that returns None, call
+        `decide` and `advance`.
         """
         self._ahead = _Block(ahead)
 
     def decide(self, most: FloatArray) -> Verdict:
-        """The gain of the known block; most: (channels,), what is asked for."""
+        """Return the gain of the known block. most: (channels,), the largest that is wanted."""
         channels = self._channels
         states = np.concatenate(
             [self._states, self._states if self._alone is None else self._alone], axis=2
@@ -130,11 +149,10 @@ class Governor:
         return Verdict(np.where(hopeless, 0.0, gain), demand, int(hopeless.sum()), power_a2)
 
     def pass_on(self) -> tuple[FloatArray, FloatArray] | None:
-        """Where no limit is in reach: go on by the known block as it is, a third of the work.
+        """Advance by the known block, unchanged, if no limit is in reach: a third of the work.
 
-        Call it with gains of 1, instead of `decide` and `advance`. Returns the drive, and
-        (channels,) the mean square of the believed model's current; None, and nothing has
-        changed, where a closer look is needed.
+        Gains must be 1. Returns the drive, and the mean square of the believed model's current,
+        (channels,). Returns None and changes nothing if `decide` is needed.
         """
         if self._alone is not None or not self._out_of_reach():
             return None
@@ -148,9 +166,9 @@ class Governor:
         return drive, np.einsum("fc,fc->c", current, current) / len(current)
 
     def advance(self, gain: FloatArray) -> FloatArray:
-        """Go on by the known block with a gain, (channels,), no larger than that decided.
+        """Advance by the known block with a gain, (channels,), at most the decided one.
 
-        Returns its drive, (block_frames, channels), as it was given where the gain stays 1.
+        Returns its drive, (block_frames, channels), unchanged where the gain stays 1.
         """
         channels, drive, end = self._channels, self._known.drive, self._end
         self._states = end[:, :, :channels] + gain * end[:, :, channels : 2 * channels]
@@ -164,7 +182,7 @@ class Governor:
         return drive
 
     def settle(self) -> bool:
-        """Come to rest where all that is left moves less than 1e-9 of the limit; whether it did."""
+        """Come to rest if the remaining motion is below 1e-9 of the limit; return whether so."""
         if self._known.loudest or self._freely(self._states).max() > _TOGETHER:
             return False
         if self._alone is not None and self._freely(self._alone).max() > _TOGETHER:
@@ -175,7 +193,7 @@ class Governor:
         return True
 
     def _out_of_reach(self) -> bool:
-        """Whether neither known drive can reach a limit from the state that is there."""
+        """Whether neither known drive can reach a limit from the present state."""
         loudest = max(self._known.loudest, self._ahead.loudest)
         if self._current_a is not None or loudest > self._level:
             return False
@@ -183,10 +201,9 @@ class Governor:
         return bool(most.max() <= 1.0)
 
     def _freely(self, states: FloatArray) -> FloatArray:
-        """(models, channels): what excursion cannot exceed without a drive, in shares of the limit.
+        """Return a bound of the excursion without drive, (models, channels), as limit shares.
 
-        The actuator's energy, what the straight line from the last output adds to it, and what
-        the amplifier still gives out.
+        It sums the actuator's energy, the effect of the last output, and the amplifier's state.
         """
         p = self._prediction
         own, amplifier = states[:, :ACTUATOR_STATES], states[:, LAST + 1 :]
@@ -198,7 +215,7 @@ class Governor:
         return freely
 
     def _halves(self, block: _Block) -> tuple[tuple[FloatArray, FloatArray], ...]:
-        """What the falling and the rising half of a block do: (models, rows, channels) each."""
+        """Return the effect of a block's falling and rising part, (models, rows, channels)."""
         if block.halves is None:
             channels, p = self._channels, self._prediction
             halves = np.hstack([block.drive * self._fall, block.drive * self._rise])
@@ -210,14 +227,14 @@ class Governor:
         return (moved[..., first], current[..., first]), (moved[..., second], current[..., second])
 
     def _three(self, free: FloatArray, fall: FloatArray, rise: FloatArray) -> FloatArray:
-        """(models, rows, 3 channels): of a block, per 1, per gain, and without any gain."""
+        """Return the result per 1, per gain, and without any gain, (models, rows, 3 channels)."""
         driven, alone = free[..., : self._channels], free[..., self._channels :]
         return np.concatenate([driven + self.gain * fall, rise, alone + fall + rise], axis=2)
 
     def _bounded(
         self, now: FloatArray, current: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """a and b, (n, channels), of all that is limited, and the demand, in shares of limits."""
+        """Return a and b of all limited quantities, (n, channels), and the demand, in shares."""
         p, channels = self._prediction, self._channels
         (stop, current_stop), _ = self._halves(self._ahead)
         then = p.moved_freely @ self._end
@@ -237,9 +254,9 @@ class Governor:
         return whole[:, :channels], whole[:, channels : 2 * channels], demand
 
     def _levels(self) -> list[FloatArray]:
-        """The drive itself, of both blocks, as a share of the level."""
+        """Return the drive of both blocks as a share of the level."""
         u, w = self._known.drive / self._level, self._ahead.drive / self._level
-        # Without any gain all of the next block counts: it will come whole.
+        # Without any gain the next block comes at full level.
         return [
             np.hstack([self.gain * self._fall * u, self._rise * u, u]),
             np.hstack([np.zeros_like(w), self._fall * w, w]),
@@ -247,7 +264,7 @@ class Governor:
 
 
 def _mean_squares(current: FloatArray, channels: int) -> FloatArray:
-    """(4, channels): mean square of fixed + g per_gain, as coefficients of 1, g, g^2; of alone."""
+    """Return the mean square as coefficients of 1, g and g², and without any gain."""
     frames = len(current)
     three = current.reshape(frames, 3, channels)
     products = np.einsum("fic,fjc->ijc", three, three) / frames
@@ -255,9 +272,9 @@ def _mean_squares(current: FloatArray, channels: int) -> FloatArray:
 
 
 def _highest(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(channels,): the largest g with |a + g b| <= 1 in every row, where 0 is such a one."""
+    """Return the largest g with |a + g b| <= 1 in every row, (channels,); 0 must be possible."""
     size = np.abs(b)
     room = 1.0 - np.where(b < 0.0, -a, a)
-    size[size < 1e-300] = 1e-300  # rows that no gain moves: as much as one likes
+    size[size < 1e-300] = 1e-300  # rows that do not depend on the gain allow any
     highest: FloatArray = np.min(np.maximum(room, 0.0) / size, axis=0)
     return highest

@@ -10,15 +10,27 @@ from device.rig.parameters import LargeSignalParameters
 
 @dataclass(frozen=True)
 class Limits:
-    """Each above 0; None: not limited.
+    """Limits of a rig, each above 0 or None for no limit.
 
-    excursion_m: either way; current_a: peak; coil_temperature_c: in degrees C; level: of the
-    vibration, where 1.0 is full scale and the amplifier does not clip below it.
+    Attributes
+    ----------
+    excursion_m : float
+        In either direction.
+    current_a : float | None
+        Peak.
+    coil_temperature_c : float | None
+        In °C.
+    level : float
+        Of the vibration, 1.0 for full scale.
+    detuning : float
+        Share of f0 by which the rig may differ, 0 to 0.5.
+    stiffness_rise, force_factor_loss : float
+        See `LargeSignalParameters`. A large swing raises the resonance.
 
-    What they hold for: detuning: share of f0 by which the rig may differ, 0 to 0.5 (at f0, at both
-    ends and half-way, each a model of its own). stiffness_rise, force_factor_loss: see
-    `LargeSignalParameters`; with a large swing the resonance is higher, and a drive there would
-    meet it unforeseen.
+    Raises
+    ------
+    UsageError
+        Names every value that is out of range.
     """
 
     excursion_m: float
@@ -46,11 +58,11 @@ class Limits:
 
 
 def limits_of(rig: Rig) -> Limits:
-    """The limits that follow from a rig.
+    """Return the limits that follow from a rig.
 
-    Xmax; the amplifier's current; full scale, or where the amplifier clips; 120 degrees C of the
-    coil where the rig says how it warms up, else none. How it stiffens is what the rig says, or
-    what actuators usually do.
+    Those are Xmax, the amplifier's current, and full scale or the level where the amplifier clips.
+    The coil may have 120 °C if the rig says how it warms up. How much the actuator stiffens is
+    what the rig says, or the usual value.
     """
     full_scale_v = rig.dac.full_scale_v * rig.amplifier.gain
     current_a, large = rig.amplifier.current_limit_a, rig.large_signal

@@ -1,14 +1,14 @@
-"""Protection in the live path: blocks in, the same blocks two block lengths later out."""
+"""Protection in the live path: blocks leave two block lengths after they came."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
-from device.drive.protection.chain import amplifier_sections
+from device.drive.protection.drive_model import amplifier_sections
 from device.drive.protection.governor import Governor
 from device.drive.protection.limits import Limits, limits_of
 from device.drive.protection.prediction import Prediction, most_current_a
-from device.drive.protection.status import ProtectionStatus
 from device.drive.protection.thermal import CoilTemperature, gain_for_power
 from device.errors import InternalError, UsageError
 from device.rig import ActuatorParameters, Rig
@@ -17,48 +17,97 @@ from device.units import Block, FloatArray, check_channels, finite_or_zero
 
 BLOCK_S = 0.002
 BLOCKS_AHEAD = 2
-"""A block goes out when the one after it is known: two lengths after it began to come in."""
+"""A block leaves when the next one is known: two lengths after its start."""
 
 _STACK = (0.0, -1.0, -0.5, 0.5, 1.0)
-"""Models that hold at once, in shares of the detuning. With the ends alone, a rig half-way between
-would swing 2 % further than both, at its own resonance."""
+"""Detunings of the models, as shares of the limit. With the ends alone, a rig half-way between
+would swing 2 % further than both at its resonance."""
 _RESERVE = 0.015
-"""Share of the excursion that is held back for rigs between two models of the stack: 0.13 dB."""
+"""Share of the excursion that is kept for rigs between two models: 0.13 dB."""
 _ABSURD = 1e6
 _RECOVERY_S = 0.02
-"""Time in which the gain comes back from 0 to what the demand allows."""
+"""Time in which the gain recovers from 0 to what the demand allows."""
 _HOLD_S = 0.06
-"""Time for which demand is held at least: longer than a period of 20 Hz, so that the gain of
-whatever repeats is steady."""
+"""Demand is held at least this long: more than a period of 20 Hz, so that the gain is steady."""
 _CAUTION = 1.03
-"""Demand is taken as larger by this after each block in which the bound had to step in: such a step
-makes a swing of its own, which would bring the bound in again, over and over."""
+"""Factor on the demand after each block in which the bound limited the gain. That limit makes the
+actuator swing, and the bound would act again in every period."""
 _RELEASE_S = 0.5
-"""Time constant with which demand is forgotten after that."""
+"""Time constant of the demand's decay after that."""
 _WANTED_RISE_S, _WANTED_FALL_S = 0.03, 2.0
-"""Time constants with which the power that is wanted is noticed, over a few periods of vibration,
-and forgotten."""
+"""Time constants of the wanted power's rise, over a few periods of vibration, and decay."""
+
+
+@dataclass(frozen=True)
+class ProtectionStatus:
+    """What the protection did and measures; counts since the start or `reset`.
+
+    Attributes
+    ----------
+    blocks : int
+        Blocks so far.
+    limited_blocks : int
+        Blocks in which the gain was below 1.
+    infeasible_blocks : int
+        Blocks in which no gain kept every limit, so that it became 0.
+    replaced_samples : int
+        Samples that were not finite.
+    gain, least_gain : float
+        Smallest of all channels now, and ever; 0 to 1.
+    limited_by : str
+        Cause of the gain: "excursion, current or level", "temperature", "outside" (such as an
+        exposure cap), or "".
+    excursion_m : float
+        Amplitude for which the believed model's energy is enough.
+    coil_c, resistance_ohm : float | None
+        Of the warmest coil, in °C and ohm; None if the rig does not say how it warms up.
+    latency_s : float
+        Delay of the vibration.
+    """
+
+    blocks: int
+    limited_blocks: int
+    infeasible_blocks: int
+    replaced_samples: int
+    gain: float
+    least_gain: float
+    limited_by: str
+    excursion_m: float
+    coil_c: float | None
+    resistance_ohm: float | None
+    latency_s: float
 
 
 class Protector:
     """Keeps a rig inside its limits by gain alone, ahead of time; never clips.
 
-    rig: what is driven, one actuator a channel, all alike; samplerate: Hz, 1000 or more;
-    channels: 1 or more, each with a gain of its own. limits: those of the rig by default.
-    block_s: 0.001 to 0.005, rounded to frames.
+    While nothing is limited, every sample leaves unchanged `latency_frames` later. Gains change
+    linearly over a block and recover slowly. One thread calls `process`; any thread may set `most`
+    and call `status`.
 
-    While nothing is limited every sample leaves as it came, bit for bit, `latency_frames` later.
-    Gains go from one block's end to the next in a straight line, and come back slowly.
+    Parameters
+    ----------
+    rig : Rig
+        What is driven, one actuator a channel.
+    samplerate : int
+        Rate in Hz, 1000 or more.
+    channels : int
+        Number of channels, 1 or more; each has its gain.
+    limits : Limits | None
+        None for those of the rig.
+    block_s : float
+        Length of a block, 0.001 to 0.005, rounded to frames.
 
-    One thread calls `process`. Any thread may set `most` and call `status`.
-
-    most: a gain from outside, 0 to 1, that is not exceeded, such as that of an exposure cap.
+    Attributes
+    ----------
+    most : float
+        Upper limit of the gain, 0 to 1, set from outside, such as by an exposure cap.
 
     Raises
     ------
     UsageError
-        The rate or the length of a block is out of range; the coil's temperature is limited, but
-        the rig does not describe how it warms up.
+        The rate or the length of a block is out of range; or the coil's temperature is limited and
+        the rig does not say how it warms up.
     """
 
     def __init__(
@@ -96,7 +145,7 @@ class Protector:
         if current_a is not None:
             most_a = most_current_a(models, samplerate, source, sections)
             most_a *= self.limits.level * volts
-            # Beyond what any drive can reach it is no limit, and costs nothing then.
+            # A limit that no drive can reach is left out, to save time.
             current_a = current_a if most_a > current_a else None
         prediction = Prediction(
             models,
@@ -106,7 +155,7 @@ class Protector:
             source_impedance_ohm=source,
             sections=sections,
             excursion_m=(1.0 - _RESERVE) * self.limits.excursion_m,
-            # Warmth asks for that of the believed one alone.
+            # The coil's temperature needs that of the believed model alone.
             current_models=1 if current_a is None else len(models),
         )
         self._governor = Governor(
@@ -126,11 +175,11 @@ class Protector:
 
     @property
     def latency_frames(self) -> int:
-        """By how many frames the vibration comes later: two blocks."""
+        """Delay of the vibration in frames: two blocks."""
         return BLOCKS_AHEAD * self._frames
 
     def reset(self) -> None:
-        """Come to rest and cool down; counts are 0 and what was on its way is gone."""
+        """Come to rest and cool down; counts become 0 and held frames are dropped."""
         shape = (self._frames, self.channels)
         self._coming, self._leaving = np.zeros(shape), np.zeros(shape)
         self._filled = 0
@@ -138,7 +187,7 @@ class Protector:
         self._governor.reset()
         for coil in self._coils:
             coil.reset()
-        # Of the time held now, and of the one before.
+        # Of the present hold time, and of the one before.
         self._demands = [np.zeros(self.channels), np.zeros(self.channels)]
         self._demand, self._caution = np.zeros(self.channels), np.ones(self.channels)
         self._lately_w, self._wanted_w = [0.0] * self.channels, [0.0] * self.channels
@@ -149,10 +198,10 @@ class Protector:
         self._limited_by = ""
 
     def process(self, block: Block) -> Block:
-        """Put into a block of (frames, channels) what leaves now; return it.
+        """Replace a block, (frames, channels), by what leaves now; return it.
 
-        Any number of frames; no byte depends on how the stream is cut into blocks. What leaves is
-        finite. Samples that are not count as 0, as do those beyond a million times full scale.
+        The output is finite and does not depend on the lengths of blocks. Samples that are not
+        finite, or beyond a million times full scale, count as 0.
         """
         check_channels(block, self.channels)
         start = 0
@@ -172,7 +221,7 @@ class Protector:
         return block
 
     def status(self) -> ProtectionStatus:
-        """Counts and readings; each is of some moment, not all of the same. Any thread."""
+        """Return counts and readings, which need not be of the same moment. Any thread."""
         warmest = max(self._coils, key=lambda coil: coil.coil_c, default=None)
         return ProtectionStatus(
             blocks=self._blocks,
@@ -189,13 +238,13 @@ class Protector:
         )
 
     def _govern(self) -> None:
-        """Decide on the block that is known, now that the one after it has come."""
+        """Decide on the known block once the next one has come."""
         self._blocks += 1
         self._filled = 0
         if self._silent and not self._coming.any() and self._governor.settle():
             self._sleep()
             return
-        # The governor keeps it until it has become the known one and has left.
+        # The governor keeps this array until it has left as the known block.
         ahead, self._coming = self._coming, np.empty_like(self._coming)
         governor = self._governor
         governor.take(ahead)
@@ -224,15 +273,15 @@ class Protector:
         self._note(gain, outside, thermal, hot)
         demanding = self._caution * self._demand
         if self._gain >= 1.0 and demanding.max() <= 1.0 and thermal.min() >= 1.0:
-            # All that is remembered is of no consequence.
+            # Nothing that is remembered limits the gain.
             self._at_ease, self._caution[:] = True, 1.0
         else:
             self._at_ease = False
 
     def _heat(self, mean_a2: list[float]) -> None:
-        """Step the coils by a block that leaves as it is."""
+        """Step the coils by a block that leaves unchanged."""
         limit_c = self.limits.coil_temperature_c
-        # Without coils nothing is known of their warmth, and nothing is limited by it.
+        # There are no coils if the rig does not say how they warm up.
         for channel, (coil, square) in enumerate(zip(self._coils, mean_a2, strict=False)):
             power_w = coil.resistance_ohm * square
             coil.step(power_w)
@@ -241,14 +290,14 @@ class Protector:
                 self._at_ease = False
 
     def _want(self, channel: int, power_w: float) -> None:
-        """Note the power that flows, or would without any gain."""
+        """Note the power that flows, or would flow without any gain."""
         lately_w, wanted_w = self._lately_w[channel], self._wanted_w[channel]
         lately_w += self._notice * (power_w - lately_w)
         self._lately_w[channel] = lately_w
         self._wanted_w[channel] = max(lately_w, self._forget * wanted_w)
 
     def _sleep(self) -> None:
-        """A silent block at rest: nothing to compute but that the coils cool."""
+        """Pass a silent block at rest: only the coils cool."""
         self._leaving = np.zeros_like(self._leaving)
         self._remember(np.zeros(self.channels))
         self._caution = 1.0 + self._release * (self._caution - 1.0)
@@ -256,7 +305,7 @@ class Protector:
         self._gain, self._limited_by = 1.0, ""
 
     def _note(self, gain: FloatArray, outside: float, thermal: FloatArray, hot: bool) -> None:
-        """Count, and say of the channel with the smallest gain what took most of it."""
+        """Count the block, and note what limited the channel with the smallest gain."""
         self._gain = float(gain.min())
         self._least_gain = min(self._least_gain, self._gain)
         self._limited_by = ""
@@ -272,7 +321,7 @@ class Protector:
             self._limited_by = "excursion, current or level"
 
     def _remember(self, demand: FloatArray) -> None:
-        """Hold the largest demand for one to two times `_HOLD_S`, then forget it slowly."""
+        """Hold the largest demand for one to two times `_HOLD_S`, then let it decay."""
         if self._blocks % self._hold_blocks == 0:
             self._demands = [np.zeros(self.channels), self._demands[0]]
         self._demands[0] = np.maximum(self._demands[0], demand)
@@ -280,7 +329,7 @@ class Protector:
         self._demand = np.maximum(self._release * self._demand, held)
 
     def _thermal_gain(self) -> FloatArray:
-        """(channels,): the gain with which the power wanted lately becomes the allowed one."""
+        """Return the gain that reduces the wanted power to the allowed one, (channels,)."""
         limit_c = self.limits.coil_temperature_c
         if limit_c is None:
             return np.ones(self.channels)
@@ -292,10 +341,10 @@ class Protector:
         )
 
     def _within_heat(self, gain: FloatArray, power_a2: FloatArray) -> tuple[FloatArray, bool]:
-        """The gain, lowered where this one block would overheat a coil; and step the coils.
+        """Return the gain, lowered where this block would overheat a coil; step the coils.
 
-        The current is that of the cold coil: warm, its resistance lets less pass, so the power is
-        taken as larger than it is.
+        The current is that of the cold coil. A warm coil has less, so that this overestimates the
+        power.
         """
         limit_c, lowered = self.limits.coil_temperature_c, False
         for channel, coil in enumerate(self._coils):
@@ -314,7 +363,7 @@ class Protector:
 
 
 def _models(p: ActuatorParameters, limits: Limits) -> list[ActuatorParameters]:
-    """The stack: the actuator as believed, detuned, and as it is when it swings far."""
+    """Return the models: the actuator as believed, detuned, and stiffened by a large swing."""
     shares = dict.fromkeys(share * limits.detuning for share in _STACK)
     models = [detune(p, share) for share in shares]
     if limits.stiffness_rise or limits.force_factor_loss:

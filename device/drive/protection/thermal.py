@@ -1,4 +1,4 @@
-"""How warm a coil is, and what power it may have without becoming too warm."""
+"""How warm a coil is, and how much power it may have."""
 
 import math
 
@@ -6,13 +6,20 @@ from device.rig.parameters import ThermalParameters
 from device.rig.thermal import Temperatures
 
 _APPROACH_S = 2.0
-"""Time constant with which the limit is approached: heat that is left is spent at this pace."""
+"""Time constant of the approach to the limit."""
 
 
 class CoilTemperature:
-    """Coil and magnet of one actuator, from the room's temperature on. One thread calls it.
+    """Coil and magnet of one actuator, which start at room temperature. One thread calls it.
 
-    resistance_ohm: of the coil at ambient_c; period_s: of a step.
+    Parameters
+    ----------
+    parameters : ThermalParameters
+        How they warm up.
+    resistance_ohm : float
+        Of the coil at room temperature.
+    period_s : float
+        Length of a step.
     """
 
     def __init__(
@@ -40,24 +47,24 @@ class CoilTemperature:
 
     @property
     def resistance_ohm(self) -> float:
-        """R of the coil as warm as it is, ohm."""
+        """Resistance of the coil at its present temperature, ohm."""
         return self._temperatures.resistance_ohm(self._cold_ohm)
 
     def step(self, power_w: float) -> None:
-        """Go on by one period with this mean power, W; it stays finite for any finite power."""
+        """Advance by one period with this mean power, W."""
         self._temperatures.heat(power_w, self.period_s)
 
     def power_that_reaches(self, limit_c: float) -> float:
-        """Mean power of the next period, W, at whose end the coil is at the limit; 0 or more."""
+        """Return the mean power, W, that takes the coil to the limit within the next period."""
         now, step = self._temperatures, self._step
         left_k = limit_c - self.parameters.ambient_c
         left_k -= step.coil_by_coil * now.coil_k + step.coil_by_magnet * now.magnet_k
         return max(0.0, left_k / step.coil_by_power)
 
     def power_allowed(self, limit_c: float) -> float:
-        """Mean power, W, with which the coil comes to the limit without ever passing it.
+        """Return the mean power, W, that approaches the limit without passing it.
 
-        What flows on to the magnet, and of the heat that the coil can still take e^-1 every 2 s.
+        It is what flows to the magnet, plus the coil's remaining heat capacity over 2 s.
         """
         onward_w = (self.coil_c - self.magnet_c) / self.parameters.coil_k_per_w
         left_j = self.parameters.coil_j_per_k * (limit_c - self.coil_c)
@@ -65,5 +72,5 @@ class CoilTemperature:
 
 
 def gain_for_power(allowed_w: float, wanted_w: float) -> float:
-    """The gain, 0 to 1, that makes one power of another."""
+    """Return the gain, 0 to 1, that reduces the wanted power to the allowed one."""
     return 1.0 if wanted_w <= allowed_w else math.sqrt(allowed_w / wanted_w)

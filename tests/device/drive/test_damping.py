@@ -9,20 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from device.drive.damping import (
-    Damper,
-    Damping,
+from device.drive.damping import Damper, Damping, choose_damping
+from device.drive.damping.choice import Uncertainty
+from device.drive.damping.design import (
     Resonance,
-    Uncertainty,
-    burst_response,
-    choose_damping,
     inverse_damping,
     no_damping,
     resonance_of,
     shaper_damping,
-    undamped,
 )
-from device.drive.damping.residual import CURRENT_DRIVE_OHM
+from device.drive.damping.residual import CURRENT_DRIVE_OHM, burst_response, undamped
 from device.errors import InternalError, UsageError
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator

@@ -9,9 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfreqz
 
-from device.drive.exposure import Dose, ExposureMeter, cap_gain, wk_response, wk_sections
-from device.drive.exposure.decimator import Decimator
-from device.drive.exposure.dose import ACTION_A8_M_S2, DAY_S, LIMIT_A8_M_S2, LIMIT_VDV, Exposure
+from device.drive.exposure import ExposureMeter, cap_gain
+from device.drive.exposure.dose import (
+    ACTION_A8_M_S2,
+    DAY_S,
+    LIMIT_A8_M_S2,
+    LIMIT_VDV,
+    Dose,
+    Exposure,
+)
+from device.drive.exposure.meter import Decimator
+from device.drive.exposure.weighting import wk_response, wk_sections
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import SEAT_ACCELERATION, LinearActuator

@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device.drive.channel_map import ChannelMap
-from device.drive.damping import Damper, inverse_damping, no_damping, shaper_damping
+from device.drive.damping import Damper
+from device.drive.damping.design import inverse_damping, no_damping, shaper_damping
 from device.drive.exposure import ExposureMeter
 from device.drive.outputs import AlignedOutput, BlockProcessor, DrivenOutput
 from device.drive.protection import Protector

@@ -8,22 +8,17 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cache
 
-from device.drive.damping import (
+from device.drive.damping import Damping, choose_damping
+from device.drive.damping.design import inverse_damping, no_damping, shaper_damping
+from device.drive.damping.residual import (
+    CURRENT_DRIVE_OHM,
     BurstResponse,
-    Damping,
-    LargeBurst,
     Residual,
     burst_response,
-    choose_damping,
-    inverse_damping,
-    large_burst_response,
-    no_damping,
-    shaper_damping,
     undamped,
-    undamped_large,
 )
-from device.drive.damping.residual import CURRENT_DRIVE_OHM
 from device.rig import PAPER, ActuatorParameters
+from tools.bench.measures.large_bursts import LargeBurst, large_burst_response, undamped_large
 from tools.bench.report import Must, Row, Section
 from tools.bench.workbench import Workbench
 

@@ -14,14 +14,15 @@ from operator import itemgetter
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray
-from device.drive.damping import Damper, FlatInverse, inverse_damping
-from device.drive.damping.large_bursts import driven_by, intended
+from device.drive.damping import Damper, FlatInverse
+from device.drive.damping.design import inverse_damping
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
 from device.rig.perturbed_rigs import detune
 from device.units import amplitude_to_db
+from tools.bench.measures.large_bursts import driven_by, intended
 from tools.bench.report import Row, Section
 from tools.bench.sections.damping import Drive, large_drives
 from tools.bench.workbench import LIVE, Workbench

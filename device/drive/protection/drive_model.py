@@ -1,9 +1,7 @@
-"""An amplifier's band and one actuator behind it as one step from sample to sample.
+"""The amplifier's band and one actuator behind it, as one step from sample to sample.
 
-What the governor predicts is what the actuator does with the drive; but between the two stands an
-amplifier, whose high-pass turns the phase of low vibration, bends what begins suddenly and swings
-back for a tenth of a second when it ends. So its state belongs to the model, as the filter that
-the twin's amplifier is (rig/band.py).
+The high-pass of an amplifier shifts the phase of low vibration, distorts sudden onsets and swings
+back for 0.1 s at the end. The model therefore includes its state (see rig/band.py).
 """
 
 from collections.abc import Sequence
@@ -20,32 +18,50 @@ from device.units import FloatArray
 
 ACTUATOR_STATES = 3
 LAST = ACTUATOR_STATES
-"""Of a chain's state: x sqrt(k), x' sqrt(m), i sqrt(L), then the amplifier's last output, as a
-share of full scale, then two of each of its sections."""
+"""Index in a state: x sqrt(k), x' sqrt(m), i sqrt(L), then the amplifier's last output as a share
+of full scale, then two values for each of its sections."""
 
 _FAR_ABOVE = 20.0
-"""A low-pass so many times above the resonance changes the vibration's size there by 3e-6; it
-comes later, and that makes no excursion larger."""
+"""A low-pass this many times above the resonance is left out: it changes the level there by 3e-6,
+and the delay that it adds makes no excursion larger."""
 
 
 def amplifier_sections(
     amplifier: AmplifierParameters, models: Sequence[ActuatorParameters], samplerate: float
 ) -> FloatArray:
-    """(n, 6): the sections of the amplifier's band that matter to these actuators, n 0 to 2."""
+    """Return the sections of the amplifier's band that matter here: (n, 6), n 0 to 2."""
     highest_hz = max(model.resonance_hz for model in models)
     far = amplifier.high_cut_hz > _FAR_ABOVE * highest_hz
     high_cut_hz = np.inf if far else amplifier.high_cut_hz
     return Band(amplifier.low_cut_hz, high_cut_hz, samplerate).sections
 
 
-class Chain:
-    """One model behind the amplifier; immutable. Any thread may use it.
+class DriveModel:
+    """One actuator model behind the amplifier: S[n] = step S[n-1] + drive u[n]. Immutable.
 
-    sections: of the amplifier, (n, 6); volts: at the actuator for full scale.
+    Exact for a voltage that is straight between samples. Any thread may use it.
 
-    step: (states, states) and drive: (states,), S[n] = step S[n-1] + drive u[n] for a drive u of
-    full scale 1; exact for a voltage that is straight between samples. x_row, i_row: (states,),
-    excursion in m and current in A of a state.
+    Parameters
+    ----------
+    model : ActuatorParameters
+        The actuator.
+    samplerate : float
+        Rate in Hz.
+    source_impedance_ohm : float
+        Of the amplifier.
+    sections : FloatArray
+        Of the amplifier's band, (n, 6).
+    volts : float
+        At the actuator for full scale.
+
+    Attributes
+    ----------
+    step, drive : FloatArray
+        (states, states) and (states,), for a drive of full scale 1.
+    x_row, i_row : FloatArray
+        (states,): excursion in m and current in A of a state.
+    last_kick : float
+        Norm of the actuator's state after a last output of 1: the root of twice its energy.
     """
 
     def __init__(
@@ -70,11 +86,10 @@ class Chain:
         self.x_row: FloatArray = np.pad(x_row, (0, self.states - n))
         self.i_row: FloatArray = np.pad(i_row, (0, self.states - n))
         self.last_kick = float(np.linalg.norm(self.step[:n, LAST]))
-        """Norm of the actuator's state that a last output of 1 leaves: root of twice its energy."""
 
 
 def rings(sections: FloatArray, frames: int) -> FloatArray:
-    """(2 n, frames): what the amplifier gives out, with no drive, from each state of 1."""
+    """Return the amplifier's output without drive from each state of 1, (2 n, frames)."""
     shapes = [_section(section)[4] for section in sections]
     given = []
     for at, shape in enumerate(shapes):
@@ -89,14 +104,14 @@ def rings(sections: FloatArray, frames: int) -> FloatArray:
 def _held(
     p: ActuatorParameters, samplerate: float, source_impedance_ohm: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The actuator's own step, by its last and its new volt, and what x and i are of its state."""
+    """Return the actuator's step, its input from the last and new volt, and the rows of x and i."""
     rate, drive, rows = state_space(p, source_impedance_ohm)
     held = first_order_hold(rate, drive, 1.0 / samplerate)
     return *held, rows["displacement_m"], rows["current_a"]
 
 
 def _cascade(sections: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """(turn, enter, leave, through): q' = turn q + enter u, y = leave q + through u."""
+    """Return (turn, enter, leave, through): q' = turn q + enter u, y = leave q + through u."""
     turn, enter, leave, through = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
     for section in sections:
         own, entered, left, direct, _ = _section(section)
@@ -111,10 +126,10 @@ def _cascade(sections: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, 
 def _section(
     section: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float, FloatArray]:
-    """A section as turn, enter, leave and through, and its own two states by those of `turn`.
+    """Return a section as turn, enter, leave, through, and the base of its two states.
 
-    States in which it turns and shrinks, whose length is at least what it gives out: as it comes,
-    with poles close to 1, its two states nearly cancel, and no bound by them would be good.
+    In this base the state rotates and shrinks, and its length bounds the output. In the usual one,
+    with poles close to 1, the two states nearly cancel and bound nothing.
     """
     b0, b1, b2, _, a1, a2 = section.tolist()
     own = np.array([[-a1, 1.0], [-a2, 0.0]])

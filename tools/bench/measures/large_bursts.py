@@ -1,8 +1,8 @@
-"""What a burst leaves behind at any level: the definitions of residual.py on the non-linear level.
+"""What a burst leaves behind at any level: the definitions of residual.py on the non-linear model.
 
-The level is the excursion that is intended: the largest one within the burst that the linear rig,
-as believed, would reach with the drive. The rig itself may reach another one, since it stiffens
-and its f0 may be off; both are told. Compared are ways of driving at the same intended excursion.
+The level is the intended excursion: the largest one that the believed linear rig would reach
+within the burst. The rig may reach another one, since it stiffens and its f0 may differ; both are
+reported. Dampings are compared at the same intended excursion.
 """
 
 import math
@@ -30,13 +30,13 @@ from device.rig.perturbed_rigs import detune
 from device.units import FloatArray
 
 CURRENT_DRIVE_OHM = 1e4
-"""As in residual.py, but no higher: there L / R gets so short that the level would have to go step
-by step, at twenty times the cost. The actuator's own 3.3 ohm count for 3e-4."""
+"""Lower than in residual.py: a shorter L / R would cost twenty times as much. The actuator's
+3.3 ohm count for 3e-4."""
 
 
 @dataclass(frozen=True)
 class LargeBurst:
-    """One burst on the non-linear level: its response and the largest excursion it reached, m."""
+    """One burst on the non-linear model: its response, and the largest excursion in m."""
 
     response: BurstResponse
     excursion_m: float
@@ -45,17 +45,16 @@ class LargeBurst:
 def large_burst_response(
     rig: Rig, damping: Damping, excursion_m: float, *, flat: bool = False, detuning: float = 0.0
 ) -> LargeBurst:
-    """A burst of 50 ms at the f0 that is believed, on the non-linear level; some 10 ms of CPU.
+    """Return a 50 ms burst at the believed f0 on the non-linear model; takes about 10 ms.
 
-    rig: as believed, whose amplifier is replaced by one with the damping's source impedance; its
-    band and its limits are left out. excursion_m: intended, above 0. flat: whether the drive goes
-    through `FlatInverse` of the believed rig after the damping. detuning: share of f0 by which it
-    truly is another one.
+    rig: as believed; its amplifier gets the damping's source impedance and has no band or limits.
+    excursion_m: intended, above 0. flat: apply `FlatInverse` of the believed rig after the damping.
+    detuning: share by which the true f0 differs.
 
     Raises
     ------
     UsageError
-        The excursion is not above 0, or flat is asked of a rig without [large_signal].
+        The excursion is not above 0, or `flat` needs a rig with [large_signal].
     """
     if not (math.isfinite(excursion_m) and excursion_m > 0.0):
         raise UsageError(f"excursion_m={excursion_m!r} of a burst must be above 0; correct it")
@@ -78,12 +77,12 @@ def large_burst_response(
 
 
 def undamped_large(rig: Rig, excursion_m: float, *, detuning: float = 0.0) -> LargeBurst:
-    """The reference: current drive of the same rig at the same intended excursion."""
+    """Return the reference: current drive of the same rig at the same intended excursion."""
     return large_burst_response(rig, no_damping(CURRENT_DRIVE_OHM), excursion_m, detuning=detuning)
 
 
 def driven_by(rig: Rig, source_impedance_ohm: float) -> Rig:
-    """The rig behind an amplifier of that source impedance."""
+    """Return the rig behind an amplifier of that source impedance."""
     current = source_impedance_ohm > rig.actuator.resistance_ohm
     return replace(
         rig,
@@ -102,7 +101,7 @@ def intended(
     excursion_m: float,
     samplerate: int = SAMPLERATE,
 ) -> FloatArray:
-    """The signal damped, (frames,) in V, such that the linear rig reaches the excursion with it."""
+    """Return the damped signal in V, (frames,), that takes the linear rig to the excursion."""
     drive = Damper(damping, samplerate, 1).process(signal[:, None].astype(np.float64))[:, 0]
     source = rig.amplifier.source_impedance_ohm
     linear = LinearActuator(rig.actuator, samplerate, source).move(drive, ("displacement_m",))
