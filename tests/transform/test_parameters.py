@@ -322,4 +322,4 @@ def test_the_public_names_say_what_the_caller_gets():
             assert inspect.getdoc(member), name
     documentation = inspect.getdoc(HapticTransform) or ""
     for name in inspect.signature(HapticTransform).parameters:
-        assert f"{name}:" in documentation, name
+        assert f"\n{name} :" in documentation, name
