@@ -12,8 +12,13 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("audioflinger_hook", "device")
 PAGE = (ROOT / "docs/architecture.md").read_text()
 
+TABLE_OF_ROOMS = PAGE.partition("\n## Rooms\n")[2].partition("\n## ")[0]
+
 # The rooms in the order of the page's table: a room may import the rooms that stand below it.
-ROOMS = [room.replace("/", ".") for room in re.findall(r"^\| `([\w/]+)` \|", PAGE, re.MULTILINE)]
+ROOMS = [
+    room.replace("/", ".")
+    for room in re.findall(r"^\| `([\w/]+)` \|", TABLE_OF_ROOMS, re.MULTILINE)
+]
 
 # Held whatever the page says.
 IO = r"(soundfile|os|io|time|pathlib|rich|pulsectl|pyaudio|threading|socket|subprocess|logging)\b"
