@@ -34,6 +34,11 @@ class AtomicFile:
     name is untouched. As a context manager: commits, or aborts on an exception. A link is
     followed: the file it points to is replaced. Not to be used from two threads at once.
 
+    Parameters
+    ----------
+    path : path-like
+        Where the finished file stands.
+
     Raises
     ------
     UsageError
@@ -172,7 +177,15 @@ class AtomicFile:
 
 
 def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None:
-    """`path` holds exactly `content`, or is as it was and an error of `AtomicFile` is raised."""
+    """Write a file whole, or leave it as it was and raise an error of `AtomicFile`.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to create or replace.
+    content : bytes
+        All that it holds then.
+    """
     with AtomicFile(path) as file:
         file.write(content)
 

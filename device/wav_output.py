@@ -23,9 +23,20 @@ _IN_DS64 = 0xFFFF_FFFF
 class WavOutput:
     """A float32 WAV file behind `VibrationOutput`; RF64 once it is larger than 4 GB.
 
-    samplerate: Hz; channels: 1 to 16383; frames_expected: if known, a disk without room for them
-    is refused at once; comment: stored as the file's comment (RIFF INFO, UTF-8). Memory stays
-    flat whatever the length. Samples are stored as given, beyond ±1.0 too.
+    Memory stays flat whatever the length. Samples are stored as given, beyond ±1.0 too.
+
+    Parameters
+    ----------
+    path : path-like
+        The file to create or replace.
+    samplerate : int
+        Rate in Hz.
+    channels : int
+        1 to 16383.
+    frames_expected : int, optional
+        If known, a disk without room for them is refused at once.
+    comment : str, optional
+        Stored as the file's comment (RIFF INFO, UTF-8).
 
     Raises
     ------

@@ -64,9 +64,22 @@ def render_file(
 ) -> RenderReport:
     """Write the vibration of a sound file as float32 WAV of the same rate and length.
 
-    workers: processes that may share the work where the form allows it (see `sections.py`); the
-    bytes are the same. For the other parameters and errors see `render`. With several workers,
-    call it from the main thread.
+    With several workers, call it from the main thread. Errors are those of `render`.
+
+    Parameters
+    ----------
+    source : Path
+        The sound file.
+    target : Path
+        The WAV file to create or replace.
+    settings : Settings, optional
+        What a config file holds; its defaults otherwise.
+    acceleration : Path, optional
+        Where the rig's acceleration goes, as WAV.
+    progress : callable, optional
+        Told the seconds that are done.
+    workers : int
+        Processes that may share the work where the form allows it; the bytes are the same.
     """
     refuse_same_file(source, target, acceleration)
     settings = settings or Settings()

@@ -107,7 +107,13 @@ class ChannelMap:
 
 
 def channels_needed(wiring: Sequence[Sequence[int | str]]) -> int:
-    """Return the least number of channels that a device needs; 1 if all go by position."""
+    """Return the least number of channels that a device needs; 1 if all go by position.
+
+    Parameters
+    ----------
+    wiring : sequence of sequence of int or str
+        Channel numbers from 0 or position names of each actuator.
+    """
     return 1 + max((c for channels in wiring for c in channels if isinstance(c, int)), default=0)
 
 

@@ -118,7 +118,13 @@ class ActuatorSettings(Described):
 
 
 def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
-    """Return why channels of several actuators are refused, by the actuator's number from 1."""
+    """Return why channels of several actuators are refused, by the actuator's number from 1.
+
+    Parameters
+    ----------
+    wired : sequence of sequence of int or str
+        Channel numbers from 0 or position names of each actuator.
+    """
     if len(wired) > ACTUATORS_MAX:
         allowed = f"up to {ACTUATORS_MAX} actuators"
         return {ACTUATORS_MAX + 1: Refusal("is one too many", allowed)}
@@ -126,11 +132,23 @@ def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
 
 
 def sources_of(actuators: Sequence[ActuatorSettings]) -> tuple[str, ...]:
-    """Return the sources that actuators play, each once, in the order of `SOURCES`."""
+    """Return the sources that actuators play, each once, in the order of `SOURCES`.
+
+    Parameters
+    ----------
+    actuators : sequence of ActuatorSettings
+        All actuators of a run.
+    """
     played = {actuator.source for actuator in actuators}
     return tuple(source for source in SOURCES if source in played)
 
 
 def wiring_of(actuators: Sequence[ActuatorSettings]) -> Wiring:
-    """Return the channels of every actuator."""
+    """Return the channels of every actuator.
+
+    Parameters
+    ----------
+    actuators : sequence of ActuatorSettings
+        All actuators of a run.
+    """
     return tuple(actuator.channels for actuator in actuators)

@@ -26,9 +26,17 @@ UNITS_AT_ONCE = 8
 class ReferenceTransform:
     """The reference form of one channel, continued from block to block.
 
-    `process` gives as many frames as it takes, late by `latency_frames` = one unit (N). single:
-    whoever takes them rounds them to float32; that is then the same, for a third of the cost. Held
-    by one thread at a time.
+    `process` gives as many frames as it takes, late by `latency_frames` = one unit (N). Held by
+    one thread at a time.
+
+    Parameters
+    ----------
+    parameters : TransformParameters
+        What the form is made of.
+    samplerate : int
+        Rate in Hz.
+    single : bool
+        The caller rounds the result to float32. It is then the same, for a third of the cost.
     """
 
     onset_after_frames = 0
