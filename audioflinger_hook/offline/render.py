@@ -77,7 +77,7 @@ def render_file(
     acceleration : Path, optional
         Where the rig's acceleration goes, as WAV.
     progress : callable, optional
-        Told the seconds that are done.
+        Called after every buffer with the frames done and the frames in all.
     workers : int
         Processes that may share the work where the form allows it; the bytes are the same.
     """
