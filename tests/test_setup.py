@@ -69,22 +69,26 @@ def wheel_names(wheel):
         return archive.namelist()
 
 
+@pytest.mark.exhaustive
 def test_the_wheel_holds_the_two_packages_and_nothing_else(wheel_names):
     tops = {name.split("/")[0] for name in wheel_names}
     assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
 
 
+@pytest.mark.exhaustive
 def test_the_wheel_holds_every_module_of_the_packages(wheel_names):
     modules = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     assert {path.relative_to(ROOT).as_posix() for path in modules} <= set(wheel_names)
 
 
+@pytest.mark.exhaustive
 def test_the_wheel_holds_the_packages_type_markers_and_data(wheel_names):
     markers = {f"{package}/py.typed" for package in PACKAGES}
     data = {"device/probe/probe.toml", "device/probe/probe.xml"}
     assert markers | data <= set(wheel_names)
 
 
+@pytest.mark.exhaustive
 def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
     for name in ("audioflinger_hook/transform/_kernel", "device/_blocks"):
         compiled = name + sysconfig.get_config_var("EXT_SUFFIX")
@@ -93,6 +97,7 @@ def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
     assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml", ".json"}
 
 
+@pytest.mark.exhaustive
 def test_what_is_compiled_compiles_without_a_warning(wheel):
     assert not [line for line in wheel[1].splitlines() if "warning:" in line and "native/" in line]
 
@@ -107,6 +112,7 @@ def test_every_source_is_built_and_every_header_rebuilds_it(number, folder):
         assert names == sorted(path.relative_to(ROOT).as_posix() for path in native.glob(pattern))
 
 
+@pytest.mark.exhaustive
 def test_the_sdist_holds_the_sources_of_what_is_compiled(project_copy):
     with tarfile.open(built(project_copy, "sdist")[0]) as archive:
         names = {name.partition("/")[2] for name in archive.getnames()}
@@ -115,6 +121,7 @@ def test_the_sdist_holds_the_sources_of_what_is_compiled(project_copy):
     assert not [name for name in names if name.endswith((".so", ".o"))]
 
 
+@pytest.mark.exhaustive
 def test_a_kernel_that_does_not_compile_is_left_out_of_a_wheel_that_is_built_all_the_same(
     project_copy, tmp_path
 ):
@@ -129,6 +136,7 @@ def test_a_kernel_that_does_not_compile_is_left_out_of_a_wheel_that_is_built_all
     assert not [name for name in names if name.endswith(".so")]
 
 
+@pytest.mark.exhaustive
 def test_the_wheel_holds_the_licence(wheel_names):
     assert [name for name in wheel_names if name.endswith("/LICENSE")]
 
