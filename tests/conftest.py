@@ -14,6 +14,18 @@ settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True
 settings.load_profile("ci" if os.environ.get("CI") == "true" else "here")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Of a sweep's cases the first stays among the fast tests; the others are exhaustive."""
+    begun = set()
+    for item in items:
+        if item.get_closest_marker("sweep"):
+            test = item.nodeid.partition("[")[0]
+            if test in begun:
+                item.add_marker(pytest.mark.exhaustive)
+            begun.add(test)
+
+
 @pytest.fixture
 def site(tmp_path, monkeypatch):
     """A folder on the path; calling it installs a package there as pip would leave it."""

@@ -124,6 +124,7 @@ def installed(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.exhaustive
 def test_the_effect_of_one_s_own_runs_before_the_haptic_effect_and_halves_it(
     tmp_path: Path,
 ) -> None:

@@ -236,6 +236,7 @@ def test_the_set_up_says_what_to_do_without_a_new_enough_python(bare):
     assert "make test PYTHON=" in done.stderr
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("manager", "expected"),
     [

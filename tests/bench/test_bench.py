@@ -435,6 +435,7 @@ def test_the_mixer_s_rows_agree_with_one_another(report):
 # ------------------------------------------------------------------------- what cannot be measured
 
 
+@pytest.mark.exhaustive
 def test_without_recordings_their_rows_are_named_with_the_command_that_fetches_them(
     monkeypatch, tmp_path
 ):
@@ -463,6 +464,7 @@ def test_without_a_command_line_rendering_is_missing(monkeypatch):
     assert [gone.name for gone in section.missing] == ["rendering"]
 
 
+@pytest.mark.exhaustive
 def test_a_rendering_that_fails_is_missing_with_what_it_said(monkeypatch):
     def fails(*_):
         raise RuntimeError("`render` ended with exit code 5:\nthe disk is full")

@@ -43,6 +43,7 @@ def test_through_a_window_the_error_is_that_of_the_weighted_fit():
     assert 1.2 < window_loss() < 1.4
 
 
+@pytest.mark.exhaustive
 def test_no_form_beats_the_bound_where_noise_decides(section):
     for span in RANGES_HZ:
         found = values(section, f"{span[0]:g} to {span[1]:g} Hz, 0 dB")

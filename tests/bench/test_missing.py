@@ -219,6 +219,7 @@ def test_without_a_folder_every_section_on_recordings_says_so(monkeypatch, tmp_p
 # ------------------------------------------------------------------------------------ baselines
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("when", ["begins", "plays"])
 def test_a_baseline_that_fails_is_named_and_the_others_keep_every_row(monkeypatch, when):
     before = comparison.compared(a_bench())
@@ -292,6 +293,7 @@ def test_a_record_that_is_gone_empty_or_spoiled_is_named(monkeypatch, tmp_path, 
 # ---------------------------------------------------------------------------------------- kernel
 
 
+@pytest.mark.exhaustive
 def test_without_the_kernel_its_rows_are_missing_and_those_in_numpy_are_not_called_it(
     without_kernel, short_scenes
 ):

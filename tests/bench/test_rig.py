@@ -35,6 +35,7 @@ def test_the_integral_over_a_step_is_exact_for_parabolas():
     assert got == pytest.approx(3.0 * end + end**2 / 2.0 + end**3 / 3.0, rel=1e-12)
 
 
+@pytest.mark.exhaustive
 def test_growth_is_told_as_ratios_of_one_run_with_an_exponent_each():
     section = scaling.rig_scaling(LEAST)
     columns = {row.column for row in section.rows}

@@ -19,6 +19,7 @@ from tools.bench.sounds.speech_sounds import (
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
 
 
+@pytest.mark.exhaustive
 def test_no_sound_is_in_both_halves():
     require_recordings()
     recordings = load_recordings()
@@ -54,6 +55,7 @@ def test_hops_with_sound_are_counted_and_belief_is_that_of_the_live_form():
     assert not speech_suppression.heard(white_noise(1.0, SAMPLERATE, 0.3)).belief.any()
 
 
+@pytest.mark.exhaustive
 def test_without_recordings_the_rest_is_measured_and_what_is_missing_is_named():
     empty = Workbench(QUICK, SUBJECTS, ())
     found = speech_suppression.speech_suppression(empty)

@@ -227,6 +227,7 @@ for number in range(1_000_000):
 """
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(5))
 def test_kill_9_loses_nothing_that_was_acknowledged(tmp_path, seed):
     command = [sys.executable, "-c", SCRIPT, str(tmp_path / "c")]
@@ -393,6 +394,7 @@ except WriteError as error:
 
 
 # Reached within a segment's samples, between two buffers, within the index.
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("limit", "frames"), [(100_003, 480), (SAMPLES_OFFSET + 26 * 3_840, 480), (50_000, 1)]
 )

@@ -340,6 +340,7 @@ def test_a_sound_that_may_not_be_read_is_refused(nobodys, command, name):
     assert not (nobodys / "free" / "out.wav").exists()
 
 
+@pytest.mark.exhaustive
 def test_a_demo_folder_that_may_not_be_made_or_written_is_refused(nobodys):
     for name in ("read_only/out", "read_only"):
         error = refused(call("demo", "--fast", "--out", nobodys / name))
@@ -379,6 +380,7 @@ def test_an_acceleration_that_is_the_output_is_refused(source, out):
 # --- disks that fill up
 
 
+@pytest.mark.exhaustive
 def test_a_limit_on_file_sizes_is_a_write_error_and_leaves_everything_as_it_was(tmp_path, out):
     source = sound(tmp_path / "in.wav", noise(RATE, 2))
 
@@ -415,6 +417,7 @@ def test_a_full_disk_is_a_write_error_and_leaves_everything_as_it_was(tmp_path, 
     assert os.statvfs(small_disk).f_bavail > 200  # the room is free again
 
 
+@pytest.mark.exhaustive
 def test_a_full_disk_stops_the_demo(small_disk):
     error = refused(call("demo", "--fast", "--out", small_disk), 5)
     assert "the disk is full" in error
@@ -434,6 +437,7 @@ def test_an_acceleration_that_cannot_be_finished_leaves_the_older_vibration(tmp_
     assert listing(out.parent) == {out.name: b"old"}
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("command", ["inspect", "--help"])
 def test_a_stdout_that_cannot_be_written_is_an_error_of_one_line(source, command):
     arguments = [source] if command == "inspect" else []
@@ -442,6 +446,7 @@ def test_a_stdout_that_cannot_be_written_is_an_error_of_one_line(source, command
     assert "No space left on device" in refused(done, 5)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("number", "stream"), [(1, "stdout"), (2, "stderr")])
 def test_a_stream_that_is_closed_keeps_nobody_from_rendering(source, out, number, stream):
     closed = {stream: None, "preexec_fn": lambda: os.close(number)}
@@ -450,6 +455,7 @@ def test_a_stream_that_is_closed_keeps_nobody_from_rendering(source, out, number
     assert len(vibration(out)) == 9_600
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["render", "--help"]])
 def test_a_reader_that_has_gone_is_no_error(arguments):
     ours, theirs = os.pipe()
@@ -484,6 +490,7 @@ def long_source(tmp_path_factory):
     return path
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGTERM", "SIGINT"])
 def test_a_signal_in_the_middle_leaves_the_folder_as_it_was(long_source, out, name):
     if name == "SIGKILL" and not has_nameless_files(out.parent):
@@ -502,6 +509,7 @@ def test_a_signal_in_the_middle_leaves_the_folder_as_it_was(long_source, out, na
         assert (process.returncode, stderr) == (130, "cushion: interrupted\n")
 
 
+@pytest.mark.exhaustive
 def test_an_interrupted_demo_leaves_nothing(tmp_path):
     out = tmp_path / "out"
     with start("demo", "--out", out) as process:
@@ -559,6 +567,7 @@ def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):
     refused(call("in\nspect"))
 
 
+@pytest.mark.exhaustive
 def test_errors_of_a_process_are_those_of_a_call(tmp_path, out):
     for arguments in (["render", tmp_path / "none.wav", out], ["check", "--config", "none"]):
         assert cushion(*arguments) == call(*arguments)

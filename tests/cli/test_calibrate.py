@@ -74,6 +74,7 @@ def test_the_twin_is_calibrated_and_its_file_holds_what_was_identified(tmp_path)
     assert "0.05" in next(s.words for s in rig.sources if s.kind == "identified")
 
 
+@pytest.mark.exhaustive
 def test_on_a_seat_neither_force_factor_nor_mass_is_given():
     done = call("calibrate", "--device", "twin", "--seat")
     assert done.code == 0, done.stderr
@@ -82,6 +83,7 @@ def test_on_a_seat_neither_force_factor_nor_mass_is_given():
     assert "not identified on a seat" in done.stderr
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
@@ -128,6 +130,7 @@ def test_a_file_that_could_not_be_used_or_written_is_refused_before_anything_is_
         assert "sweep" not in done.stdout
 
 
+@pytest.mark.exhaustive
 def test_distortion_and_coherence_are_told():
     done = call("calibrate", "--device", "twin", "--seconds", "2")
     assert "acceleration for voltage: coherence 1.0000" in done.stdout
@@ -163,6 +166,7 @@ def test_a_response_that_does_not_grow_with_the_level_ends_it():
     assert len(laboratory.levels) == 2
 
 
+@pytest.mark.exhaustive
 def test_levels_rise_to_the_wanted_one():
     laboratory = Tampered("nothing", lambda a, _: a)
     sweep = SimulatedLaboratory(PAPER).sweep_at_excursion(SHORT)

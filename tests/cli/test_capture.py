@@ -81,6 +81,7 @@ def test_a_replayed_capture_of_a_file_is_the_rendering_of_that_file(
     assert report["format_changes"] == report["discontinuities"] == 0
 
 
+@pytest.mark.exhaustive
 def test_processes_of_their_own_do_the_same_and_the_acceleration_too(tmp_path):
     source = sound(tmp_path / "in.wav", noise(9_600, 2))
     done = cushion("capture", "cap", "--tap", "file:in.wav", cwd=tmp_path)
@@ -95,6 +96,7 @@ def test_processes_of_their_own_do_the_same_and_the_acceleration_too(tmp_path):
     assert (tmp_path / "felt_again.wav").read_bytes() == felt.read_bytes()
 
 
+@pytest.mark.exhaustive
 def test_a_capture_of_the_demo_replays_to_what_the_demo_writes(tmp_path):
     prelude = 'import sys\nsys.modules["matplotlib"] = None\n'
     done = cushion("demo", "--fast", "--out", tmp_path / "out", prelude=prelude)
@@ -214,6 +216,7 @@ def buffers_there(folder):
     return index.read_bytes().count(b'"kind":"buffer"') if index.exists() else 0
 
 
+@pytest.mark.exhaustive
 def test_a_killed_capture_replays_to_its_last_whole_buffer_with_a_warning(tmp_path, endless):
     folder = tmp_path / "cap"
     with start("capture", folder, "--tap", f"file:{endless}") as process:
@@ -234,6 +237,7 @@ def test_a_killed_capture_replays_to_its_last_whole_buffer_with_a_warning(tmp_pa
     assert soundfile.info(out).frames == report["frames"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_capture_is_finished_and_replays_without_a_warning(
     tmp_path, endless, number
@@ -248,6 +252,7 @@ def test_an_interrupted_capture_is_finished_and_replays_without_a_warning(
     assert report["buffers"] == buffers_there(folder)
 
 
+@pytest.mark.exhaustive
 def test_an_interrupted_replay_leaves_nothing(tmp_path):
     frames = noise(RATE, 2)
     written(tmp_path / "cap", *[(part, RATE, False) for part in np.split(frames, 100)])

@@ -199,6 +199,7 @@ def test_what_is_playing_cannot_be_dumped_yet_and_an_application_not_captured(tm
     assert not (tmp_path / "cap").exists()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("options", [[], ["--tap", "default"], ["--tap", "speakers"]])
 def test_without_a_sound_server_nothing_that_plays_is_captured(tmp_path, options):
     env = {"PULSE_SERVER": f"unix:{tmp_path / 'none'}"}
@@ -241,6 +242,7 @@ def limited():
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 
 
+@pytest.mark.exhaustive
 def test_a_capture_beyond_a_limit_on_file_sizes_can_be_replayed_up_to_there(tmp_path):
     path, folder = sound(tmp_path / "in.wav", noise(3 * RATE, 2)), tmp_path / "cap"
     done = cushion("capture", folder, "--tap", f"file:{path}", preexec_fn=limited)
@@ -262,6 +264,7 @@ def test_a_capture_beyond_a_limit_on_file_sizes_can_be_replayed_up_to_there(tmp_
     assert kept == [frames.astype(np.float32).tobytes() for frames, _ in small][: len(kept)]
 
 
+@pytest.mark.exhaustive
 def test_a_replay_beyond_a_limit_on_file_sizes_leaves_nothing(tmp_path):
     with CaptureWriter(tmp_path / "cap") as writer:
         writer.write_buffer("tap", noise(RATE).astype(np.float32), RATE, 0.0)
@@ -283,6 +286,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.exhaustive
 def test_a_full_disk_ends_a_capture_that_is_replayed_up_to_there(tmp_path, small_disk):
     done = call("capture", small_disk / "cap", "--tap", "scene:demo")
     error = refused(done, 5)

@@ -97,6 +97,7 @@ def test_the_picture_in_the_readme_is_of_the_demo_as_it_is_now(demo):
         assert float(was) == pytest.approx(float(is_now), abs=0.101), REMAKE
 
 
+@pytest.mark.exhaustive
 def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
     _, out = demo
     assert np.array_equal(vibration(out / "scene.wav"), mixdown(demo_scene()))
@@ -141,6 +142,7 @@ def plain(tmp_path_factory):
     return cushion("demo", "--fast", "--out", out, prelude=WITHOUT_MATPLOTLIB + ONE_SECOND), out
 
 
+@pytest.mark.exhaustive
 def test_without_matplotlib_the_demo_says_so_and_writes_the_rest(plain):
     done, out = plain
     assert done.code == 0
@@ -150,6 +152,7 @@ def test_without_matplotlib_the_demo_says_so_and_writes_the_rest(plain):
     assert listing(out).keys() == SOUNDS
 
 
+@pytest.mark.exhaustive
 def test_the_meter_is_drawn_on_a_terminal_and_leaves_stdout_to_the_table(plain, tmp_path):
     options = ["demo", "--fast", "--out", tmp_path]
     prelude = WITHOUT_MATPLOTLIB + ONE_SECOND
@@ -255,6 +258,7 @@ def test_a_file_in_the_place_of_the_folder_is_refused_and_unharmed(tmp_path):
     assert listing(tmp_path) == {"out": b"mine"}
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", ["scene.wav", "vibration.wav", "acceleration.wav", "report.png"])
 def test_a_folder_in_the_place_of_a_file_is_refused_before_anything_is_written(tmp_path, name):
     (tmp_path / name).mkdir()
@@ -264,6 +268,7 @@ def test_a_folder_in_the_place_of_a_file_is_refused_before_anything_is_written(t
     assert listing(tmp_path) == {}
 
 
+@pytest.mark.exhaustive
 def test_a_reader_of_the_table_that_has_gone_is_no_error(tmp_path):
     ours, theirs = os.pipe()
     os.close(ours)

@@ -40,6 +40,7 @@ def tracks_of(lines):
     return rows
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("at_s", "states"),
     [
@@ -93,6 +94,7 @@ def test_a_dump_shows_the_mix_and_the_effect_after_a_second_if_nothing_is_said()
     assert any(line.startswith("Cycle time of 188 cycles") for line in lines)
 
 
+@pytest.mark.exhaustive
 def test_a_file_is_one_track_and_its_end_ends_the_dump(tmp_path):
     sound(tmp_path / "in.wav", noise(11_025, 3), 44_100)
     (tmp_path / "c.toml").write_text('[transform]\ntransform = "reference"\nchannels = "each"\n')

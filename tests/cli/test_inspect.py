@@ -102,6 +102,7 @@ def test_a_recording_is_inspected_to_its_end():
 # --- one moment
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("samplerate", [8_000, 44_100, 48_000])
 def test_the_start_that_is_printed_for_a_unit_finds_that_unit(tmp_path, samplerate):
     source = sound(tmp_path / "in.wav", tone(440.0, 2.0, samplerate, 0.5), samplerate)
@@ -154,6 +155,7 @@ def test_the_table_says_what_json_says(tmp_path):
     assert np.allclose(printed, expected, rtol=0.0, atol=0.0051)
 
 
+@pytest.mark.exhaustive
 def test_a_reader_that_has_seen_enough_is_no_error(tmp_path):
     source = sound(tmp_path / "in.wav", noise(20 * RATE))  # far more lines than a pipe holds
     with start("inspect", source) as process:

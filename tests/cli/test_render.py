@@ -257,6 +257,7 @@ def test_a_name_that_does_not_look_like_wav_is_warned_of(tmp_path):
     assert soundfile.info(tmp_path / "out.flac").format == "WAV"
 
 
+@pytest.mark.exhaustive
 def test_progress_is_drawn_on_a_terminal_and_json_stays_json(tmp_path, out):
     source = sound(tmp_path / "[bold]in.wav", noise(50_000))
     options = ["render", source, out, "--json"]
@@ -310,6 +311,7 @@ def test_the_longest_names_and_paths_work(tmp_path):
     assert (folder / "again.wav").exists()
 
 
+@pytest.mark.exhaustive
 def test_names_that_are_not_text_work_even_where_they_cannot_be_printed(tmp_path, out):
     name = os.fsdecode(b"caf\xe9")  # Latin-1; no UTF-8
     source = sound(tmp_path / "in.wav", noise(3_000)).rename(tmp_path / f"{name}.wav")
@@ -424,6 +426,7 @@ def peak_rss_mb(source, out):
     return int(done.stderr) / 1024
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(sys.platform != "linux", reason="asks /proc for the peak memory")
 def test_a_long_sound_takes_no_more_memory_than_a_short_one(tmp_path, out):
     second = noise(RATE, 2)

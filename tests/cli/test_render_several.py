@@ -78,6 +78,7 @@ def test_each_file_has_the_bytes_that_it_has_alone(sources, folder, tmp_path, wo
         assert (folder / f"{source.stem}.wav").read_bytes() == alone.read_bytes()
 
 
+@pytest.mark.exhaustive
 def test_what_is_said_comes_in_the_order_of_the_files(sources, folder):
     asked = ["render", *reversed(sources), "--out-dir", folder, "--workers", 2]
     lines = cushion(*asked).stdout.splitlines()
@@ -90,6 +91,7 @@ def test_what_is_said_comes_in_the_order_of_the_files(sources, folder):
     assert all({"peak", "latency_s", "samplerate"} <= entry.keys() for entry in document["files"])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("workers", WORKERS)
 def test_one_bad_file_is_named_and_the_others_are_rendered(sources, folder, tmp_path, workers):
     bad = tmp_path / "bad.wav"
@@ -110,6 +112,7 @@ def test_one_bad_file_is_named_and_the_others_are_rendered(sources, folder, tmp_
     assert str(bad) in failed["error"]
 
 
+@pytest.mark.exhaustive
 def test_a_file_that_cannot_be_written_is_named_with_its_source(sources, folder):
     (folder / "a.wav").mkdir()
     done = cushion("render", *sources, "--out-dir", folder)
@@ -120,6 +123,7 @@ def test_a_file_that_cannot_be_written_is_named_with_its_source(sources, folder)
     assert len(done.stdout.splitlines()) == 3
 
 
+@pytest.mark.exhaustive
 def test_a_warning_names_its_file(sources, folder):
     cut = sources[0]
     os.truncate(cut, cut.stat().st_size // 2)
@@ -197,6 +201,7 @@ def two_under_way(process, folder):
     return found
 
 
+@pytest.mark.sweep
 @needs_proc
 @pytest.mark.parametrize(
     ("name", "whom"),
@@ -225,6 +230,7 @@ def test_an_interruption_ends_every_worker_and_leaves_nothing_half_written(
     assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
 
 
+@pytest.mark.exhaustive
 @needs_proc
 def test_a_worker_that_is_killed_costs_its_own_file_only(long_sources, folder):
     options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]
@@ -240,6 +246,7 @@ def test_a_worker_that_is_killed_costs_its_own_file_only(long_sources, folder):
     assert sorted(listing(folder)) == sorted(s.name for s in long_sources if s not in lost)
 
 
+@pytest.mark.exhaustive
 @needs_proc
 def test_workers_end_by_themselves_where_the_command_was_killed(long_sources, folder):
     options = ["--out-dir", folder, "--workers", 2, "--channels", "each"]

@@ -47,6 +47,7 @@ def test_signals_are_noted_and_wake_who_waits() -> None:
     assert signal.getsignal(signal.SIGHUP) is before
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("ignored", [False, True])
 def test_a_terminal_that_is_closed_ends_it_unless_it_was_started_to_go_on(ignored: bool) -> None:
     master, slave = pty.openpty()

@@ -71,6 +71,7 @@ def lateness(blocks: int, jitter_s: float) -> Float32Array:
     return np.minimum(late, 0.02).astype(np.float32)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("jitter_s", [0.0, 0.001, 0.003])
 def test_what_is_felt_is_the_same_and_comes_at_the_same_time(jitter_s: float) -> None:
     sound = music(6.0)

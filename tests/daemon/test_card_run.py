@@ -116,6 +116,7 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
     rig.close()
 
 
+@pytest.mark.exhaustive
 def test_a_card_is_awaited_played_to_pulled_out_and_played_to_again(rig: Rig) -> None:
     with pytest.raises(NotFoundError, match="there is no sound card 'DAC'"):
         rig.supervisor.look()

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.support.commands import environment
 
 AT_THE_END = """
@@ -19,6 +21,7 @@ FEW = 0.1
 """Of all objects, those that a collection may still look at: then it takes some ms at most."""
 
 
+@pytest.mark.exhaustive
 def test_a_collection_while_the_daemon_plays_looks_at_few_objects(tmp_path: Path) -> None:
     arguments = (
         "run",

@@ -49,6 +49,7 @@ def played(made: Pacer, until_s: float, late_s: float = 0.0) -> None:
         now_s += made.step(now_s) + late_s
 
 
+@pytest.mark.exhaustive
 def test_a_day_of_blocks_ends_on_the_sample() -> None:
     clock = FrameTime(44_100)
     blocks = 24 * 3_600 * 44_100 // BLOCK

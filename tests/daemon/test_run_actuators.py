@@ -74,6 +74,7 @@ def test_a_file_gets_what_the_same_config_renders(tmp_path, folder, source):
     assert np.abs(felt[-RATE:, 2]).max() > 0.0
 
 
+@pytest.mark.exhaustive
 def test_simulated_rigs_say_what_the_worst_of_them_did(tmp_path, folder, source):
     (tmp_path / "c.toml").write_text(THREE + 'rig = "consumer"\n')
     options = ("--config", tmp_path / "c.toml")
@@ -82,6 +83,7 @@ def test_simulated_rigs_say_what_the_worst_of_them_did(tmp_path, folder, source)
     assert done.stdout.startswith("twin (predicted): peak acceleration ")
 
 
+@pytest.mark.exhaustive
 def test_status_tells_of_each_and_a_reload_reaches_them_without_a_gap(tmp_path, folder):
     config, out = tmp_path / "c.toml", tmp_path / "out.wav"
     config.write_text(THREE + 'protection = "on"\n')
@@ -135,6 +137,7 @@ def test_status_tells_of_each_and_a_reload_reaches_them_without_a_gap(tmp_path, 
     assert blocks[-100:-20, 0].max() < 0.02 * blocks[:, 0].max()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("device", "words"),
     [

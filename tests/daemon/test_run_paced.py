@@ -72,6 +72,7 @@ def told(stderr: str) -> list[str]:
     return [line for line in lines[1:] if not line.startswith("resync: ")]
 
 
+@pytest.mark.exhaustive
 def test_the_scene_into_a_file_is_the_vibration_that_a_file_of_it_gives(tmp_path, folder):
     out, seconds = tmp_path / "out.wav", 4.0
     scene = mixdown(demo_scene())[: int((seconds + 0.2) * RATE)]
@@ -101,6 +102,7 @@ def test_a_file_ends_by_itself_when_its_vibration_has_run_out(tmp_path, folder):
     assert soundfile.info(tmp_path / "out.wav").samplerate == 44_100
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("transform", ["live", "reference"])
 def test_what_was_recorded_of_a_capture_with_many_formats_is_the_same_again(
     tmp_path, folder, transform
@@ -127,6 +129,7 @@ def test_what_was_recorded_of_a_capture_with_many_formats_is_the_same_again(
     assert vibration(tmp_path / "out.wav").shape == (common, 2)
 
 
+@pytest.mark.exhaustive
 def test_the_device_stream_is_what_went_into_the_file(tmp_path, folder):
     source = sound(tmp_path / "in.wav", noise(RATE, 2))
     out, record = tmp_path / "out.wav", tmp_path / "rec"
@@ -138,6 +141,7 @@ def test_the_device_stream_is_what_went_into_the_file(tmp_path, folder):
     assert Capture(record).warnings == []
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_leaves_whole_files(tmp_path, folder, number):
     out, record = tmp_path / "out.wav", tmp_path / "rec"
@@ -155,6 +159,7 @@ def test_an_interrupted_run_leaves_whole_files(tmp_path, folder, number):
     assert same_again(record, tmp_path / "again.wav") > RATE
 
 
+@pytest.mark.exhaustive
 def test_a_killed_run_leaves_no_file_and_a_recording_up_to_there(tmp_path, folder):
     out, record = tmp_path / "out.wav", tmp_path / "rec"
     options = ["--tap", "scene:demo", "--device", f"wav:{out}", "--record", record]
@@ -173,6 +178,7 @@ def limited() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
 
 
+@pytest.mark.exhaustive
 def test_a_full_disk_ends_the_recording_with_one_warning_and_the_run_goes_on(tmp_path, folder):
     source, record = sound(tmp_path / "in.wav", noise(2 * RATE, 2)), tmp_path / "rec"
     options = ["--tap", f"file:{source}", "--device", "twin", "--record", record]
@@ -189,6 +195,7 @@ def test_a_full_disk_ends_the_recording_with_one_warning_and_the_run_goes_on(tmp
     assert overlap(record, tmp_path / "again.wav", again.stdout) > 10_000
 
 
+@pytest.mark.exhaustive
 def test_a_full_disk_is_the_end_of_a_file_and_of_the_run(tmp_path, folder):
     out = tmp_path / "out.wav"
     out.write_bytes(b"old")
@@ -198,6 +205,7 @@ def test_a_full_disk_is_the_end_of_a_file_and_of_the_run(tmp_path, folder):
     assert out.read_bytes() == b"old"
 
 
+@pytest.mark.exhaustive
 def test_a_running_one_tells_what_it_does(tmp_path, folder):
     options = ["--tap", "scene:demo", "--device", f"wav:{tmp_path / 'out.wav'}"]
     options += ["--rig", "consumer", "--protection", "on"]
@@ -219,6 +227,7 @@ def test_a_running_one_tells_what_it_does(tmp_path, folder):
     assert not status["exposure"]["above_action"]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("tap", "device", "options", "code", "words"),
     [
@@ -254,6 +263,7 @@ def test_what_cannot_be_is_refused_and_nothing_is_touched(
     assert (listing(tmp_path), listing(tmp_path / "cap")) == before
 
 
+@pytest.mark.exhaustive
 def test_while_a_file_plays_its_level_may_change_and_what_begins_anew_may_not(tmp_path, folder):
     config, new = tmp_path / "c.toml", tmp_path / "new.toml"
     source, out = sound(tmp_path / "in.wav", noise(20 * RATE, 2)), tmp_path / "out.wav"

@@ -98,6 +98,7 @@ def overlap(folder: Path, out: Path, report: str) -> int:
     return common
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("settings", [Settings(), OTHER, Settings(form="reference")])
 def test_a_replay_gives_the_recorded_effect_bit_for_bit(tmp_path, settings):
     run = Run(tmp_path / "cap", settings)
@@ -110,6 +111,7 @@ def test_a_replay_gives_the_recorded_effect_bit_for_bit(tmp_path, settings):
     assert len(owed) >= run.engine.framework.latency_frames
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("seed", range(4))
 def test_formats_in_any_order_are_the_same_again(tmp_path, seed):
     order = np.random.default_rng(seed).permutation(len(FORMATS))
@@ -228,6 +230,7 @@ def recorded_so_far(folder: Path) -> int:
     return sum(1 for _ in Capture(folder).buffers("effect"))
 
 
+@pytest.mark.exhaustive
 def test_a_recording_that_is_ended_holds_what_came_before(tmp_path):
     run = Run(tmp_path / "cap", Settings())
     for number in range(60):

@@ -25,6 +25,7 @@ def in_numpy(samples: Float32Array | FloatArray) -> float:
     return float(np.max(np.abs(samples), initial=0.0))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @given(data=st.data())
 def test_the_peak_is_the_largest_magnitude_whatever_the_samples(
@@ -169,6 +170,7 @@ def test_what_cannot_be_taken_is_refused(array: object) -> None:
 VOLTS = st.floats(-30.0, 30.0) | st.sampled_from([0.0, -0.0, 5e-324, 1e101, math.nan, -math.inf])
 
 
+@pytest.mark.exhaustive
 @needs_compiled
 @given(arrays.arrays(np.float64, st.integers(0, 1_300), elements=VOLTS), st.integers(1, 1_300))
 def test_the_linear_model_moves_the_same_compiled_and_in_numpy(

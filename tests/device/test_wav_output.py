@@ -183,6 +183,7 @@ def test_kill_9_leaves_an_existing_file_alone_and_no_other(tmp_path):
 
 
 # Reached within the header, between two blocks, within a block.
+@pytest.mark.sweep
 @pytest.mark.parametrize("limit", [50, len(wav_header(48_000, 2, 0)) + 26 * 3_840, 1_000_001])
 def test_a_file_size_limit_is_a_write_error_and_leaves_no_file(tmp_path, limit):
     (tmp_path / "a.wav").write_bytes(b"old")

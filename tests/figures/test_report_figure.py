@@ -57,6 +57,7 @@ def test_the_report_is_a_png_of_1600_by_1500_pixels_and_at_most_a_megabyte(tmp_p
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.png"]
 
 
+@pytest.mark.exhaustive
 def test_white_noise_which_no_png_compresses_still_fits_in_a_megabyte():
     noise = np.random.default_rng(1).uniform(-1.0, 1.0, (15 * 48_000, 2))
     file = io.BytesIO()
@@ -64,6 +65,7 @@ def test_white_noise_which_no_png_compresses_still_fits_in_a_megabyte():
     assert len(file.getvalue()) <= 1_000_000
 
 
+@pytest.mark.exhaustive
 def test_the_same_input_gives_the_same_bytes_to_a_name_and_to_an_open_file(tmp_path):
     path = tmp_path / "report.png"
     draw_report(str(path), **arguments())
@@ -81,6 +83,7 @@ def test_a_report_that_fails_leaves_the_one_before_as_it_was(tmp_path):
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.exhaustive
 def test_silence_is_drawn_without_a_warning():
     silent = picture_of(
         audio=np.zeros((16_000, 2), np.float32),
@@ -95,16 +98,19 @@ def test_silence_is_drawn_without_a_warning():
     assert pixels_of(silent, palette.FELT) < pixels_of(loud, palette.FELT) / 4
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("duration_s", [1 / SAMPLERATE, 0.002, 0.2])
 def test_very_short_sound_is_drawn(duration_s):
     assert picture_of(duration_s).shape == (1500, 1600, 3)
 
 
+@pytest.mark.exhaustive
 def test_ten_minutes_are_drawn_at_a_low_cost():
     given = arguments(600.0)
     assert cost_ffts(lambda: draw_report(io.BytesIO(), **given)) < in_ffts(6.0)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("samplerate", [1_000, 192_000])
 @pytest.mark.parametrize("channels", [1, 6])
 def test_any_rate_and_number_of_channels_is_drawn(samplerate, channels):
@@ -116,6 +122,7 @@ def test_parts_of_different_length_and_rate_share_one_time_axis():
     picture_of(vibration=np.zeros(500), vibration_samplerate=1_000, acceleration_m_s2=np.zeros(7))
 
 
+@pytest.mark.exhaustive
 def test_samples_that_are_not_finite_are_drawn_as_zero():
     audio = arguments()["audio"].copy()
     clean = audio.copy()
@@ -124,11 +131,13 @@ def test_samples_that_are_not_finite_are_drawn_as_zero():
     assert np.array_equal(picture_of(audio=audio), picture_of(audio=clean))
 
 
+@pytest.mark.exhaustive
 def test_titles_may_hold_anything():
     # a formula that would not parse, signs the font lacks, far too many letters
     picture_of(title="$\\frac{ 日本語 🎧", facts=["$x"] * 200, events=[(0.0, 1.0, "日本 $_" * 90)])
 
 
+@pytest.mark.exhaustive
 def test_principal_frequencies_appear_as_dots_in_the_accent_colour():
     far = [(at_s, 200.0, 71.7, 1.0) for at_s in np.arange(0.1, 2.0, 0.1)]
     assert pixels_of(picture_of(principals=far), palette.FELT) > 100 + pixels_of(
@@ -136,6 +145,7 @@ def test_principal_frequencies_appear_as_dots_in_the_accent_colour():
     )
 
 
+@pytest.mark.exhaustive
 def test_a_hundred_thousand_principal_frequencies_are_drawn_at_a_low_cost():
     rng = np.random.default_rng(3)
     at_s = rng.uniform(0.0, 2.0, 100_000)

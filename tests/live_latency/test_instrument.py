@@ -148,6 +148,7 @@ SOUNDS = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("name", "within_ms"),
     # what beats between partials depends on where hops begin

@@ -38,6 +38,7 @@ def rounded_half_away(sample: float, bits: int) -> int:
     return magnitude if exact >= 0 else -magnitude
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("pcm_format", INTEGERS)
 @given(frames=arrays(np.float32, (5, 2), elements=samples))
 def test_every_sample_is_clamped_and_rounded_half_away_from_zero(pcm_format, frames) -> None:
@@ -61,6 +62,7 @@ def test_full_scale_and_beyond_are_clamped_to_the_ends_of_the_integers(pcm_forma
     assert steps == [full - 1, -full, full - 1, -full, full - 1, -full, 0]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("pcm_format", [PcmFormat.U8, PcmFormat.I16, PcmFormat.I24])
 @given(seed=st.integers(0, 2**32 - 1), channels=st.integers(1, 4))
 def test_integers_up_to_24_bits_survive_decode_and_encode_to_the_bit(

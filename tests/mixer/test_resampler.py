@@ -45,6 +45,7 @@ def tone(frequency_hz: float, rate: int, count: int) -> np.ndarray:
     return np.sin(2 * np.pi * frequency_hz * np.arange(count) / rate).astype(np.float32)[:, None]
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("rate_in", "rate_out"), PAIRS)
 @settings(max_examples=60)
 @given(
@@ -142,6 +143,7 @@ def test_the_pass_band_is_flat_and_images_are_gone(rate_in: int, rate_out: int) 
     assert np.abs(gains_db).max() < RIPPLE_DB
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("rate_in", "rate_out"), [(44_100, 48_000), (44_117, 48_000)])
 def test_the_position_is_exact_after_a_minute(rate_in: int, rate_out: int) -> None:
     frequency_hz = 997.0

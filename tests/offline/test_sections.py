@@ -70,6 +70,7 @@ def both(source, out, settings=REFERENCE, **options):
     return made
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("early_s", [4.0, 0.05], ids=["long enough to forget", "too short for it"])
 @pytest.mark.parametrize("channels", ["mono", "each"])
 def test_the_bytes_do_not_depend_on_the_number_of_workers(
@@ -135,6 +136,7 @@ def test_unusable_samples_are_counted_once_wherever_they_lie(tmp_path, out, shor
     assert told_together.replaced_samples == told.replaced_samples == 40
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "settings",
     [

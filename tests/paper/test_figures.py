@@ -72,6 +72,7 @@ def residuals_db(felt):
 # --- what is written
 
 
+@pytest.mark.exhaustive
 def test_each_figure_is_a_picture_and_a_table(drawn):
     expected = sorted(f"{name}.{kind}" for name in NAMES for kind in ("csv", "png"))
     assert sorted(path.name for path in drawn[0].iterdir()) == expected
@@ -132,6 +133,7 @@ def test_the_response_is_that_of_mass_spring_and_friction(drawn):
     assert at_90_deg == pytest.approx(90.0, abs=3.0)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("resonance_hz", [60.0, 130.0])
 def test_the_measured_resonance_is_the_rigs_own(resonance_hz):
     rig = replace(PAPER, actuator=replace(PAPER.actuator, resonance_hz=resonance_hz))
@@ -247,6 +249,7 @@ def test_without_matplotlib_it_says_how_to_get_it(tmp_path, capsys, monkeypatch)
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.exhaustive
 def test_it_runs_as_a_program_from_any_folder(tmp_path):
     (tmp_path / "file").write_text("")
     done = subprocess.run(

@@ -119,6 +119,7 @@ def test_an_effect_that_is_installed_and_not_applied_does_not_run(site, effects_
         assert "Halver" not in framework.dump()
 
 
+@pytest.mark.exhaustive
 def test_the_command_takes_effects_of_other_packages_from_the_file_that_the_config_names(
     tmp_path, site, effects_file
 ):

@@ -106,6 +106,7 @@ def run(client, settings, outputs=None):
     return steps, outputs
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("blocksize", BLOCKSIZES)
 def test_a_file_in_any_blocksize_gives_the_same_bytes(
@@ -118,6 +119,7 @@ def test_a_file_in_any_blocksize_gives_the_same_bytes(
     assert np.array_equal(vibration(path), expected[form])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("blocksize", BLOCKSIZES)
 def test_a_scene_in_any_blocksize_gives_the_same_bytes(
@@ -157,6 +159,7 @@ def test_buffers_of_changing_lengths_and_of_none_give_the_same_bytes(mix, expect
     assert np.array_equal(outputs[0].frames, expected[form])
 
 
+@pytest.mark.exhaustive
 def test_the_twin_moves_alike_whatever_the_blocksize(mix, tmp_path):
     felt = []
     for blocksize in (7, 256, 10**6):

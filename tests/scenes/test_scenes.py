@@ -36,6 +36,7 @@ def longest_silence_s(frames):
     return float(np.max(turns[1::2] - turns[::2])) / SAMPLERATE
 
 
+@pytest.mark.exhaustive
 def test_the_demo_scene_is_the_same_bytes_twice(mix):
     assert mixdown(demo_scene(SAMPLERATE)).tobytes() == mix.tobytes()
 
@@ -55,6 +56,7 @@ def test_about_a_second_of_the_demo_scene_is_exact_silence(mix):
     assert 0.9 <= longest_silence_s(mix) <= 1.5
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", NAMES)
 def test_each_voice_can_be_heard_over_all_others_in_a_second_of_its_own(scene, name):
     own = track_named(scene, name)
@@ -123,10 +125,12 @@ def test_the_events_are_the_sounding_stretches_of_all_tracks_in_order_of_time(sc
     assert events == sorted(events)
 
 
+@pytest.mark.exhaustive
 def test_making_the_demo_scene_takes_less_than_a_second_and_a_half_of_a_quick_machine():
     assert cost_ffts(lambda: demo_scene(SAMPLERATE)) < in_ffts(1.5)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("samplerate", [16_000, 22_050, 44_100, 96_000])
 def test_the_demo_scene_keeps_its_shape_at_other_rates(samplerate):
     scene = demo_scene(samplerate)

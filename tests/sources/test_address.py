@@ -80,6 +80,7 @@ def test_what_is_no_address_is_refused_with_the_grammar(text, what):
     assert caught.value.exit_code == 2
 
 
+@pytest.mark.exhaustive
 def test_a_file_a_capture_and_the_scene_are_opened(tmp_path):
     frames = np.ones((10, 2), np.float32)
     output = WavOutput(tmp_path / "a.wav", 48_000, 2)

@@ -158,6 +158,7 @@ def test_the_demo_has_tracks_of_many_rates_and_formats_and_one_that_pauses():
     assert [one.name for one in tracks if one.pause_s] == ["engine"]
 
 
+@pytest.mark.exhaustive
 def test_the_demo_is_silent_while_its_engine_pauses_and_loses_none_of_it():
     scene = demo_scene()
     engine = scene.tracks[0]

@@ -232,6 +232,7 @@ def test_plateaus_zeros_and_ties_are_numpys(kind, images):
     assert_the_same(ours.strongest(spectra), theirs.strongest(spectra))
 
 
+@pytest.mark.exhaustive
 @given(
     amplitudes=st.lists(
         st.lists(st.sampled_from([0.0, 0.5, 0.7, 0.71, 1.0, 2.0, 3.0]), min_size=21, max_size=21),

@@ -91,6 +91,7 @@ def test_a_steady_programme_vibrates_at_the_target():
         assert 20 * np.log10(strengths[-1]) == pytest.approx(-18.0, abs=0.05)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", LIVE)
 @pytest.mark.parametrize("kind", ["speech", "tone", "noise"])
 def test_the_same_programme_20_db_lower_is_felt_the_same_after_10_seconds(form, kind):
@@ -228,6 +229,7 @@ def test_a_steady_tone_is_felt_steady():
     assert max(pieces) - min(pieces) < 0.2
 
 
+@pytest.mark.exhaustive
 def test_a_day_of_hops_leaves_the_follower_as_an_hour_does():
     follower = LoudnessFollower(LoudnessDesign.of(FOLLOWED, HOP_S))
     states = []
@@ -260,6 +262,7 @@ def test_damage_and_any_level_stay_finite_and_under_full_scale(form):
         assert np.abs(vibration).max() < 1.0
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", LIVE)
 @pytest.mark.parametrize("frames", [1, 7, 240, 256, 960, 4_096])
 def test_blocks_of_any_size_give_the_bytes_of_one_block(form, frames):
@@ -274,6 +277,7 @@ def test_blocks_of_any_size_give_the_bytes_of_one_block(form, frames):
     assert identical(cut, whole)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", LIVE)
 def test_a_stream_begun_anew_knows_nothing_of_the_one_before(form):
     transform = made(silence(0.1, RATE), RATE, form=form, parameters=FOLLOWED)
@@ -295,6 +299,7 @@ def test_the_reference_form_knows_no_follower():
 # --- several voices
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", LIVE)
 def test_a_softer_side_stays_softer_by_a_quarter_of_what_is_heard(form):
     sound = white_noise(10.0, 16_000, 0.3)
@@ -315,6 +320,7 @@ def test_voices_that_hear_the_same_are_what_one_alone_is(form):
         assert identical(together[:, side].copy(), alone[:, 0])
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", LIVE)
 @pytest.mark.parametrize("frames", [7, 256, 5_000])
 def test_several_voices_in_blocks_give_the_bytes_of_one_block(form, frames):

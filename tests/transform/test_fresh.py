@@ -95,6 +95,7 @@ def test_a_chord_s_attack_ends_when_the_window_shows_its_tones(way: str) -> None
     assert np.median(over_db) < 4.0
 
 
+@pytest.mark.sweep
 @each_way
 def test_noise_begins_about_as_strong_as_it_lasts(way: str) -> None:
     levels = []
@@ -175,6 +176,7 @@ def test_onsets_made_and_planted_are_found() -> None:
     assert planted.precision >= 0.9
 
 
+@pytest.mark.exhaustive
 def test_a_loud_sound_is_not_missed_because_a_faint_one_came_just_before() -> None:
     found = 0
     for gap_ms in range(2, 30, 2):
@@ -188,6 +190,7 @@ def test_a_loud_sound_is_not_missed_because_a_faint_one_came_just_before() -> No
     assert found == 14
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", list(onset_sounds.steady_sounds()))
 def test_steady_sounds_hold_no_onsets(name: str) -> None:
     sound = onset_sounds.steady_sounds()[name]

@@ -158,6 +158,7 @@ def cost_s(sound, form):
     return time.thread_time() - start
 
 
+@pytest.mark.sweep
 @every_way
 def test_denormal_numbers_cost_no_more_than_quiet_noise(form):
     quiet = white_noise(0.5, 48_000, 1e-6)
@@ -420,6 +421,7 @@ def test_every_samplerate_takes_noise_and_sweeps_to_its_very_top(form, samplerat
         assert np.abs(vibration).max() < 1.0
 
 
+@pytest.mark.sweep
 @every_way
 def test_no_samplerate_in_between_is_an_exception(form):
     # Windows and spectra of every parity and size: low rates are where they are small.
@@ -485,6 +487,7 @@ def sounding(transform):
     return [tuple(values[slot] for values in slots) for slot in alive]
 
 
+@pytest.mark.sweep
 @every_way
 def test_a_steady_stream_leaves_its_state_steady_however_long_it_lasts(form):
     samplerate = 48_000
@@ -510,6 +513,7 @@ def test_a_steady_stream_leaves_its_state_steady_however_long_it_lasts(form):
         assert np.abs(late).max() == pytest.approx(np.abs(early).max(), abs=1e-4)
 
 
+@pytest.mark.sweep
 @every_way
 def test_an_hour_of_silence_leaves_no_trace(form):
     sound = joined(tone(300, 0.5, 8_000, 0.5), white_noise(0.3, 8_000))

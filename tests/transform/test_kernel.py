@@ -87,6 +87,7 @@ def test_twins_agree_on_the_demo_scene():
     assert assert_twins(mixdown(demo_scene()), 48_000).any()
 
 
+@pytest.mark.sweep
 @needs_kernel
 @pytest.mark.parametrize("level", [0.05, 1.0, 8.0])
 def test_twins_agree_on_recordings_at_any_level(level):
@@ -96,6 +97,7 @@ def test_twins_agree_on_recordings_at_any_level(level):
         assert vibration.any() or level < 1.0, path.name
 
 
+@pytest.mark.exhaustive
 @needs_kernel
 def test_twins_agree_where_speech_is_suppressed():
     parameters = TransformParameters(speech_suppression_db=24.0)
@@ -179,6 +181,7 @@ def test_twins_agree_on_synthetic_sounds(kind, samplerate):
     assert_twins(SOUNDS[kind](samplerate), samplerate)
 
 
+@pytest.mark.sweep
 @needs_kernel
 @pytest.mark.parametrize("samplerate", [1_000, 1_001, 1_400, 2_350, 3_900, 384_000, 768_000])
 def test_twins_agree_at_the_ends_of_the_samplerates(samplerate):
@@ -211,6 +214,7 @@ def at_the_limits():
                     yield values
 
 
+@pytest.mark.sweep
 @needs_kernel
 @pytest.mark.parametrize("kind", ["noise", "sweep", "square", "clicks", "Nyquist's frequency"])
 def test_twins_agree_with_every_parameter_at_its_limits(kind):
@@ -236,6 +240,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.sweep
 @needs_kernel
 @pytest.mark.parametrize("samplerate", [8_000, 44_100])
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -245,6 +250,7 @@ def test_twins_agree_with_every_law_and_mapping(variant, samplerate):
         assert_twins(make(samplerate), samplerate, parameters=parameters)
 
 
+@pytest.mark.sweep
 @needs_kernel
 @pytest.mark.parametrize("variant", ["followed", "all"])
 def test_twins_agree_on_voices_that_share_a_programme(variant):
@@ -257,6 +263,7 @@ def test_twins_agree_on_voices_that_share_a_programme(variant):
     assert_twins(both, samplerate, per_channel=True, parameters=parameters)
 
 
+@pytest.mark.exhaustive
 @given(
     pieces=st.lists(
         st.tuples(
@@ -408,6 +415,7 @@ def test_a_block_that_is_refused_leaves_the_stream_as_it_was(block):
     assert identical(whole, np.concatenate((other.process(sound), other.finish())))
 
 
+@pytest.mark.exhaustive
 @needs_kernel
 def test_a_million_hops_take_no_more_memory_than_a_thousand():
     samplerate = 1_000

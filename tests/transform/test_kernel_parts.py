@@ -232,6 +232,7 @@ def test_a_kernel_has_one_channel_at_least_and_not_thousands(channels):
         made(channels)
 
 
+@pytest.mark.exhaustive
 @given(data=st.data(), seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=150)
 def test_settings_of_any_numbers_make_a_kernel_that_runs_or_none(data, seed):

@@ -116,6 +116,7 @@ def onset_lag_s(vibration, samplerate, onset_s):
     return (since > half).argmax() / rate
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
 def test_tone_bursts_are_felt_within_45_ms_of_their_onset(samplerate):
     lags = []
@@ -213,6 +214,7 @@ def gains_db(samplerate, tones_hz):
     return np.array(gains)
 
 
+@pytest.mark.exhaustive
 def test_every_tone_is_felt_equally_strong_at_all_samplerates():
     tones_hz = np.geomspace(150, 3_000, 40)
     gains = np.array([gains_db(samplerate, tones_hz) for samplerate in SAMPLERATES])

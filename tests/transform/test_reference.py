@@ -96,6 +96,7 @@ def test_it_agrees_with_the_oracle_on_every_recording_as_it_is():
     assert share_agreeing(np.concatenate(apart)) >= UNITS_AGREEING
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
 @pytest.mark.parametrize("channels", [1, 2])
 def test_it_agrees_with_the_oracle_on_recordings_at_either_rate_mono_and_stereo(
@@ -110,6 +111,7 @@ def test_it_agrees_with_the_oracle_on_recordings_at_either_rate_mono_and_stereo(
     assert share_agreeing(np.concatenate(apart)) >= UNITS_AGREEING
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("samplerate", [44_100, 48_000, 8_000, 11_025])
 def test_it_agrees_with_the_oracle_on_synthetic_sounds(samplerate):
     nyquist = samplerate / 2
@@ -129,6 +131,7 @@ def test_it_agrees_with_the_oracle_on_synthetic_sounds(samplerate):
     assert share_agreeing(apart) >= UNITS_AGREEING
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("parameters", OTHER_PARAMETERS.values(), ids=OTHER_PARAMETERS)
 def test_it_agrees_with_the_oracle_under_other_parameters(parameters):
     sound = joined(
@@ -137,6 +140,7 @@ def test_it_agrees_with_the_oracle_under_other_parameters(parameters):
     assert share_agreeing(disagreement(sound, 44_100, parameters)) >= UNITS_AGREEING
 
 
+@pytest.mark.exhaustive
 @given(
     partials=st.lists(
         st.tuples(st.floats(50, 12_000), st.floats(0.003, 1.0), st.floats(0, 6.28)),
@@ -170,6 +174,7 @@ def tied(sound, samplerate, unit):
     return len(near[0]) != len(near[1]) or (np.diff(strengths) < 1e-7 * strengths[1:]).any()
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("samplerate", [44_100, 48_000])
 def test_each_units_principal_frequencies_amplitudes_and_bandwidths_are_the_oracles(samplerate):
     sound = joined(

@@ -95,6 +95,7 @@ def with_silence_skip(sound, samplerate, way):
     return vibration_of(LiveDesign.of(PARAMETERS, samplerate), sound, way)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("saving", SAVINGS, ids=lambda saving: saving.name)
 def test_no_saving_changes_more_than_it_states(saving):
     clicks = np.zeros(24_000)
@@ -157,6 +158,7 @@ def test_leaving_out_quiet_hops_changes_no_byte_around_the_threshold(samplerate,
     )
 
 
+@pytest.mark.sweep
 @each_way
 def test_leaving_out_quiet_hops_changes_no_byte_of_a_recording(way):
     for path in require_recordings()[::4]:
@@ -220,6 +222,7 @@ def test_cutting_the_ringing_off_changes_less_than_1e_8(way):
 # --- batches and views --------------------------------------------------------------------------
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("at_once", [1, 2, 5, 1_000])
 def test_how_many_windows_are_analysed_at_once_changes_no_byte(monkeypatch, at_once):
     sound = joined(

@@ -57,6 +57,7 @@ def energy_db(vibration, from_s, to_s, samplerate=RATE):
     return 10.0 * np.log10((part**2).mean())
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", FORMS)
 def test_speech_is_lowered_once_it_is_known(form):
     plain, lowered = (played(talk(8), RATE, form=form, parameters=p)[:, 0] for p in (OFF, ON))
@@ -109,6 +110,7 @@ def test_an_explosion_is_felt_while_somebody_speaks(form):
     assert energy_db(both, 2.0, 3.0) < energy_db(both, 3.0, 4.0) - 15.0
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", FORMS)
 @given(blocks=st.lists(st.integers(1, 3_000), max_size=30))
 @settings(max_examples=10)

@@ -66,6 +66,7 @@ def every(frames, total):
     return [frames] * (total // frames)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 @pytest.mark.parametrize("frames", BLOCKSIZES)
@@ -77,6 +78,7 @@ def test_blocks_of_any_one_size_give_the_bytes_of_one_block(form, samplerate, fr
     assert identical(cut, whole)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 def test_a_second_in_blocks_of_one_frame_gives_the_bytes_of_one_block(form, samplerate):
@@ -86,6 +88,7 @@ def test_a_second_in_blocks_of_one_frame_gives_the_bytes_of_one_block(form, samp
     assert identical(cut, whole)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("per_channel", [False, True])
 @pytest.mark.parametrize("frames", [7, 256, 960, 4_096])
@@ -97,6 +100,7 @@ def test_stereo_in_blocks_gives_the_bytes_of_one_block(form, per_channel, frames
     assert identical(cut, whole)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", WAYS)
 def test_a_second_of_stereo_in_blocks_of_one_frame_gives_the_bytes_of_one_block(form):
     sound = stereo(44_100, 1.0)
@@ -105,6 +109,7 @@ def test_a_second_of_stereo_in_blocks_of_one_frame_gives_the_bytes_of_one_block(
     assert identical(cut, whole)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", WAYS)
 @pytest.mark.parametrize("samplerate", SAMPLERATES)
 @given(seed=st.integers(0, 2**32 - 1), typical=st.sampled_from([3, 40, 700, 5_000, 60_000]))
@@ -122,6 +127,7 @@ def whole_of_busy(form, samplerate):
     return played(busy(samplerate, 2.8), samplerate, form=form)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", WAYS)
 @given(
     kinds=st.lists(st.sampled_from(["silence", "noise", "low", "tone", "tones"]), min_size=1),
@@ -143,6 +149,7 @@ def test_any_split_of_any_mix_gives_the_bytes_of_one_block(form, kinds, level, l
     assert identical(in_blocks(sound, lengths, 16_000, form=form), whole)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", WAYS)
 def test_recordings_in_blocks_give_the_bytes_of_one_block(form):
     for path in require_recordings()[::3]:
@@ -153,6 +160,7 @@ def test_recordings_in_blocks_give_the_bytes_of_one_block(form):
             assert identical(cut, whole), path.name
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", WAYS)
 def test_noise_of_any_level_in_blocks_gives_the_bytes_of_one_block(form):
     # Levels at which hops with and without a strong low peak stand side by side in one batch.
@@ -177,6 +185,7 @@ def test_empty_blocks_change_nothing(form):
     assert identical(np.concatenate(parts), played(sound, 48_000, form=form))
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("form", WAYS)
 def test_asleep_and_awake_again_gives_the_same_bytes_in_any_blocks(form):
     samplerate = 44_100

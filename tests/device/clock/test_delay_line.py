@@ -113,6 +113,7 @@ def test_the_target_is_what_blocks_lateness_and_offset_add_up_to() -> None:
     assert course.last.delay_s == pytest.approx(course.last.target_s, abs=0.1 * MS)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "server_block",
     [pytest.param(470, marks=EXHAUSTIVE), pytest.param(511, marks=EXHAUSTIVE), 1_000],
@@ -126,6 +127,7 @@ def test_blocks_of_a_server_that_beat_with_ours_do_not_move_the_delay(server_blo
     assert np.ptp(course.after(60.0)) < 0.3 * MS
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("written_in", "read_in", "from_s", "limit_ms"),
     [

@@ -67,6 +67,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", FAULTS)
 def test_after_a_fault_it_is_back_on_target_and_no_delay_stays(name: str) -> None:
     course = run(DelayLine(1, 48_000, 48_000), *FAULTS[name], seconds=25.0)

@@ -57,6 +57,7 @@ def test_a_sine_is_read_as_exactly_as_float32_and_four_frames_allow(
     assert error_db(hz, step) < limit_db
 
 
+@pytest.mark.sweep
 @given(st.lists(st.integers(0, 1_300), max_size=12), st.floats(0.1, 3.0), st.integers(0, 2**45))
 def test_blocks_of_any_length_join_to_the_same_frames_as_one(
     blocks: list[int], step: float, start: int
@@ -93,6 +94,7 @@ def test_a_ratio_that_changes_from_block_to_block_leaves_the_sine_whole() -> Non
         at += 256 * step
 
 
+@pytest.mark.sweep
 @given(st.integers(0, 3_000), st.floats(0.1, 3.0), st.floats(0.0, 0.999))
 def test_readable_is_as_much_as_needs_no_frame_that_is_not_there(
     written: int, step: float, fraction: float
@@ -105,6 +107,7 @@ def test_readable_is_as_much_as_needs_no_frame_that_is_not_there(
     assert fraction + frames * step >= written - 2 - 1e-6
 
 
+@pytest.mark.sweep
 @given(st.lists(st.integers(0, 500), max_size=10))
 def test_the_ring_holds_the_newest_frames_whatever_the_blocks(blocks: list[int]) -> None:
     ring = NewestFrames(128, 1)

@@ -36,6 +36,7 @@ def test_without_jitter_the_counter_is_known_to_a_microsecond(ppm: int) -> None:
     assert np.abs(error[now > 10]).max() < 1e-6
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("jitter_ms", [0.2, 2.0, 5.0])
 def test_of_jitter_less_than_a_fiftieth_is_left(jitter_ms: float) -> None:
     now, error, clock = errors(Side(ppm=150, jitter_s=jitter_ms / 1000), 60.0)
@@ -44,6 +45,7 @@ def test_of_jitter_less_than_a_fiftieth_is_left(jitter_ms: float) -> None:
     assert clock.restarts == 0
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("server_block", [470, 511, 513, 1_000])
 def test_a_beat_between_blocks_is_no_change_of_the_clock(server_block: int) -> None:
     now, error, clock = errors(Side(server_block=server_block, jitter_s=0.0002, ppm=-100), 180.0)
@@ -112,6 +114,7 @@ def test_a_server_that_asks_for_some_blocks_too_early_once_is_forgiven_in_second
     assert clock.restarts == clock.strandings == 1
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("server_block", [470, 1_000])
 def test_servers_with_blocks_of_their_own_are_not_taken_for_that(server_block: int) -> None:
     side = Side(server_block=server_block, jitter_s=0.001, ppm=200)

@@ -67,6 +67,7 @@ def test_voltage_drive_damps_as_the_ratio_of_the_qs_foretells():
     assert residual(ACTUATOR, no_damping()).residual_db == pytest.approx(expected_db, abs=0.5)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("p", [ACTUATOR, STRONG], ids=["Bl 10", "Bl 16"])
 def test_the_choice_holds_the_limits_of_residual_and_volts(p):
     damping = choose_damping(p).damping
@@ -106,6 +107,7 @@ def test_zeros_on_the_true_poles_do_better_at_ten_percent_than_zeros_at_f0():
     assert worst[0] < worst[1] - 0.5
 
 
+@pytest.mark.exhaustive
 def test_a_shaper_trades_latency_for_less_residual():
     shaped = choose_damping(ACTUATOR, latency_s=0.005)
     assert 0.0 < shaped.damping.latency_s <= 0.005
@@ -217,6 +219,7 @@ def test_of_a_resonance_known_exactly_more_is_removed_than_of_one_known_to_ten_p
     )
 
 
+@pytest.mark.exhaustive
 def test_the_choice_stays_within_its_headroom_and_uses_it():
     worst = []
     for headroom_db in (0.0, 2.0, 4.0, 6.0):
@@ -234,11 +237,13 @@ def test_where_nothing_is_affordable_the_fewest_volts_are_chosen_and_it_says_so(
     assert volts_db[0] == min(volts_db)
 
 
+@pytest.mark.exhaustive
 def test_of_two_drive_modes_that_which_damps_is_chosen_where_f0_is_not_sure():
     choice = choose_damping(ACTUATOR, source_impedances_ohm=(CURRENT, 0.0))
     assert choice.damping.source_impedance_ohm == 0.0
 
 
+@pytest.mark.exhaustive
 def test_the_worst_case_covers_the_interval_of_q():
     narrow = choose_damping(ACTUATOR, uncertainty=Uncertainty(0.1, (8.0, 8.0)))
     wide = choose_damping(ACTUATOR, uncertainty=Uncertainty(0.1, (5.0, 12.0)))

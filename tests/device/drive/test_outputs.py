@@ -64,6 +64,7 @@ def driven(output, damping):
 vibration = np.random.default_rng(4).uniform(-0.5, 0.5, (2_000, 2))
 
 
+@pytest.mark.exhaustive
 @given(st.lists(st.integers(0, 2_000), max_size=8))
 def test_without_damping_the_same_comes_out_whole_whatever_the_blocks(cuts):
     kept = Kept()

@@ -109,6 +109,7 @@ def drive_of(frequency_hz, phase, until_s, other_hz, other, level, squared, seco
     return level * (wave + other * np.sin(math.tau * other_hz * time_s))
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=60)
 @given(genes, st.sampled_from([LOUD, LOUDER]))
 def test_no_tones_and_bursts_exceed_the_excursion_at_any_f0_within_ten_percent(found, rig):
@@ -177,6 +178,7 @@ def reached_on_the_twin(rig, out, detunings=DETUNINGS):
     return shares
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("rig", TIGHT, ids=TIGHT_IDS)
 @pytest.mark.parametrize("frequency_hz", [15.0, 30.0, 42.0, 45.0, 90.0])
 def test_the_whole_twin_stays_within_xmax_whatever_its_amplifier_adds(rig, frequency_hz):
@@ -189,6 +191,7 @@ def test_the_whole_twin_stays_within_xmax_whatever_its_amplifier_adds(rig, frequ
             assert protector.status().infeasible_blocks == 0
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=30)
 @given(genes, st.sampled_from(TIGHT))
 def test_no_tones_and_bursts_take_the_whole_twin_beyond_xmax(found, rig):
@@ -204,6 +207,7 @@ def test_a_protection_that_did_not_know_the_amplifiers_band_would_let_it_through
     assert max(reached_on_the_twin(rig, out)) > 1.05
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("frequency_hz", [2.0, 4.0, 8.0])
 def test_what_an_amplifier_swings_back_long_after_a_stop_stays_within_xmax(frequency_hz):
     # So strong that what the high-pass gives back by itself would reach Xmax.
@@ -294,6 +298,7 @@ def largest_on_the_non_linear_model(rig, numbers):
     return float(np.abs(x).max()) / rig.actuator.x_max_m
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=25)
 @given(st.tuples(*(st.floats(low, high) for low, high in SEARCHED)))
 def test_few_drives_on_the_non_linear_model_stay_under_a_tenth_more_than_xmax(numbers):
@@ -320,6 +325,7 @@ def test_no_drive_that_an_optimiser_finds_takes_the_non_linear_model_a_tenth_bey
     assert worst <= 1.10
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("frequency_hz", [30.0, 86.0, 90.0, 140.0])
 def test_a_steady_drive_keeps_as_much_as_the_fixed_gain_that_would_do(frequency_hz):
     drive = 3.0 * tone(frequency_hz, 1.0, shape=square)
@@ -376,6 +382,7 @@ def largest_non_linear(rig, drives, *, steps=6):
     return largest / x_max
 
 
+@pytest.mark.exhaustive
 def test_a_rig_that_stiffens_stays_under_a_tenth_more_than_its_limit():
     rng = np.random.default_rng(11)
     frames = RATE // 4
@@ -504,6 +511,7 @@ def test_in_the_long_run_the_coil_is_as_warm_as_both_resistances_say():
     assert coil.coil_c == pytest.approx(20.0 + 5.0 * (4.0 + 3.0), rel=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_the_coil_comes_up_to_its_limit_and_stays_there():
     # 40 V into 3.3 ohm at 160 Hz, where nothing else limits much; a small coil to save time
     rig = replace(LOUDER, thermal=ThermalParameters(4.0, 0.4, 3.0, 400.0))
@@ -539,6 +547,7 @@ def test_a_gain_from_outside_is_kept_and_a_wrong_one_is_silence():
 # --------------------------------------------------------------------------------------- live
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=20)
 @given(
     st.lists(st.integers(0, 4_000), max_size=12),
@@ -568,6 +577,7 @@ def test_channels_are_held_by_their_own_gains():
     assert protector.status().least_gain < 1.0
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=40)
 @given(st.lists(st.floats(width=32), max_size=300), st.sampled_from([LOUD, LOUDER]))
 def test_what_leaves_is_finite_and_within_full_scale_whatever_comes(samples, rig):

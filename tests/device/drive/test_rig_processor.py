@@ -89,6 +89,7 @@ def test_after_reset_it_is_as_new():
     assert (processor.protection(), processor.exposure()) == counts
 
 
+@pytest.mark.exhaustive
 def test_a_cap_turns_down_what_would_exceed_the_days_dose_and_brings_protection_along():
     # A small shaker that hits hard: VDV passes its action value, 9.1, within seconds, not hours.
     hard = replace(

@@ -54,6 +54,7 @@ def recordings(bench, sweep):
 
 
 # 23 and 65 stand on seats without which their response is not explained.
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "seed",
     [
@@ -90,6 +91,7 @@ def test_noise_alone_is_covered_by_intervals_without_a_share_for_the_level():
     assert sum(held) >= 34
 
 
+@pytest.mark.exhaustive
 def test_louder_sweeps_shift_f0_and_the_interval_reaches_back_to_it():
     true = truth(PAPER, False)
     bench = SimulatedLaboratory(PAPER, snr_db=40.0)
@@ -139,6 +141,7 @@ def test_acceleration_alone_gives_the_mechanics_of_a_rig_whose_coil_is_known(rec
         solve_mechanics(mode, strong)
 
 
+@pytest.mark.exhaustive
 def test_what_the_conditioning_amplifier_does_is_taken_out():
     assert PAPER.conditioning
     narrow = replace(PAPER.conditioning, low_cut_hz=10.0, high_cut_hz=1e3)
@@ -184,6 +187,7 @@ def test_what_a_linear_twin_does_is_not_called_distortion():
         assert least <= second.largest_share < most
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("low_hz", [60.0, 150.0, 199.0])
 def test_a_narrow_band_has_room_for_fewer_orders(low_hz):
     sweep = Sweep(low_hz=low_hz, high_hz=400.0, duration_s=20.0, level=0.01)
@@ -277,6 +281,7 @@ def test_the_wrong_channel_is_refused_be_it_other_sound_or_the_drive_itself(reco
     assert "is the voltage itself, times 3" in refused(loop)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("low_hz", "high_hz"), [(150.0, 600.0), (10.0, 60.0)])
 def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_hz):
     bench = SimulatedLaboratory(PAPER, snr_db=20.0)
@@ -285,6 +290,7 @@ def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_h
     assert any(words in message for words in ("outside the band", "not identified"))
 
 
+@pytest.mark.exhaustive
 def test_a_response_of_several_resonances_is_refused(recordings):
     f = recordings[0].frequencies_hz
     comb = recordings[0].reference_spectrum * sum(
@@ -312,6 +318,7 @@ def test_an_interval_that_is_too_wide_gives_no_number():
     assert "is allowed; raise the level" in message
 
 
+@pytest.mark.exhaustive
 def test_bl_and_mass_are_not_given_on_a_seat_or_for_voltage(recordings):
     impedance = identify_impedance(recordings[2])
     with pytest.raises(IdentificationError, match="must be 'current'"):

@@ -75,6 +75,7 @@ def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(ri
     assert sources["actuator.resonance_hz"].kind == "identified"
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("drift_ppm", [-120.0, pytest.param(120.0, marks=EXHAUSTIVE)])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_acceleration_for_what_was_played_needs_neither_one_clock_nor_a_polarity(drift_ppm, sign):
@@ -88,6 +89,7 @@ def test_acceleration_for_what_was_played_needs_neither_one_clock_nor_a_polarity
     assert found.level_of_x_max < 0.15
 
 
+@pytest.mark.exhaustive
 def test_a_loop_back_is_the_reference_and_gives_the_same():
     inputs = Inputs.parse("loopback,acceleration")
     found = calibrated(SimulatedDevices(PAPER, inputs, gains=WEAK, noise=1e-6))
@@ -98,6 +100,7 @@ def test_a_loop_back_is_the_reference_and_gives_the_same():
     assert not laboratory.measure(SWEEP, inputs.pairs)[0].delayed
 
 
+@pytest.mark.exhaustive
 def test_without_a_sensitivity_f0_and_q_are_found_and_no_level_is_said():
     found, true = calibrated(SimulatedDevices(PAPER, UNKNOWN, gains=WEAK)), truth(PAPER, False)
     assert found.driven.f0_hz.value == pytest.approx(true.f0_hz, rel=0.005)
@@ -105,6 +108,7 @@ def test_without_a_sensitivity_f0_and_q_are_found_and_no_level_is_said():
     assert found.level_of_x_max is None
 
 
+@pytest.mark.exhaustive
 def test_what_follows_from_an_assumed_coil_is_called_assumed_and_gives_the_measured_mode():
     # the file's coil is wrong, and whoever reads it learns that it was assumed
     wrong = replace(PAPER, actuator=replace(PAPER.actuator, force_factor_n_per_a=8.5))
@@ -119,6 +123,7 @@ def test_what_follows_from_an_assumed_coil_is_called_assumed_and_gives_the_measu
     assert mode.q == pytest.approx(found.driven.q.value, rel=1e-2)
 
 
+@pytest.mark.exhaustive
 def test_a_known_coil_makes_the_mechanics_of_the_acceleration_identified():
     found = calibrated(SimulatedDevices(PAPER, ALONE), KNOWN)
     assert not found.matched
@@ -126,6 +131,7 @@ def test_a_known_coil_makes_the_mechanics_of_the_acceleration_identified():
     assert found.values["actuator.q_mechanical"].value == pytest.approx(8.0, rel=0.05)
 
 
+@pytest.mark.exhaustive
 def test_a_coil_that_cannot_be_so_gives_the_mode_and_no_file():
     strong = replace(KNOWN, actuator=replace(KNOWN.actuator, force_factor_n_per_a=20.0))
     found = calibrated(SimulatedDevices(PAPER, ALONE), strong)
@@ -134,6 +140,7 @@ def test_a_coil_that_cannot_be_so_gives_the_mode_and_no_file():
     assert found.driven.q.value == pytest.approx(truth(PAPER, False).q, rel=0.05)
 
 
+@pytest.mark.exhaustive
 def test_voltage_and_current_alone_give_the_impedance_and_with_a_weighed_mass_bl():
     # the shunt is connected the other way round: a coil takes power, so that is seen
     devices = SimulatedDevices(PAPER, ELECTRICAL, gains={"current": -1.0})
@@ -147,6 +154,7 @@ def test_voltage_and_current_alone_give_the_impedance_and_with_a_weighed_mass_bl
     assert found.values["actuator.force_factor_n_per_a"].value == pytest.approx(10.0, rel=0.02)
 
 
+@pytest.mark.exhaustive
 def test_distortion_and_coherence_are_said_of_every_recording():
     bent = {"change": lambda name, samples, first: samples + 0.01 * samples**2}
     clean, dirty = (
@@ -163,6 +171,7 @@ def test_distortion_and_coherence_are_said_of_every_recording():
 # ------------------------------------------------------------------------ what ends it in silence
 
 
+@pytest.mark.exhaustive
 def test_levels_rise_to_the_wanted_one():
     devices = SimulatedDevices(PAPER, ALL)
     calibrated(devices, sweep=SWEEP)
@@ -222,6 +231,7 @@ def test_what_begins_to_play_during_the_sweep_ends_it():
     assert devices.runs == 1
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "frames", [256, pytest.param(64, marks=EXHAUSTIVE), pytest.param(4800, marks=EXHAUSTIVE)]
 )
@@ -232,6 +242,7 @@ def test_a_dropout_is_refused_and_nothing_louder_is_played(frames):
     assert devices.levels == pytest.approx([STEPS[0] * SWEEP.level] * MOST_TRIES, rel=0.01)
 
 
+@pytest.mark.exhaustive
 def test_a_sweep_that_lost_frames_once_is_repeated_at_the_same_level():
     devices = SimulatedDevices(PAPER, ALONE, lost={int(2.0 * RATE): 256})
     found = calibrated(devices)
@@ -281,6 +292,7 @@ def test_the_drive_itself_is_no_acceleration():
     assert "is the drive itself" in refused(swapped)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     ("wired", "named"),
     [("current,voltage", "voltage,current"), ("voltage,current,-", "acceleration,-,-")],
@@ -292,6 +304,7 @@ def test_channels_that_are_swapped_give_no_number_and_are_a_thing_to_check(wired
         calibrate(laboratory, PAPER, SWEEP, pairs=inputs.pairs)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(("low_hz", "high_hz"), [(120.0, 500.0), (10.0, 60.0)])
 def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_hz):
     sweep = replace(SWEEP, low_hz=low_hz, high_hz=high_hz)
@@ -309,6 +322,7 @@ def test_a_rig_that_would_move_too_far_is_never_driven_so_far():
 # ------------------------------------------------------------------------------------- the parts
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "drift_ppm",
     [-180.0, 0.0, pytest.param(-3.0, marks=EXHAUSTIVE), pytest.param(150.0, marks=EXHAUSTIVE)],

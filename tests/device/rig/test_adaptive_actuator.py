@@ -100,6 +100,7 @@ def test_the_non_linear_model_solves_the_equations(level_v):
     assert errors(linear, expected)[0] > 0.02
 
 
+@pytest.mark.exhaustive
 def test_at_48_khz_the_non_linear_model_keeps_a_ten_thousandth_below_the_stops():
     volts = tones(7.0, times_of(FS, 0.04))
     got = columns(AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR).move(volts))
@@ -110,6 +111,7 @@ def test_at_48_khz_the_non_linear_model_keeps_a_ten_thousandth_below_the_stops()
     assert errors(got, expected).max() < 1e-4
 
 
+@pytest.mark.exhaustive
 def test_on_the_seat_the_models_solve_the_equations_of_both_masses():
     expected = reference(5.0, 192_000, seat=True)
     volts = tones(5.0, times_of(192_000, 0.04))
@@ -263,6 +265,7 @@ def hard_drive(frames):
     return volts
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "samplerate",
     [
@@ -286,6 +289,7 @@ def test_full_scale_steps_noise_and_nan_never_give_anything_but_finite_motion(
     assert np.abs(motion[0]).max() < 3 * LARGE.stop_m
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "samplerate",
     [1_000, pytest.param(48_000, marks=EXHAUSTIVE), pytest.param(192_000, marks=EXHAUSTIVE)],
@@ -300,6 +304,7 @@ def test_every_other_model_asked_for_stays_finite_there_too(case, samplerate, le
     assert np.isfinite(columns(adaptive.move(np.zeros(frames), (*QUANTITIES, SEAT)))).all()
 
 
+@pytest.mark.exhaustive
 def test_the_end_stops_are_reached_and_hold_at_every_rate():
     reached = []
     for samplerate in (1_000, 6_000, 48_000, 192_000):

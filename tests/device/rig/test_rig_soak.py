@@ -18,6 +18,7 @@ from tools.bench.workbench import QUICK, SUBJECTS, Workbench
 SAMPLES = {ModelLevel.LINEAR: 2_000_000, ModelLevel.NONLINEAR: 1_000_000, ModelLevel.STEPPED: 8_000}
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("level", SAMPLES)
 def test_the_largest_energy_of_a_steady_drive_stays_and_falls_when_it_stops(level):
     record = soak_energy(level, SAMPLES[level])
@@ -72,6 +73,7 @@ def test_energy_that_rises_after_the_drive_is_found_out_while_there_is_any():
     assert rig_soak._largest_rise(dead, ModelLevel.LINEAR) == 0.0
 
 
+@pytest.mark.exhaustive
 def test_a_soak_of_the_identification_says_how_many_rigs_and_how_far_off():
     record = soak_identification(0.05, 2)
     assert record.rigs == 2

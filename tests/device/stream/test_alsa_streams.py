@@ -50,6 +50,7 @@ class Player:
         self.sent.append(frames)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("channels", [1, 2, 8])
 @pytest.mark.parametrize("sample_format", FORMATS)
 def test_every_byte_arrives_as_it_was_encoded(

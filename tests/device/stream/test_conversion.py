@@ -61,6 +61,7 @@ def test_cards_and_the_mixers_sinks_get_the_same_bytes(sample_format, frames) ->
     )
 
 
+@pytest.mark.sweep
 @integers
 @given(frames=blocks)
 def test_what_was_encoded_is_what_the_bytes_stand_for_and_gives_them_again(

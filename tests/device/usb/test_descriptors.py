@@ -382,6 +382,7 @@ def test_a_device_is_read_in_less_than_a_millisecond(shape):
     assert best_of(50, SHAPES[shape]) < 1e-3
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize(
     "part",
     [

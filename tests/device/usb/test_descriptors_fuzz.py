@@ -179,6 +179,7 @@ WORST = {
 }
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("worst", WORST)
 def test_the_worst_that_64_kilobytes_can_hold_takes_a_moment(worst):
     before_s = time.thread_time()

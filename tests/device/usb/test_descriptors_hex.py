@@ -116,6 +116,7 @@ def test_no_text_gives_anything_but_bytes_or_an_error_of_ours(text):
     assert said_of(text)[:8] in ("", "hex dump")
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("part", ["z", "/*", "0", "# ", "*/", "0x", "a:", " ", "\\x"])
 def test_a_line_of_a_million_signs_takes_no_longer_than_a_line(part):
     assert len(said_of(part * (1_000_000 // len(part)))) < 300

@@ -86,6 +86,7 @@ def cushion(scene: list[dict[str, Any]], *arguments: str, log: Path | None = Non
 versions = pytest.mark.parametrize("uac", [1, 2])
 
 
+@pytest.mark.sweep
 @versions
 def test_devices_lists_it_with_name_card_and_formats(uac: int) -> None:
     done = cushion([plugged(uac)], "devices", "--json")
@@ -148,6 +149,7 @@ def test_while_its_driver_holds_it_nothing_is_asked_of_its_controls(
     assert not [request for request in asked if request[0] & 0x60]
 
 
+@pytest.mark.sweep
 @versions
 @pytest.mark.parametrize("bound", [True, False])
 def test_volumes_are_told_without_a_driver_or_when_taken_over(uac: int, bound: bool) -> None:
@@ -203,6 +205,7 @@ print(attached)
 """
 
 
+@pytest.mark.sweep
 @versions
 @pytest.mark.parametrize("ends", ["well", "killed"])
 def test_what_was_taken_is_given_back_also_by_one_who_is_killed(
@@ -229,6 +232,7 @@ def can_do_without_privileges() -> bool:
         return False
 
 
+@pytest.mark.sweep
 @versions
 def test_without_permission_all_that_the_kernel_tells_is_shown_and_the_way_out(uac: int) -> None:
     without = () if os.geteuid() else NO_SUPERUSER
@@ -296,6 +300,7 @@ def test_a_card_s_own_mixer_is_read_and_set_and_never_above_0_db() -> None:
     assert rest == [0.0, -20.0, [True], 0.0, "volume nan dB is not a number; choose one up to 0"]
 
 
+@pytest.mark.sweep
 @versions
 def test_while_its_driver_holds_it_volume_and_mute_are_told_by_the_card_s_mixer(uac: int) -> None:
     name = f"usb:1209:dac{uac}"
