@@ -6,15 +6,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from audioflinger_hook.effect.control import error_text
 from audioflinger_hook.effect.dump import asked_lines, chain_lines
-from audioflinger_hook.effect.guard import said, same_layout
 from audioflinger_hook.effect.interface import (
     EffectConfig,
     EffectDescriptor,
     EffectEngine,
     EffectFlag,
 )
-from audioflinger_hook.effect.module import EffectModule
+from audioflinger_hook.effect.module import EffectModule, same_layout
 from audioflinger_hook.effect.registry import descriptor_problem
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from audioflinger_hook.mixer.sessions import DEVICE, OUTPUT_STAGE
@@ -67,7 +67,7 @@ class EffectChains:
         try:
             descriptor: object = engine.descriptor
         except Exception as error:
-            raise UsageError(f"an effect has no descriptor: {said(error)}") from error
+            raise UsageError(f"an effect has no descriptor: {error_text(error)}") from error
         problem = descriptor_problem(descriptor)
         if problem or not isinstance(descriptor, EffectDescriptor):
             raise UsageError(problem)
@@ -145,7 +145,7 @@ class EffectChains:
         self._read_s = now_s
         for session in self._sessions:
             for module in self._chains[session]:
-                if not module.guard.fault:
+                if not module.fault:
                     module.readings = asked_lines(module)
 
     def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
@@ -154,7 +154,7 @@ class EffectChains:
         budget_s = self._budget_s()
         for session in self._sessions:
             for module in self._chains[session]:
-                module.guard.budget_s = budget_s
+                module.budget_s = budget_s
                 module.set_config(self._config)
 
     def dump(self) -> list[str]:

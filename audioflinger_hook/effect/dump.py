@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from audioflinger_hook.effect.control import config_text
 from audioflinger_hook.effect.interface import OK, Command, EffectFlag
-from audioflinger_hook.effect.module import EffectModule, stream_text
+from audioflinger_hook.effect.module import EffectModule
 
 KIND_NAMES = {
     EffectFlag.INSERT: "insert",
@@ -32,7 +33,7 @@ def chain_lines(session: int, modules: Sequence[EffectModule]) -> list[str]:
 
 def effect_lines(place: int, module: EffectModule) -> list[str]:
     """Return one effect's lines; place: in its chain, from 0."""
-    descriptor, guard = module.descriptor, module.guard
+    descriptor = module.descriptor
     lines = [
         f"Effect {place}: {descriptor.name}",
         "  Session State    Enabled Bypassed",
@@ -45,15 +46,15 @@ def effect_lines(place: int, module: EffectModule) -> list[str]:
         f"  - flags: {int(descriptor.flags):08X} ({flags_text(descriptor.flags)})",
         f"  - implementor: {descriptor.implementor}",
         f"  - load: {descriptor.cpu_load / 10:g} MIPS, {descriptor.memory_kb} KB",
-        f"  Configuration: {stream_text(module.config) if module.config else 'none yet'}",
-        f"  Buffers: {guard.buffers}, longest {guard.worst_s * 1e3:.2f} ms "
-        f"of {guard.budget_s * 1e3:g} ms; overruns {guard.overruns}, faults {guard.faults}, "
+        f"  Configuration: {config_text(module.config) if module.config else 'none yet'}",
+        f"  Buffers: {module.buffers}, longest {module.worst_s * 1e3:.2f} ms "
+        f"of {module.budget_s * 1e3:g} ms; overruns {module.overruns}, faults {module.faults}, "
         f"refusals {module.refusals}, misfits {module.misfits}",
     ]
     if module.bypassed:
         lines.append(f"  Bypassed: {module.bypassed}")
-    elif guard.complaint:
-        lines.append(f"  Last complaint: {guard.complaint}")
+    elif module.complaint:
+        lines.append(f"  Last complaint: {module.complaint}")
     lines += [f"  {line}" for line in module.readings]
     return lines
 

@@ -1,13 +1,22 @@
-"""Parameters of the haptic effect: those that can be set, and those that can only be read."""
+"""What the haptic effect declares: its descriptor, and its parameters with their meaning."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, fields
-from typing import Any
+from typing import Any, cast
+from uuid import UUID
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.effect.interface import (
+    Command,
+    EffectConfig,
+    EffectDescriptor,
+    EffectFlag,
+    VendorCommand,
+)
 from audioflinger_hook.effect.parameters import Parameter, Value, Values
-from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.mixer.layouts import source_weights
+from audioflinger_hook.transform import Form, HapticTransform, TransformParameters
 from device.drive import SOURCES
 from device.errors import UsageError
 from device.units import db_to_amplitude
@@ -109,3 +118,43 @@ def from_settings(settings: Settings) -> dict[str, Value]:
         "sources": ",".join(settings.sources),
         "gain_db": settings.gain_db,
     }
+
+
+def transform_for(config: EffectConfig, values: Values) -> HapticTransform | None:
+    """Return a transform for a stream, about 6 ms of work, or None where none can be."""
+    chosen = sources(values)
+    # A transform without weights makes the mix alone.
+    mixed = chosen not in ((), ("mix",))
+    try:
+        return HapticTransform(
+            config.samplerate,
+            config.channels,
+            transform_parameters(values),
+            form=cast(Form, values["form"]),
+            per_channel=values["per_channel"] is True,
+            weights=source_weights(config.channels, chosen) if mixed else None,
+            # The haptic channels are float32; only a level would be multiplied before.
+            single=amplitude(values) == 1.0,
+        )
+    except (UsageError, ValueError):
+        # ValueError: a band that a low sample rate cannot hold has no filter.
+        return None
+
+
+DRAIN = Command.FIRST_PROPRIETARY + 1
+"""Vendor command: replies with the rest of the vibration after the end of the sound,
+(latency_frames, haptic channels) float32, and resets. The reply is silence while disabled."""
+
+HAPTIC_CUSHION = EffectDescriptor(
+    type_uuid=UUID("ba39e606-2bd4-4eb4-9ed7-0e63c0415600"),
+    uuid=UUID("e6e06d15-d79b-427b-8572-ef1ff53c4fb1"),
+    name="Haptic Cushion",
+    implementor="Haptic Cushion",
+    # Last: it must read the sound after every effect that changes it.
+    flags=EffectFlag.INSERT | EffectFlag.INSERT_LAST,
+    cpu_load=1_000,
+    memory_kb=256,
+    parameters=HAPTIC_PARAMETERS,
+    vendor_commands=(VendorCommand(DRAIN, "DRAIN"),),
+)
+"""A separate type UUID, since Android's HapticGenerator serves players only."""

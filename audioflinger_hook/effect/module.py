@@ -1,65 +1,40 @@
-"""One effect in a chain: its lifecycle, as AudioFlinger's EffectModule keeps it."""
+"""One effect in a chain: gives each buffer to its engine so that the sound cannot be harmed."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
-from enum import Enum, auto
 
 import numpy as np
+from numpy.typing import NDArray
 
-from audioflinger_hook.effect.commands import CommandCheck, is_config
-from audioflinger_hook.effect.guard import GuardedEngine, same_layout
-from audioflinger_hook.effect.interface import (
-    EINVAL,
-    ENODATA,
-    OK,
-    Access,
-    Command,
-    EffectConfig,
-    EffectEngine,
+from audioflinger_hook.effect.control import (
+    EffectControl,
+    EffectState,
+    error_text,
+    is_status,
 )
-from audioflinger_hook.effect.parameters import Values
+from audioflinger_hook.effect.interface import ENODATA, OK, Access, EffectConfig, EffectEngine
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from device.blocks import peak
 
-TAIL_MAX_S = 10.0
-"""Seconds of sound for which a stopped effect may continue its tail."""
+LATE_IN_A_ROW = 3
+"""Consecutive buffers over the time allowed, after which an engine counts as too slow."""
 
-
-class EffectState(Enum):
-    """Where an effect stands. ENABLE is sent on leaving STARTING, DISABLE on leaving STOPPING."""
-
-    IDLE = auto()
-    STARTING = auto()
-    ACTIVE = auto()
-    STOPPING = auto()
-    STOPPED = auto()
-    RESTART = auto()
-    DESTROYED = auto()
-
-
-ENABLED = (EffectState.STARTING, EffectState.ACTIVE, EffectState.RESTART)
 PROCESSING = (
     EffectState.ACTIVE,
     EffectState.STOPPING,
     EffectState.STOPPED,
     EffectState.RESTART,
 )
-FRAMEWORK_ONLY = frozenset({Command.INIT, Command.SET_CONFIG})
-"""Commands that only the framework itself sends."""
 
 
-class EffectModule:
-    """The framework's side of one engine; its client holds it.
+class EffectModule(EffectControl):
+    """The framework's side of one engine; its client holds it. See `EffectControl`.
 
-    `enable` and `disable` only set the state. `update_state` sends it to the engine at the end of
-    the next cycle, so it takes effect with the buffer after that cycle. An engine that refuses its
-    configuration, raises, answers nonsense or overruns its time is bypassed and counted, and the
-    sound passes unchanged. An accepted configuration ends a refusal. Enabling the effect again
-    ends a fault, after a new INIT and SET_CONFIG.
-
-    All calls come from the thread that steps the mixer, between buffers except `process`; none
-    raises. Any thread may read the attributes.
+    An engine never touches the mixer's buffers. It works on copies, which are taken only if they
+    are valid. One that raises, answers nonsense, spoils arrays or overruns its time is bypassed
+    and counted, and the sound passes unchanged.
 
     Parameters
     ----------
@@ -72,17 +47,16 @@ class EffectModule:
     clock : callable
         Seconds.
     budget_s : float
-        Seconds that one buffer may take; inf for offline work.
+        Seconds that a whole buffer may take, a shorter one its share; inf for offline work.
 
     Attributes
     ----------
-    readings : tuple of str
-        The effect's own state when it was last asked, as lines.
-
-    Raises
-    ------
-    Exception
-        The engine raises when asked for its descriptor.
+    misfits : int
+        Buffers of another layout than the configuration's, which passed unchanged.
+    buffers, overruns : int
+        Buffers so far, and those that took longer than allowed.
+    worst_s : float
+        Longest time that a buffer took.
     """
 
     def __init__(
@@ -94,110 +68,13 @@ class EffectModule:
         clock: Callable[[], float],
         budget_s: float,
     ) -> None:
-        self.descriptor = engine.descriptor
-        self.session = session
-        self.access = access
-        self.state = EffectState.IDLE
-        self.refusal = ""
-        self.refusals = 0
-        self.misfits = 0
-        self.readings: tuple[str, ...] = ()
-        self.config: EffectConfig | None = None
-        self.guard = GuardedEngine(engine, clock, budget_s)
-        self._check = CommandCheck(self.descriptor)
-        self._initialised = False
-        self._accepted = False
-        self._running = False
-        self._tail_buffers = 0
-        self._initialise()
-
-    @property
-    def enabled(self) -> bool:
-        """Whether its client wants it to run."""
-        return self.state in ENABLED
-
-    @property
-    def bypassed(self) -> str:
-        """Why it is bypassed although it may be enabled; "" while it is not."""
-        return self.guard.fault or self.refusal
-
-    def enable(self) -> int:
-        """Start it with the buffer after the next. Returns OK, or EINVAL if destroyed."""
-        match self.state:
-            case EffectState.DESTROYED:
-                return EINVAL
-            case _ if self.guard.fault:
-                self.state = EffectState.STARTING
-            case EffectState.IDLE:
-                self.state = EffectState.STARTING
-            case EffectState.STOPPED:
-                self.state = EffectState.RESTART
-            case EffectState.STOPPING:
-                self.state = EffectState.ACTIVE
-        return OK
-
-    def disable(self) -> int:
-        """Stop it after its tail. Returns OK, or EINVAL if destroyed."""
-        match self.state:
-            case EffectState.DESTROYED:
-                return EINVAL
-            case EffectState.STARTING:
-                self.state = EffectState.IDLE
-            case EffectState.RESTART:
-                self.state = EffectState.STOPPED
-            case EffectState.ACTIVE:
-                self.state = EffectState.STOPPING
-        return OK
-
-    def set_config(self, config: EffectConfig) -> int:
-        """Send it the format of the stream, if that is new, and return its status.
-
-        `access` stays unchanged. A refusal bypasses it until one is accepted.
-        """
-        if self.state is EffectState.DESTROYED or not is_config(config):
-            return EINVAL
-        config = replace(config, access=self.access)
-        if config == self.config and self._accepted:
-            return OK
-        self.config = config
-        self.guard.prepare(config)
-        return self._configure()
-
-    def command(self, code: int, data: object = None) -> tuple[int, object]:
-        """Return status and reply of a client's command.
-
-        Wrong codes, types, sizes, names and ranges are EINVAL and never reach the engine.
-        """
-        status = self._check.status(code, data)
-        if status != OK:
-            return status, None
-        if self.state is EffectState.DESTROYED or code in FRAMEWORK_ONLY:
-            return EINVAL, None
-        if code == Command.ENABLE:
-            return self.enable(), None
-        if code == Command.DISABLE:
-            return self.disable(), None
-        if code == Command.RESET and not self._accepted:
-            return EINVAL, None
-        status, reply = self.guard.command(code, data)
-        if code == Command.GET_PARAM and status == OK:
-            parameter = self._check.parameter(data)
-            if parameter is None or not parameter.accepts(reply):
-                self.guard.blame(f"answered GET_PARAM {data} with nonsense", bypass=False)
-                return EINVAL, None
-        return status, reply
-
-    def set_parameters(self, values: Values) -> int:
-        """Set several parameters at once, or none. Returns OK or why not."""
-        for name, value in values.items():
-            status = self._check.status(Command.SET_PARAM, (name, value))
-            if status != OK:
-                return status
-        for name, value in values.items():
-            status, _ = self.command(Command.SET_PARAM_DEFERRED, (name, value))
-            if status != OK:
-                return status
-        return self.command(Command.SET_PARAM_COMMIT)[0]
+        self.budget_s = budget_s
+        self.misfits = self.buffers = self.overruns = 0
+        self.worst_s = 0.0
+        self._clock = clock
+        self._late = 0
+        self._lent = self._mixed = Loan(0)
+        super().__init__(engine, session, access)
 
     def process(self, source: MixBuffer, target: MixBuffer) -> None:
         """Treat one buffer: in place where both are the same, else `target` is added to.
@@ -210,7 +87,7 @@ class EffectModule:
             self.misfits += 1
             return
         if self.state in PROCESSING and self._ready(source, in_place):
-            status = self.guard.process(source, target)
+            status = self._run(source, target)
             if status == ENODATA and self.state is EffectState.STOPPED:
                 self._tail_buffers = 1
             if status is not None:
@@ -218,31 +95,9 @@ class EffectModule:
         if not in_place:
             np.add(target.samples, source.samples, out=target.samples)
 
-    def update_state(self) -> None:
-        """Send what enable, disable and the end of a tail ask for. Called at a cycle's end."""
-        match self.state:
-            case EffectState.STARTING | EffectState.RESTART:
-                self._start()
-            case EffectState.STOPPING:
-                self._stop()
-            case EffectState.STOPPED:
-                self._tail_buffers -= 1
-                if self.guard.fault:
-                    self.state = EffectState.IDLE
-                elif self._tail_buffers <= 0:
-                    self.guard.command(Command.RESET)
-                    self.state = EffectState.IDLE
-
-    def release(self) -> None:
-        """Disable a running engine and detach it for good."""
-        if self._running and not self.guard.fault:
-            self.guard.command(Command.DISABLE)
-        self._running = False
-        self.state = EffectState.DESTROYED
-
     def _ready(self, source: MixBuffer, in_place: bool) -> bool:
         """Return whether the engine can be given a buffer: configured, sound, of its size."""
-        if self.config is None or not self._accepted or self.guard.fault:
+        if self.config is None or not self._accepted or self.fault:
             return False
         access = Access.WRITE if in_place else Access.ACCUMULATE
         if access is not self.access:
@@ -260,73 +115,127 @@ class EffectModule:
             return False
         return True
 
-    def _initialise(self) -> None:
-        status, _ = self.guard.command(Command.INIT)
-        self._initialised = status == OK
-        if not self._initialised:
-            self._refused("INIT", status)
+    def _run(self, source: MixBuffer, target: MixBuffer) -> int | None:
+        """Return the engine's OK or ENODATA, or None where `target` is unchanged."""
+        lent = self._lent.of(source)
+        mixed = lent if source is target else self._mixed.of(target)
+        began = self._clock()
+        try:
+            with np.errstate(all="ignore"):
+                status: object = self._engine.process(lent, mixed)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            self._blame(f"raised {error_text(error)} in process")
+            return None
+        self._count_time(self._clock() - began, source.frames)
+        if not is_status(status) or status not in (OK, ENODATA):
+            self._blame("answered process with nonsense")
+            return None
+        if not self._lent.is_back(source) or not (mixed is lent or self._mixed.is_back(target)):
+            self._blame("exchanged or reshaped the arrays that it was lent")
+            return None
+        if _spoiled(mixed, source, target):
+            self._blame("made samples that are not finite")
+            return None
+        np.copyto(target.samples, mixed.samples)
+        return OK if status == OK else ENODATA
 
-    def _configure(self) -> int:
-        self._accepted = False
-        if self.config is None or self.guard.fault:
-            return EINVAL
-        if not self._initialised:
-            self._initialise()
-            if not self._initialised:
-                return EINVAL
-        status, _ = self.guard.command(Command.SET_CONFIG, self.config)
-        if status == OK:
-            self._accepted = True
-            self.refusal = ""
-        else:
-            self._refused(stream_text(self.config), status)
-        return status
-
-    def _start(self) -> None:
-        if self.guard.fault:
-            self.guard.forgive()
-            self._initialised = False
-            self._running = False
-            self._configure()
-        if self.guard.fault:
-            self.state = EffectState.IDLE
+    def _count_time(self, spent_s: float, frames: int) -> None:
+        assert self.config is not None
+        self.buffers += 1
+        self.worst_s = max(self.worst_s, spent_s)
+        if spent_s <= self.budget_s * frames / self.config.frames:
+            self._late = 0
             return
-        if not self._accepted:
-            return  # it starts once it has a format
-        if self.state is EffectState.RESTART:
-            self.guard.command(Command.RESET)
-        status, _ = self.guard.command(Command.ENABLE)
-        if status == OK:
-            self._running = True
-            self.state = EffectState.ACTIVE
-        else:
-            self._refused("ENABLE", status, bypass=False)
-            self.state = EffectState.IDLE
+        self.overruns += 1
+        self._late += 1
+        if self._late == LATE_IN_A_ROW:
+            self._blame(
+                f"took more than the {self.budget_s * 1e3:g} ms allowed for "
+                f"{self.config.frames} frames, {LATE_IN_A_ROW} buffers in a row"
+            )
 
-    def _stop(self) -> None:
-        if self.guard.fault or self.config is None:
-            self.state = EffectState.IDLE
-            return
-        self.guard.command(Command.DISABLE)
-        self._running = False
-        cycle_s = self.config.frames / self.config.samplerate
-        self._tail_buffers = max(1, round(TAIL_MAX_S / cycle_s))
-        self.state = EffectState.STOPPED
+    def _make_room(self, config: EffectConfig) -> None:
+        size = config.frames * (config.channels + config.haptic_channels)
+        self._lent, self._mixed = Loan(size), Loan(size)
 
-    def _refused(self, what: str, status: int, *, bypass: bool = True) -> None:
-        """Count and name a refusal that was not a fault."""
-        if self.guard.fault:
-            return
-        self.refusals += 1
-        reason = f"refused {what} (status {status})"
-        self.guard.complaint = reason
-        if bypass:
-            self.refusal = reason
+    def _forgive(self) -> None:
+        super()._forgive()
+        self._lent.recall()
+        self._mixed.recall()
+        self._late = 0
 
 
-def stream_text(config: EffectConfig) -> str:
-    """Return a configuration in words."""
+class Loan:
+    """A copy of a buffer, lent to an engine, in memory that the next copy uses again.
+
+    samples: of the largest buffer. An engine that keeps its arrays and changes them later harms
+    only its own next copy.
+    """
+
+    def __init__(self, samples: int) -> None:
+        self._storage = np.zeros(samples, np.float32)
+        self._own = self._storage[:0]
+        self._layout: tuple[tuple[int, ...], tuple[int, ...]] | None = None
+        self.recall()
+
+    def of(self, buffer: MixBuffer) -> MixBuffer:
+        """Return a copy of a buffer."""
+        layout = (buffer.audio.shape, buffer.haptic.shape)
+        if layout != self._layout:
+            boundary, size = buffer.audio.size, buffer.samples.size
+            self._own = self._storage[:size]
+            samples = self._storage[:size]
+            audio = samples[:boundary].reshape(layout[0])
+            haptic = samples[boundary:].reshape(layout[1])
+            self._copy = MixBuffer(0, 0)
+            self._copy.samples, self._copy.audio, self._copy.haptic = samples, audio, haptic
+            self._arrays, self._layout = (samples, audio, haptic), layout
+        np.copyto(self._own, buffer.samples)
+        return self._copy
+
+    def is_back(self, original: MixBuffer) -> bool:
+        """Return whether the copy still has its own arrays in the same layout."""
+        lent, (samples, audio, haptic) = self._copy, self._arrays
+        try:
+            same = lent.samples is samples and lent.audio is audio and lent.haptic is haptic
+        except AttributeError:
+            same = False
+        return same and same_layout(lent, original)
+
+    def recall(self) -> None:
+        """Use new arrays for the next copy."""
+        self._copy = MixBuffer(0, 0)
+        self._arrays = (self._copy.samples, self._copy.audio, self._copy.haptic)
+        self._layout = None
+
+
+def same_layout(one: MixBuffer, other: MixBuffer) -> bool:
+    """Return whether two buffers have equal shapes and types."""
     return (
-        f"{config.samplerate} Hz, {config.channels} + {config.haptic_channels} channels, "
-        f"{config.frames} frames, {config.access.name.lower()}"
+        one.samples.shape == other.samples.shape
+        and one.samples.dtype == other.samples.dtype
+        and one.audio.shape == other.audio.shape
+        and one.audio.dtype == other.audio.dtype
+        and one.haptic.shape == other.haptic.shape
+        and one.haptic.dtype == other.haptic.dtype
     )
+
+
+def all_finite(samples: NDArray[np.float32]) -> bool:
+    """Return whether all samples are finite."""
+    return math.isfinite(peak(samples))
+
+
+def _spoiled(made: MixBuffer, source: MixBuffer, target: MixBuffer) -> bool:
+    """Return whether an engine made finite sound or vibration non-finite."""
+    if all_finite(made.samples):
+        return False
+    for after, first, second in (
+        (made.audio, source.audio, target.audio),
+        (made.haptic, source.haptic, target.haptic),
+    ):
+        if not all_finite(after) and all_finite(first) and all_finite(second):
+            return True
+    return False

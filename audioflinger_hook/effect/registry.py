@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from importlib.metadata import Distribution, EntryPoint, distributions
 from uuid import UUID
 
-from audioflinger_hook.effect.guard import said
+from audioflinger_hook.effect.control import error_text
 from audioflinger_hook.effect.haptic import CUSHION
 from audioflinger_hook.effect.interface import (
     Command,
@@ -59,7 +59,8 @@ class EffectRegistry:
                 raise
             except BaseException as error:
                 registry.problems.append(
-                    f"effect library {entry.name!r} of package {owner!r} is left out: {said(error)}"
+                    f"effect library {entry.name!r} of package {owner!r} is left out: "
+                    f"{error_text(error)}"
                 )
         return registry
 
@@ -131,7 +132,7 @@ class EffectRegistry:
             raise
         except BaseException as error:
             raise InternalError(
-                f"effect {descriptor.name!r} cannot be made: {said(error)}; "
+                f"effect {descriptor.name!r} cannot be made: {error_text(error)}; "
                 "remove the package that brings it"
             ) from error
         if made is not descriptor and made != descriptor:
@@ -155,7 +156,8 @@ def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
             owner = distribution.name
         except Exception as error:
             problems.append(
-                f"package at {place(distribution)} cannot be searched for effects: {said(error)}"
+                f"package at {place(distribution)} cannot be searched for effects: "
+                f"{error_text(error)}"
             )
             continue
         if owner not in seen:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from audioflinger_hook.mixer.mixer import Mixer, MixerState
 from audioflinger_hook.mixer.track import Track
-from audioflinger_hook.mixer.volume import decibels, gains_of
+from audioflinger_hook.mixer.track_mixer import decibels, gains_of
 
 _COLUMNS = (
     "Id", "Active", "Name", "Session", "S", "Format", "Chn", "SRate", "L dB", "R dB", "FrmCnt",

@@ -4,12 +4,60 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from typing import TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.layouts import CHANNELS_MAX
 from audioflinger_hook.mixer.pcm import PcmData, PcmFormat, decode_rows, stored_frames
-from audioflinger_hook.mixer.ring import FrameRing
 from audioflinger_hook.mixer.states import PLAYING, Request, TrackState, after
 from device.errors import UsageError
+
+
+class FrameRing:
+    """A bounded ring of float32 frames: one thread writes, another reads, neither waits.
+
+    `written` and `read` count frames since the start. Each is stored by one thread only, after the
+    frames themselves were stored or used. So the other thread never sees a part of a buffer.
+    """
+
+    def __init__(self, capacity_frames: int, channels: int) -> None:
+        self._frames = np.zeros((capacity_frames, channels), np.float32)
+        self.capacity_frames = capacity_frames
+        self.written = 0
+        self.read = 0
+
+    @property
+    def room(self) -> int:
+        """Frames that can be written now. For the writing thread."""
+        return self.capacity_frames - (self.written - self.read)
+
+    def spans_to_write(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The memory of the next `count` <= `room` frames, in order, the second may be empty."""
+        return self._spans(self.written, count)
+
+    def commit(self, count: int) -> None:
+        """Hand `count` frames, now stored, to the reader. Called by the writing thread."""
+        self.written += count
+
+    def spans_to_read(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """The next `count` written frames, in order, the second may be empty."""
+        return self._spans(self.read, count)
+
+    def consume(self, count: int) -> None:
+        """Give the room of `count` frames back to the writer. Called by the reading thread."""
+        self.read += count
+
+    def skip_to(self, position: int) -> None:
+        """Drop what was written before `position`. Called by the reading thread."""
+        self.read = max(self.read, position)
+
+    def _spans(self, position: int, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        first = position % self.capacity_frames
+        wrapped = max(0, first + count - self.capacity_frames)
+        return self._frames[first : first + count - wrapped], self._frames[:wrapped]
+
 
 SAMPLERATE_MIN = 1_000
 SAMPLERATE_MAX = 768_000
@@ -141,11 +189,16 @@ class Track:
         UsageError
             They are of another type or shape; nothing is stored then.
         """
-        rows = stored_frames(samples, self.format, self.channels)
-        taken = min(len(rows), self.ring.room)
-        first, second = self.ring.spans_to_write(taken)
-        decode_rows(rows[: len(first)], self.format, first)
-        if len(second):
+        if self._is_float_block(samples):
+            taken = min(len(samples), self.ring.room)
+            first, second = self.ring.spans_to_write(taken)
+            first[...] = samples[: len(first)]
+            second[...] = samples[len(first) : taken]
+        else:
+            rows = stored_frames(samples, self.format, self.channels)
+            taken = min(len(rows), self.ring.room)
+            first, second = self.ring.spans_to_write(taken)
+            decode_rows(rows[: len(first)], self.format, first)
             decode_rows(rows[len(first) : taken], self.format, second)
         self.ring.commit(taken)
         return taken
@@ -187,6 +240,15 @@ class Track:
                 f"one, or one for each channel of the mix, up to {CHANNELS_MAX}"
             )
         self.volume = gains
+
+    def _is_float_block(self, samples: PcmData) -> TypeGuard[NDArray[np.float32]]:
+        """Return whether samples are stored as they come, as those of a tap are."""
+        return (
+            self.format is PcmFormat.FLOAT
+            and isinstance(samples, np.ndarray)
+            and samples.dtype == np.float32
+            and samples.shape[1:] == (self.channels,)
+        )
 
     def _ask(self, request: Request) -> None:
         self.requests.append((request, self.ring.written))

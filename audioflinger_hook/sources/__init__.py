@@ -14,10 +14,9 @@ from audioflinger_hook.sources.capture import CaptureTap
 from audioflinger_hook.sources.client import Client
 from audioflinger_hook.sources.file import FileTap
 from audioflinger_hook.sources.frames import FramesTap
-from audioflinger_hook.sources.push import PushTap
 from audioflinger_hook.sources.scene import SceneClient, mixdown
 from audioflinger_hook.sources.tap import Tap
-from audioflinger_hook.sources.tap_client import TapClient
+from audioflinger_hook.sources.tap_client import PushTap, TapClient
 
 __all__ = [
     "CaptureTap",

@@ -5,10 +5,10 @@
 
 | module | what it does |
 | --- | --- |
-| `haptic` | `HapticTransform`, which users hold |
+| `haptic` | `HapticTransform`, which users hold; it calls the kernel |
 | `parameters` | what shapes the vibration, and the ranges |
 | `design/` | all numbers and tables of the live form |
-| `kernel`, `native/` | the live form compiled: one call a block |
+| `native/` | the live form compiled: one call a block |
 | `live/` | the live form in NumPy |
 | `reference/` | the paper's equations, literally |
 | `channel_bank` | the NumPy implementations, one for each channel |
@@ -18,8 +18,7 @@ Pure: samples in, samples out; no clock, no I/O, no mixer.
 """
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames, IntArray
-from audioflinger_hook.transform.haptic import Form, HapticTransform, Implementation
-from audioflinger_hook.transform.kernel import kernel_warning
+from audioflinger_hook.transform.haptic import Form, HapticTransform, Implementation, kernel_warning
 from audioflinger_hook.transform.parameters import TransformParameters
 
 __all__ = [

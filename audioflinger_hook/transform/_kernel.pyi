@@ -1,4 +1,4 @@
-"""The compiled part of `kernel.py`, which is the way to use it."""
+"""The compiled part of `haptic.py`, which is the way to use it."""
 
 from typing import Any
 

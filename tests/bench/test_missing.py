@@ -5,7 +5,7 @@ import json
 import fastjsonschema
 import pytest
 
-from audioflinger_hook.transform import kernel
+from audioflinger_hook.transform import haptic as kernel
 from tests.support.bench_runs import a_bench, bench_command
 from tests.support.commands import noise, sound
 from tests.support.recordings import require_recordings

@@ -17,7 +17,7 @@ from audioflinger_hook.daemon.capture_settings import facts_of, settings_from
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.inputs.applications import ApplicationsFeed
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.effect.haptic import HAPTIC_CUSHION
+from audioflinger_hook.effect.haptic_parameters import HAPTIC_CUSHION
 from audioflinger_hook.transform import TransformParameters
 from device.errors import UsageError, WriteError
 from device.units import Float32Array

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.effect.commands import CommandCheck
-from audioflinger_hook.effect.haptic import DRAIN, HAPTIC_CUSHION
-from audioflinger_hook.effect.haptic_parameters import HAPTIC_PARAMETERS
+from audioflinger_hook.effect.haptic_parameters import DRAIN, HAPTIC_CUSHION, HAPTIC_PARAMETERS
 from audioflinger_hook.effect.interface import (
     EINVAL,
     ENOSYS,
@@ -158,7 +157,7 @@ def test_a_reply_of_the_wrong_type_to_get_param_is_named_and_not_handed_on(reply
     probe, module = probe_and_module()
     probe.replies[Command.GET_PARAM] = (OK, reply)
     assert module.command(Command.GET_PARAM, "level") == (EINVAL, None)
-    assert module.guard.complaint == "answered GET_PARAM level with nonsense"
+    assert module.complaint == "answered GET_PARAM level with nonsense"
     assert module.bypassed == ""
 
 
@@ -194,7 +193,7 @@ def test_no_command_raises_and_only_right_ones_reach_the_engine(code, data):
         assert seen == []
     else:
         assert len(seen) <= 1
-    assert module.guard.faults == 0 or code == Command.GET_PARAM
+    assert module.faults == 0 or code == Command.GET_PARAM
 
 
 @given(st.sampled_from([knob.name for knob in (*KNOBS, *HAPTIC_PARAMETERS)]), anything)

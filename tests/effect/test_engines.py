@@ -247,4 +247,4 @@ def test_a_delay_that_refuses_a_stream_is_passed_by_until_one_is_accepted():
     buffer = noise(channels=1)
     for _ in range(4):
         chains.process(0, buffer, 0.0)
-    assert delay.guard.buffers == 4
+    assert delay.buffers == 4

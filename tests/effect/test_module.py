@@ -184,7 +184,7 @@ def test_an_engine_that_refuses_to_start_is_named_and_stays_idle():
     module.enable()
     cycle(module)
     assert module.state.name == "IDLE"
-    assert module.guard.complaint == "refused ENABLE (status -22)"
+    assert module.complaint == "refused ENABLE (status -22)"
     assert module.refusals == 1
 
 
@@ -278,7 +278,7 @@ def test_an_engine_that_misbehaves_is_bypassed_counted_and_named(misbehave, reas
         assert now is then
     assert buffer.audio.shape == (960, 2)
     assert buffer.samples.tobytes() == before.tobytes()
-    assert rogue.guard.faults == 1
+    assert rogue.faults == 1
     assert chains.bypassed() == [f"session 0, Rogue: {reason}"]
     assert probe.take().count("process") == 1
     assert after.take().count("process") == 3
@@ -291,7 +291,7 @@ def test_a_misbehaving_engine_does_not_change_what_it_would_have_been_added_to()
     own, mix = noise(seed=1), noise(seed=2)
     expected = own.samples + mix.samples
     chains.process(4, own, 0.0, mix)
-    assert module.guard.faults == 1
+    assert module.faults == 1
     np.testing.assert_array_equal(mix.samples, expected)
     np.testing.assert_array_equal(own.samples, noise(seed=1).samples)
 
@@ -377,7 +377,7 @@ def test_not_finite_samples_that_came_with_the_sound_are_not_blamed_on_an_effect
     buffer.audio[3, 1] = np.nan
     before = buffer.samples.copy()
     chains.process(0, buffer, 0.0)
-    assert (module.guard.faults, buffer.samples.tobytes()) == (0, before.tobytes())
+    assert (module.faults, buffer.samples.tobytes()) == (0, before.tobytes())
 
     def spoil_vibration(source, target):
         target.haptic[0] = np.inf
@@ -385,7 +385,7 @@ def test_not_finite_samples_that_came_with_the_sound_are_not_blamed_on_an_effect
 
     probe.act = spoil_vibration
     chains.process(0, buffer, 0.0)
-    assert module.guard.fault == "made samples that are not finite"
+    assert module.fault == "made samples that are not finite"
     assert buffer.samples.tobytes() == before.tobytes()
 
 
@@ -400,7 +400,7 @@ def test_nonsense_as_the_answer_to_a_command_is_a_fault(code, answer):
     cycle(module)
     module.disable()
     cycle(module)
-    assert module.guard.fault == f"answered {code.name} with nonsense"
+    assert module.fault == f"answered {code.name} with nonsense"
     probe.take()
     cycle(module)
     assert probe.take() == []
@@ -415,8 +415,8 @@ def test_an_engine_that_raises_when_asked_something_is_named_but_goes_on():
 
     probe.replies[Command.DUMP] = fail
     assert module.command(Command.DUMP) == (EINVAL, None)
-    assert (module.guard.faults, module.bypassed) == (1, "")
-    assert module.guard.complaint == "raised OSError: cannot in DUMP"
+    assert (module.faults, module.bypassed) == (1, "")
+    assert module.complaint == "raised OSError: cannot in DUMP"
     probe.take()
     chains.process(0, noise(), 0.0)
     assert probe.take() == ["process"]
@@ -452,17 +452,17 @@ def test_three_overruns_in_a_row_bypass_and_two_do_not():
         loudness.append(np.abs(buffer.audio).max() / np.abs(noise().audio).max())
     # What came late came whole, and is used; the seventh buffer passes as it is.
     assert loudness == [0.5] * 6 + [1.0]
-    assert (module.guard.overruns, module.guard.faults) == (5, 1)
-    assert module.guard.worst_s == pytest.approx(0.011)
+    assert (module.overruns, module.faults) == (5, 1)
+    assert module.worst_s == pytest.approx(0.011)
     assert module.bypassed == "took more than the 10 ms allowed for 960 frames, 3 buffers in a row"
 
 
 def test_the_time_allowed_follows_the_buffers_length_and_may_be_without_end():
     clock, probe = FakeClock(), Probe()
     chains, module = running(probe, clock=clock, budget_share=0.25)
-    assert module.guard.budget_s == pytest.approx(0.005)
+    assert module.budget_s == pytest.approx(0.005)
     chains.set_format(96_000, 2, 1, 960)
-    assert module.guard.budget_s == pytest.approx(0.0025)
+    assert module.budget_s == pytest.approx(0.0025)
 
     slow = Probe()
     chains, module = running(slow, clock=clock, budget_share=float("inf"))
@@ -474,7 +474,7 @@ def test_the_time_allowed_follows_the_buffers_length_and_may_be_without_end():
     slow.act = act
     for _ in range(5):
         chains.process(0, noise(), 0.0)
-    assert (module.guard.overruns, module.bypassed) == (0, "")
+    assert (module.overruns, module.bypassed) == (0, "")
 
 
 def test_a_bypassed_effect_is_initialised_anew_when_it_is_enabled_again():
@@ -492,7 +492,7 @@ def test_a_bypassed_effect_is_initialised_anew_when_it_is_enabled_again():
     chains.end_of_cycle(0.0)
     chains.process(0, noise(), 0.0)
     assert probe.take() == ["INIT", "SET_CONFIG", "ENABLE", "process"]
-    assert (module.bypassed, module.guard.faults) == ("", 1)
+    assert (module.bypassed, module.faults) == ("", 1)
 
 
 def test_a_bypassed_effect_that_is_disabled_goes_idle_without_hearing_of_it():
@@ -540,5 +540,5 @@ def test_a_shorter_buffer_has_its_part_of_the_time():
     probe.act = slow
     for _ in range(3):
         chains.process(0, noise(quarter), 0.0)
-    assert module.guard.overruns == 3
+    assert module.overruns == 3
     assert "took more" in module.bypassed

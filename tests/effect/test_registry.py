@@ -9,7 +9,8 @@ from uuid import UUID
 import numpy as np
 import pytest
 
-from audioflinger_hook.effect.haptic import CUSHION, HAPTIC_CUSHION, HapticEffect
+from audioflinger_hook.effect.haptic import CUSHION, HapticEffect
+from audioflinger_hook.effect.haptic_parameters import HAPTIC_CUSHION
 from audioflinger_hook.effect.interface import OK, EffectFlag, VendorCommand
 from audioflinger_hook.effect.parameters import Parameter
 from audioflinger_hook.effect.registry import EffectLibrary, EffectRegistry, descriptor_problem

@@ -11,7 +11,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from audioflinger_hook.effect.chain import EffectChains
-from audioflinger_hook.effect.haptic import CUSHION, HAPTIC_CUSHION
+from audioflinger_hook.effect.haptic import CUSHION
+from audioflinger_hook.effect.haptic_parameters import HAPTIC_CUSHION
 from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import (
     OUTPUT_MIX_STREAM,

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from audioflinger_hook.mixer.layouts import layout, sides
-from audioflinger_hook.mixer.volume import VolumeRamp, gains_of, usable_gain
+from audioflinger_hook.mixer.track_mixer import VolumeRamp, gains_of, usable_gain
 
 SMALLEST_NORMAL = 2.0**-126
 

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.pipeline.framework import Framework
-from audioflinger_hook.pipeline.step import Pipeline
+from audioflinger_hook.pipeline.framework import Framework, Pipeline
 from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
 from audioflinger_hook.sources import FileTap, FramesTap, SceneClient, TapClient, mixdown
 from audioflinger_hook.transform import HapticTransform

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from audioflinger_hook.transform import TransformParameters, kernel_warning
 from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import SECTIONS, LiveDesign, blob
-from audioflinger_hook.transform.kernel import KernelStream
+from audioflinger_hook.transform.haptic import KernelStream
 from audioflinger_hook.transform.live.transform import LiveTransform
 from device.errors import UsageError
 from tests.support.signals import identical, joined, silence, tone, white_noise

@@ -9,7 +9,7 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
-from audioflinger_hook.transform.kernel import KernelStream
+from audioflinger_hook.transform.haptic import KernelStream
 from audioflinger_hook.transform.live.transform import LiveTransform
 from tests.support.signals import burst, energy_above_db, envelope, thinned
 from tools.bench.measures.vibration import onset_lag_s

@@ -11,8 +11,8 @@ from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.arrays import strided_windows
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import LiveGrid
+from audioflinger_hook.transform.haptic import KernelStream
 from audioflinger_hook.transform.input_stage import BandPass, design_band_pass
-from audioflinger_hook.transform.kernel import KernelStream
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.reference.transform import ReferenceTransform

@@ -11,7 +11,8 @@ import soundfile
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.pipeline.framework import Framework
-from audioflinger_hook.transform import HapticTransform, kernel, kernel_warning
+from audioflinger_hook.transform import HapticTransform, kernel_warning
+from audioflinger_hook.transform import haptic as kernel
 from device.errors import UsageError
 from tests.support.commands import cushion, noise, sound
 from tests.support.recordings import ROOT

@@ -19,13 +19,13 @@ from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.analysis import AnalysisDesign
 from audioflinger_hook.transform.design.synthesis import LiveGrid, glide_shape
+from audioflinger_hook.transform.haptic import KernelStream
 from audioflinger_hook.transform.input_stage import (
     BandPass,
     design_band_pass,
     mix_to_mono,
     replace_unusable,
 )
-from audioflinger_hook.transform.kernel import KernelStream
 from audioflinger_hook.transform.live import transform as live
 from audioflinger_hook.transform.live.analysis import LiveAnalysis
 from audioflinger_hook.transform.live.synthesis import Glides, OscillatorBank, Smoother

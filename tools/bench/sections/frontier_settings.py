@@ -15,8 +15,7 @@ from scipy.fft import next_fast_len
 from audioflinger_hook.transform import FloatArray, TransformParameters, kernel_warning
 from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign, synthesis
-from audioflinger_hook.transform.haptic import Stream
-from audioflinger_hook.transform.kernel import KernelStream
+from audioflinger_hook.transform.haptic import KernelStream, Stream
 from audioflinger_hook.transform.live.transform import LiveTransform
 from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import Subject

@@ -1,0 +1,331 @@
+"""An effect's lifecycle and commands, as AudioFlinger's EffectModule keeps them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from enum import Enum, auto
+
+import numpy as np
+
+from audioflinger_hook.effect.commands import CommandCheck, is_config
+from audioflinger_hook.effect.interface import (
+    EINVAL,
+    ENODATA,
+    ENOSYS,
+    OK,
+    Access,
+    Command,
+    EffectConfig,
+    EffectEngine,
+)
+from audioflinger_hook.effect.parameters import Values
+
+TAIL_MAX_S = 10.0
+"""Seconds of sound for which a stopped effect may continue its tail."""
+
+READING = frozenset({Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP})
+"""Commands whose failure is counted but bypasses nothing, since they change no sound."""
+
+STATUSES = frozenset({OK, EINVAL, ENODATA, ENOSYS})
+REASON_MAX = 200
+"""Characters kept of what an engine says."""
+
+FRAMEWORK_ONLY = frozenset({Command.INIT, Command.SET_CONFIG})
+"""Commands that only the framework itself sends."""
+
+
+class EffectState(Enum):
+    """Where an effect stands. ENABLE is sent on leaving STARTING, DISABLE on leaving STOPPING."""
+
+    IDLE = auto()
+    STARTING = auto()
+    ACTIVE = auto()
+    STOPPING = auto()
+    STOPPED = auto()
+    RESTART = auto()
+    DESTROYED = auto()
+
+
+ENABLED = (EffectState.STARTING, EffectState.ACTIVE, EffectState.RESTART)
+
+
+class EffectControl:
+    """An engine that may raise or answer nonsense, held through its lifecycle.
+
+    `enable` and `disable` only set the state. `update_state` sends it to the engine at the end of
+    the next cycle, so it takes effect with the buffer after that cycle. An engine that refuses its
+    configuration is bypassed until it accepts one. An engine with a fault is bypassed until it is
+    enabled again, after a new INIT and SET_CONFIG.
+
+    All calls come from the thread that steps the mixer, between buffers. None raises, except
+    KeyboardInterrupt, which is the user's. Any thread may read the attributes.
+
+    Parameters
+    ----------
+    engine : EffectEngine
+        The effect's implementation.
+    session : int
+        Whose sound it treats.
+    access : Access
+        Whether it writes over the buffer or adds to another one.
+
+    Attributes
+    ----------
+    fault : str
+        Why it is bypassed after a failure, "" while it is not.
+    refusal : str
+        Why it is bypassed without a failure, "" while it is not.
+    complaint : str
+        The last failure or refusal.
+    faults, refusals : int
+        Numbers so far.
+    readings : tuple of str
+        The effect's own state when it was last asked, as lines.
+
+    Raises
+    ------
+    Exception
+        The engine raises when asked for its descriptor.
+    """
+
+    def __init__(self, engine: EffectEngine, session: int, access: Access) -> None:
+        self.descriptor = engine.descriptor
+        self.session = session
+        self.access = access
+        self.state = EffectState.IDLE
+        self.fault = self.refusal = self.complaint = ""
+        self.faults = self.refusals = 0
+        self.readings: tuple[str, ...] = ()
+        self.config: EffectConfig | None = None
+        self._engine = engine
+        self._check = CommandCheck(self.descriptor)
+        self._initialised = False
+        self._accepted = False
+        self._running = False
+        self._tail_buffers = 0
+        self._initialise()
+
+    @property
+    def enabled(self) -> bool:
+        """Whether its client wants it to run."""
+        return self.state in ENABLED
+
+    @property
+    def bypassed(self) -> str:
+        """Why it is bypassed although it may be enabled; "" while it is not."""
+        return self.fault or self.refusal
+
+    def enable(self) -> int:
+        """Start it with the buffer after the next. Returns OK, or EINVAL if destroyed."""
+        match self.state:
+            case EffectState.DESTROYED:
+                return EINVAL
+            case _ if self.fault:
+                self.state = EffectState.STARTING
+            case EffectState.IDLE:
+                self.state = EffectState.STARTING
+            case EffectState.STOPPED:
+                self.state = EffectState.RESTART
+            case EffectState.STOPPING:
+                self.state = EffectState.ACTIVE
+        return OK
+
+    def disable(self) -> int:
+        """Stop it after its tail. Returns OK, or EINVAL if destroyed."""
+        match self.state:
+            case EffectState.DESTROYED:
+                return EINVAL
+            case EffectState.STARTING:
+                self.state = EffectState.IDLE
+            case EffectState.RESTART:
+                self.state = EffectState.STOPPED
+            case EffectState.ACTIVE:
+                self.state = EffectState.STOPPING
+        return OK
+
+    def set_config(self, config: EffectConfig) -> int:
+        """Send it the format of the stream, if that is new, and return its status.
+
+        `access` stays unchanged. A refusal bypasses it until one is accepted.
+        """
+        if self.state is EffectState.DESTROYED or not is_config(config):
+            return EINVAL
+        config = replace(config, access=self.access)
+        if config == self.config and self._accepted:
+            return OK
+        self.config = config
+        self._make_room(config)
+        return self._configure()
+
+    def command(self, code: int, data: object = None) -> tuple[int, object]:
+        """Return status and reply of a client's command.
+
+        Wrong codes, types, sizes, names and ranges are EINVAL and never reach the engine.
+        """
+        status = self._check.status(code, data)
+        if status != OK:
+            return status, None
+        if self.state is EffectState.DESTROYED or code in FRAMEWORK_ONLY:
+            return EINVAL, None
+        if code == Command.ENABLE:
+            return self.enable(), None
+        if code == Command.DISABLE:
+            return self.disable(), None
+        if code == Command.RESET and not self._accepted:
+            return EINVAL, None
+        status, reply = self.send(code, data)
+        if code == Command.GET_PARAM and status == OK:
+            parameter = self._check.parameter(data)
+            if parameter is None or not parameter.accepts(reply):
+                self._blame(f"answered GET_PARAM {data} with nonsense", bypass=False)
+                return EINVAL, None
+        return status, reply
+
+    def set_parameters(self, values: Values) -> int:
+        """Set several parameters at once, or none. Returns OK or why not."""
+        for name, value in values.items():
+            status = self._check.status(Command.SET_PARAM, (name, value))
+            if status != OK:
+                return status
+        for name, value in values.items():
+            status, _ = self.command(Command.SET_PARAM_DEFERRED, (name, value))
+            if status != OK:
+                return status
+        return self.command(Command.SET_PARAM_COMMIT)[0]
+
+    def send(self, code: int, data: object = None) -> tuple[int, object]:
+        """Return the engine's status and reply to any command; EINVAL and None where it failed."""
+        bypass = code not in READING
+        name = Command(code).name if code < Command.FIRST_PROPRIETARY else f"command {code:#x}"
+        try:
+            with np.errstate(all="ignore"):
+                answer: object = self._engine.command(code, data)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            self._blame(f"raised {error_text(error)} in {name}", bypass=bypass)
+            return EINVAL, None
+        if type(answer) is not tuple or len(answer) != 2 or not is_status(answer[0]):
+            self._blame(f"answered {name} with nonsense", bypass=bypass)
+            return EINVAL, None
+        return answer
+
+    def update_state(self) -> None:
+        """Send what enable, disable and the end of a tail ask for. Called at a cycle's end."""
+        match self.state:
+            case EffectState.STARTING | EffectState.RESTART:
+                self._start()
+            case EffectState.STOPPING:
+                self._stop()
+            case EffectState.STOPPED:
+                self._tail_buffers -= 1
+                if self.fault:
+                    self.state = EffectState.IDLE
+                elif self._tail_buffers <= 0:
+                    self.send(Command.RESET)
+                    self.state = EffectState.IDLE
+
+    def release(self) -> None:
+        """Disable a running engine and detach it for good."""
+        if self._running and not self.fault:
+            self.send(Command.DISABLE)
+        self._running = False
+        self.state = EffectState.DESTROYED
+
+    def _make_room(self, config: EffectConfig) -> None:
+        """Prepare for buffers of a configuration."""
+
+    def _forgive(self) -> None:
+        """Lift the bypass after a fault; the counters continue."""
+        self.fault = ""
+
+    def _blame(self, reason: str, *, bypass: bool = True) -> None:
+        """Count a failure, keep its reason and, where asked, bypass the engine."""
+        self.faults += 1
+        self.complaint = reason
+        if bypass and not self.fault:
+            self.fault = reason
+
+    def _refused(self, what: str, status: int, *, bypass: bool = True) -> None:
+        """Count and name a refusal that was not a fault."""
+        if self.fault:
+            return
+        self.refusals += 1
+        self.complaint = f"refused {what} (status {status})"
+        if bypass:
+            self.refusal = self.complaint
+
+    def _initialise(self) -> None:
+        status, _ = self.send(Command.INIT)
+        self._initialised = status == OK
+        if not self._initialised:
+            self._refused("INIT", status)
+
+    def _configure(self) -> int:
+        self._accepted = False
+        if self.config is None or self.fault:
+            return EINVAL
+        if not self._initialised:
+            self._initialise()
+            if not self._initialised:
+                return EINVAL
+        status, _ = self.send(Command.SET_CONFIG, self.config)
+        if status == OK:
+            self._accepted = True
+            self.refusal = ""
+        else:
+            self._refused(config_text(self.config), status)
+        return status
+
+    def _start(self) -> None:
+        if self.fault:
+            self._forgive()
+            self._initialised = False
+            self._running = False
+            self._configure()
+        if self.fault:
+            self.state = EffectState.IDLE
+            return
+        if not self._accepted:
+            return  # it starts once it has a format
+        if self.state is EffectState.RESTART:
+            self.send(Command.RESET)
+        status, _ = self.send(Command.ENABLE)
+        if status == OK:
+            self._running = True
+            self.state = EffectState.ACTIVE
+        else:
+            self._refused("ENABLE", status, bypass=False)
+            self.state = EffectState.IDLE
+
+    def _stop(self) -> None:
+        if self.fault or self.config is None:
+            self.state = EffectState.IDLE
+            return
+        self.send(Command.DISABLE)
+        self._running = False
+        cycle_s = self.config.frames / self.config.samplerate
+        self._tail_buffers = max(1, round(TAIL_MAX_S / cycle_s))
+        self.state = EffectState.STOPPED
+
+
+def config_text(config: EffectConfig) -> str:
+    """Return a configuration in words."""
+    return (
+        f"{config.samplerate} Hz, {config.channels} + {config.haptic_channels} channels, "
+        f"{config.frames} frames, {config.access.name.lower()}"
+    )
+
+
+def is_status(answer: object) -> bool:
+    """Return whether an engine's answer is one of Android's status codes."""
+    return type(answer) is int and answer in STATUSES
+
+
+def error_text(error: BaseException) -> str:
+    """Return an exception's type and message on one line; never raises."""
+    try:
+        words = " ".join(str(error).split())[:REASON_MAX]
+    except BaseException:
+        words = ""
+    return f"{type(error).__name__}: {words}".removesuffix(": ")
