@@ -82,11 +82,9 @@ def _limited(deviation: float) -> float:
 class TargetDelay:
     """The target delay: blocks, lateness and the user's offset, added up and changed slowly.
 
-    least_s: 1.5 capture blocks and one output block. A capture block passes before its first
-    frame is available, an output block is taken at once, and half a block covers the worst phase
-    between two unrelated clocks. most_s: what the buffer has room for. jump_s: a greater rise of
-    the lateness takes effect at once, or frames would run out first.
-    Called by the reading thread.
+    least_s: 1.5 capture blocks and one output block; the half covers the worst phase between two
+    unrelated clocks. most_s: what the buffer has room for. jump_s: a greater rise of the lateness
+    takes effect at once, or frames would run out first. Called by the reading thread.
 
     current_s: the present target, least_s to most_s.
     """

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import enum
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
-from device.clock.arrivals import Arrivals
 from device.clock.delay_control import RateLoop, TargetDelay
 from device.clock.frame_clock import ClockReading
-from device.clock.playhead import Playhead
-from device.clock.ring import NewestFrames
-from device.clock.shared_state import DelayState, DelayStatus, Flush, Written
-from device.clock.stream_timing import LEAST_S, StreamTiming
-from device.errors import InternalError, UsageError
+from device.clock.ring import CubicReader, Joint, NewestFrames
+from device.clock.stream_timing import LEAST_S, StreamTiming, WriteTiming, Written
+from device.errors import UsageError
 from device.units import Float32Array, FloatArray, check_channels
 
 LATENESS_LIMIT_S = 0.03
-"""The most to provide for late callbacks of one side; later ones are underflows."""
+"""Per side; later callbacks are underflows."""
 RESYNC_FRAMES = 256
 FAR_OFF_S = 0.1
 """An error of the delay that is corrected at once, even before both clocks are settled."""
@@ -27,30 +26,62 @@ STARVED_AGAIN_S = 1.0
 HOLD_OFF_S = 0.25
 """Silence after the second starvation within a second: regular bursts would buzz."""
 
+
+class DelayState(enum.Enum):
+    """The state of a delay line. Every recovery passes FILLING or STARVED."""
+
+    EMPTY = "empty"
+    """Nothing has been written since the start or the last flush; reads give silence."""
+    FILLING = "filling"
+    """Frames arrive, but there are too few for the target, or a clock is still unknown."""
+    SETTLING = "settling"
+    """Playing; the delay is being steered to the target."""
+    LOCKED = "locked"
+    """Playing; the delay has been on the target for a second."""
+    STARVED = "starved"
+    """The frames ran out; reads give silence until the target is filled again."""
+
+
 _PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
+
+
+class DelayStatus(NamedTuple):
+    """One consistent picture of a delay line, as of the last read.
+
+    target_s: the delay that is steered to. delay_s: from the capture of a frame to its place in
+    the output, without the latencies of the sound cards; 0 unless SETTLING or LOCKED. ratio_ppm:
+    how much faster than nominal frames are read, within ±2000, and 1000 more while the target
+    moves. resyncs: jumps because the delay was too far off, without those to a new offset.
+    underflows: how often frames ran out. overflows: how often frames were lost before their read.
+    """
+
+    target_s: float
+    delay_s: float
+    ratio_ppm: float
+    resyncs: int
+    underflows: int
+    overflows: int
+    state: DelayState
 
 
 class DelayLine:
     """Gives the frames that were written at the output's rate, after a delay that stays constant.
 
-    The target is 1.5 capture blocks + one output block + lateness + offset. The lateness is the
-    99.9th percentile of both sides. A delay further off than max(256 frames, half a capture block)
-    is corrected by a jump; otherwise the read ratio is steered (see `RateLoop`). Both counters are
-    interpolated to one instant by `FrameClock`, so block sizes do not show in the measured delay.
-    That delay counts from a frame's capture, which is the end of its block less the frames after
-    it, to its place in the output's block. A fade of 5 ms joins pieces that are not continuous.
+    The target is 1.5 capture blocks + one output block + lateness + offset (see `TargetDelay` and
+    `Lateness`). A delay further off than max(256 frames, half a capture block) is corrected by a
+    jump; otherwise the read ratio is steered (see `RateLoop`). The delay counts from a frame's
+    capture to its place in the output's block, by `FrameClock`, so block sizes do not show in it.
 
     One thread at a time calls `write` and one calls `read`; any thread may call the rest, and
-    none waits. Frames cross as in `NewestFrames`. Everything else crosses as an immutable object
-    in one attribute, assigned by one side or by the latest caller. Times are seconds of one
-    monotonic clock, taken when the callback began.
+    none waits. Frames cross as in `NewestFrames`, all else as an immutable object in one attribute.
+    Times are seconds of one monotonic clock, taken when the callback began.
 
     Parameters
     ----------
     channels : int
         Of every block.
     samplerate_in, samplerate_out : float
-        Nominal rates in Hz, 1 or more; they may differ.
+        Nominal rates in Hz; they may differ.
     capacity_s : float
         Seconds of memory, allocated at once. The target stays within three quarters of it.
     capture_block, output_block : int
@@ -60,10 +91,15 @@ class DelayLine:
     lateness_least_s : float
         Least lateness to provide for, so that the first late callbacks do not move the delay.
 
+    Attributes
+    ----------
+    status : DelayStatus
+        As of the last read. Any thread may read it.
+
     Raises
     ------
     UsageError
-        offset_s, a sample rate or capacity_s is out of range.
+        offset_s or capacity_s is out of range.
     InternalError
         A block has a wrong shape. Nothing else that is passed to `write` or `read` raises, and
         `read` then still gives finite frames.
@@ -81,11 +117,6 @@ class DelayLine:
         offset_s: float = 0.0,
         lateness_least_s: float = 0.0,
     ) -> None:
-        if channels < 1 or capture_block < 1 or output_block < 1:
-            raise InternalError("channels, capture_block and output_block must be 1 or more")
-        for name, rate in (("samplerate_in", samplerate_in), ("samplerate_out", samplerate_out)):
-            if not 1.0 <= rate < math.inf:
-                raise UsageError(f"{name}={rate} Hz is out of range; choose 1 Hz or more")
         least_s = 1.5 * capture_block / samplerate_in + output_block / samplerate_out
         needed_s = (least_s + 2.0 * LATENESS_LIMIT_S) / 0.75
         if not needed_s <= capacity_s < math.inf:
@@ -102,17 +133,17 @@ class DelayLine:
 
         self._ring = NewestFrames(math.ceil(capacity_s * samplerate_in), channels)
         # the writer's state
-        self._arrivals = Arrivals(self._ring, samplerate_in, capture_block, LATENESS_LIMIT_S)
+        self._writes = WriteTiming(samplerate_in, capture_block, LATENESS_LIMIT_S)
         # the reader's state
         self._reads = StreamTiming(samplerate_out, output_block, LATENESS_LIMIT_S)
         self._output_block = output_block
         self._output_s = output_block / samplerate_out
         self._read_frames = 0
-        self._head = Playhead(self._ring, samplerate_out, channels)
+        self._reader = CubicReader(self._ring.frames)
+        self._joint = Joint(samplerate_out, channels)
         self._loop = RateLoop(samplerate_in)
-        self._target = TargetDelay(
-            least_s, 0.75 * capacity_s, self._resync_frames / self.samplerate_in
-        )
+        jump_s = self._resync_frames / self.samplerate_in
+        self._target = TargetDelay(least_s, 0.75 * capacity_s, jump_s)
         self._state = DelayState.EMPTY
         self._step = self._nominal_step = self.samplerate_in / self.samplerate_out
         self._delay_s = 0.0
@@ -123,20 +154,15 @@ class DelayLine:
         self._not_before_s = -math.inf
         self._from_frame = 0
         self._fresh = False
-        self._flushed: Flush | None = None
+        self._flushed: int | None = None
         self._resyncs = self._underflows = self._overflows = 0
         # any thread's state
-        self._flush_wanted: Flush | None = None
+        self._flush_wanted: int | None = None
         self._offset_s = 0.0
         self.offset_s = self._offset_in_force_s = offset_s
-        self._target.set_goal(2.0 * LEAST_S, self._offset_s)
+        self._target.set_goal(2.0 * LEAST_S, offset_s)
         self._target.jump()
-        self._published = self._status_values()
-
-    @property
-    def status(self) -> DelayStatus:
-        """The status as of the last read. Any thread may read it, without effect on the others."""
-        return DelayStatus(*self._published)
+        self.status = self._status()
 
     @property
     def offset_s(self) -> float:
@@ -153,18 +179,12 @@ class DelayLine:
         self._offset_s = float(offset_s)
 
     def flush(self) -> None:
-        """Drop everything written so far: the next read fades to silence. Any thread may call it.
-
-        Later frames come out after the target delay.
-        """
-        self._flush_wanted = Flush(self._ring.claimed)
+        """Drop all frames so far: the next read fades to silence. Any thread may call it."""
+        self._flush_wanted = self._ring.claimed
 
     def expect_jump(self) -> None:
-        """Announce a change of source with a gap. Any thread may call it.
-
-        The clock then starts again at the first late callback, without further evidence.
-        """
-        self._arrivals.expect_jump()
+        """Let the clock start again at the next late callback. Any thread may call it."""
+        self._writes.expect_jump()
 
     def write(
         self,
@@ -179,18 +199,16 @@ class DelayLine:
         """
         check_channels(frames, self.channels)
         if len(frames):
-            self._arrivals.store(frames, float(now_s), earlier)
+            end = self._ring.store(frames)
+            self._writes.add(len(frames), end, float(now_s), earlier)
 
     @property
     def readable(self) -> int:
-        """How many frames a `read` would give now; 0 while it does not play.
-
-        Called by the output's audio thread, to decide whether the writer may wait.
-        """
-        written = self._arrivals.written
+        """How many frames a `read` would give now; 0 while it does not play. For its thread."""
+        written = self._writes.written
         if written is None or self._state not in _PLAYING:
             return 0
-        return self._head.readable(written.frames, self._step)
+        return self._reader.readable(written.frames, self._step)
 
     def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> int:
         """Fill (frames, channels), any number of frames, to be played from now_s on.
@@ -204,25 +222,25 @@ class DelayLine:
         if not frames:
             return 0
         now_s = float(now_s)
-        written = self._arrivals.written
+        written = self._writes.written
         clock = self._reads.update(now_s, self._read_frames)
-        if self._flush_wanted is not self._flushed:
+        if self._flush_wanted != self._flushed:
             self._flushed = self._flush_wanted
-            self._from_frame = self._flushed.frames if self._flushed else 0
+            self._from_frame = self._flushed or 0
             self._stop(DelayState.EMPTY)
             self._fresh = True
         played, filled = 0, frames - ahead
         if written is not None and clock is not None:
             self._steer(written, clock, now_s, frames, ahead)
             if self._state in _PLAYING:
-                there = self._head.readable(written.frames, self._step)
+                there = self._reader.readable(written.frames, self._step)
                 filled = max(filled, min(frames, there))
                 played = self._play(out[: min(filled, there)], filled, now_s)
         out = out[:filled]
         self._read_frames += filled
-        if played < filled:
-            self._head.fall_silent(out[played:])
-        self._published = self._status_values()
+        out[played:] = 0.0
+        self._joint.apply(out[played:])
+        self.status = self._status()
         return filled
 
     def _steer(
@@ -238,7 +256,7 @@ class DelayLine:
         if known and self._known:
             self._target.rebase(stepped_s - self._stepped_s)
         self._known, self._stepped_s = known, stepped_s
-        late_s = written.lateness_s + self._reads.lateness_s
+        late_s = written.lateness_s + self._reads.lateness.estimate_s
         lateness_s = max(self._lateness_least_s, late_s)
         wanted_s, self._offset_in_force_s = self._offset_in_force_s, self._offset_s
         self._target.set_goal(lateness_s, self._offset_in_force_s)
@@ -252,7 +270,7 @@ class DelayLine:
                 self._state = DelayState.FILLING
             held_off = self._starved_at_s <= now_s < self._not_before_s
             # A start too close to the newest frame would starve at the first late callback.
-            provided = written.lateness_known and self._reads.known
+            provided = written.lateness_known and self._reads.lateness.known
             # Start at once after a flush: the clocks may correct the delay later by a jump.
             fresh = self._state is DelayState.FILLING and self._fresh
             if provided and (known or fresh) and not held_off:
@@ -262,11 +280,11 @@ class DelayLine:
         self, captured: float, seconds: float, slew: float, known: bool, by_user: bool
     ) -> None:
         """Steer, or stop for a jump; by_user: the user has just changed the delay."""
-        held = self._head.behind(captured)
+        held = self._reader.behind(captured)
         self._delay_s = held / self.samplerate_in
         error = held - self._target.current_s * self.samplerate_in
         error_s = error / self.samplerate_in
-        if self._head.overtaken:
+        if self._reader.position - 1 < self._ring.oldest:
             self._overflows += 1
             self._stop(DelayState.FILLING)
         elif abs(error) > (self._resync_frames if known else FAR_OFF_S * self.samplerate_in):
@@ -286,23 +304,26 @@ class DelayLine:
         self._target.jump()
         position = math.floor(captured - self._target.current_s * self.samplerate_in)
         earliest = max(self._from_frame, written.run_start, self._ring.oldest) + 1
-        self._head.jump_to(position)
+        self._reader.jump_to(position)
         usual = min(frames, self._output_block)
-        if position >= earliest and self._head.readable(written.frames, self._step) >= usual:
+        if position >= earliest and self._reader.readable(written.frames, self._step) >= usual:
             self._loop.restart()
             self._step = self._nominal_step * self._loop.ratio
             self._delay_s = (captured - position) / self.samplerate_in
             self._on_target_s = 0.0
-            self._head.join()
+            self._joint.begin()
             self._fresh = False
             self._state = DelayState.SETTLING
 
     def _play(self, out: Float32Array, wanted: int, now_s: float) -> int:
         """Fill `out` with the readable part of the frames wanted; return how many were played."""
-        if not self._head.play(out, self._step):
+        first = self._reader.position - 1
+        self._reader.read(out, self._step)
+        if first < self._ring.oldest:  # the writer overwrote frames in the meantime
             self._overflows += 1
             self._stop(DelayState.FILLING)
             return 0
+        self._joint.apply(out)
         if len(out) < wanted:
             self._underflows += 1
             if now_s - self._starved_at_s < STARVED_AGAIN_S:
@@ -314,12 +335,12 @@ class DelayLine:
     def _stop(self, state: DelayState) -> None:
         """Fade to silence."""
         if self._state in _PLAYING:
-            self._head.join()
+            self._joint.begin()
         self._state = state
         self._delay_s = 0.0
 
-    def _status_values(self) -> tuple[float, float, float, int, int, int, DelayState]:
-        return (
+    def _status(self) -> DelayStatus:
+        return DelayStatus(
             self._target.current_s,
             self._delay_s,
             1e6 * (self._step / self._nominal_step - 1.0),

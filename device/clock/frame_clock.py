@@ -71,20 +71,16 @@ class FrameClock:
     `update`; any thread may use the reading that it returns.
 
     A callback can only be late: because the machine is busy, or because the server's blocks are no
-    multiple of the stream's. The second kind beats by some ms over seconds or minutes, which a
-    short average does not remove. So the line lies under all callbacks of the last minute: it is
-    the middle edge of the lower convex hull of (counter, lateness). S. Moon, P. Skelly,
-    D. Towsley, "Estimation and removal of clock skew from network delay measurements" (INFOCOM
-    1999). With less than a minute, and as far as the callbacks leave it open, the previous rate
-    holds.
+    multiple of the stream's, which beats over minutes. So the line lies under all callbacks of the
+    last minute: it is the middle edge of the lower convex hull of (counter, lateness). S. Moon,
+    P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay measurements"
+    (INFOCOM 1999). As far as the callbacks leave it open, the previous rate holds.
 
     Lost frames, a backlog or a restarted stream start a new line and keep the rate. So does a line
-    that no callback comes near any more. Otherwise a server that fills its buffers late, or once
-    too often, would look like a shorter delay.
+    that no callback comes near any more.
 
-    reading: the last `ClockReading`; None before the first callback.
-    restarts: lines started after the first one. strandings: those that started because no
-    callback came near the line, so that all callbacks were reported too late.
+    reading: the last `ClockReading`; None before the first callback. restarts: lines started after
+    the first one. strandings: those of them because no callback came near the line.
     """
 
     def __init__(self, samplerate: float, block_frames: int = 256) -> None:
@@ -108,7 +104,7 @@ class FrameClock:
         self.restarts = self.strandings = 0
 
     def expect_jump(self) -> None:
-        """Announce that the stream is being moved, which loses frames."""
+        """Announce that frames may be lost."""
         self._alert_s = ALERT_S
 
     def update(self, now_s: float, frames: int) -> ClockReading | None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import bisect
 import math
+from collections.abc import Sequence
 from itertools import accumulate
+from typing import NamedTuple
 
-from device.clock.frame_clock import ClockReading, FrameClock
+from device.clock.frame_clock import STALLED_S, ClockReading, FrameClock
 
 SHARE = 0.001
 """The share of callbacks that may come later than the estimate."""
@@ -29,33 +31,90 @@ class StreamTiming:
 
     def __init__(self, samplerate: float, block_frames: int, lateness_limit_s: float) -> None:
         self._clock = FrameClock(samplerate, block_frames)
-        self._lateness = Lateness(lateness_limit_s)
+        self.lateness = Lateness(lateness_limit_s)
         self.expect_jump = self._clock.expect_jump
-
-    @property
-    def lateness_s(self) -> float:
-        """What to provide for late callbacks, in seconds; see `Lateness`."""
-        return self._lateness.estimate_s
-
-    @property
-    def known(self) -> bool:
-        """Whether the lateness has been measured."""
-        return self._lateness.known
 
     def update(self, now_s: float, frames: int) -> ClockReading | None:
         """Update the clock; see `FrameClock`. Lateness against a stranded line is forgotten."""
         strandings = self._clock.strandings
         reading = self._clock.update(now_s, frames)
         if self._clock.strandings != strandings:
-            self._lateness.forget()
+            self.lateness.forget()
         return reading
 
     def add_lateness(self, late_s: float, seconds: float, clock: ClockReading) -> None:
         """Count a callback that was late_s late, `seconds` of its stream after the previous."""
         if not clock.settled:
-            self._lateness.forget_pause()
+            self.lateness.forget_pause()
         elif math.isfinite(late_s):
-            self._lateness.add(late_s, seconds, clock.astray)
+            self.lateness.add(late_s, seconds, clock.astray)
+
+
+class Written(NamedTuple):
+    """What the writing side publishes for the reading one.
+
+    frames: count written so far, as of `clock`. run_start: the first frame after the last stall;
+    earlier frames are not played after it. lateness_s: what to provide for late callbacks.
+    lateness_known: whether that was measured.
+    """
+
+    frames: int
+    clock: ClockReading
+    run_start: int
+    lateness_s: float
+    lateness_known: bool
+
+
+class WriteTiming:
+    """The timing of the writing side, from the times of capture.
+
+    The parameters are those of `StreamTiming`. `add` is called by the writing thread; any thread
+    may call the rest. written: None until a frame's capture time is known.
+    """
+
+    def __init__(self, samplerate: float, block_frames: int, lateness_limit_s: float) -> None:
+        self._samplerate = samplerate
+        self._block_s = block_frames / samplerate
+        self._timing = StreamTiming(samplerate, block_frames, lateness_limit_s)
+        self._last_s = -math.inf
+        self._jump_wanted: object = None
+        self._jump_expected: object = None
+        self.written: Written | None = None
+
+    def expect_jump(self) -> None:
+        """Announce that the source is about to change, with a gap before the next frames."""
+        self._jump_wanted = object()
+
+    def add(
+        self, frames: int, end: int, now_s: float, earlier: Sequence[tuple[float, int]]
+    ) -> None:
+        """Take the times of the last `frames`, 1 or more, up to count `end`.
+
+        now_s, earlier: see `DelayLine.write`.
+        """
+        first_s = earlier[0][0] if earlier else now_s
+        stalled = not first_s - self._last_s < STALLED_S
+        if math.isfinite(now_s):
+            self._last_s = now_s
+        if self._jump_wanted is not self._jump_expected:
+            self._jump_expected = self._jump_wanted
+            self._timing.expect_jump()
+        start = part = end - frames
+        clock = None
+        for part_s, frames_by_then in (*earlier, (now_s, frames)):
+            part_end = start + frames_by_then
+            clock = self._timing.update(part_s, part_end)
+            if clock is not None:
+                # how far the captured frames lagged behind the clock just before these arrived
+                late_s = part_s - clock.time_of(part) - self._block_s
+                seconds = (part_end - part) / self._samplerate
+                self._timing.add_lateness(late_s, seconds, clock)
+            part = part_end
+        if clock is None:  # no time has been finite so far
+            return
+        before, lateness = self.written, self._timing.lateness
+        run_start = start if stalled or before is None else before.run_start
+        self.written = Written(end, clock, run_start, lateness.estimate_s, lateness.known)
 
 
 class Lateness:
@@ -74,12 +133,10 @@ class Lateness:
     """
 
     def __init__(self, limit_s: float) -> None:
-        bins = max(1, round(limit_s / _BIN_S))
         self._limit_s = limit_s
-        self._counts = [0.0] * (bins + 1)
+        self._counts = [0.0] * (max(1, round(limit_s / _BIN_S)) + 1)
+        self._unseen_s = self._paused_s = 0.0
         self._weight = 1.0
-        self._unseen_s = 0.0
-        self._paused_s = 0.0
         self.estimate_s = min(LEAST_S, limit_s)
         self.known = False
 

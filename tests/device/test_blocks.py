@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from device import blocks
-from device.clock.interpolator import CubicReader
+from device.clock.ring import CubicReader
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator
 from device.units import Float32Array, FloatArray

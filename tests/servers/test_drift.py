@@ -22,7 +22,7 @@ from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.gc_freeze import freeze_loaded_objects
-from device.clock.shared_state import DelayState, DelayStatus
+from device.clock.delay_line import DelayState, DelayStatus
 from device.stream import CaptureStream, PcmConfig, PlaybackStream, portaudio
 from device.stream.pcms import ServerDevice
 from tests.servers.bare_streams import bare_streams

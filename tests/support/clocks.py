@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from device.clock import DelayLine, DelayState, DelayStatus
+from device.clock.delay_line import DelayLine, DelayState, DelayStatus
 from device.units import Float32Array, FloatArray
 
 SAWTOOTH_FRAMES = 1 << 14

@@ -6,13 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from device import blocks
-from device.clock.interpolator import CubicReader
-from device.clock.playhead import Joint
-from device.clock.ring import NewestFrames
+from device.clock.ring import CubicReader, Joint, NewestFrames
 from tests.support.signals import tone
 
 
@@ -58,6 +56,7 @@ def test_a_sine_is_read_as_exactly_as_float32_and_four_frames_allow(
 
 
 @pytest.mark.sweep
+@settings(max_examples=40)
 @given(st.lists(st.integers(0, 1_300), max_size=12), st.floats(0.1, 3.0), st.integers(0, 2**45))
 def test_blocks_of_any_length_join_to_the_same_frames_as_one(
     blocks: list[int], step: float, start: int
@@ -95,6 +94,7 @@ def test_a_ratio_that_changes_from_block_to_block_leaves_the_sine_whole() -> Non
 
 
 @pytest.mark.sweep
+@settings(max_examples=40)
 @given(st.integers(0, 3_000), st.floats(0.1, 3.0), st.floats(0.0, 0.999))
 def test_readable_is_as_much_as_needs_no_frame_that_is_not_there(
     written: int, step: float, fraction: float
@@ -108,6 +108,7 @@ def test_readable_is_as_much_as_needs_no_frame_that_is_not_there(
 
 
 @pytest.mark.sweep
+@settings(max_examples=40)
 @given(st.lists(st.integers(0, 500), max_size=10))
 def test_the_ring_holds_the_newest_frames_whatever_the_blocks(blocks: list[int]) -> None:
     ring = NewestFrames(128, 1)
