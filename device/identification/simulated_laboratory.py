@@ -156,4 +156,4 @@ def _correction(chain: InstrumentChain, sweep: Sweep, response: str) -> ComplexA
     if response != "acceleration":
         return None
     bins = Recording(sweep, np.zeros(sweep.frames), np.zeros(sweep.frames)).frequencies_hz
-    return chain.conditioning.response(bins)
+    return chain.band.response(bins)

@@ -2,13 +2,12 @@
 
 | module | holds |
 | --- | --- |
-| parameters, rig, rig_file, perturbed_rigs | what a rig is, its TOML file, and variants of it |
+| parameters, rig, rig_file | what a rig is, variants of it, and its TOML file |
 | electronics, actuator, instruments | DAC and amplifier; linear actuator; accelerometer to DAQ |
 | simulated_rig | all stages behind `VibrationOutput` |
 | shapes, co_energy, equations, thermal, seat | the physics beyond the linear actuator |
 | collocation, small_matrices, node_grid, passive_step | solvers of the non-linear equations |
 | segment, model_levels, model_selection, adaptive_actuator | the cheapest model that suffices |
-| report | models, cost and true error of a run, second by second |
 
 Only the descriptions are imported here, because SciPy takes half a second to load.
 """

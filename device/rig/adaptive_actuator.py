@@ -18,7 +18,7 @@ from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION, LinearActuator, M
 from device.rig.co_energy import energies
 from device.rig.equations import Equations
 from device.rig.model_levels import ModelLevel, ModelLevels
-from device.rig.model_selection import ModelSelector
+from device.rig.model_selection import ModelSelector, SelectedModel
 from device.rig.node_grid import NODES_HZ, NodeGrid
 from device.rig.rig import Rig
 from device.rig.segment import Correction, Segment, crossfade
@@ -66,18 +66,12 @@ class AdaptiveActuator:
 
     Parameters
     ----------
-    rig : Rig
-        Its actuator, with amplifier impedance, large-signal behaviour, seat and temperature.
-    samplerate : float
-        Hz.
     tolerance : float
         Allowed error of excursion and acceleration as a share of a block's peak, above 0.
     level : ModelLevel | None
         Use this model always, whatever its error.
-    seat : bool
-        The actuator is on the rig's seat instead of solid ground.
-    temperature : bool
-        The coil warms up.
+    seat, temperature : bool
+        The actuator is on the rig's seat instead of solid ground; the coil warms up.
     nodes_hz : float
         Node rate of the non-linear model.
     early : bool
@@ -85,16 +79,12 @@ class AdaptiveActuator:
 
     Attributes
     ----------
-    equations : Equations
-        What all models solve.
     replaced_samples : int
         Volts that were not finite or above 1e6 and became 0, so far.
     reports : deque[BlockReport]
         Of the last few thousand blocks.
     frames_by_level : dict[ModelLevel, int]
         Frames per selected model so far.
-    temperatures : Temperatures | None
-        None if they are not modelled.
 
     Raises
     ------
@@ -175,14 +165,9 @@ class AdaptiveActuator:
         return self._levels.iterations
 
     def move(self, volts: FloatArray, outputs: Sequence[str] = QUANTITIES) -> Motion:
-        """Return the motion under the next volts, (frames,); it is always finite.
+        """Return the motion under the amplifier's next open-circuit volts, (frames,).
 
-        Parameters
-        ----------
-        volts : FloatArray
-            Open-circuit volts of the amplifier.
-        outputs : Sequence[str]
-            Fields of `Motion` to compute; seat_acceleration_m_s2 needs a seat.
+        It is always finite. Of the `outputs`, seat_acceleration_m_s2 needs a seat.
         """
         finite, replaced = finite_or_zero(np.asarray(volts, dtype=np.float64), _ABSURD_V)
         self.replaced_samples += replaced
@@ -200,11 +185,9 @@ class AdaptiveActuator:
         parts = self._solve_parts(whole, names)
         nothing: FloatArray = np.empty(0)
         computed = dict.fromkeys((*QUANTITIES, SEAT_ACCELERATION), nothing)
-        for name in names:
-            if name == SEAT_ACCELERATION:
-                computed[name] = self._levels.frame_share(motion.acceleration_m_s2)
-            else:
-                computed[name] = getattr(motion, name)
+        computed |= {name: getattr(motion, name) for name in names}
+        if SEAT_ACCELERATION in names:
+            computed[SEAT_ACCELERATION] = self._levels.frame_share(motion.acceleration_m_s2)
         # Add in place, because large arrays are expensive; the models have a copy of their own.
         first = 1 - known
         for part in parts:
@@ -275,17 +258,14 @@ class AdaptiveActuator:
     ) -> _Part:
         """Solve one block, or several that surely need the non-linear model."""
         steps, start = (len(segment.volts) - 1) // self._grid.spacing, self._d
-        above = None
         if self.level:
-            level, estimate = self.level, 0.0
-            found = self._levels.solve(level, segment, start, start)
-            better = found.end
+            found = self._levels.solve(self.level, segment, start, start)
+            selected = SelectedModel(self.level, 0.0, found, found.end)
         elif nonlinear:
             selected = self._selector.solve_nonlinear(segment, self._better)
-            level, estimate, found, better, _ = selected
         else:
             selected = self._selector.select(segment, start, self._better)
-            level, estimate, found, better, above = selected
+        level, estimate, found, better, above = selected
         part = self._part(found, names, frames)
         blocks = max(nonlinear, 1)
         # Each block of a corrected model has its own remainder, so it needs a crossfade as well.

@@ -6,17 +6,15 @@ W' is the magnetic co-energy (equation 9): the first term is the coil in the mag
 second the reluctance. Its derivatives describe the whole transducer: force dW'/dx, flux linkage
 dW'/di, incremental inductance d^2W'/di^2. The mixed derivatives are equal, so the force gives the
 motion exactly the energy that it takes from the electrical side. V is the energy in spring and
-stops. Pure functions; any thread may call them.
+stops.
 """
 
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from device.rig.parameters import ActuatorParameters, LargeSignalParameters
-from device.rig.shapes import Arctangent, Hardening, Polynomial, Shape, Stops, Sum, Tanh
+from device.rig.shapes import Arctangent, Hardening, Line, Shape, Stops, Sum, Tanh
 from device.units import FloatArray
 
 
@@ -26,30 +24,6 @@ class CoEnergy:
 
     magnet: Shape
     inductance: Shape
-
-    def value(self, x: FloatArray, i: FloatArray) -> FloatArray:
-        """W' in J."""
-        return self.magnet.jet(x)[0] * i + self.inductance.jet(x)[0] * i * i / 2.0
-
-    def force_n(self, x: FloatArray, i: FloatArray) -> FloatArray:
-        """dW'/dx: the force on the moving mass, N."""
-        return self.magnet.jet(x)[1] * i + self.inductance.jet(x)[1] * i * i / 2.0
-
-    def flux_linkage_wb(self, x: FloatArray, i: FloatArray) -> FloatArray:
-        """dW'/di: the flux linkage of the coil, Wb."""
-        return self.magnet.jet(x)[0] + self.inductance.jet(x)[0] * i
-
-    def incremental_inductance_h(self, x: FloatArray, i: FloatArray) -> FloatArray:
-        """d^2W'/di^2, H; it does not depend on i, but has its shape."""
-        return self.inductance.jet(x)[0] + 0.0 * i
-
-    def current_a(self, x: FloatArray, flux_linkage_wb: FloatArray) -> FloatArray:
-        """The current for a flux linkage, A: the inverse of dW'/di."""
-        return (flux_linkage_wb - self.magnet.jet(x)[0]) / self.inductance.jet(x)[0]
-
-    def stored_energy_j(self, x: FloatArray, i: FloatArray) -> FloatArray:
-        """i dW'/di - W' (Legendre transform): the energy in the field, J."""
-        return i * self.flux_linkage_wb(x, i) - self.value(x, i)
 
     def at(self, x: FloatArray, flux_linkage_wb: FloatArray) -> "CoEnergyAt":
         """Return what the equations of motion and their derivatives need, in one pass."""
@@ -68,39 +42,29 @@ class CoEnergy:
 
 
 class CoEnergyAt(NamedTuple):
-    """Derivatives of W' at (x, flux linkage), arrays of one shape.
-
-    flux_slope is d^2W'/dx di, Wb/m or N/A; force_slope is d^2W'/dx^2 at constant current, N/m.
-    """
+    """Derivatives of W' at (x, flux linkage), arrays of one shape."""
 
     current_a: FloatArray
     force_n: FloatArray
-    flux_slope: FloatArray
+    flux_slope: FloatArray  # d^2W'/dx di, Wb/m or N/A
     inductance_h: FloatArray
-    force_slope: FloatArray
+    force_slope: FloatArray  # d^2W'/dx^2 at constant current, N/m
 
 
 @dataclass(frozen=True)
 class Energies:
-    """Everything but masses that stores energy in an actuator, and the loss of its stops.
-
-    The potential V, in J, includes the stops. Their damping per speed is stop_loss_s_per_m times
-    their force (Hunt and Crossley 1975), at either stop and in either direction.
-    """
+    """Everything but masses that stores energy in an actuator, and the loss of its stops."""
 
     co_energy: CoEnergy
-    potential: Shape
+    potential: Shape  # V, J, including the stops
     stops: Stops
-    stop_loss_s_per_m: float
+    stop_loss_s_per_m: float  # damping per speed and force of a stop (Hunt and Crossley 1975)
 
 
 def linear_energies(p: ActuatorParameters) -> Energies:
     """Return those of the linear actuator: Phi = Bl x, L constant, V = k x^2 / 2, no stops."""
     return Energies(
-        CoEnergy(
-            Polynomial((0.0, p.force_factor_n_per_a)),
-            Polynomial((p.inductance_h,)),
-        ),
+        CoEnergy(Line(p.force_factor_n_per_a), Tanh(p.inductance_h, 0.0, p.x_max_m)),
         Hardening(p.stiffness_n_per_m, 0.0),
         Stops(math.inf, 0.0),
         0.0,
@@ -118,7 +82,7 @@ def energies(p: ActuatorParameters, large: LargeSignalParameters | None) -> Ener
     rise = spring * large.stiffness_rise / p.x_max_m**2
     stops = Stops(large.stop_m, large.stop_n_per_m2)
     loss = large.force_factor_loss
-    magnet: Shape = Polynomial((0.0, p.force_factor_n_per_a))
+    magnet: Shape = Line(p.force_factor_n_per_a)
     if loss > 0.0:
         magnet = Arctangent(p.force_factor_n_per_a, p.x_max_m * math.sqrt((1.0 - loss) / loss))
     return Energies(
@@ -126,28 +90,4 @@ def energies(p: ActuatorParameters, large: LargeSignalParameters | None) -> Ener
         Sum((Hardening(spring, rise), stops)),
         stops,
         large.stop_loss_s_per_m,
-    )
-
-
-def magnetic_divided(co_energy: CoEnergy, x0: float, x1: float) -> tuple[float, ...]:
-    """Return flux and 1 / L at both ends of a step, each with its divided difference.
-
-    The discrete gradient of the field's energy is made of them.
-    """
-    flux0, flux1 = co_energy.magnet.value(x0), co_energy.magnet.value(x1)
-    l0, l1 = co_energy.inductance.value(x0), co_energy.inductance.value(x1)
-    return (
-        flux0,
-        flux1,
-        co_energy.magnet.divided(x0, x1),
-        1.0 / l0,
-        1.0 / l1,
-        -co_energy.inductance.divided(x0, x1) / (l0 * l1),
-    )
-
-
-def stored_energy_j(energies: Energies, x: FloatArray, current_a: FloatArray) -> FloatArray:
-    """Return the energy in spring, stops and field, J, at each excursion and current."""
-    return np.asarray(energies.potential.jet(x)[0]) + energies.co_energy.stored_energy_j(
-        x, current_a
     )

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from device.rig.equations import EXCURSION, FLUX, Equations, Evaluation, Remainder
-from device.rig.small_matrices import Factors, SmallMatrix, combine, multiply, select_points
+from device.rig.small_matrices import Factors, SmallMatrix, add_to_identity, multiply
 from device.units import FloatArray
 
 MAX_ITERATIONS = 12
@@ -34,15 +34,12 @@ _FREEZE = 0.05
 
 @dataclass(frozen=True)
 class Base:
-    """The linear solution on solid ground at the nodes or at the middles, (points,) each.
-
-    The speed is that of the excursion; the acceleration is used with a seat only.
-    """
+    """The linear solution on solid ground at the nodes or at the middles, (points,) each."""
 
     excursion_m: FloatArray
-    speed_m_s: FloatArray
+    speed_m_s: FloatArray  # of the excursion
     flux_wb: FloatArray
-    acceleration_m_s2: FloatArray
+    acceleration_m_s2: FloatArray  # used with a seat only
 
 
 Bases = tuple[Base, Base]
@@ -61,15 +58,12 @@ class Linear:
 
 @dataclass(frozen=True)
 class Path(Linear):
-    """The result of Newton's method with the total current at the same points.
-
-    If it converged, everything is finite.
-    """
+    """The result of Newton's method with the total current at the same points."""
 
     node_currents_a: FloatArray
     middle_currents_a: FloatArray
     iterations: int
-    converged: bool
+    converged: bool  # then everything is finite
 
 
 class Collocation:
@@ -154,16 +148,9 @@ class Collocation:
             converged = size * (min(size / last, 1.0) if last else 1.0) <= CONVERGED
             keep, last = size <= _FREEZE, size
         finite = bool(np.isfinite(d).all() and np.isfinite(middle_rates).all())
-        return Path(
-            d,
-            rates,
-            middles,
-            middle_rates,
-            g.current_a,
-            g_m.current_a,
-            iterations,
-            converged and finite,
-        )
+        done = converged and finite
+        currents = g.current_a, g_m.current_a
+        return Path(d, rates, middles, middle_rates, *currents, iterations, done)
 
     def _at(self, base: Base, d: FloatArray) -> tuple[Remainder, Evaluation]:
         y = base.excursion_m + d[EXCURSION]
@@ -185,15 +172,14 @@ class _Newton:
     def __init__(
         self, size: int, jacobian: SmallMatrix, h: float, middles: SmallMatrix | None = None
     ) -> None:
-        first = last = jacobian
-        if middles is None:
-            middles = jacobian
-        else:
-            first = select_points(jacobian, slice(None, -1))
-            last = select_points(jacobian, slice(1, None))
+        first, last = (
+            {k: e[points] if isinstance(e, np.ndarray) else e for k, e in jacobian.items()}
+            for points in (slice(None, -1), slice(1, None))
+        )
+        middles = middles or jacobian
         a, b, c = h / 6.0, h / 3.0, h * h / 12.0
-        onward = combine(size, 1.0, (a, first), (b, middles), (c, multiply(middles, first)))
-        back = combine(size, 1.0, (-a, last), (-b, middles), (c, multiply(middles, last)))
+        onward = add_to_identity(size, (a, first), (b, middles), (c, multiply(middles, first)))
+        back = add_to_identity(size, (-a, last), (-b, middles), (c, multiply(middles, last)))
         self._size = size
         self._factors = Factors(size, back)
         columns = [

@@ -46,12 +46,8 @@ class Slopes(NamedTuple):
 class Equations:
     """Linear part and remainder of one actuator with the amplifier's impedance in its circuit.
 
-    One thread uses an object.
-
-    Attributes
-    ----------
-    resistance_ohm : float
-        Source and coil at its present temperature; the linear part keeps the value at rest.
+    `resistance_ohm` is that of source and coil at its present temperature; the linear part keeps
+    the value at rest. One thread uses an object.
     """
 
     actuator: ActuatorParameters

@@ -86,10 +86,20 @@ class ModelLevels:
 
     def base_solutions(self, segment: Segment, spacing: int) -> Bases:
         """Return the linear solution at nodes and middles with that spacing."""
+        y, w, i, a = (samples for name, samples in vars(segment).items() if name != "volts")
+        flux = self._linear_flux(y, i)
+        return (
+            Base(*(samples[::spacing] for samples in (y, w, flux, a))),
+            Base(*(samples[spacing // 2 :: spacing] for samples in (y, w, flux, a))),
+        )
+
+    def _linear_flux(self, y: FloatArray, i: FloatArray) -> FloatArray:
         p = self.equations.actuator
-        nodes, middles = slice(0, None, spacing), slice(spacing // 2, None, spacing)
-        flux = p.force_factor_n_per_a * segment.displacement_m + p.inductance_h * segment.current_a
-        return self._base(segment, flux, nodes), self._base(segment, flux, middles)
+        return p.force_factor_n_per_a * y + p.inductance_h * i
+
+    def _linear_current(self, y: FloatArray, flux: FloatArray) -> FloatArray:
+        p = self.equations.actuator
+        return (flux - p.force_factor_n_per_a * y) / p.inductance_h
 
     def solve_linear(self, bases: Bases, start: FloatArray) -> Linear:
         """Return d without a remainder."""
@@ -97,12 +107,9 @@ class ModelLevels:
 
     def zero_correction(self, segment: Segment) -> Correction:
         """Return a correction of 0."""
-        frames = len(segment.volts) - 1
-        end = np.zeros(self.equations.states)
-        names = (*QUANTITIES, SEAT_ACCELERATION)
-        found = Correction(
-            end, dict.fromkeys(names, lambda: np.zeros(frames)), segment.displacement_m
-        )
+        end, frames = np.zeros(self.equations.states), len(segment.volts) - 1
+        zeros = dict.fromkeys((*QUANTITIES, SEAT_ACCELERATION), lambda: np.zeros(frames))
+        found = Correction(end, zeros, segment.displacement_m)
         found.is_zero = True
         return found
 
@@ -121,16 +128,14 @@ class ModelLevels:
         under: Linear | None = None,
     ) -> Correction:
         """Return the correction of a linear path; g is the remainder of the path `under`."""
-        p = self.equations.actuator
         currents = []
         for k, (base, d) in enumerate(zip(bases, (path.nodes, path.middles), strict=True)):
-            current = (d[FLUX] - p.force_factor_n_per_a * d[EXCURSION]) / p.inductance_h
+            current = self._linear_current(d[EXCURSION], d[FLUX])
             if g is not None and under is not None:
                 # The current of g's path beyond the linear one.
                 other = (under.nodes, under.middles)[k]
                 y, flux = base.excursion_m + other[EXCURSION], base.flux_wb + other[FLUX]
-                linear = (flux - p.force_factor_n_per_a * y) / p.inductance_h
-                current = current + g[k].current_a - linear
+                current = current + g[k].current_a - self._linear_current(y, flux)
             currents.append(current)
         found = self._correction(path, bases, currents[0], currents[1], self.spacing)
         if under is not None:
@@ -148,18 +153,20 @@ class ModelLevels:
         if not path.converged:
             return self._solve_pieces(segment, start)
         found = self._correct_by_path(path, bases, self.spacing)
-        if found.excursion_peak_m <= self.equations.energies.stops.start:
+        if np.abs(found.excursions_m).max() <= self.equations.energies.stops.start:
             return found
-        return self._refine(low, self._double(path)) or self._solve_pieces(segment, start)
+        # Nodes and middles are the nodes of the finer grid.
+        twice = np.empty((len(path.nodes), 2 * path.nodes.shape[1] - 1))
+        twice[:, ::2], twice[:, 1::2] = path.nodes, path.middles
+        return self._refine(low, twice) or self._solve_pieces(segment, start)
 
     def solve_stepped(self, segment: Segment, start: FloatArray) -> Correction:
         """Return d sample by sample."""
         state, size = start.copy(), self.equations.states
-        p = self.equations.actuator
         y, w, i = segment.displacement_m, segment.velocity_m_s, segment.current_a
-        flux = p.force_factor_n_per_a * y + p.inductance_h * i
+        flux = self._linear_flux(y, i)
         state[:3] += [y[0], w[0], flux[0]]
-        self._stepper.begin(state)
+        self._stepper.state = [*state.tolist(), 0.0, 0.0][:5]
         whole = self._stepper.move(segment.volts[1:], float(segment.volts[0]))
         self.stepped_samples += whole.shape[1]
         speed = whole[SPEED] - whole[FRAME_SPEED]
@@ -177,12 +184,6 @@ class ModelLevels:
             {name: partial(samples.__getitem__, name) for name in samples},
             whole[EXCURSION],
         )
-
-    def _double(self, path: Linear) -> FloatArray:
-        """Return nodes and middles as the nodes of the finer grid."""
-        twice = np.empty((len(path.nodes), 2 * path.nodes.shape[1] - 1))
-        twice[:, ::2], twice[:, 1::2] = path.nodes, path.middles
-        return twice
 
     def _has_more_content(self, segment: Segment) -> bool:
         i = segment.current_a[:: max(1, self.spacing // 8)]
@@ -247,13 +248,13 @@ class ModelLevels:
         return join_corrections(pieces)
 
     def _correct_by_path(self, path: Path, bases: Bases, spacing: int) -> Correction:
-        p = self.equations.actuator
-        currents = []
-        whole = (path.node_currents_a, path.middle_currents_a)
-        for base, current in zip(bases, whole, strict=True):
-            linear = base.flux_wb - p.force_factor_n_per_a * base.excursion_m
-            currents.append(current - linear / p.inductance_h)
-        return self._correction(path, bases, currents[0], currents[1], spacing)
+        nodes, middles = (
+            current - self._linear_current(base.excursion_m, base.flux_wb)
+            for base, current in zip(
+                bases, (path.node_currents_a, path.middle_currents_a), strict=True
+            )
+        )
+        return self._correction(path, bases, nodes, middles, spacing)
 
     def _correction(
         self,
@@ -293,12 +294,4 @@ class ModelLevels:
                 SEAT_ACCELERATION: frame_acceleration,
             },
             bases[0].excursion_m + path.nodes[EXCURSION],
-        )
-
-    def _base(self, segment: Segment, flux: FloatArray, points: slice) -> Base:
-        return Base(
-            segment.displacement_m[points],
-            segment.velocity_m_s[points],
-            flux[points],
-            segment.acceleration_m_s2[points],
         )

@@ -17,7 +17,6 @@ import numpy as np
 from device.rig.collocation import Bases, Linear
 from device.rig.equations import EXCURSION, SPEED
 from device.rig.model_levels import ModelLevel, ModelLevels
-from device.rig.parameters import ActuatorParameters
 from device.rig.segment import Correction, Segment
 from device.units import FloatArray
 
@@ -49,24 +48,10 @@ class Errors(NamedTuple):
     acceleration: float
 
 
-class ErrorEstimate:
-    """Estimates one actuator's errors from the changes that a better model makes."""
-
-    def __init__(self, actuator: ActuatorParameters) -> None:
-        floor_m = FLOOR * actuator.x_max_m
-        self._floors = Errors(floor_m, floor_m * actuator.resonance_rad_s**2)
-
-    def share(self, change: Errors, peaks: Errors) -> float:
-        """Return the larger share of its peak, with the margin; infinity if it is not finite."""
-        largest = max(error / peak for error, peak in zip(change, peaks, strict=True))
-        return MARGIN * largest if math.isfinite(largest) else math.inf
-
-    def peaks(self, bases: Bases, path: Linear, nodes: slice = ALL) -> Errors:
-        """Return the peaks of the motion at some nodes, at least the floor."""
-        y = np.abs(bases[0].excursion_m[nodes] + path.nodes[EXCURSION, nodes]).max()
-        a = np.abs(bases[0].acceleration_m_s2[nodes] + path.node_rates[SPEED, nodes]).max()
-        pairs = zip((float(y), float(a)), self._floors, strict=True)
-        return Errors(*(max(peak, floor) for peak, floor in pairs))
+def share_of_peak(change: Errors, peaks: Errors) -> float:
+    """Return the larger share of its peak, with the margin; infinity if it is not finite."""
+    largest = max(error / peak for error, peak in zip(change, peaks, strict=True))
+    return MARGIN * largest if math.isfinite(largest) else math.inf
 
 
 def largest_difference(one: Linear, other: Linear, nodes: slice = ALL) -> Errors:
@@ -91,7 +76,7 @@ class LinearBlocks(NamedTuple):
 
     estimates: list[float]  # of the error of each block
     peaks_m: list[float]  # the excursion of each block
-    better: FloatArray  # d at the end by the next better model, (states,)
+    better: FloatArray  # as in `SelectedModel`
 
 
 class ModelSelector:
@@ -103,7 +88,9 @@ class ModelSelector:
     def __init__(self, levels: ModelLevels, tolerance: float, early: bool = True) -> None:
         self.tolerance, self.early = tolerance, early
         self._levels = levels
-        self._errors = ErrorEstimate(levels.equations.actuator)
+        actuator = levels.equations.actuator
+        floor_m = FLOOR * actuator.x_max_m
+        self._floors = Errors(floor_m, floor_m * actuator.resonance_rad_s**2)
         self.reset()
 
     def reset(self) -> None:
@@ -131,6 +118,12 @@ class ModelSelector:
         """Use the non-linear model without an estimate."""
         found = self._levels.solve(ModelLevel.NONLINEAR, segment, better, better)
         return SelectedModel(ModelLevel.NONLINEAR, _NONLINEAR_ERROR, found, found.end)
+
+    def _peaks(self, bases: Bases, path: Linear, nodes: slice = ALL) -> Errors:
+        """Return the peaks of the motion at some nodes, at least the floor."""
+        y = np.abs(bases[0].excursion_m[nodes] + path.nodes[EXCURSION, nodes]).max()
+        a = np.abs(bases[0].acceleration_m_s2[nodes] + path.node_rates[SPEED, nodes]).max()
+        return Errors(max(float(y), self._floors[0]), max(float(a), self._floors[1]))
 
     def _excursion_m(self, segment: Segment) -> float:
         return float(np.abs(segment.displacement_m[:: self._levels.spacing]).max())
@@ -161,7 +154,7 @@ class ModelSelector:
         for first in range(0, len(bases[0].excursion_m) - 1, block_nodes):
             nodes = slice(first, first + block_nodes + 1)
             change = largest_difference(born, linear, nodes)
-            estimate = self._errors.share(change, self._errors.peaks(bases, born, nodes))
+            estimate = share_of_peak(change, self._peaks(bases, born, nodes))
             if estimate > self.tolerance:
                 break
             estimates.append(estimate)
@@ -171,18 +164,14 @@ class ModelSelector:
         return LinearBlocks(estimates, peaks_m, end)
 
     def select(self, segment: Segment, start: FloatArray, better: FloatArray) -> SelectedModel:
-        """Select the model for one block.
-
-        The argument `start` is d at its first node by the present model, `better` by the next
-        better one.
-        """
+        """Select the model of a block from d at its first node, by the present and a better one."""
         levels = self._levels
         bases = levels.base_solutions(segment, levels.spacing)
         linear = levels.solve_linear(bases, start)
         born, g = levels.solve_born(bases, better, linear)
         first = largest_difference(born, linear)
-        peaks = self._errors.peaks(bases, born)
-        estimate = self._errors.share(first, peaks)
+        peaks = self._peaks(bases, born)
+        estimate = share_of_peak(first, peaks)
         if estimate <= self.tolerance:
             self._learn(segment, beyond=False)
             found = levels.correct_by(bases, linear)
@@ -193,7 +182,7 @@ class ModelSelector:
             born, g = levels.solve_born(bases, better, linear)
         second, then_g = levels.solve_born(bases, better, born)
         then = largest_difference(second, born)
-        estimate = self._errors.share(then, peaks)
+        estimate = share_of_peak(then, peaks)
         self._learn(segment, estimate > _BEYOND * self.tolerance)
         if estimate <= self.tolerance:
             found = levels.correct_by(bases, born, g, linear)

@@ -17,22 +17,14 @@ _FINEST = 4
 
 
 class NodeGrid:
-    """The grid for one sample rate, Hz.
-
-    Attributes
-    ----------
-    upsampling : int
-        Grid samples per signal sample.
-    spacing : int
-        Grid samples from node to node, a multiple of 4. The node rate is within a factor of 1.5
-        of nodes_hz.
-    """
+    """The grid for one sample rate, Hz; its node rate is within a factor of 1.5 of nodes_hz."""
 
     def __init__(self, samplerate: float, nodes_hz: float = NODES_HZ) -> None:
         self.upsampling = max(1, int(np.ceil(_FINEST * nodes_hz / samplerate)))
         self.samplerate = samplerate * self.upsampling
+        # Grid samples from node to node, a multiple of 4.
         self.spacing = _FINEST * max(1, round(self.samplerate / (_FINEST * nodes_hz)))
-        self._last_v = 0.0
+        self.reset()
 
     def reset(self) -> None:
         """Set the last sample to 0."""
@@ -53,23 +45,19 @@ def interpolate_cubic(
 ) -> FloatArray:
     """Return (steps * spacing,) samples after the first node of a cubic through nodes and rates."""
     known = np.stack([nodes[:-1], nodes[1:], step_s * rates[:-1], step_s * rates[1:]], axis=1)
-    return np.asarray(known @ _cubic_basis(spacing)).reshape(-1)
+    return np.asarray(known @ _bases(spacing)[0]).reshape(-1)
 
 
 def interpolate_quadratic(nodes: FloatArray, middles: FloatArray, spacing: int) -> FloatArray:
     """Return (steps * spacing,) samples after the first node of parabolas through three points."""
     known = np.stack([nodes[:-1], middles, nodes[1:]], axis=1)
-    return np.asarray(known @ _quadratic_basis(spacing)).reshape(-1)
+    return np.asarray(known @ _bases(spacing)[1]).reshape(-1)
 
 
 @cache
-def _cubic_basis(spacing: int) -> FloatArray:
+def _bases(spacing: int) -> tuple[FloatArray, FloatArray]:
+    """Return the cubic and the quadratic basis at the samples of one step."""
     t = np.arange(1, spacing + 1) / spacing
     rise = t * t * (3.0 - 2.0 * t)
-    return np.array([1.0 - rise, rise, t * (1.0 - t) ** 2, -t * t * (1.0 - t)])
-
-
-@cache
-def _quadratic_basis(spacing: int) -> FloatArray:
-    t = np.arange(1, spacing + 1) / spacing
-    return np.array([(1.0 - t) * (1.0 - 2.0 * t), 4.0 * t * (1.0 - t), t * (2.0 * t - 1.0)])
+    cubic = np.array([1.0 - rise, rise, t * (1.0 - t) ** 2, -t * t * (1.0 - t)])
+    return cubic, np.array([(1.0 - t) * (1.0 - 2.0 * t), 4.0 * t * (1.0 - t), t * (2.0 * t - 1.0)])

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from device.rig.co_energy import magnetic_divided
 from device.rig.equations import Equations
 from device.units import FloatArray
 
@@ -28,7 +27,6 @@ class _Tried(NamedTuple):
     left_n: float  # the residual force; 0 solves the step
     force_n: float  # the inertial force
     flux_wb: float  # at the end
-    current_a: float  # the mean
 
 
 class PassiveStepper:
@@ -38,10 +36,6 @@ class PassiveStepper:
     ----------
     state : list[float]
         y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat.
-    energy_error_j : float
-        The energy balance error of the last step: supplied, but neither stored nor heat.
-    worst_energy_error : float
-        The largest so far, as a share of the energy stored or supplied in its step.
     """
 
     def __init__(self, equations: Equations, step_s: float) -> None:
@@ -56,19 +50,7 @@ class PassiveStepper:
         )
         give = h * h / (2.0 * equations.mass) + (h / self._frame_drag if seat else 0.0)
         self._inertia = 1.0 / give
-        self.reset()
-
-    def reset(self) -> None:
-        """Come to rest and clear the errors."""
         self.state = [0.0, 0.0, 0.0, 0.0, 0.0]
-        self.energy_error_j = 0.0
-        self.worst_energy_error = 0.0
-        self._energy_j = 0.0
-
-    def begin(self, state: FloatArray) -> None:
-        """Continue from a state, (3,) or (5,)."""
-        self.state = [*state.tolist(), 0.0, 0.0][:5]
-        self._energy_j = self.energy_j()
 
     def move(self, volts: FloatArray, before_v: float) -> FloatArray:
         """Return y, u, lambda, z, z', current and u' after each of (frames,) volts, (7, frames).
@@ -84,18 +66,6 @@ class PassiveStepper:
             result[5:, frame] = self._current_and_acceleration()
         return result
 
-    def energy_j(self) -> float:
-        """Return H at the last sample, including the frame."""
-        y, u, flux, z, zs = self.state
-        e = self.equations.energies
-        linkage = flux - e.co_energy.magnet.value(y)
-        return (
-            e.potential.value(y)
-            + self.equations.mass * u * u / 2.0
-            + linkage * linkage / (2.0 * e.co_energy.inductance.value(y))
-            + (self._frame_spring * z * z + self._frame_mass * zs * zs) / 2.0
-        )
-
     def _step(self, volt: float) -> None:
         y0, u0, _, z0, zs0 = self.state
         h, seat = self.step_s, self.equations.seat
@@ -104,25 +74,13 @@ class PassiveStepper:
         if seat:
             coast = (2.0 * self._frame_mass * zs0 / h - self._frame_spring * z0) / self._frame_drag
         free = h * (u0 - coast)
-        move, (_, force, flux1, current) = self._solve(volt, free)
+        move, (_, force, flux1) = self._solve(volt, free)
         u1 = u0 + h * force / self.equations.mass
-        mean, z1, zs1 = 0.0, 0.0, 0.0
+        z1, zs1 = 0.0, 0.0
         if seat:
             mean = coast - force / self._frame_drag
             z1, zs1 = z0 + h * mean, 2.0 * mean - zs0
-        before_j = self._energy_j
         self.state = [y0 + move, u1, flux1, z1, zs1]
-        drag = self.equations.damping + self._stop_drag(y0 + move / 2.0)
-        heat_w = self.equations.resistance_ohm * current * current + drag * (move / h) ** 2
-        heat_w += self._frame_damping * mean * mean
-        self._energy_j = self.energy_j()
-        let_in_j = h * volt * current
-        self.energy_error_j = let_in_j - h * heat_w - (self._energy_j - before_j)
-        if self.energy_error_j:
-            handled_j = max(before_j, self._energy_j, abs(let_in_j))
-            self.worst_energy_error = max(
-                self.worst_energy_error, abs(self.energy_error_j) / handled_j
-            )
 
     def _solve(self, volt: float, free: float) -> tuple[float, "_Tried"]:
         """Return the excursion's change over the step and its consequences."""
@@ -165,13 +123,16 @@ class PassiveStepper:
         e = equations.energies
         y0, _, flux0, _, _ = self.state
         y1 = y0 + move
-        phi0, phi1, phi_d, g0, g1, g_d = magnetic_divided(e.co_energy, y0, y1)
+        magnet, inductance = e.co_energy.magnet, e.co_energy.inductance
+        phi0, phi1, phi_d = magnet.value(y0), magnet.value(y1), magnet.divided(y0, y1)
+        # 1 / L at both ends and its divided difference
+        l0, l1 = inductance.value(y0), inductance.value(y1)
+        g0, g1, g_d = 1.0 / l0, 1.0 / l1, -inductance.divided(y0, y1) / (l0 * l1)
         g = 0.5 * (g0 + g1)
         offset = 0.5 * (g0 * phi0 + g1 * phi1)
         share = 0.5 * h * equations.resistance_ohm * g
         driven = h * (volt + equations.resistance_ohm * offset)
         flux1 = (flux0 * (1.0 - share) + driven) / (1.0 + share)
-        current = g * 0.5 * (flux0 + flux1) - offset
         field = 0.0
         for flux in (flux0, flux1):
             at0, at1 = flux - phi0, flux - phi1
@@ -180,7 +141,7 @@ class PassiveStepper:
         force = -e.potential.divided(y0, y1) - field - drag * move / h
         inertial = self._inertia * (move - free)
         # The inertial force keeps the state consistent; rounding goes into the other one.
-        return _Tried(inertial - force, inertial, flux1, current)
+        return _Tried(inertial - force, inertial, flux1)
 
     def _stop_drag(self, y: float) -> float:
         e = self.equations.energies

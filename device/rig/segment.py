@@ -52,9 +52,7 @@ class Segment:
 class Correction:
     """What a model adds to the linear solution at the samples after the first, (frames,).
 
-    Each quantity is computed only when it is asked for. `end` is d at the last node, (states,), and
-    `under_end` that of the path whose remainder was used. `excursions_m` is the total excursion at
-    nodes or samples. `is_zero` says that all samples are 0.
+    Each quantity is computed only when it is asked for.
     """
 
     def __init__(
@@ -63,15 +61,11 @@ class Correction:
         samples: dict[str, Callable[[], FloatArray]],
         excursions_m: FloatArray,
     ) -> None:
+        # d at the last node, (states,), and that of the path whose remainder was used
         self.end = self.under_end = end
-        self.excursions_m = excursions_m
+        self.excursions_m = excursions_m  # total, at nodes or samples
         self.is_zero = False
         self._samples = samples
-
-    @property
-    def excursion_peak_m(self) -> float:
-        """The largest total excursion."""
-        return float(np.abs(self.excursions_m).max())
 
     def excursion_peaks_m(self, parts: int) -> list[float]:
         """Return the largest total excursion in each of several equal parts."""

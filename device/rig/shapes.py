@@ -2,10 +2,11 @@
 
 A shape is data: a few numbers that define a function of x, in metres. The divided difference
 (f(b) - f(a)) / (b - a) is also exact for close a and b, and equals f'(a) for a = b; discrete
-gradients are made of it. Pure functions; any thread may call them.
+gradients are made of it.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -37,36 +38,22 @@ class Shape(Protocol):
 
 
 @dataclass(frozen=True)
-class Polynomial:
-    """f = c0 + c1 x + c2 x^2 + ... with at least one coefficient."""
+class Line:
+    """f = slope x."""
 
-    coefficients: tuple[float, ...]
+    slope: float
 
     def jet(self, x: FloatArray) -> Jet:
-        """f, f' and f'' by Horner's rule."""
-        f = np.full_like(x, self.coefficients[-1])
-        first = np.zeros_like(x)
-        second = np.zeros_like(x)
-        for coefficient in self.coefficients[-2::-1]:
-            second = second * x + 2.0 * first
-            first = first * x + f
-            f = f * x + coefficient
-        return f, first, second
+        """f, f' and f''."""
+        return self.slope * x, np.full_like(x, self.slope), np.zeros_like(x)
 
     def value(self, x: float) -> float:
-        """f(x) by Horner's rule."""
-        f = 0.0
-        for coefficient in reversed(self.coefficients):
-            f = f * x + coefficient
-        return f
+        """f(x)."""
+        return self.slope * x
 
     def divided(self, a: float, b: float) -> float:
-        """Divide f(b) - f(a) by b - a as polynomials, without cancellation."""
-        quotient, at_a = 0.0, 0.0
-        for coefficient in self.coefficients[:0:-1]:
-            at_a = at_a * a + coefficient
-            quotient = quotient * b + at_a
-        return quotient
+        """The slope."""
+        return self.slope
 
 
 @dataclass(frozen=True)
@@ -81,11 +68,8 @@ class Hardening:
         square = x * x
         risen = self.rise * square
         first = (self.stiffness + risen) * x
-        return (
-            (0.5 * self.stiffness + 0.25 * risen) * square,
-            first,
-            self.stiffness + 3.0 * risen,
-        )
+        value = (0.5 * self.stiffness + 0.25 * risen) * square
+        return value, first, self.stiffness + 3.0 * risen
 
     def value(self, x: float) -> float:
         """f(x)."""
@@ -99,24 +83,18 @@ class Hardening:
 
 @dataclass(frozen=True)
 class Arctangent:
-    """f = slope reach atan(x / reach): the flux of a coil that leaves its gap, f' = Bl.
+    """f = slope reach atan(x / reach): the flux of a coil that leaves its gap, f' = Bl."""
 
-    The slope is f' at rest; at the reach, in m and above 0, f' has halved.
-    """
-
-    slope: float
-    reach: float
+    slope: float  # f' at rest
+    reach: float  # m, above 0: there f' has halved
 
     def jet(self, x: FloatArray) -> Jet:
         """f, f' and f''."""
         z = x / self.reach
         share = 1.0 / (1.0 + z * z)
         first = self.slope * share
-        return (
-            self.slope * self.reach * np.arctan(z),
-            first,
-            first * share * z * (-2.0 / self.reach),
-        )
+        second = first * share * z * (-2.0 / self.reach)
+        return self.slope * self.reach * np.arctan(z), first, second
 
     def value(self, x: float) -> float:
         """f(x)."""
@@ -128,19 +106,16 @@ class Arctangent:
         if u * v <= -0.5:
             return self.slope * (math.atan(v) - math.atan(u)) / (v - u)
         share = 1.0 / (1.0 + u * v)
-        return self.slope * share * _atan_ratio((v - u) * share)
+        return self.slope * share * _ratio(math.atan, (v - u) * share)
 
 
 @dataclass(frozen=True)
 class Tanh:
-    """f = level (1 - share tanh(x / reach)): an inductance that falls as the coil leaves its iron.
-
-    The level is f at rest; the share is 0 to below 1; the reach, in m, is above 0.
-    """
+    """f = level (1 - share tanh(x / reach)): an inductance that falls outside the iron."""
 
     level: float
-    share: float
-    reach: float
+    share: float  # 0 to below 1
+    reach: float  # m, above 0
 
     def jet(self, x: FloatArray) -> Jet:
         """f, f' and f''."""
@@ -157,19 +132,15 @@ class Tanh:
         """Use tanh v - tanh u = tanh(v - u) (1 - tanh u tanh v)."""
         u, v = a / self.reach, b / self.reach
         product = math.tanh(u) * math.tanh(v)
-        return -self.level * self.share / self.reach * (1.0 - product) * _tanh_ratio(v - u)
+        return -self.level * self.share / self.reach * (1.0 - product) * _ratio(math.tanh, v - u)
 
 
 @dataclass(frozen=True)
 class Stops:
-    """f = hardness / 3 indentation^3 beyond ±start: the energy in two end stops.
+    """f = hardness / 3 indentation^3 beyond ±start: the energy in two end stops."""
 
-    The start, in m, is above 0, and the hardness, in N/m^2, is 0 or more. The force grows with the
-    square of the indentation, so it sets in smoothly.
-    """
-
-    start: float
-    hardness: float
+    start: float  # m, above 0
+    hardness: float  # N/m^2, 0 or more
 
     def jet(self, x: FloatArray) -> Jet:
         """f, f' and f''."""
@@ -220,11 +191,6 @@ class Sum:
         return sum(shape.divided(a, b) for shape in self.shapes)
 
 
-def _atan_ratio(z: float) -> float:
-    """atan(z) / z, 1 at 0."""
-    return math.atan(z) / z if abs(z) > _SMALL else 1.0 - z * z / 3.0
-
-
-def _tanh_ratio(z: float) -> float:
-    """tanh(z) / z, 1 at 0."""
-    return math.tanh(z) / z if abs(z) > _SMALL else 1.0 - z * z / 3.0
+def _ratio(f: Callable[[float], float], z: float) -> float:
+    """f(z) / z of atan or tanh, 1 at 0."""
+    return f(z) / z if abs(z) > _SMALL else 1.0 - z * z / 3.0

@@ -19,7 +19,7 @@ from device.units import Float32Array, FloatArray, check_channels
 class SimulatedRig:
     """A `VibrationOutput` that moves one simulated actuator for each channel.
 
-    One thread calls the methods; any thread may read the attributes meanwhile.
+    One thread writes; any thread may read the attributes meanwhile.
 
     Parameters
     ----------
@@ -34,8 +34,6 @@ class SimulatedRig:
         ACCELERATION_FULL_SCALE_M_S2. It is closed or aborted with the rig.
     tolerance : float | None
         None for linear actuators, else the error that `AdaptiveActuator` may make.
-    temperature : bool
-        Whether coils warm up; needs `tolerance`.
 
     Attributes
     ----------
@@ -62,7 +60,6 @@ class SimulatedRig:
         *,
         recorder: VibrationOutput | None = None,
         tolerance: float | None = None,
-        temperature: bool = False,
     ) -> None:
         if samplerate < 1_000:
             raise UsageError(f"samplerate={samplerate} Hz is too low; choose 1000 Hz or more")
@@ -79,13 +76,7 @@ class SimulatedRig:
         self._recorder = recorder
         self._closed = False
         self._stages = [
-            _Stage(
-                one,
-                [channel for channel, other in enumerate(rigs) if other == one],
-                samplerate,
-                tolerance,
-                temperature=temperature,
-            )
+            _Stage(one, [k for k, other in enumerate(rigs) if other == one], samplerate, tolerance)
             for one in dict.fromkeys(rigs)
             if one is not None
         ]
@@ -156,13 +147,7 @@ class _Stage:
     """DAC and amplifier of the channels with one kind of rig, and their actuators."""
 
     def __init__(
-        self,
-        rig: Rig,
-        columns: list[int],
-        samplerate: int,
-        tolerance: float | None,
-        *,
-        temperature: bool,
+        self, rig: Rig, columns: list[int], samplerate: int, tolerance: float | None
     ) -> None:
         self.rig = rig
         self.columns = columns
@@ -172,7 +157,7 @@ class _Stage:
         self.actuators: list[LinearActuator | AdaptiveActuator] = [
             LinearActuator(rig.actuator, samplerate, source)
             if tolerance is None
-            else AdaptiveActuator(rig, samplerate, tolerance, temperature=temperature)
+            else AdaptiveActuator(rig, samplerate, tolerance)
             for _ in columns
         ]
 

@@ -4,13 +4,10 @@ A matrix is a dict from (row, column) to its entry; an absent entry is 0 and cos
 three to five states this is several times faster than NumPy's stacks of matrices.
 """
 
-import numpy as np
-
 from device.units import FloatArray
 
 Entry = FloatArray | float
 SmallMatrix = dict[tuple[int, int], Entry]
-Vector = list[Entry]
 
 
 def multiply(a: SmallMatrix, b: SmallMatrix) -> SmallMatrix:
@@ -25,20 +22,15 @@ def multiply(a: SmallMatrix, b: SmallMatrix) -> SmallMatrix:
     return result
 
 
-def combine(size: int, diagonal: float, *terms: tuple[float, SmallMatrix]) -> SmallMatrix:
-    """Return diagonal I + the sum of factor times matrix; the whole diagonal is present."""
-    result: SmallMatrix = {(k, k): diagonal for k in range(size)}
+def add_to_identity(size: int, *terms: tuple[float, SmallMatrix]) -> SmallMatrix:
+    """Return I + the sum of factor times matrix; the whole diagonal is present."""
+    result: SmallMatrix = {(k, k): 1.0 for k in range(size)}
     for factor, matrix in terms:
         for place, entry in matrix.items():
             known = result.get(place)
             term = factor * entry
             result[place] = term if known is None else known + term
     return result
-
-
-def select_points(matrix: SmallMatrix, points: slice) -> SmallMatrix:
-    """Return the matrices at some of the points."""
-    return {k: e[points] if isinstance(e, np.ndarray) else e for k, e in matrix.items()}
 
 
 class Factors:
@@ -51,7 +43,7 @@ class Factors:
         self._size = size
         self._factors = dict(matrix)
         factors = self._factors
-        self._inverse: Vector = []
+        self._inverse: list[Entry] = []
         for pivot in range(size):
             inverse = 1.0 / factors[pivot, pivot]
             self._inverse.append(inverse)
@@ -68,21 +60,18 @@ class Factors:
     def solve(self, right: list[Entry | None]) -> list[Entry | None]:
         """Return the solution for one right-hand side; None is 0."""
         solution = list(right)
-        factors, size = self._factors, self._size
-        for row in range(size):
-            for column in range(row):
-                solution[row] = _minus(solution[row], factors.get((row, column)), solution[column])
-        for row in reversed(range(size)):
-            for column in range(row + 1, size):
-                solution[row] = _minus(solution[row], factors.get((row, column)), solution[column])
+        for row in range(self._size):
+            self._eliminate(solution, row, range(row))
+        for row in reversed(range(self._size)):
+            self._eliminate(solution, row, range(row + 1, self._size))
             value = solution[row]
             if value is not None:
                 solution[row] = value * self._inverse[row]
         return solution
 
-
-def _minus(total: Entry | None, factor: Entry | None, value: Entry | None) -> Entry | None:
-    if factor is None or value is None:
-        return total
-    term = factor * value
-    return -term if total is None else total - term
+    def _eliminate(self, solution: list[Entry | None], row: int, columns: range) -> None:
+        for column in columns:
+            factor, value, total = self._factors.get((row, column)), solution[column], solution[row]
+            if factor is not None and value is not None:
+                term = factor * value
+                solution[row] = -term if total is None else total - term

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.co_energy import Energies, energies, stored_energy_j
+from device.rig.co_energy import Energies, energies
 from device.rig.equations import Equations
 from device.rig.model_levels import ModelLevel
 from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
+from tests.support.co_energy import step_errors, stored_energy_j
 from tools.bench.sounds.signals import SAMPLERATE
 
 NOISE_V = 60.0
@@ -26,9 +27,12 @@ LEAST = 1e-6
 def worst_step_of_noise() -> float:
     """Return the energy-balance error of the step by step model on white noise."""
     p = PAPER.actuator
-    stepper = PassiveStepper(Equations(p, energies(p, PAPER.large_signal)), 1.0 / SAMPLERATE)
-    stepper.move(NOISE_V * np.random.default_rng(12).standard_normal(STEPS), 0.0)
-    return stepper.worst_energy_error
+    equations = Equations(p, energies(p, PAPER.large_signal))
+    volts = NOISE_V * np.random.default_rng(12).standard_normal(STEPS)
+    states = PassiveStepper(equations, 1.0 / SAMPLERATE).move(volts, 0.0)
+    states = np.concatenate([np.zeros((7, 1)), states], axis=1)
+    volts = np.concatenate([[0.0], volts])
+    return float(step_errors(equations, 1.0 / SAMPLERATE, states, volts).max())
 
 
 def worst_step(volts: FloatArray) -> float:

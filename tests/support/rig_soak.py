@@ -11,11 +11,12 @@ import numpy as np
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.co_energy import Energies, energies, linear_energies, stored_energy_j
+from device.rig.co_energy import Energies, energies, linear_energies
 from device.rig.equations import EXCURSION, SPEED, Equations
 from device.rig.model_levels import ModelLevel
 from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
+from tests.support.co_energy import step_errors, stored_energy_j
 from tools.bench.machine import cpu_model
 from tools.bench.soak_record import (
     NO_CREEP,
@@ -50,14 +51,14 @@ def soak_energy(rung: ModelLevel, samples: int | None = None) -> SoakRecord:
     """
     wanted = samples or (STEPPED_SAMPLES if rung is ModelLevel.STEPPED else SAMPLES)
     volts = steady_drive(min(LOOP_S, wanted / SAMPLERATE))
-    stepper = _stepper() if rung is ModelLevel.STEPPED else None
-    moved = _by_steps(stepper) if stepper else _by_ladder(rung)
+    errors: list[float] = []
+    moved = _by_steps(_stepper(), errors) if rung is ModelLevel.STEPPED else _by_ladder(rung)
     start_s = time.process_time()
     loops = SETTLED_LOOPS + -(-wanted // len(volts))
     peaks_j = np.array([moved(volts).max() for _ in range(loops)])[SETTLED_LOOPS:]
     creep = float(np.abs(peaks_j / peaks_j[0] - 1.0).max())
     rise = _largest_rise(moved(np.zeros(round(STILL_S * SAMPLERATE))), rung)
-    worst = stepper.worst_energy_error if stepper else None
+    worst = max(errors, default=None)
     return SoakRecord(
         what=f"{rung} rung",
         date=now(),
@@ -109,14 +110,18 @@ def _by_ladder(rung: ModelLevel) -> Energy:
     return moved
 
 
-def _by_steps(stepper: PassiveStepper) -> Energy:
-    e = stepper.equations.energies
-    last_v = 0.0
+def _by_steps(stepper: PassiveStepper, errors: list[float]) -> Energy:
+    """As `Energy`; the worst energy-balance error of each call is added to the errors."""
+    equations, e = stepper.equations, stepper.equations.energies
+    last_v, last_state = 0.0, np.zeros((7, 1))
 
     def moved(volts: FloatArray) -> FloatArray:
-        nonlocal last_v
+        nonlocal last_v, last_state
         states = stepper.move(volts, last_v)
-        last_v = float(volts[-1])
+        whole = np.concatenate([last_state, states], axis=1)
+        from_v = np.concatenate([[last_v], volts])
+        errors.append(float(step_errors(equations, stepper.step_s, whole, from_v).max()))
+        last_v, last_state = float(volts[-1]), states[:, -1:]
         return stored_energy_j(e, states[EXCURSION], states[5]) + _kinetic_j(states[SPEED])
 
     return moved

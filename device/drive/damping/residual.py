@@ -19,7 +19,7 @@ from device.drive.damping.damper import Damper
 from device.drive.damping.design import Damping, no_damping
 from device.rig import ActuatorParameters
 from device.rig.actuator import LinearActuator
-from device.rig.perturbed_rigs import detune
+from device.rig.parameters import detune
 from device.units import FloatArray, amplitude_to_db
 
 BURST_S = 0.05

@@ -12,7 +12,7 @@ from device.drive.protection.prediction import Prediction, most_current_a
 from device.drive.protection.thermal import CoilTemperature, gain_for_power
 from device.errors import InternalError, UsageError
 from device.rig import ActuatorParameters, Rig
-from device.rig.perturbed_rigs import detune, stiffen
+from device.rig.parameters import detune, stiffen
 from device.units import Block, FloatArray, check_channels, finite_or_zero
 
 BLOCK_S = 0.002

@@ -22,7 +22,7 @@ from device.drive.damping.residual import CURRENT_DRIVE_OHM, burst_response, und
 from device.errors import InternalError, UsageError
 from device.rig import PAPER
 from device.rig.actuator import LinearActuator
-from device.rig.perturbed_rigs import detune
+from device.rig.parameters import detune
 
 ACTUATOR = PAPER.actuator
 STRONG = replace(ACTUATOR, force_factor_n_per_a=16.0)

@@ -20,8 +20,7 @@ from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
 from device.rig.model_levels import ModelLevel
-from device.rig.parameters import ThermalParameters
-from device.rig.perturbed_rigs import detune, stiffen
+from device.rig.parameters import ThermalParameters, detune, stiffen
 from device.rig.simulated_rig import SimulatedRig
 from device.rig.thermal import COPPER_PER_K
 

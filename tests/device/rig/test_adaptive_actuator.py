@@ -16,10 +16,11 @@ from device.errors import UsageError
 from device.rig import PAPER
 from device.rig.actuator import QUANTITIES, LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.co_energy import energies, linear_energies, stored_energy_j
+from device.rig.co_energy import energies, linear_energies
 from device.rig.model_levels import ModelLevel
 from device.rig.segment import crossfade
 from device.rig.thermal import COPPER_PER_K, Temperatures
+from tests.support.co_energy import flux_linkage_wb, stored_energy_j
 
 EXHAUSTIVE = pytest.mark.exhaustive
 
@@ -54,8 +55,8 @@ def reference(level_v, samplerate, seat=False, duration_s=0.04):
         y, u, i, z, zs = s
         x, current = np.array([y]), np.array([i])
         w = u - (zs if seat else 0.0)
-        force = e.co_energy.force_n(x, current)[0] - e.potential.jet(x)[1][0] - c * w
-        at = e.co_energy.at(x, e.co_energy.flux_linkage_wb(x, current))
+        at = e.co_energy.at(x, flux_linkage_wb(e.co_energy, x, current))
+        force = at.force_n[0] - e.potential.jet(x)[1][0] - c * w
         change = p.resistance_ohm * i + at.flux_slope[0] * w
         rate = (tones(level_v, t) - change) / at.inductance_h[0]
         frame = 0.0

@@ -26,7 +26,7 @@ from device.rig import Rig
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
-from device.rig.perturbed_rigs import detune
+from device.rig.parameters import detune
 from device.units import FloatArray
 
 CURRENT_DRIVE_OHM = 1e4

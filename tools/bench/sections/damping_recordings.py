@@ -20,7 +20,7 @@ from device.rig import PAPER
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
-from device.rig.perturbed_rigs import detune
+from device.rig.parameters import detune
 from device.units import amplitude_to_db
 from tools.bench.measures.large_bursts import driven_by, intended
 from tools.bench.report import Row, Section

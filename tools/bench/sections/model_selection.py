@@ -17,8 +17,8 @@ from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier, Dac
 from device.rig.model_levels import ModelLevel
 from device.rig.model_selection import FLOOR
-from device.rig.report import block_errors, report_seconds
 from tools.bench.cost import Timings, interleaved
+from tools.bench.measures.model_report import block_errors, report_seconds
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, looped, speech
 from tools.bench.workbench import LIVE, Workbench

@@ -19,7 +19,7 @@ from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier
 from device.rig.model_levels import ModelLevel
-from device.rig.perturbed_rigs import detune
+from device.rig.parameters import detune
 from device.units import amplitude_to_db
 from tools.bench.cost import in_ffts, interleaved
 from tools.bench.report import Must, Row, Section

@@ -10,7 +10,7 @@ import pytest
 from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator, BlockReport
 from device.rig.model_levels import ModelLevel
-from device.rig.report import block_errors, report_seconds
+from tools.bench.measures.model_report import block_errors, report_seconds
 
 TOLERANCE = 1e-2
 
