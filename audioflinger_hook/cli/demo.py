@@ -19,7 +19,8 @@ from audioflinger_hook.cli.terminal import LineConsole, level_text, warn
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.inspection import inspect_tap
 from audioflinger_hook.offline.render import ACCELERATION_COMMENT
-from audioflinger_hook.pipeline.framework import Framework, Pipeline, RealTimePace
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import Pipeline, RealTimePace
 from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.sources import FramesTap, SceneClient, mixdown
 from device.atomic_file import write_bytes_atomically

@@ -8,7 +8,8 @@ import time
 from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.pipeline.framework import Framework, Pipeline
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import open_client, parse_tap
 
 

@@ -1,6 +1,8 @@
-"""The buffer that travels through mix, effects and sinks: sound with haptic channels behind it."""
+"""The buffer that travels through mix, effects and sinks, and what a sink is."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,3 +43,15 @@ class MixBuffer:
     def clear(self) -> None:
         """Make everything silent."""
         self.samples[:] = 0.0
+
+
+class Sink(Protocol):
+    """Takes every buffer that the mixer writes. The mixer's thread calls it."""
+
+    def write(self, buffer: MixBuffer) -> None:
+        """Take one buffer; it belongs to the mixer again when this returns."""
+        ...
+
+    def standby(self) -> None:
+        """Drop what was kept, since nothing follows for a while. The next `write` ends it."""
+        ...

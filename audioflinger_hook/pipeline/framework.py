@@ -1,10 +1,9 @@
-"""The audio framework, mixer and effects, and the pipeline that steps it from client to outputs."""
+"""The audio framework: mixer, effect chains and the haptic effect."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +16,10 @@ from audioflinger_hook.effect.module import EffectModule
 from audioflinger_hook.effect.parameters import Values
 from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
-from audioflinger_hook.mixer import CycleReport, HapticSink, Mixer, Sink, dump
+from audioflinger_hook.mixer import Mixer, Sink, dump
 from audioflinger_hook.mixer.sessions import OUTPUT_MIX
-from audioflinger_hook.sources import Client
 from audioflinger_hook.transform import HapticTransform, kernel_warning
 from device.errors import CushionError, InternalError, UsageError
-from device.output import VibrationOutput
 
 HAL_FRAMES = 240
 """Frames that the output is assumed to take at once; a cycle is 20 ms of them."""
@@ -154,10 +151,6 @@ class Framework:
         """Send the mix to these sinks from the next cycle on."""
         self.mixer.sinks = sinks
 
-    def cycle(self, now_s: float = 0.0, frames: int | None = None) -> CycleReport:
-        """Do one cycle; see `Mixer.cycle`."""
-        return self.mixer.cycle(now_s, frames)
-
     def drain(self) -> NDArray[np.float32]:
         """Return the vibration held back after the last sound, (frames, haptic_channels).
 
@@ -248,96 +241,3 @@ class Framework:
 
 def _no_time() -> float:
     return 0.0
-
-
-class Step(NamedTuple):
-    """The sound as mixed and the vibration as sent in one step, float32.
-
-    The last step has no sound, only the vibration that was held back. Both are empty where the
-    client has nothing yet.
-    """
-
-    audio: NDArray[np.float32]
-    vibration: NDArray[np.float32]
-
-
-class RealTimePace:
-    """Due times of frames that are played in real time, for sound without a clock.
-
-    Parameters
-    ----------
-    samplerate : int
-        Rate in Hz.
-    start_s : float
-        When the first frame is due, in seconds of the caller's clock.
-    """
-
-    def __init__(self, samplerate: int, start_s: float) -> None:
-        self._samplerate = samplerate
-        self._start_s = start_s
-
-    def wait_s(self, frames: int, now_s: float) -> float:
-        """Return how long to wait until `frames` would have been played; 0 if that is over."""
-        return max(0.0, self._start_s + frames / self._samplerate - now_s)
-
-
-class Pipeline:
-    """Moves sound from a client through mixer and effect to every output, from one thread.
-
-    Live sound, a replay and a rendering differ only in who calls `step` and when.
-
-    Parameters
-    ----------
-    client : Client
-        Plays the sound.
-    framework : Framework
-        Mixes it and makes the vibration.
-    outputs : Sequence[VibrationOutput]
-        Each takes the vibration.
-    """
-
-    def __init__(
-        self, client: Client, framework: Framework, outputs: Sequence[VibrationOutput]
-    ) -> None:
-        self._client = client
-        self._framework = framework
-        self._outputs = tuple(outputs)
-        self._sink = HapticSink(*outputs, clip=framework.settings.form != "reference")
-        self._ended = False
-        framework.send_to(self._sink)
-        client.connect(framework.mixer)
-
-    def step(self, now_s: float = 0.0) -> Step | None:
-        """Do one cycle and return what it moved; None once everything has been sent.
-
-        now_s: seconds of any monotonic clock.
-        """
-        if self._ended:
-            return None
-        frames = self._client.play()
-        if frames is None:
-            self._ended = True
-            self._sink.send(self._framework.drain())
-            audio = np.zeros((0, self._framework.mixer.channels), np.float32)
-        elif frames == 0:
-            mixer = self._framework.mixer
-            nothing = np.zeros((0, mixer.channels + mixer.haptic_channels), np.float32)
-            return Step(nothing[:, : mixer.channels], nothing[:, mixer.channels :])
-        else:
-            audio = self._framework.cycle(now_s, frames).buffer.audio.copy()
-        return Step(audio, self._sink.sent.copy())
-
-    def close(self) -> None:
-        """Close the client and finish every output, the first one last.
-
-        If another output cannot be finished, the first has not replaced a file yet.
-        """
-        self._client.close()
-        for output in reversed(self._outputs):
-            output.close()
-
-    def abort(self) -> None:
-        """Close the client and discard the outputs."""
-        self._client.close()
-        for output in self._outputs:
-            output.abort()

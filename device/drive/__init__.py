@@ -2,13 +2,13 @@
 
 | module                | holds                                                                |
 | --------------------- | -------------------------------------------------------------------- |
-| drive.py              | `Drive`: vibration of the sources in, what each actuator plays out   |
+| drive.py              | `Drive`: vibration of the sources in, what each actuator plays out;  |
+|                       | `ChannelRouter`: that on the channels of a device                    |
 | actuator_feed.py      | one actuator's source, delay, level and polarity                     |
 | delay_buffer.py       | the last half second of vibration                                    |
 | rig_processor.py      | damping, protection and exposure meter of one rig                    |
 | channel_map.py        | which actuator each channel of a device plays                        |
 | channel_positions.py  | the same for a sink of a sound server                                |
-| channel_router.py     | a channel map in the live path, changed without a click              |
 | outputs.py            | outputs behind a drive, and without the latency                      |
 | settings.py           | what a user may choose for one actuator                              |
 | damping, protection, exposure | what is done for a rig                                       |
@@ -17,7 +17,6 @@
 """
 
 from device.drive.channel_map import ChannelMap, Wiring, channels_needed
-from device.drive.channel_router import ChannelRouter
 from device.drive.settings import (
     POLARITIES,
     SOURCES,
@@ -32,7 +31,6 @@ __all__ = [
     "SOURCES",
     "ActuatorSettings",
     "ChannelMap",
-    "ChannelRouter",
     "Wiring",
     "channels_needed",
     "sources_of",

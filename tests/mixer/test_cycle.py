@@ -11,8 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.mixer import (
-    AudioSink,
-    HapticSink,
     Mixer,
     MixerState,
     NoEffects,
@@ -417,68 +415,6 @@ def test_a_wrong_mix_is_refused_with_everything_that_is_wrong() -> None:
 
 
 # sinks --------------------------------------------------------------------------------------------
-
-
-def test_sinks_get_the_sound_and_the_vibration_apart() -> None:
-    def buzz(buffer: MixBuffer) -> None:
-        buffer.haptic[:] = buffer.audio[:, :1] * 0.5
-
-    audio, haptic = Recorder(2), Recorder(1)
-    mixer = Mixer(
-        RATE, 2, haptic_channels=1, sinks=[AudioSink(audio), HapticSink(haptic)],
-        effects=Effects(0, s0=buzz),
-    )  # fmt: skip
-    sound = noise(FRAMES)
-    playing(mixer, sound)
-    mixer.cycle(0.0)
-    np.testing.assert_array_equal(audio.blocks[0], sound)
-    np.testing.assert_array_equal(haptic.blocks[0], sound[:, :1] * np.float32(0.5))
-
-
-def test_scale_and_clip_of_the_vibration_come_last() -> None:
-    output = Recorder(1)
-    sink = HapticSink(output, gain=0.5)
-    buffer = MixBuffer(4, 2, 1)
-    buffer.haptic[:, 0] = 1.5, 3.0, -8.0, np.nan
-    sink.write(buffer)
-    assert output.blocks[-1][:, 0].tolist() == [0.75, 1.0, -1.0, 0.0]
-    sink.gain = 0.25
-    sink.write(buffer)
-    assert output.blocks[-1][:, 0].tolist() == [0.375, 0.75, -1.0, 0.0], "in the next buffer"
-    assert np.isnan(buffer.haptic[3, 0]), "the buffer stays as it is"
-
-
-def test_the_sound_is_clamped_at_two_and_else_left_alone() -> None:
-    output = Recorder(1)
-    buffer = MixBuffer(4, 1)
-    buffer.audio[:, 0] = 1.75, 2.5, -3.0, np.nan
-    AudioSink(output).write(buffer)
-    assert output.blocks[0][:, 0].tolist() == [1.75, 2.0, -2.0, 0.0]
-
-
-@pytest.mark.parametrize("make", [AudioSink, HapticSink])
-def test_after_standby_nothing_stale_is_left(make) -> None:
-    output = Recorder(1)
-    sink = make(output)
-    buffer = MixBuffer(4, 1, 1)
-    buffer.samples[:] = 0.5
-    sink.write(buffer)
-    sink.standby()
-    assert len(output.blocks) == 1, "standby sends nothing"
-    assert not any(
-        value.any() for value in vars(sink).values() if isinstance(value, np.ndarray)
-    )  # fmt: skip
-    buffer.clear()
-    sink.write(buffer)
-    assert not output.blocks[1].any()
-
-
-def test_a_sink_follows_a_change_of_the_mix() -> None:
-    output = Recorder()
-    sink = AudioSink(output)
-    for frames, channels in ((4, 2), (8, 2), (8, 1)):
-        sink.write(MixBuffer(frames, channels))
-        assert output.blocks[-1].shape == (frames, channels)
 
 
 def test_what_a_sink_raises_ends_the_cycle_and_the_next_one_goes_on() -> None:

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import render_file
-from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework, Pipeline
+from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import FramesTap, SceneClient, TapClient
 from audioflinger_hook.transform import Form, HapticTransform, TransformParameters

@@ -11,7 +11,8 @@ import pytest
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.effect.haptic_parameters import HAPTIC_CUSHION
-from audioflinger_hook.pipeline.framework import Framework, Pipeline
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import FramesTap, TapClient
 from device.errors import UsageError
 from tests.effect.test_registry import HALVER, HALVER_UUID, entry

@@ -6,7 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.pipeline.framework import Framework, Pipeline
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import HapticSink, Pipeline
 from audioflinger_hook.scenes import Scene, SceneTrack, demo_scene
 from audioflinger_hook.sources import FileTap, FramesTap, SceneClient, TapClient, mixdown
 from audioflinger_hook.transform import HapticTransform
@@ -280,3 +282,39 @@ def test_alignment_passes_an_abort_on():
     output = Collector()
     AlignedOutput(output, 5).abort()
     assert output.ended == ["abort"]
+
+
+# the sink
+
+
+def test_the_sink_takes_the_vibration_and_leaves_the_sound():
+    output = Collector()
+    buffer = MixBuffer(4, 2, 1)
+    buffer.audio[:] = 0.25
+    buffer.haptic[:, 0] = 0.1, -0.2, 0.3, 1.0
+    HapticSink(output).write(buffer)
+    np.testing.assert_array_equal(output.blocks[0], buffer.haptic)
+
+
+def test_the_clip_of_the_vibration_comes_last():
+    output = Collector()
+    buffer = MixBuffer(4, 2, 1)
+    buffer.haptic[:, 0] = 0.75, 3.0, -8.0, np.nan
+    HapticSink(output).write(buffer)
+    assert output.blocks[0][:, 0].tolist() == [0.75, 1.0, -1.0, 0.0]
+    assert np.isnan(buffer.haptic[3, 0]), "the buffer stays as it is"
+    HapticSink(output, clip=False).write(buffer)
+    assert output.blocks[1][:, 0].tolist() == [0.75, 3.0, -8.0, 0.0]
+
+
+def test_after_standby_nothing_stale_is_left_and_a_sink_follows_the_format():
+    output = Collector()
+    sink = HapticSink(output)
+    for frames, channels in ((4, 2), (8, 2), (8, 1)):
+        buffer = MixBuffer(frames, 2, channels)
+        buffer.samples[:] = 0.5
+        sink.write(buffer)
+        assert output.blocks[-1].shape == (frames, channels)
+    sink.standby()
+    assert len(output.blocks) == 3, "standby sends nothing"
+    assert not sink.sent.any()

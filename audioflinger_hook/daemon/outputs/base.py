@@ -13,7 +13,8 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.address import DeviceAddress
-from device.drive import ActuatorSettings, ChannelMap, ChannelRouter
+from device.drive import ActuatorSettings, ChannelMap
+from device.drive.drive import ChannelRouter
 from device.errors import CushionError, UsageError
 from device.rig import rig_by_name
 from device.server import PulseConnection, ServerSnapshot

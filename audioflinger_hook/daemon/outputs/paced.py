@@ -16,7 +16,8 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.pipeline.drive_factory import channel_map_of, simulated_rig_of
 from device.address import DeviceAddress
 from device.atomic_file import AtomicFile
-from device.drive import ActuatorSettings, ChannelRouter
+from device.drive import ActuatorSettings
+from device.drive.drive import ChannelRouter
 from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, sources_of
 from device.drive.actuator_feed import FADE_S
-from device.drive.channel_router import ChannelRouter, RoutedFill
-from device.drive.drive import Drive
+from device.drive.drive import ChannelRouter, Drive, RoutedFill
 from device.drive.outputs import AlignedOutput, DrivenOutput
 from device.drive.rig_processor import make_rig_processor
 from device.errors import InternalError, UsageError

@@ -9,7 +9,8 @@ from functools import partial
 import numpy as np
 
 from audioflinger_hook.mixer import Mixer, PcmFormat
-from audioflinger_hook.pipeline.framework import Framework, Pipeline
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import Client, FramesTap, SceneClient, TapClient, mixdown
 from tools.bench.cost import Timings, interleaved

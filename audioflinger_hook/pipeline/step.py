@@ -1,0 +1,147 @@
+"""Client -> mixer -> effect -> outputs, one cycle a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from audioflinger_hook.mixer.mix_buffer import MixBuffer
+from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.sources import Client
+from device.blocks import peak
+from device.output import VibrationOutput
+
+
+class Step(NamedTuple):
+    """The sound as mixed and the vibration as sent in one step, float32.
+
+    The last step has no sound, only the vibration that was held back. Both are empty where the
+    client has nothing yet.
+    """
+
+    audio: NDArray[np.float32]
+    vibration: NDArray[np.float32]
+
+
+class HapticSink:
+    """Splits off the haptic region of a mix and sends it to the device; the clip comes last.
+
+    Samples that are not a number are sent as 0. Held by the thread that steps the mixer.
+
+    Parameters
+    ----------
+    *outputs : VibrationOutput
+        Each takes the vibration; its channels are the haptic channels of the mix.
+    clip : bool
+        Whether samples are limited to ±1; False is for files only.
+    """
+
+    def __init__(self, *outputs: VibrationOutput, clip: bool = True) -> None:
+        self._outputs = outputs
+        self._limit = 1.0 if clip else np.inf
+        self.sent = np.zeros((0, 0), np.float32)
+        """The frames sent last; they change with the next buffer."""
+
+    def write(self, buffer: MixBuffer) -> None:
+        """Send the vibration of one cycle."""
+        self.send(buffer.haptic)
+
+    def send(self, vibration: NDArray[np.float32]) -> None:
+        """Send frames that are in no buffer, such as the effect's rest at the end."""
+        if self.sent.shape != vibration.shape:
+            self.sent = np.empty(vibration.shape, np.float32)
+        self.sent[...] = vibration
+        if not peak(vibration) <= self._limit:  # NaN is within no limit
+            np.clip(vibration, -self._limit, self._limit, out=self.sent)
+            self.sent[np.isnan(self.sent)] = 0.0
+        for output in self._outputs:
+            output.write(self.sent)
+
+    def standby(self) -> None:
+        """Forget the last buffer."""
+        self.sent[...] = 0.0
+
+
+class RealTimePace:
+    """Due times of frames that are played in real time, for sound without a clock.
+
+    Parameters
+    ----------
+    samplerate : int
+        Rate in Hz.
+    start_s : float
+        When the first frame is due, in seconds of the caller's clock.
+    """
+
+    def __init__(self, samplerate: int, start_s: float) -> None:
+        self._samplerate = samplerate
+        self._start_s = start_s
+
+    def wait_s(self, frames: int, now_s: float) -> float:
+        """Return how long to wait until `frames` would have been played; 0 if that is over."""
+        return max(0.0, self._start_s + frames / self._samplerate - now_s)
+
+
+class Pipeline:
+    """Moves sound from a client through mixer and effect to every output, from one thread.
+
+    Live sound, a replay and a rendering differ only in who calls `step` and when.
+
+    Parameters
+    ----------
+    client : Client
+        Plays the sound.
+    framework : Framework
+        Mixes it and makes the vibration.
+    outputs : Sequence[VibrationOutput]
+        Each takes the vibration.
+    """
+
+    def __init__(
+        self, client: Client, framework: Framework, outputs: Sequence[VibrationOutput]
+    ) -> None:
+        self._client = client
+        self._framework = framework
+        self._outputs = tuple(outputs)
+        self._sink = HapticSink(*outputs, clip=framework.settings.form != "reference")
+        self._ended = False
+        framework.send_to(self._sink)
+        client.connect(framework.mixer)
+
+    def step(self, now_s: float = 0.0) -> Step | None:
+        """Do one cycle and return what it moved; None once everything has been sent.
+
+        now_s: seconds of any monotonic clock.
+        """
+        if self._ended:
+            return None
+        frames = self._client.play()
+        if frames is None:
+            self._ended = True
+            self._sink.send(self._framework.drain())
+            audio = np.zeros((0, self._framework.mixer.channels), np.float32)
+        elif frames == 0:
+            mixer = self._framework.mixer
+            nothing = np.zeros((0, mixer.channels + mixer.haptic_channels), np.float32)
+            return Step(nothing[:, : mixer.channels], nothing[:, mixer.channels :])
+        else:
+            audio = self._framework.mixer.cycle(now_s, frames).buffer.audio.copy()
+        return Step(audio, self._sink.sent.copy())
+
+    def close(self) -> None:
+        """Close the client and finish every output, the first one last.
+
+        If another output cannot be finished, the first has not replaced a file yet.
+        """
+        self._client.close()
+        for output in reversed(self._outputs):
+            output.close()
+
+    def abort(self) -> None:
+        """Close the client and discard the outputs."""
+        self._client.close()
+        for output in self._outputs:
+            output.abort()
