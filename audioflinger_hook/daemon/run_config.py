@@ -18,6 +18,9 @@ SERVER_DEVICES = ("sink", "usb")
 CARD_DEVICES = ("hw",)
 """Kinds of taps and devices; a thread of the daemon paces those that are not live."""
 
+LEVELS = tuple(name for name, key in Settings.DESCRIPTIONS.items() if key.change == "nothing")
+"""Settings of the vibration whose change interrupts nothing."""
+
 
 @dataclass(frozen=True)
 class RunConfig:
@@ -119,9 +122,10 @@ class ConfigDiff:
         before, after = old.settings, new.settings
         # While it runs, the effect takes another level and other parameters; a profile is a set of
         # parameters.
+        levels = {name: getattr(before, name) for name in LEVELS}
         unaffected = replace(
             after,
-            gain_db=before.gain_db,
+            **levels,
             profile=before.profile,
             parameters=before.parameters,
             said=before.said,
@@ -130,7 +134,7 @@ class ConfigDiff:
         if actuators_change:
             unaffected = replace(unaffected, actuators=before.actuators)
         return cls(
-            level=before.gain_db != after.gain_db,
+            level=any(getattr(after, name) != value for name, value in levels.items()),
             actuators=actuators_change and before.actuators != after.actuators,
             volume=old.live.device_volume_db != new.live.device_volume_db,
             offset=old.live.offset_ms != new.live.offset_ms,

@@ -150,6 +150,14 @@ class ActuatorFigures:
     protection: ProtectionFigures | None
     exposure: ExposureFigures | None
 
+    @property
+    def departures(self) -> tuple[str, ...]:
+        """Settings that are not the usual ones, in words: level, polarity, delay."""
+        level = f"{self.gain_db:.1f} dB" if self.gain_db else ""
+        polarity = self.polarity if self.polarity != "normal" else ""
+        delay = f"{self.delay_ms:.1f} ms later" if self.delay_ms else ""
+        return tuple(word for word in (level, polarity, delay) if word)
+
 
 @dataclass(frozen=True)
 class Status:

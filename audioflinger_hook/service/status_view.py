@@ -151,10 +151,8 @@ def _actuator(number: int, actuator: ActuatorFigures) -> list[tuple[str, Text]]:
     words = [
         f"{one_line(actuator.source)} on {', '.join(one_line(c, 40) for c in actuator.channels)}",
         one_line(actuator.rig),
+        *map(one_line, actuator.departures),
     ]
-    words += [f"{actuator.gain_db:.1f} dB"] if actuator.gain_db else []
-    words += [one_line(actuator.polarity)] if actuator.polarity != "normal" else []
-    words += [f"{actuator.delay_ms:.1f} ms later"] if actuator.delay_ms else []
     rows = [
         (f"actuator {number}", Text(", ".join(words))),
         ("  level", _level(actuator.level, "yellow")),
