@@ -67,7 +67,7 @@ def _conclude(
         print(json.dumps(document(found, rig, devices), indent=2))
     else:
         print(table(found, devices))
-    if found.on_seat and found.impedance and not found.force_factor:
+    if found.on_seat and found.impedance:
         warn(
             "Bl and moving mass are not identified on a seat that gives way; put the actuator on "
             "solid ground for them"

@@ -54,17 +54,12 @@ PLAIN_MAPS = {
 _HAS_TO_BE_KNOWN = (
     "dac.full_scale_v",
     "amplifier.gain",
-    *(
-        f"actuator.{name}"
-        for name in (
-            "moving_mass_kg",
-            "resonance_hz",
-            "q_mechanical",
-            "force_factor_n_per_a",
-            "resistance_ohm",
-            "x_max_m",
-        )
-    ),
+    "actuator.moving_mass_kg",
+    "actuator.resonance_hz",
+    "actuator.q_mechanical",
+    "actuator.force_factor_n_per_a",
+    "actuator.resistance_ohm",
+    "actuator.x_max_m",
 )
 
 
@@ -85,11 +80,12 @@ def calibrate_live(
         raise UsageError("--share and --seat are the twin's; choose --level of full scale")
     inputs = _inputs(options)
     sweep = levelled(rig, sweep, options)
-    mass = options.moving_mass_kg
-    if mass is not None and not 0.0 < mass < 1e3:
-        raise UsageError(f"moving-mass-kg={mass!r} must be above 0; weigh what moves")
-    reach = None if mass is None else WEIGHED_SHARE * mass
-    weighed = None if mass is None or reach is None else Estimate(mass, mass - reach, mass + reach)
+    weighed, mass = None, options.moving_mass_kg
+    if mass is not None:
+        if not 0.0 < mass < 1e3:
+            raise UsageError(f"moving-mass-kg={mass!r} must be above 0; weigh what moves")
+        reach = WEIGHED_SHARE * mass
+        weighed = Estimate(mass, mass - reach, mass + reach)
     source = options.input
     with ExitStack() as stack:
         filter_stderr()
@@ -177,9 +173,8 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Str
             raise NotFoundError(refused)
         choice: CardSetup = choose_setup(list_offers(read_usb_stream(playback)), RATE_HZ, 1)
         card = CardDevice(playback.card.number, playback.device)
-        return StreamEndpoint(
-            card, str(playback), choice.channels, choice.sample_format
-        ), choice.samplerate
+        output = StreamEndpoint(card, str(playback), choice.channels, choice.sample_format)
+        return output, choice.samplerate
     assert snapshot is not None
     sink = device.sink(snapshot)
     others = [

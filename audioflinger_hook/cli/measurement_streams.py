@@ -9,15 +9,14 @@ from __future__ import annotations
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Protocol
 
 from device.errors import CushionError, InternalError, LostError
+from device.identification.live.exchange import Exchange
 from device.server.guard import FallbackSink, StreamGuard
 from device.server.pulse import PulseConnection
 from device.stream.pcms import PcmConfig, ServerDevice, Target
 from device.stream.sample_format import SampleFormat
 from device.stream.streams import CaptureStream, PlaybackStream
-from device.units import Float32Array
 
 OUTPUT, INPUT = "cushion_output", "cushion_input"
 """Names of the necessary PCMs."""
@@ -31,36 +30,12 @@ BLOCK_FRAMES = 1024
 _POLL_S = 0.02
 
 
-class MeasuredExchange(Protocol):
-    """The measurement, as the streams see it; see `device.identification.live.exchange`."""
-
-    def begin(self) -> None:
-        """Start: both streams run on their devices."""
-        ...
-
-    def abort(self, error: CushionError) -> None:
-        """End with an error and silence from the next block on."""
-        ...
-
-    def wait(self, seconds: float) -> bool:
-        """Wait for the end; whether it has ended."""
-        ...
-
-    def fill(self, out: Float32Array, now_s: float) -> None:
-        """Fill a block. Called by the output's audio thread."""
-        ...
-
-    def on_frames(self, frames: Float32Array, now_s: float) -> None:
-        """Take a block. Called by the input's audio thread."""
-        ...
-
-
 @dataclass(frozen=True)
 class StreamEndpoint:
-    """The device of one stream. name: for messages. channels: to open it with."""
+    """The device of one stream."""
 
     target: Target
-    name: str
+    name: str  # for messages
     channels: int
     sample_format: SampleFormat = SampleFormat.FLOAT32
 
@@ -73,8 +48,7 @@ class StreamEndpoint:
 class MeasurementStreams:
     """A `Transport` of real devices. One thread uses it.
 
-    pcms: with PCMs OUTPUT and INPUT. samplerate: Hz, of both streams. connection: to the sound
-    server; None if neither stream is on a server.
+    The PCMs are OUTPUT and INPUT; the connection is None if neither stream is on a server.
     """
 
     def __init__(
@@ -87,14 +61,9 @@ class MeasurementStreams:
     ) -> None:
         self._pcms, self._connection = pcms, connection
         self._output, self._source = output, source
-        self._samplerate = samplerate
+        self.samplerate = samplerate
 
-    @property
-    def samplerate(self) -> int:
-        """Rate of both streams, Hz."""
-        return self._samplerate
-
-    def run(self, exchange: MeasuredExchange) -> None:
+    def run(self, exchange: Exchange) -> None:
         """Run both streams until the measurement ends; it keeps the reason.
 
         Raises
@@ -110,7 +79,7 @@ class MeasurementStreams:
             outward.target = self._output.target
             playback = PlaybackStream(
                 outward,
-                self._samplerate,
+                self.samplerate,
                 self._output.channels,
                 exchange.fill,
                 block_frames=BLOCK_FRAMES,
@@ -121,7 +90,7 @@ class MeasurementStreams:
             inward.target = self._source.target
             capture = CaptureStream(
                 inward,
-                self._samplerate,
+                self.samplerate,
                 self._source.channels,
                 exchange.on_frames,
                 block_frames=BLOCK_FRAMES,
@@ -155,7 +124,7 @@ class _Watch:
         self._guards = guards
         self._names = names
 
-    def settle(self, exchange: MeasuredExchange) -> None:
+    def settle(self, exchange: Exchange) -> None:
         """Start the measurement when both run; LostError if that takes too long."""
         limit_s = time.monotonic() + SETTLE_S
         while not (
@@ -172,7 +141,7 @@ class _Watch:
         self._before = self._counts()
         exchange.begin()
 
-    def until_the_end(self, exchange: MeasuredExchange) -> None:
+    def until_the_end(self, exchange: Exchange) -> None:
         """Wait for the end, or abort at the first error."""
         while not exchange.wait(_POLL_S):
             error = self._wrong(time.monotonic())

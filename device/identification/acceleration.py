@@ -2,23 +2,27 @@
 
 import itertools
 import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-from scipy.fft import irfft
 
 from device.identification import responses
-from device.identification.output_error import Estimate, Fit, Model, fit, is_better, require
+from device.identification.output_error import (
+    Estimate,
+    Fit,
+    Model,
+    check_misfit,
+    fit,
+    is_better,
+    require,
+)
 from device.identification.recording import IdentificationError, Recording
 from device.identification.transfer import check_recording
 from device.units import FloatArray
 
-Drive = Literal["voltage", "current"]
-
 WIDEST_F0, WIDEST_Q, WIDEST_SENSITIVITY = 0.02, 0.2, 0.2
 """Half the widest accepted 95 % interval, as a share."""
-MOST_MISFIT = 0.1
 
 F0_BY_LEVEL, Q_BY_LEVEL = 0.19, 0.4
 """Shares by which f0 and Q rise, per square of the level in Xmax. If stiffness is 50 % higher at
@@ -38,7 +42,6 @@ class Mode:
     the poles under that drive, including the electrical damping.
     """
 
-    drive: Drive
     f0_hz: Estimate
     q: Estimate
     sensitivity: Estimate  # m/s^2 per V or A above the resonance; Bl / m against current
@@ -48,10 +51,8 @@ class Mode:
     inverted: bool = False  # the accelerometer has the other sign
 
 
-def identify_mode(
-    recording: Recording, x_max_m: float, drive: Drive = "voltage", *, widest: float = 1.0
-) -> Mode:
-    """Return the mode that a recording of acceleration shows.
+def identify_mode(recording: Recording, x_max_m: float, *, widest: float = 1.0) -> Mode:
+    """Return the mode that a recording of acceleration, for a current or a voltage, shows.
 
     x_max_m gives the level; `widest` is a factor on the widest accepted intervals.
 
@@ -62,21 +63,21 @@ def identify_mode(
         converge or explain the response; an interval that is too wide.
     """
     check_recording(recording)
-    electrical = drive == "voltage"
+    electrical = recording.names[0] != "current"
     recording, found, on_seat, inverted = _fit_mode(recording, electrical)
     refuse_outside(recording, found.logs[1])
-    if found.misfit > MOST_MISFIT:
-        raise IdentificationError(
-            f"the fit leaves {100 * found.misfit:.0f} % of the acceleration unexplained, at most "
-            f"{100 * MOST_MISFIT:.0f} % is allowed: more than one resonance and a seat are in the "
-            "band, or this is another channel; check which input it is, fasten what rattles, or "
-            "sweep a narrower band around the resonance"
-        )
+    check_misfit(
+        found,
+        "acceleration",
+        "more than one resonance and a seat are in the band, or this is another channel; check "
+        "which input it is, fasten what rattles, or sweep a narrower band around the resonance",
+    )
     values = [found.estimate({index: 1.0}) for index in range(3)]
     limits = ("sensitivity", WIDEST_SENSITIVITY), ("f0_hz", WIDEST_F0), ("q", WIDEST_Q)
     for (name, limit), value in zip(limits, values, strict=True):
         require(name, value, limit * widest, _ADVICE)
-    moved = _excursion_m(recording, found, electrical)
+    f = recording.frequencies_hz[recording.band]
+    moved = recording.excursion_m(_model(recording, electrical)(f, found.logs)[0])
     sensitivity, f0, q = values
     # Clock drift turns the phase by this angle, which at f0 shifts it by angle / (2 Q).
     turned = math.tau * f0.value * recording.drift_reach * recording.sweep.duration_s
@@ -84,17 +85,13 @@ def identify_mode(
     share = moved / x_max_m
     square = excursion_square(share, on_seat)
     f0, q = f0.extend_down(F0_BY_LEVEL * square), q.extend_down(Q_BY_LEVEL * square)
-    return Mode(drive, f0, q, sensitivity, on_seat, share, found, inverted)
+    return Mode(f0, q, sensitivity, on_seat, share, found, inverted)
 
 
 def _model(recording: Recording, electrical: bool) -> Model:
     if recording.delayed:
         return responses.delayed_acceleration
-
-    def model(f: FloatArray, p: FloatArray) -> responses.Response:
-        return responses.acceleration(f, p, electrical=electrical)
-
-    return model
+    return partial(responses.acceleration, electrical=electrical)
 
 
 def _fit_mode(recording: Recording, electrical: bool) -> tuple[Recording, Fit, bool, bool]:
@@ -102,7 +99,9 @@ def _fit_mode(recording: Recording, electrical: bool) -> tuple[Recording, Fit, b
 
     The simple fit is used unless one with a seat, or the other unknown polarity, explains more.
     """
-    candidates = [recording] if recording.polarity_known else [recording, recording.invert()]
+    candidates = [recording]
+    if not recording.polarity_known:
+        candidates.append(replace(recording, response=-recording.response))
     model = _model(recording, electrical)
     found: list[tuple[Recording, Fit]] = []
     errors: list[IdentificationError] = []
@@ -189,13 +188,3 @@ def refuse_outside(recording: Recording, log_hz: float) -> None:
             f"{sweep.low_hz:.4g} to {sweep.high_hz:.4g} Hz: it is beyond the {end} end; {to}, or "
             "check which input it is"
         )
-
-
-def _excursion_m(recording: Recording, found: Fit, electrical: bool) -> float:
-    """Return the modelled peak excursion of the moving mass, m, by two integrations."""
-    band = recording.band
-    f = recording.frequencies_hz[band]
-    spectrum = np.zeros(len(recording.frequencies_hz), complex)
-    h = _model(recording, electrical)(f, found.logs)[0]
-    spectrum[band] = h * recording.reference_spectrum[band] / -((math.tau * f) ** 2)
-    return float(np.abs(irfft(spectrum, recording.length)).max())

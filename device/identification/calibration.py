@@ -9,19 +9,13 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from scipy.fft import irfft
 
 from device.identification.acceleration import Mode, identify_mode
 from device.identification.impedance import Impedance, identify_impedance
-from device.identification.mechanics import (
-    ForceFactor,
-    by_acceleration,
-    by_known_mass,
-    solve_mechanics,
-)
+from device.identification.mechanics import by_acceleration, by_known_mass, solve_mechanics
 from device.identification.output_error import Estimate
 from device.identification.recording import IdentificationError, Recording
-from device.identification.rig_values import Values, add_identified, add_matched
+from device.identification.rig_values import Values, add_values
 from device.identification.simulated_laboratory import LARGEST_SHARE
 from device.identification.sweep import Sweep
 from device.identification.transfer import (
@@ -76,7 +70,8 @@ def play_steps(
             _compare(quiet, loud)
         for recording in recordings:
             if scaled and recording.names[1] == "acceleration":
-                share = after / step * excursion_m(recording) / rig.actuator.x_max_m
+                moved_m = recording.excursion_m(estimate_transfer(recording).response)
+                share = after / step * moved_m / rig.actuator.x_max_m
                 if share > TOO_FAR:
                     raise too_far_error(rig, share)
     return recordings
@@ -90,15 +85,6 @@ def too_far_error(rig: Rig, share: float) -> IdentificationError:
     )
 
 
-def excursion_m(recording: Recording) -> float:
-    """Return the peak excursion, m, by integrating the linear part of an acceleration twice."""
-    found, band = estimate_transfer(recording), recording.band
-    spectrum = np.zeros(len(recording.frequencies_hz), complex)
-    motion = found.response * recording.reference_spectrum[band]
-    spectrum[band] = motion / -((2.0 * np.pi * found.frequencies_hz) ** 2)
-    return float(np.abs(irfft(spectrum, recording.length)).max())
-
-
 def _compare(quiet: Recording, loud: Recording) -> None:
     """Refuse a response that does not grow with the level."""
     ratio = loud.sweep.level / quiet.sweep.level
@@ -110,8 +96,6 @@ def _compare(quiet: Recording, loud: Recording) -> None:
             f"{quiet.sweep.level:.3g}, and find out what it is"
         )
 
-
-__all__ = ["ALL_PAIRS", "STEPS", "Calibration", "Laboratory", "calibrate"]
 
 ALL_PAIRS = (("current", "acceleration"), ("voltage", "current"), ("voltage", "acceleration"))
 
@@ -128,7 +112,6 @@ class Calibration:
     mode: Mode | None  # against the current
     driven: Mode | None  # against the voltage or the played signal
     impedance: Impedance | None
-    force_factor: ForceFactor | None  # needs solid ground, a scale and an impedance
     sweep: Sweep  # the loudest
     level_of_x_max: float | None = None  # largest excursion; None if acceleration has no scale
     matched: bool = False  # the rig's f0 and Qms rely on its assumed coil, so they are no values
@@ -155,12 +138,6 @@ def calibrate(
 
     Parameters
     ----------
-    laboratory : Laboratory
-        Who measures.
-    rig : Rig
-        What is known of the rig.
-    sweep : Sweep
-        The loudest sweep.
     tell : Callable[[float], None]
         Called with each level before it is played.
     pairs : Sequence[tuple[str, str]]
@@ -181,17 +158,17 @@ def calibrate(
     mode = driven = impedance = level = None
     x_max_m = rig.actuator.x_max_m if scaled else float("inf")
     if recording := there.get(("current", "acceleration")):
-        mode = identify_mode(recording, x_max_m, "current")
+        mode = identify_mode(recording, x_max_m)
         level = mode.level_of_x_max if scaled else None
     if recording := there.get(("voltage", "acceleration")) or there.get(("drive", "acceleration")):
-        driven = identify_mode(recording, x_max_m, "voltage")
+        driven = identify_mode(recording, x_max_m)
         level = driven.level_of_x_max if scaled and level is None else level
     if level is not None and level > TOO_FAR:
         raise too_far_error(rig, level)
     if recording := there.get(("voltage", "current")):
         impedance = identify_impedance(recording, level_of_x_max=level or 0.0)
     found = Calibration(
-        None, {}, mode, driven, impedance, None, sweep, level,
+        None, {}, mode, driven, impedance, sweep, level,
         qualities=tuple(assess_quality(recording) for recording in recordings),
     )  # fmt: skip
     if impedance is None and mode is None:
@@ -203,7 +180,7 @@ def _add_direct(
     found: Calibration, rig: Rig, scaled: bool, weighed: Estimate | None
 ) -> Calibration:
     """Add what the current shows; that needs no value of the rig's file."""
-    mode, impedance, force_factor = found.mode, found.impedance, None
+    mode, impedance = found.mode, found.impedance
     values: Values = {}
     if mode is not None:
         values |= {"actuator.resonance_hz": mode.f0_hz, "actuator.q_mechanical": mode.q}
@@ -214,14 +191,10 @@ def _add_direct(
         values["actuator.resistance_ohm"] = impedance.resistance_ohm
         values["actuator.inductance_h"] = impedance.inductance_h
         if weighed is not None and not found.on_seat:
-            force_factor = by_known_mass(impedance, weighed)
+            values |= by_known_mass(impedance, weighed)
         elif mode is not None and scaled and not found.on_seat:
-            force_factor = by_acceleration(impedance, mode)
-    if force_factor is not None:
-        values["actuator.force_factor_n_per_a"] = force_factor.force_factor_n_per_a
-        values["actuator.moving_mass_kg"] = force_factor.moving_mass_kg
-    identified = add_identified(rig, values, _describe(found))
-    return replace(found, rig=identified, values=values, force_factor=force_factor)
+            values |= by_acceleration(impedance, mode)
+    return replace(found, rig=add_values(rig, values, _describe(found)), values=values)
 
 
 def _add_by_coil(
@@ -234,22 +207,18 @@ def _add_by_coil(
         ohms = rig.actuator.resistance_ohm + rig.amplifier.source_impedance_ohm
         driving = replace(rig, actuator=replace(rig.actuator, resistance_ohm=ohms))
     try:
-        mechanics = solve_mechanics(found.driven, driving)
+        values = solve_mechanics(found.driven, driving)
     except IdentificationError as error:
         return replace(found, why_not=str(error))
-    values: Values = {
-        "actuator.resonance_hz": mechanics.f0_hz,
-        "actuator.q_mechanical": mechanics.q_mechanical,
-    }
     assumed = [name for name in COIL if f"actuator.{name}" in rig.assumed()]
     if not assumed:
-        return replace(found, rig=add_identified(rig, values, _describe(found)), values=values)
+        return replace(found, rig=add_values(rig, values, _describe(found)), values=values)
     driven = found.driven
     words = (
         f"with the assumed {', '.join(assumed)} it gives the mode that was identified, "
         f"{driven.f0_hz.value:.2f} Hz with Q {driven.q.value:.2f}: {_describe(found)}"
     )
-    return replace(found, rig=add_matched(rig, values, words), matched=True)
+    return replace(found, rig=add_values(rig, values, words, assumed=True), matched=True)
 
 
 def _describe(found: Calibration) -> str:

@@ -9,14 +9,13 @@ import numpy as np
 from device.identification import responses
 from device.identification.acceleration import (
     F0_BY_LEVEL,
-    MOST_MISFIT,
     Q_BY_LEVEL,
     excursion_square,
     fit_seat,
     refuse_outside,
 )
-from device.identification.output_error import Estimate, Fit, fit, require
-from device.identification.recording import IdentificationError, Recording
+from device.identification.output_error import Estimate, Fit, check_misfit, fit, require
+from device.identification.recording import Recording
 from device.identification.transfer import check_recording
 from device.units import FloatArray
 
@@ -63,16 +62,15 @@ def identify_impedance(recording: Recording, *, level_of_x_max: float = 0.0) -> 
         See `identify_mode`.
     """
     check_recording(recording)
-    starts = _starts(recording)
-    simple = fit(recording, responses.admittance, starts)
+    simple = fit(recording, responses.admittance, _starts(recording))
     found, on_seat = fit_seat(recording, responses.admittance, simple, simple.logs[2])
     refuse_outside(recording, found.logs[2])
-    if found.misfit > MOST_MISFIT:
-        raise IdentificationError(
-            f"the fit leaves {100 * found.misfit:.0f} % of the current unexplained, at most "
-            f"{100 * MOST_MISFIT:.0f} % is allowed: this is no coil with one resonance; check what "
-            "is connected, and that voltage and current are not swapped"
-        )
+    check_misfit(
+        found,
+        "current",
+        "this is no coil with one resonance; check what is connected, and that voltage and current "
+        "are not swapped",
+    )
     powers = {
         "resistance_ohm": {0: 1.0},
         "inductance_h": {1: 1.0},

@@ -8,7 +8,6 @@ accelerometer gives the rest.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,30 +22,23 @@ from device.identification.acceleration import (
 from device.identification.impedance import MOTIONAL, Impedance
 from device.identification.output_error import Estimate, multiply_powers, require
 from device.identification.recording import IdentificationError
+from device.identification.rig_values import Values
 from device.rig.rig import Rig
 from device.units import FloatArray
 
 _STEP = 1e-5
 
 
-@dataclass(frozen=True)
-class Mechanical:
-    """f0 and Qms with the coil open; the intervals assume that the rest of the rig is exact."""
+def solve_mechanics(mode: Mode, rig: Rig) -> Values:
+    """Return f0 and Qms, with the coil open, that explain a mode for the voltage at the coil.
 
-    f0_hz: Estimate
-    q_mechanical: Estimate
-
-
-def solve_mechanics(mode: Mode, rig: Rig) -> Mechanical:
-    """Return f0 and Qms that explain a mode; voltage is that at the coil's terminals.
+    The intervals assume that the rest of the rig is exact.
 
     Raises
     ------
     IdentificationError
         The rig's Bl, R, L and m contradict the mode, or the mode does not ring.
     """
-    if mode.drive == "current":
-        return Mechanical(mode.f0_hz, mode.q)
     centre = mode.fit.logs[1:3]
     logs = _solve_logs(centre, rig)
     columns = [
@@ -65,7 +57,10 @@ def solve_mechanics(mode: Mode, rig: Rig) -> Mechanical:
     require("q_mechanical", q, 2.0 * WIDEST_Q, "measure the current as well")
     # Qms is Q without the electrical damping, so the effect of the level grows alike.
     extent = Q_BY_LEVEL * share * max(1.0, float(np.abs(slopes[1]).max()))
-    return Mechanical(f0.extend_down(F0_BY_LEVEL * share), q.extend_down(extent))
+    return {
+        "actuator.resonance_hz": f0.extend_down(F0_BY_LEVEL * share),
+        "actuator.q_mechanical": q.extend_down(extent),
+    }
 
 
 def _solve_logs(logs: FloatArray, rig: Rig) -> FloatArray:
@@ -93,61 +88,43 @@ def _solve_logs(logs: FloatArray, rig: Rig) -> FloatArray:
 
 
 WIDEST_MASS, WIDEST_BL = 0.2, 0.2
-_SENSITIVITY = {0: 1.0}
 
 
-@dataclass(frozen=True)
-class ForceFactor:
-    """Bl, N/A, and the moving mass, kg, that it goes with."""
-
-    force_factor_n_per_a: Estimate
-    moving_mass_kg: Estimate
-
-
-def by_known_mass(impedance: Impedance, mass: Estimate) -> ForceFactor:
-    """Return Bl for a moving mass, kg, that was weighed.
+def by_known_mass(impedance: Impedance, mass: Estimate) -> Values:
+    """Return Bl for a moving mass, kg, that was weighed, and the mass.
 
     Raises
     ------
     IdentificationError
         Bl is not identified.
     """
-    share = mass.relative / 1.96
     half = {index: 0.5 * power for index, power in MOTIONAL.items()}
     alone = multiply_powers([(impedance.fit, half)], math.sqrt(math.tau * mass.value))
+    share = mass.relative / 1.96
     spread = math.hypot(math.log(alone.high / alone.value), 0.5 * 1.96 * share)
-    force_factor = _around(alone.value, spread)
-    require("force_factor_n_per_a", force_factor, WIDEST_BL, "weigh the mass again")
-    return ForceFactor(force_factor, mass)
+    low, high = alone.value * math.exp(-spread), alone.value * math.exp(spread)
+    return _checked(Estimate(alone.value, low, high), mass, "weigh the mass again")
 
 
-def by_acceleration(impedance: Impedance, mode: Mode) -> ForceFactor:
+def by_acceleration(impedance: Impedance, mode: Mode) -> Values:
     """Return Bl and m from the impedance (Bl^2 / m) and acceleration for current (Bl / m).
+
+    Both must be on solid ground: on a seat the coil feels the frame move, and the accelerometer
+    does not.
 
     Raises
     ------
     IdentificationError
-        The mode was measured against voltage or on a seat, or the values are not identified.
+        The values are not identified.
     """
-    if mode.drive != "current":
-        raise IdentificationError(
-            f"drive={mode.drive!r} of the mode must be 'current': against voltage the sensitivity "
-            "has the coil's resistance in it; fit the acceleration for the current"
-        )
-    if impedance.on_seat or mode.on_seat:
-        raise IdentificationError(
-            "Bl and the moving mass are not identified on a seat that gives way: the coil feels "
-            "the frame move, the accelerometer does not; put the actuator on solid ground for them"
-        )
-    minus = {index: -power for index, power in _SENSITIVITY.items()}
-    twice = {index: -2.0 * power for index, power in _SENSITIVITY.items()}
-    force_factor = multiply_powers([(impedance.fit, MOTIONAL), (mode.fit, minus)], math.tau)
-    mass = multiply_powers([(impedance.fit, MOTIONAL), (mode.fit, twice)], math.tau)
-    advice = "fasten the accelerometer to what moves and sweep again"
+    force_factor, mass = (
+        multiply_powers([(impedance.fit, MOTIONAL), (mode.fit, {0: power})], math.tau)
+        for power in (-1.0, -2.0)
+    )
+    return _checked(force_factor, mass, "fasten the accelerometer to what moves and sweep again")
+
+
+def _checked(force_factor: Estimate, mass: Estimate, advice: str) -> Values:
     require("force_factor_n_per_a", force_factor, WIDEST_BL, advice)
     require("moving_mass_kg", mass, WIDEST_MASS, advice)
-    return ForceFactor(force_factor, mass)
-
-
-def _around(value: float, spread: float) -> Estimate:
-    return Estimate(value, value * math.exp(-spread), value * math.exp(spread))
+    return {"actuator.force_factor_n_per_a": force_factor, "actuator.moving_mass_kg": mass}

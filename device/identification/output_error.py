@@ -13,12 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from device.identification.recording import ComplexArray, IdentificationError, Recording
+from device.identification.recording import (
+    ComplexArray,
+    IdentificationError,
+    Recording,
+    box_mean,
+)
 from device.identification.responses import Response
 from device.units import FloatArray
 
 Model = Callable[[FloatArray, FloatArray], Response]
 
+MOST_MISFIT = 0.1
 _NORMAL_95 = 1.959964
 _WEIGHTINGS = 4
 """The fit needs the noise's spectrum, which follows from a fit: both alternate this often."""
@@ -63,7 +69,6 @@ class Fit:
     logs: FloatArray  # logarithms of the parameters, (parameters,)
     covariance: FloatArray  # of the logarithms
     misfit: float  # r.m.s. of the residual beyond noise, as a share of the response's r.m.s.
-    correlation: float  # of neighbouring bins of the residual, 0 for noise
     cost: float  # for comparing models
     bins: int
 
@@ -96,18 +101,10 @@ def fit(
     starts: Sequence[FloatArray],
     limits: tuple[FloatArray, FloatArray] | None = None,
 ) -> Fit:
-    """Return the parameters of a model that explain the recording best.
+    """Return the parameters of a model that explain a checked recording best.
 
-    Parameters
-    ----------
-    recording : Recording
-        A checked recording.
-    model : Model
-        A function of responses.py.
-    starts : Sequence[FloatArray]
-        Several guesses; the best two are followed.
-    limits : tuple[FloatArray, FloatArray] | None
-        Lowest and highest logarithms. A parameter at a limit is fixed and has no variance.
+    Of the starts, the best two are followed. The limits are the lowest and highest logarithms; a
+    parameter at a limit is fixed and has no variance.
 
     Raises
     ------
@@ -162,14 +159,27 @@ def fit(
     variance = 0.5 * float(np.mean(np.abs(e) ** 2)) * (1.0 + held) / (1.0 - held)
     free = np.flatnonzero(np.minimum(logs - low, high - logs) > 1e-3)
     covariance = np.zeros((len(logs), len(logs)))
-    information = slopes[:, free].T @ slopes[:, free]
-    covariance[np.ix_(free, free)] = variance * np.linalg.pinv(
-        information, rcond=1e-14, hermitian=True
-    )
+    inverse = np.linalg.pinv(slopes[:, free].T @ slopes[:, free], rcond=1e-14, hermitian=True)
+    covariance[np.ix_(free, free)] = variance * inverse
     power = float(np.sum(np.abs(measured) ** 2))
     misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / power)
     likelihood = float(np.sum(np.log(deviation**2))) + float(np.sum(np.abs(e) ** 2))
-    return Fit(logs, covariance, misfit, correlation, likelihood, len(f))
+    return Fit(logs, covariance, misfit, likelihood, len(f))
+
+
+def check_misfit(found: Fit, response: str, advice: str) -> None:
+    """Refuse a fit that leaves too much of the response unexplained.
+
+    Raises
+    ------
+    IdentificationError
+        The message ends with the advice.
+    """
+    if found.misfit > MOST_MISFIT:
+        raise IdentificationError(
+            f"the fit leaves {100 * found.misfit:.0f} % of the {response} unexplained, at most "
+            f"{100 * MOST_MISFIT:.0f} % is allowed: {advice}"
+        )
 
 
 def is_better(simple: Fit, richer: Fit) -> bool:
@@ -195,7 +205,5 @@ def require(name: str, estimate: Estimate, relative: float, advice: str) -> None
 
 
 def _smooth(power: FloatArray) -> FloatArray:
-    width = min(_SMOOTH_BINS, len(power))
-    box = np.ones(width)
-    mean = np.convolve(power, box, "same") / np.convolve(np.ones_like(power), box, "same")
+    mean = box_mean(power, min(_SMOOTH_BINS, len(power)))
     return np.asarray(np.maximum(mean, 1e-12 * float(mean.max()) + 1e-300))

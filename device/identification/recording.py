@@ -1,12 +1,12 @@
 """What was recorded while a sweep played: one reference, one response, and their spectra."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len, rfft, rfftfreq
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from device.errors import UsageError
 from device.identification.sweep import Sweep
@@ -51,10 +51,6 @@ class Recording:
                     f"{name}: {lost} samples are not finite; check the input and record again"
                 )
 
-    def invert(self) -> "Recording":
-        """Return the recording with its response inverted."""
-        return replace(self, response=-self.response)
-
     @cached_property
     def length(self) -> int:
         """Frames of the Fourier transform: those of the recording and a few zeros."""
@@ -86,3 +82,17 @@ class Recording:
         f, sweep = self.frequencies_hz, self.sweep
         low, high = np.searchsorted(f, [1.05 * sweep.low_hz, 0.97 * sweep.high_hz])
         return slice(int(low), int(high))
+
+    def excursion_m(self, response: ComplexArray) -> float:
+        """Return the peak excursion, m, of an acceleration response inside the band, (bins,)."""
+        f, spectrum = self.frequencies_hz[self.band], np.zeros(len(self.frequencies_hz), complex)
+        motion = response * self.reference_spectrum[self.band]
+        spectrum[self.band] = motion / -((2.0 * np.pi * f) ** 2)
+        return float(np.abs(irfft(spectrum, self.length)).max())
+
+
+def box_mean(values: FloatArray, bins: int) -> FloatArray:
+    """Return the mean over neighbouring bins, (bins,); there are fewer of them at the ends."""
+    box = np.ones(bins)
+    width = np.convolve(np.ones_like(values), box, "same")
+    return np.asarray(np.convolve(values, box, "same") / width)

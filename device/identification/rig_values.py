@@ -14,8 +14,10 @@ Values = dict[str, Estimate]
 """By parameter, such as "actuator.resonance_hz"."""
 
 
-def add_identified(rig: Rig, values: Values, words: str) -> Rig:
+def add_values(rig: Rig, values: Values, words: str, *, assumed: bool = False) -> Rig:
     """Return the rig with identified values; the words name the sweep and its level.
+
+    Values that rely on assumed ones stay "assumed" and have no interval.
 
     Raises
     ------
@@ -23,24 +25,11 @@ def add_identified(rig: Rig, values: Values, words: str) -> Rig:
         The rig lacks a parameter, or the values contradict the rig.
     """
     known = tuple(
-        Source(parameter, "identified", words, estimate.interval)
-        for parameter, estimate in values.items()
+        Source(name, "assumed", words)
+        if assumed
+        else Source(name, "identified", words, estimate.interval)
+        for name, estimate in values.items()
     )
-    return _replace_values(rig, values, known)
-
-
-def add_matched(rig: Rig, values: Values, words: str) -> Rig:
-    """Return the rig with values that stay "assumed", because they rely on assumed ones.
-
-    Raises
-    ------
-    UsageError
-        See `add_identified`.
-    """
-    return _replace_values(rig, values, tuple(Source(name, "assumed", words) for name in values))
-
-
-def _replace_values(rig: Rig, values: Values, known: tuple[Source, ...]) -> Rig:
     stages = rig.stages()
     changed: dict[str, dict[str, float]] = {}
     for parameter, estimate in values.items():

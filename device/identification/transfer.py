@@ -5,7 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import irfft, rfft
 
-from device.identification.recording import ComplexArray, IdentificationError, Recording
+from device.identification.recording import (
+    ComplexArray,
+    IdentificationError,
+    Recording,
+    box_mean,
+)
 from device.units import FloatArray
 
 _CLIPPED_RUN, _CLIPPED_RUNS = 3, 4
@@ -44,7 +49,8 @@ def estimate_transfer(recording: Recording) -> Transfer:
     band = recording.band
     measured = recording.response_spectrum[band]
     left = measured - response[band] * recording.reference_spectrum[band]
-    share = _smooth(np.abs(left) ** 2) / np.maximum(_smooth(np.abs(measured) ** 2), 1e-300)
+    power = box_mean(np.abs(measured) ** 2, _SMOOTH_BINS)
+    share = box_mean(np.abs(left) ** 2, _SMOOTH_BINS) / np.maximum(power, 1e-300)
     return Transfer(recording.frequencies_hz[band], response[band], np.clip(1.0 - share, 0.0, 1.0))
 
 
@@ -114,12 +120,6 @@ def _cut(impulse: FloatArray, centre: int, half: int) -> FloatArray:
     return part
 
 
-def _smooth(power: FloatArray) -> FloatArray:
-    box = np.ones(_SMOOTH_BINS)
-    width = np.convolve(np.ones_like(power), box, "same")
-    return np.convolve(power, box, "same") / width
-
-
 LOW_COHERENCE = 0.9
 """Below this, a tenth of the response's power is not a linear response."""
 
@@ -166,10 +166,8 @@ def assess_quality(recording: Recording, orders: int = 5) -> Quality:
         apart_s = sweep.harmonic_lead_s(one.order + 1) - sweep.harmonic_lead_s(one.order)
         if 0.5 * apart_s < 1.0 / sweep.low_hz:
             break  # the sweep is too short to separate these orders
-        step_hz = float(f[1] - f[0])
-        share, floor = (
-            _rms_smooth(values, _SMOOTH_HZ / step_hz) for values in (one.share, one.floor)
-        )
+        bins = max(1, min(round(_SMOOTH_HZ / float(f[1] - f[0])), len(one.share)))
+        share, floor = (np.sqrt(box_mean(values**2, bins)) for values in (one.share, one.floor))
         clear = np.where(share > ABOVE_FLOOR * floor, share, 0.0)
         at = int(np.argmax(clear))
         hz = float(one.frequencies_hz[at]) if clear[at] > 0.0 else 0.0
@@ -177,13 +175,6 @@ def assess_quality(recording: Recording, orders: int = 5) -> Quality:
     return Quality(
         recording.names, float(np.median(found.coherence)), tuple(ranges), tuple(harmonics)
     )
-
-
-def _rms_smooth(values: FloatArray, bins: float) -> FloatArray:
-    """Return the r.m.s. over neighbouring bins."""
-    box = np.ones(max(1, min(round(bins), len(values))))
-    mean = np.convolve(values**2, box, "same") / np.convolve(np.ones_like(values), box, "same")
-    return np.asarray(np.sqrt(mean))
 
 
 def check_recording(recording: Recording) -> None:

@@ -79,10 +79,6 @@ class Inputs:
         names = tuple(part.strip() for part in text.split(","))
         return cls(names, **{key: value for key, value in known.items() if value is not None})
 
-    def index(self, name: str) -> int | None:
-        """Return the channel of that name, from 0."""
-        return self.names.index(name) if name in self.names else None
-
     @property
     def used(self) -> tuple[int, ...]:
         """The channels that are used, from 0."""

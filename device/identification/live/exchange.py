@@ -46,17 +46,8 @@ class Exchange:
         Hz.
     names : Sequence[str]
         Of the input's channels; "-" is not checked.
-    output_channel : int | None
-        From 0; None plays on every channel.
-
-    Attributes
-    ----------
-    ended : threading.Event
-        Set once all is recorded or a problem ended it.
-    error : CushionError | None
-        The problem, if any.
-    background_frames : int
-        Recorded frames before the first played one.
+    output_channel : int
+        From 0.
     """
 
     def __init__(
@@ -64,11 +55,12 @@ class Exchange:
         samples: FloatArray,
         samplerate: int,
         names: Sequence[str],
-        output_channel: int | None = 0,
+        output_channel: int = 0,
     ) -> None:
         self.samplerate = samplerate
-        self.ended = threading.Event()
+        self.ended = threading.Event()  # all is recorded, or there is an error
         self.error: CushionError | None = None
+        # Recorded frames before the first played one.
         self.background_frames = round(BACKGROUND_S * samplerate)
         self._names = tuple(names)
         self._used = [i for i, name in enumerate(self._names) if name != "-"]
@@ -100,11 +92,6 @@ class Exchange:
         return self.ended.wait(seconds)
 
     @property
-    def sounding(self) -> bool:
-        """Whether playback or its recording is in progress."""
-        return self._may_play and not self.ended.is_set()
-
-    @property
     def recorded(self) -> Float32Array:
         """The recording, (frames, channels), read only, background first; valid after `ended`."""
         view = self._recorded[: self._got]
@@ -121,10 +108,7 @@ class Exchange:
             return
         part = self._samples[self._played : self._played + len(out)]
         self._played += len(part)
-        if self._channel is None:
-            out[: len(part)] = part[:, None]
-        else:
-            out[: len(part), self._channel] = part
+        out[: len(part), self._channel] = part
 
     def on_frames(self, frames: Float32Array, now_s: float) -> None:
         """Record the next frames, (frames, channels). The input's thread."""

@@ -36,10 +36,7 @@ _REST_S = 0.2
 class Transport(Protocol):
     """Two streams at one sample rate, one in each direction."""
 
-    @property
-    def samplerate(self) -> int:
-        """Rate of both streams, Hz."""
-        ...
+    samplerate: int  # of both streams, Hz
 
     def run(self, exchange: Exchange) -> None:
         """Call `exchange.begin` and its callbacks until it has ended; then both are silent.
@@ -68,36 +65,25 @@ class LiveLaboratory:
         The two streams.
     inputs : Inputs
         What the input's channels carry.
-    output_channel : int | None
-        From 0; None plays on every channel.
+    output_channel : int
+        From 0.
     amplifier : AmplifierParameters | None
         Its band is divided out of a response to the played signal.
-
-    Attributes
-    ----------
-    delay_s : float
-        From a played frame until it is recorded, in the last sweep.
-    repeated : int
-        Sweeps that were repeated because frames were lost.
-    current_turned : bool
-        The current's sign was turned, because a coil takes power.
     """
 
     def __init__(
         self,
         transport: Transport,
         inputs: Inputs,
-        output_channel: int | None = 0,
+        output_channel: int = 0,
         amplifier: AmplifierParameters | None = None,
     ) -> None:
-        self._amplifier = amplifier
-        self._transport = transport
-        self._inputs = inputs
-        self._output_channel = output_channel
+        self._transport, self._inputs = transport, inputs
+        self._output_channel, self._amplifier = output_channel, amplifier
         self._drifts: list[Drift] = []
-        self.delay_s = 0.0
-        self.current_turned = False
-        self.repeated = 0
+        self.delay_s = 0.0  # from a played frame until it is recorded, in the last sweep
+        self.current_turned = False  # because a coil takes power
+        self.repeated = 0  # sweeps in which frames were lost
 
     @property
     def drift(self) -> Drift | None:
@@ -123,14 +109,12 @@ class LiveLaboratory:
                 f"samplerate={sweep.samplerate!r} Hz of the sweep must be that of the streams, "
                 f"{self._transport.samplerate} Hz"
             )
-        for tries in range(1, MOST_TRIES + 1):
+        for _ in range(MOST_TRIES - 1):
             try:
                 return self._measure_once(sweep, pairs)
             except DropoutError:
-                if tries == MOST_TRIES:
-                    raise
                 self.repeated += 1
-        raise AssertionError("the last try returns or raises")
+        return self._measure_once(sweep, pairs)
 
     def _measure_once(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         excitation = Excitation(sweep)
@@ -151,12 +135,12 @@ class LiveLaboratory:
         self._compare(drift, name)
         self.delay_s = delay / sweep.samplerate
         first = background + delay + excitation.sweep_start * (1.0 + 1e-6 * drift.value)
-        read = {
-            name: resample_to_played(recorded[:, index], first, drift.value, sweep.frames)
-            * self._inputs.scale(name)
-            for name, index in ((name, self._inputs.index(name)) for name in self._inputs.names)
-            if index is not None and name != "-"
-        }
+        read = {}
+        for index in self._inputs.used:
+            samples = resample_to_played(recorded[:, index], first, drift.value, sweep.frames)
+            read[self._inputs.names[index]] = samples * self._inputs.scale(
+                self._inputs.names[index]
+            )
         if {"voltage", "current"} <= set(read):
             self.current_turned = float(np.mean(read["voltage"] * read["current"])) < 0.0
             if self.current_turned:
@@ -190,10 +174,9 @@ class LiveLaboratory:
 
     def _clearest(self) -> tuple[int, str]:
         """Return the channel that shows the playback with the least effect of the rig."""
-        for name in ("loopback", "voltage", "current", "acceleration"):
-            if (index := self._inputs.index(name)) is not None:
-                return index, name
-        raise AssertionError("Inputs has one of them")
+        names = self._inputs.names
+        name = next(n for n in ("loopback", "voltage", "current", "acceleration") if n in names)
+        return names.index(name), name
 
     def _check_signal(self, samples: FloatArray, background: int, name: str) -> None:
         noise, whole = (float(np.std(s)) for s in (samples[:background], samples[background:]))

@@ -14,7 +14,6 @@ from device.identification.live.exchange import Exchange
 from device.identification.live.laboratory import MOST_TRIES, LiveLaboratory
 from device.identification.live.two_clocks import find_delay, find_drift, resample_to_played
 from device.identification.output_error import Estimate
-from device.identification.recording import Recording
 from device.identification.rig_values import write_rig
 from device.identification.sweep import Excitation, Sweep
 from device.rig import CONSUMER, PAPER, read_rig
@@ -401,8 +400,3 @@ def test_inputs_that_say_nothing_are_refused(text, known, words):
     with pytest.raises(UsageError) as caught:
         Inputs.parse(text, **known)
     assert words in str(caught.value)
-
-
-def test_a_delayed_and_inverted_recording_is_still_one():
-    recording = Recording(SWEEP, np.ones(SWEEP.frames), np.arange(SWEEP.frames, dtype=np.float64))
-    assert np.array_equal(recording.invert().response, -recording.response)
