@@ -17,18 +17,15 @@ from audioflinger_hook.transform.principal import Principals
 from device.errors import UsageError
 from tests.support import soak
 from tests.support.bench_runs import LEAST
-from tools import bench
-from tools.bench import soak_record
+from tools import bench, soak_record
 from tools.bench.cost import in_ffts, interleaved, rfft_unit_s
+from tools.bench.figures import pictures
 from tools.bench.machine import MachineFacts
 from tools.bench.measures import vibration as measures
 from tools.bench.report import BenchReport, Missing, Must, Row, Section, number
 from tools.bench.sections import (
-    damping_recordings,
     kept_records,
     mixing,
-    rendering,
-    rig,
     savings,
     scaling,
 )
@@ -61,13 +58,6 @@ def a_report(*rows, missing=(), series=None):
 
 
 # ------------------------------------------------------------------------------------- measures
-
-
-def test_the_error_of_an_acceleration_is_what_no_gain_of_the_intended_one_explains():
-    wanted, other = np.sin(np.arange(0, 200, 0.1)), np.cos(np.arange(0, 200, 0.1))
-    got = 3.0 * wanted + 0.3 * other
-    assert damping_recordings.error_db(got, wanted) == pytest.approx(-20.0, abs=0.1)
-    assert damping_recordings.error_db(5.0 * wanted, wanted) < -100.0
 
 
 @pytest.mark.parametrize("frequency_hz", [21.5, 46.6, 103.737, 219.9])
@@ -137,21 +127,6 @@ def test_the_exponent_is_one_for_linear_and_two_for_quadratic_cost():
     sizes = [1.0, 2.0, 4.0, 8.0]
     assert scaling.exponent(sizes, [3 * n for n in sizes]) == pytest.approx(1.0)
     assert scaling.exponent(sizes, [3 * n * n for n in sizes]) == pytest.approx(2.0)
-
-
-def test_outputs_differ_by_a_single_bit_or_a_missing_frame():
-    one = np.linspace(0.0, 1.0, 10)
-    assert not measures.differing_blocks(one, one.copy())
-    assert measures.differing_blocks(one, np.nextafter(one, 2.0))
-    assert measures.differing_blocks(one, one[:-1])
-
-
-def test_the_exact_motion_is_what_a_finer_and_finer_simulation_tends_to():
-    # lsim with straight lines between samples errs by (w/fs)^2/12: 7e-5 of a 220 Hz sinusoid.
-    exact = rig.exact_motion(4_800)
-    held = rig._lsim_motion(rig.drive(0.1))
-    for quantity, motion in exact.items():
-        assert np.abs(held[quantity] - motion).max() <= 1e-4 * np.abs(motion).max()
 
 
 # ----------------------------------------------------------------------------------------- cost
@@ -427,9 +402,6 @@ def test_the_mixer_s_rows_agree_with_one_another(report):
     assert by_name["8 tracks of 48 kHz", mixing.SHARE] == pytest.approx(us[1] / 200.0)
     (growth,) = (row for row in section.rows if row.must)
     assert growth.value == pytest.approx((us[2] - us[1]) / 24 / ((us[1] - us[0]) / 7))
-    runs = ("transform alone", "through mixer and effect", "five tracks mixed")
-    shares = [by_name[f"demo scene, {run}", mixing.SHARE] for run in runs]
-    assert shares == sorted(shares)
 
 
 # ------------------------------------------------------------------------- what cannot be measured
@@ -455,26 +427,6 @@ def test_without_recordings_their_rows_are_named_with_the_command_that_fetches_t
     assert len(missing) == 4
     assert {gone.command for gone in missing} == {RECORDINGS_COMMAND}
     assert "cost of a second, speech recordings" in {gone.name for gone in missing}
-
-
-def test_without_a_command_line_rendering_is_missing(monkeypatch):
-    monkeypatch.setattr(rendering, "PACKAGE", "tools.live_latency")
-    section = rendering.render_speed(Workbench(LEAST, SUBJECTS, ()))
-    assert section.rows == ()
-    assert [gone.name for gone in section.missing] == ["rendering"]
-
-
-@pytest.mark.exhaustive
-def test_a_rendering_that_fails_is_missing_with_what_it_said(monkeypatch):
-    def fails(*_):
-        raise RuntimeError("`render` ended with exit code 5:\nthe disk is full")
-
-    monkeypatch.setattr(rendering, "_render", fails)
-    section = rendering.render_speed(Workbench(LEAST, SUBJECTS, ()))
-    assert {gone.reason for gone in section.missing} == {
-        "`render` ended with exit code 5: the disk is full"
-    }
-    assert [gone.name.split("min")[1] for gone in section.missing] == ["", ", several files"]
 
 
 # ----------------------------------------------------------------------------------------- soak
@@ -534,9 +486,8 @@ def test_a_soak_that_never_ran_says_so(monkeypatch, tmp_path):
 def test_the_plots_are_pictures(report, tmp_path):
     if os.environ.get("CI") != "true":
         pytest.importorskip("matplotlib")
-    paths = bench.plots(report, tmp_path)
-    first, last = ["cost", "lag", "frequency", "frontier"], ["speech", "models", "damping"]
-    names = [*first, "baselines", "levels", *last]
+    paths = pictures.draw_all(report, tmp_path)
+    names = ["cost", "lag", "frequency", "frontier", "baselines", "models", "damping"]
     assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
         content = path.read_bytes()

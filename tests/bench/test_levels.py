@@ -6,7 +6,7 @@ import pytest
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.transform import TransformParameters
 from tests.support.signals import joined, tone
-from tools.bench.sections.levels import (
+from tools.bench.sections.profiles import (
     Way,
     k_weighted,
     loudest_db,
@@ -14,7 +14,6 @@ from tools.bench.sections.levels import (
     units_db,
     ways,
 )
-from tools.bench.sections.profiles import _smallest_step_percent
 from tools.bench.sounds.signals import SAMPLERATE
 
 
@@ -48,10 +47,3 @@ def test_a_settled_sound_has_its_own_length_and_knows_what_was_played_before():
     assert loudest_db(settled) > loudest_db(fresh) + 1.0
     paper = Way("paper", TransformParameters())
     assert paper.settled(sound, 8.0).tobytes() == paper.felt(sound)[: sound.size].tobytes()
-
-
-def test_the_smallest_step_of_an_octave_is_the_top_one_of_equation_4_and_any_with_equal_jnds():
-    assert _smallest_step_percent(TransformParameters()) == pytest.approx(12.9, abs=0.1)
-    assert _smallest_step_percent(TransformParameters(mapping="jnd")) == pytest.approx(
-        34.2, abs=0.1
-    )

@@ -11,8 +11,6 @@ from tests.support.commands import noise, sound
 from tests.support.recordings import require_recordings
 from tools import bench
 from tools.bench import BenchReport, workbench
-from tools.bench.baselines import band_pass
-from tools.bench.baselines.band_pass import Method
 from tools.bench.machine import machine_facts
 from tools.bench.report import Row, Section
 from tools.bench.sections import comparison, kept_records, speed
@@ -78,12 +76,10 @@ def test_a_real_report_is_what_the_schema_says(short_scenes):
 TAKEN = (
     "recordings",
     "onset lag",
-    "gain",
     "cost of a second",
     "worst hop",
     "baselines",
     "model selection",
-    "damping on recordings",
     "live latency",
     "soak",
     "soak of the rig",
@@ -207,40 +203,11 @@ def test_without_a_folder_every_section_on_recordings_says_so(monkeypatch, tmp_p
         bench.fidelity.recordings,
         bench.fidelity.energy_above,
         bench.fidelity.principal_frequencies,
-        bench.model_selection.selection_by_second,
-        bench.damping_recordings.damping_on_recordings,
         comparison.compared,
     ):
         missing = each(a_bench()).missing
         assert missing, each
         assert all("fetch_recordings.sh" in gone.command for gone in missing)
-
-
-# ------------------------------------------------------------------------------------ baselines
-
-
-@pytest.mark.sweep
-@pytest.mark.parametrize("when", ["begins", "plays"])
-def test_a_baseline_that_fails_is_named_and_the_others_keep_every_row(monkeypatch, when):
-    before = comparison.compared(a_bench())
-
-    class Fails(Method):
-        def __init__(self, *format_):
-            super().__init__(*format_)
-            if when == "begins":
-                raise OSError("no ground")
-
-        def process(self, frames):
-            raise ZeroDivisionError("no\nground")
-
-    monkeypatch.setattr(band_pass, "Method", Fails)
-    after = comparison.compared(a_bench())
-    named = [gone for gone in after.missing if gone not in before.missing]
-    assert [gone.name for gone in named] == ["every row of the baseline band-pass"]
-    assert "no ground" in named[0].reason
-    rows = {(row.name, row.column) for row in after.rows}
-    expected = {(row.name, row.column) for row in before.rows if row.column != "band-pass"}
-    assert rows == expected
 
 
 # --------------------------------------------------------------------------------------- records

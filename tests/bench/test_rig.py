@@ -5,13 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from device.rig import PAPER
+from device.rig.adaptive_actuator import AdaptiveActuator, BlockReport
+from device.rig.model_levels import ModelLevel
 from tests.support import energy_balance
 from tools.bench.sections import scaling
-from tools.bench.sections.rig import drive
-from tools.bench.sections.rig_precision import LEVEL_V
+from tools.bench.sections.model_selection import block_errors
+from tools.bench.sections.rig import LEVEL_V, drive
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
 
-LEAST = Workbench(replace(QUICK, rig_s=1.0, random_rigs=2), SUBJECTS, ())
+LEAST = Workbench(replace(QUICK, rig_s=1.0), SUBJECTS, ())
 
 
 def test_below_the_stops_no_step_makes_more_than_a_millionth_of_the_energy():
@@ -52,3 +55,18 @@ def test_an_exponent_is_that_of_the_costs():
     sizes = [1.0, 2.0, 4.0]
     assert scaling.exponent(sizes, [3.0, 6.0, 12.0]) == pytest.approx(1.0)
     assert scaling.exponent(sizes, [3.0, 12.0, 48.0]) == pytest.approx(2.0)
+
+
+def test_a_blocks_error_is_the_larger_one_over_its_own_peak():
+    times = np.arange(96_000) / 48_000
+    volts = 5.0 * np.sin(np.pi * times) ** 2 * np.sin(2 * np.pi * 70.0 * times)
+    true = AdaptiveActuator(PAPER, 48_000, level=ModelLevel.LINEAR).move(volts)
+    blocks = [
+        BlockReport(frame, 4_800, ModelLevel.LINEAR, 0.0, 0.0)
+        for frame in range(0, len(volts), 4_800)
+    ]
+    moved = replace(true, displacement_m=true.displacement_m.copy())
+    moved.displacement_m[70_000] += 0.02 * np.abs(true.displacement_m[67_200:72_000]).max()
+    errors = block_errors(blocks, moved, true, PAPER.actuator)
+    assert errors[14] == pytest.approx(0.02)
+    assert np.count_nonzero(errors) == 1

@@ -13,16 +13,13 @@ LEAST = Effort(
     tones=2,
     low_tones=2,
     tone_s=1.0,
-    gain_tones=1,
     bursts=3,
-    onsets_made=9,
     onsets_a_burst=2,
     noisy_tones=8,
     frontier_sounds=2,
     compared_bursts=3,
     compared_recordings=1,
     settled_s=1.0,
-    split_s=0.05,
     cost_repeats=1,
     slow_repeats=1,
     cost_s=0.2,
@@ -30,7 +27,6 @@ LEAST = Effort(
     saving_repeats=1,
     saving_s=0.2,
     mix_rounds=2,
-    mix_repeats=1,
     scaling_s=1.6,
     channels_s=0.2,
     hops_timed=200,
@@ -40,7 +36,6 @@ LEAST = Effort(
     rig_timed_s=0.5,
     model_repeats=1,
     integrator_repeats=1,
-    random_rigs=2,
 )
 """Every section with as little as it can do: what it measures is not the point in most tests."""
 

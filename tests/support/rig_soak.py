@@ -18,7 +18,9 @@ from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
 from tests.support.co_energy import step_errors, stored_energy_j
 from tools.bench.machine import cpu_model
-from tools.bench.soak_record import (
+from tools.bench.sounds.signals import SAMPLERATE
+from tools.records import now
+from tools.soak_record import (
     NO_CREEP,
     PASSIVE,
     PASSIVE_STEPPED,
@@ -26,8 +28,6 @@ from tools.bench.soak_record import (
     STEPPED_SAMPLES,
     SoakRecord,
 )
-from tools.bench.sounds.signals import SAMPLERATE
-from tools.records import now
 
 LOOP_S = 10.0
 SETTLED_LOOPS = 1

@@ -9,23 +9,24 @@ import numpy as np
 from audioflinger_hook.transform import FloatArray, HapticTransform, TransformParameters
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from tests.support.memory import memory_growth
+from tests.support.random_rigs import SWEEP_S, found_of, identified
 from tools.bench.machine import cpu_model
-from tools.bench.measures.random_rigs import RIGS, SWEEP_S, found_of, identified
 from tools.bench.measures.vibration import SineFit, sine_fit
-from tools.bench.soak_record import (
-    HOPS,
-    NO_DRIFT_DB,
-    NO_GROWTH_KB,
-    NO_GROWTH_OBJECTS,
-    PURITY,
-    SoakRecord,
-)
 from tools.bench.sounds.signals import (
     SAMPLERATE,
     demo_sound,
     tone,
 )
 from tools.records import now
+from tools.soak_record import (
+    HOPS,
+    NO_DRIFT_DB,
+    NO_GROWTH_KB,
+    NO_GROWTH_OBJECTS,
+    PURITY,
+    RIGS,
+    SoakRecord,
+)
 
 BLOCKSIZE = 4_096
 TONE_HZ = 440.0

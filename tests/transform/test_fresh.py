@@ -11,10 +11,9 @@ from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.haptic import KernelStream
 from audioflinger_hook.transform.live.transform import LiveTransform
+from tests.support import onset_detection
 from tests.support.signals import burst, energy_above_db, envelope, thinned
 from tools.bench.measures.vibration import onset_lag_s
-from tools.bench.sections import onset_detection
-from tools.bench.sounds import onsets as onset_sounds
 
 RATE = 48_000
 AUDIBLE_HZ = 250.0
@@ -167,11 +166,11 @@ def test_streams_shorter_than_a_tick_or_of_single_frames_are_taken(way: str) -> 
 
 
 def test_onsets_made_and_planted_are_found() -> None:
-    made = onset_detection.found(*onset_sounds.onset_train(60, seed=7))
+    made = onset_detection.found(*onset_detection.onset_train(60, seed=7))
     assert made.f1 >= 0.95
     assert float(np.percentile(made.late_s, 95)) < 0.005
     backing = 0.1 * noise(3 * RATE, 5) + 0.1 * np.sin(2 * np.pi * 220 * np.arange(3 * RATE) / RATE)
-    planted = onset_detection.found(*onset_sounds.planted(backing, seed=8))
+    planted = onset_detection.found(*onset_detection.planted(backing, seed=8))
     assert planted.recall >= 0.95
     assert planted.precision >= 0.9
 
@@ -191,12 +190,12 @@ def test_a_loud_sound_is_not_missed_because_a_faint_one_came_just_before() -> No
 
 
 @pytest.mark.sweep
-@pytest.mark.parametrize("name", list(onset_sounds.steady_sounds()))
+@pytest.mark.parametrize("name", list(onset_detection.steady_sounds()))
 def test_steady_sounds_hold_no_onsets(name: str) -> None:
-    sound = onset_sounds.steady_sounds()[name]
+    sound = onset_detection.steady_sounds()[name]
     later = onset_detection.onset_times_s(sound) > onset_detection.STEADY_FROM_S
     # A level that swells from nothing 30 times a second begins as quickly as a sound does.
-    assert later.sum() <= (10.0 * onset_sounds.STEADY_S if "30 Hz" in name else 0.0)
+    assert later.sum() <= (10.0 * onset_detection.STEADY_S if "30 Hz" in name else 0.0)
 
 
 def test_the_delay_that_is_declared_is_made_of_its_parts() -> None:

@@ -3,11 +3,11 @@
 import pytest
 
 from device.rig.model_levels import ModelLevel
+from tests.support.random_rigs import SHARES
 from tests.support.rig_soak import soak_energy
 from tests.support.soak import soak_identification, soak_scene, soak_tone
-from tools.bench.measures.random_rigs import RIGS, SHARES
-from tools.bench.soak_record import HOPS, RECORD, SAMPLES, STEPPED_SAMPLES, SoakRecord, keep_record
 from tools.records import PROJECT_ROOT
+from tools.soak_record import HOPS, RECORD, RIGS, SAMPLES, STEPPED_SAMPLES, SoakRecord, keep_record
 
 
 def kept(record: SoakRecord) -> SoakRecord:

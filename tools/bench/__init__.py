@@ -17,31 +17,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 
-from tools.bench.figures import pictures
 from tools.bench.machine import machine_facts
 from tools.bench.report import COMMAND, BenchReport, Missing, Must, Row, Section
 from tools.bench.sections import (
-    attacks,
     comparison,
     damping,
-    damping_recordings,
     fidelity,
     frequency_error,
     frontier,
-    identification,
     kept_records,
-    levels,
     mixing,
     model_selection,
-    onset_detection,
     profiles,
     protection,
     rendering,
     rig,
-    rig_precision,
     savings,
     scaling,
     speech_suppression,
@@ -59,8 +51,6 @@ __all__ = [
     "Must",
     "Row",
     "Section",
-    "pictures_in",
-    "plots",
     "run_bench",
 ]
 
@@ -71,37 +61,27 @@ BENCHES: tuple[tuple[str, Bench, float], ...] = (
     ("recordings", fidelity.recordings, 0.1),
     ("steady tones", tones.steady_tones, 5.0),
     ("onset lag", fidelity.onset_lag, 2.0),
-    ("onsets found", onset_detection.onsets_found, 4.0),
-    ("attacks", attacks.attacks, 2.0),
     ("energy above 250 Hz", fidelity.energy_above, 1.0),
     ("principal frequencies", fidelity.principal_frequencies, 0.5),
     ("frequency error", frequency_error.frequency_error, 2.0),
-    ("gain", tones.gain_over_samplerates, 2.0),
-    ("splits", fidelity.any_split, 3.0),
     ("cost of a second", speed.cost_of_a_second, 8.0),
     ("cost after pauses", speed.cost_after_pauses, 3.0),
     ("worst hop", speed.worst_hop, 5.0),
     ("scaling of cost", scaling.cost_scaling, 4.0),
     ("savings", savings.savings, 7.0),
     ("speech suppression", speech_suppression.speech_suppression, 8.0),
-    ("effects under speech", speech_suppression.effects_under_speech, 0.5),
     ("the mixer", mixing.mixing, 6.0),
     ("rendering", rendering.render_speed, 4.0),
     ("cost against error", frontier.frontier, 4.0),
     ("baselines", comparison.compared, 3.0),
-    ("level", levels.level, 3.0),
     ("profiles", profiles.profiles, 3.0),
     ("simulated rig", rig.linear_model, 2.0),
-    ("work and precision", rig_precision.work_and_precision, 5.0),
+    ("work and precision", rig.work_and_precision, 5.0),
     ("model selection", model_selection.model_selection, 3.0),
-    ("model selection by second", model_selection.selection_by_second, 1.0),
     ("scaling of the rig's cost", scaling.rig_scaling, 3.0),
-    ("residual vibration", damping.residual_energy, 2.0),
-    ("residual vibration by level", damping.residual_energy_by_level, 2.0),
-    ("damping on recordings", damping_recordings.damping_on_recordings, 7.0),
+    ("residual vibration", damping.residual_vibration, 2.0),
     ("protection", protection.protection, 1.0),
     ("protection live", protection.live_cost, 3.0),
-    ("identification", identification.identification, 8.0),
     ("live latency", kept_records.live_latency, 0.1),
     ("soak", kept_records.transform_soak, 0.1),
     ("soak of the rig", kept_records.rig_soak, 0.1),
@@ -153,34 +133,3 @@ def _measured(name: str, measure: Bench, bench: Workbench) -> Section:
         reason = f"its bench failed ({type(error).__name__}: {' '.join(str(error).split())})"
         gone = Missing(f"every row of {name}", reason, COMMAND)
         return Section(title, "This could not be measured here.", (), (gone,))
-
-
-def plots(report: BenchReport, folder: Path) -> list[Path]:
-    """Write the pictures of what was measured, PNG, into a folder and return their paths.
-
-    Parameters
-    ----------
-    report : BenchReport
-        What is shown.
-    folder : Path
-        An existing folder.
-
-    Raises
-    ------
-    UsageError
-        matplotlib is not installed, or the folder cannot be written.
-    """
-    return pictures.draw_all(report, folder)
-
-
-def pictures_in(page: Path, drawn: Sequence[Path]) -> dict[str, str]:
-    """Return the Markdown of pictures by section, for `BenchReport.to_markdown`.
-
-    Parameters
-    ----------
-    page : Path
-        The page that shows them.
-    drawn : Sequence[Path]
-        Paths from `plots`; those outside the page's folder are left out.
-    """
-    return pictures.shown_in(page, drawn)

@@ -1,9 +1,8 @@
 """Measure speed and error on this machine: python -m tools.bench [--quick] [--json] [--out FILE]
 
 Prints the report as Markdown and writes it to docs/benchmarks.md. With --json it prints one JSON
-document and writes no file. Exit codes: 0 done, 2 wrong usage or something could not be measured,
-or a file could not be
-written, 130 interrupted.
+document and writes no file. Exit codes: 0 done; 2 wrong usage, something could
+not be measured, or a file could not be written; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from pathlib import Path
 from audioflinger_hook.cli.terminal import progress_bar
 from device.atomic_file import AtomicFile, write_bytes_atomically
 from device.errors import CushionError, UsageError
-from tools.bench import pictures_in, plots, run_bench
-from tools.bench.figures.pictures import need_matplotlib
+from tools.bench import run_bench
+from tools.bench.figures.pictures import draw_all, need_matplotlib, shown_in
 
 REPORT = Path("docs/benchmarks.md")
 EXIT_INTERRUPTED = 130
@@ -63,8 +62,8 @@ def _run(options: argparse.Namespace) -> int:
         _make_folder(options.plots)
     with progress_bar("bench") as advance:
         report = run_bench(options.quick, lambda _label, share: advance(share, 1.0))
-    drawn = plots(report, options.plots) if options.plots else []
-    page = report.to_markdown(pictures_in(target, drawn) if target and drawn else None)
+    drawn = draw_all(report, options.plots) if options.plots else []
+    page = report.to_markdown(shown_in(target, drawn) if target and drawn else None)
     print(json.dumps(report.to_json(), indent=2) if options.json else page)
     if report.missing:
         rows = "; ".join(str(row) for row in report.missing)

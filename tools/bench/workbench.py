@@ -129,16 +129,13 @@ class Effort:
     tones: int = 6
     low_tones: int = 3
     tone_s: float = 3.0
-    gain_tones: int = 8
     bursts: int = 25
     onsets_a_burst: int = 4
-    onsets_made: int = 30
     noisy_tones: int = 100
     frontier_sounds: int = 2
     compared_bursts: int = 9
     compared_recordings: int = 3
     settled_s: float = 3.0
-    split_s: float = 0.2
     cost_repeats: int = 3
     slow_repeats: int = 1
     cost_s: float = 0.5
@@ -146,7 +143,6 @@ class Effort:
     saving_repeats: int = 1
     saving_s: float = 1.0
     mix_rounds: int = 15
-    mix_repeats: int = 1
     scaling_s: float = 8.0
     channels_s: float = 1.0
     hops_timed: int = 3_000
@@ -156,7 +152,6 @@ class Effort:
     rig_timed_s: float = 0.5
     model_repeats: int = 3
     integrator_repeats: int = 2
-    random_rigs: int = 3
 
     def repeats_of(self, subject: Subject) -> int:
         """Return how often a subject is timed."""
@@ -165,13 +160,12 @@ class Effort:
 
 QUICK = Effort()
 FULL = Effort(
-    tones=40, low_tones=16, tone_s=4.0, gain_tones=24, bursts=40, onsets_a_burst=16,
-    onsets_made=150, noisy_tones=400, frontier_sounds=8, compared_bursts=30,
-    compared_recordings=31, settled_s=10.0, split_s=4.0, cost_repeats=15, slow_repeats=5,
-    cost_s=6.0, cold_s=4.0, saving_repeats=3, saving_s=3.0, mix_rounds=400, mix_repeats=9,
+    tones=40, low_tones=16, tone_s=4.0, bursts=40, onsets_a_burst=16,
+    noisy_tones=400, frontier_sounds=8, compared_bursts=30,
+    compared_recordings=31, settled_s=10.0, cost_repeats=15, slow_repeats=5,
+    cost_s=6.0, cold_s=4.0, saving_repeats=3, saving_s=3.0, mix_rounds=400,
     scaling_s=64.0, channels_s=4.0, hops_timed=30_000, hops_timed_in_numpy=2_000,
     render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5,
-    random_rigs=40,
 )  # fmt: skip
 
 

@@ -143,9 +143,7 @@ def test_what_lies_beyond_the_stops_is_counted():
     assert inverse.beyond_samples == 0
 
 
-def test_a_rig_that_does_not_say_how_it_stiffens_and_a_burst_of_no_size_are_refused():
+def test_a_rig_that_does_not_say_how_it_stiffens_is_refused():
     nothing: Rig = replace(PAPER, large_signal=None)
     with pytest.raises(UsageError, match="large_signal"):
         FlatInverse(nothing, RATE)
-    with pytest.raises(UsageError, match="excursion_m=0"):
-        large_burst_response(PAPER, CHOSEN, 0.0)

@@ -26,7 +26,7 @@ from device.identification.transfer import assess_quality, estimate_transfer, me
 from device.rig import CONSUMER, PAPER, read_rig
 from device.rig.model_levels import ModelLevel
 from device.rig.rig_file import parse_rig
-from tools.bench.measures.random_rigs import identified, truth
+from tests.support.random_rigs import identified, truth
 
 EXHAUSTIVE = pytest.mark.exhaustive
 

@@ -17,8 +17,8 @@ from device.identification.output_error import Estimate
 from device.identification.rig_values import write_rig
 from device.identification.sweep import Excitation, Sweep
 from device.rig import CONSUMER, PAPER, read_rig
+from tests.support.random_rigs import truth
 from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
-from tools.bench.measures.random_rigs import truth
 
 EXHAUSTIVE = pytest.mark.exhaustive
 

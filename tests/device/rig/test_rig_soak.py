@@ -7,13 +7,13 @@ from device.rig import PAPER
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
 from tests.support import rig_soak
+from tests.support.random_rigs import Found
 from tests.support.rig_soak import soak_energy, steady_drive
 from tests.support.soak import soak_identification
-from tools.bench.measures.random_rigs import Found
 from tools.bench.sections import kept_records
-from tools.bench.soak_record import SoakRecord, keep_record
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import QUICK, SUBJECTS, Workbench
+from tools.soak_record import SoakRecord, keep_record
 
 SAMPLES = {ModelLevel.LINEAR: 2_000_000, ModelLevel.NONLINEAR: 1_000_000, ModelLevel.STEPPED: 8_000}
 

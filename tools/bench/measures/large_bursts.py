@@ -5,7 +5,6 @@ within the burst. The rig may reach another one, since it stiffens and its f0 ma
 reported. Dampings are compared at the same intended excursion.
 """
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,13 +20,11 @@ from device.drive.damping.residual import (
     measured,
     sine_burst,
 )
-from device.errors import UsageError
 from device.rig import Rig
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
-from device.rig.parameters import detune
-from device.units import FloatArray
+from device.rig.parameters import DriveMode, detune
 
 CURRENT_DRIVE_OHM = 1e4
 """Lower than in residual.py: a shorter L / R would cost twenty times as much. The actuator's
@@ -50,20 +47,17 @@ def large_burst_response(
     rig: as believed; its amplifier gets the damping's source impedance and has no band or limits.
     excursion_m: intended, above 0. flat: apply `FlatInverse` of the believed rig after the damping.
     detuning: share by which the true f0 differs.
-
-    Raises
-    ------
-    UsageError
-        The excursion is not above 0, or `flat` needs a rig with [large_signal].
     """
-    if not (math.isfinite(excursion_m) and excursion_m > 0.0):
-        raise UsageError(f"excursion_m={excursion_m!r} of a burst must be above 0; correct it")
-    believed = driven_by(rig, damping.source_impedance_ohm)
     source = damping.source_impedance_ohm
+    mode: DriveMode = "current" if source > rig.actuator.resistance_ohm else "voltage"
+    amplifier = replace(rig.amplifier, source_impedance_ohm=source, drive_mode=mode)
+    believed = replace(rig, amplifier=amplifier)
     true = replace(believed, actuator=detune(rig.actuator, detuning))
     watched_s = BURST_S + max(decay_s(true.actuator, source), BURST_S) + damping.latency_s
     burst = sine_burst(round(watched_s * SAMPLERATE), BURST_S, rig.actuator.resonance_hz)
-    drive = intended(believed, damping, burst, excursion_m)
+    drive = Damper(damping, SAMPLERATE, 1).process(burst[:, None].astype(np.float64))[:, 0]
+    linear = LinearActuator(rig.actuator, SAMPLERATE, source).move(drive, ("displacement_m",))
+    drive *= excursion_m / float(np.abs(linear.displacement_m).max())
     if flat:
         drive = FlatInverse(believed, SAMPLERATE).process(drive)
     motion = AdaptiveActuator(true, SAMPLERATE, level=ModelLevel.NONLINEAR).move(
@@ -79,31 +73,3 @@ def large_burst_response(
 def undamped_large(rig: Rig, excursion_m: float, *, detuning: float = 0.0) -> LargeBurst:
     """Return the reference: current drive of the same rig at the same intended excursion."""
     return large_burst_response(rig, no_damping(CURRENT_DRIVE_OHM), excursion_m, detuning=detuning)
-
-
-def driven_by(rig: Rig, source_impedance_ohm: float) -> Rig:
-    """Return the rig behind an amplifier of that source impedance."""
-    current = source_impedance_ohm > rig.actuator.resistance_ohm
-    return replace(
-        rig,
-        amplifier=replace(
-            rig.amplifier,
-            source_impedance_ohm=source_impedance_ohm,
-            drive_mode="current" if current else "voltage",
-        ),
-    )
-
-
-def intended(
-    rig: Rig,
-    damping: Damping,
-    signal: FloatArray,
-    excursion_m: float,
-    samplerate: int = SAMPLERATE,
-) -> FloatArray:
-    """Return the damped signal in V, (frames,), that takes the linear rig to the excursion."""
-    drive = Damper(damping, samplerate, 1).process(signal[:, None].astype(np.float64))[:, 0]
-    source = rig.amplifier.source_impedance_ohm
-    linear = LinearActuator(rig.actuator, samplerate, source).move(drive, ("displacement_m",))
-    scaled: FloatArray = drive * (excursion_m / float(np.abs(linear.displacement_m).max()))
-    return scaled

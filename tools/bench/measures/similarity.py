@@ -10,19 +10,12 @@ import numpy as np
 from scipy.signal.windows import hann
 
 from audioflinger_hook.transform import FloatArray
-from audioflinger_hook.transform.arrays import strided_windows
 
 DELAY_MAX_S = 0.1
 ENVELOPE_FRAME_S = 0.01
 
 FELT_HZ = (15.0, 250.0)
 FELT_BANDS = 24
-
-PATTERN_WINDOW_S, PATTERN_HOP_S = 0.1, 0.0125
-PATTERN_BANDS_HZ = 20.0 * 2.0 ** (np.arange(11) / 2.0)
-"""Half octaves from 20 to 640 Hz, about what a person can distinguish there."""
-PATTERN_RANGE_DB = 40.0
-TEMPORAL_SHARE = 2.0 / 3.0
 
 NOTHING_DB = -60.0
 """A weaker vibration counts as none."""
@@ -42,32 +35,6 @@ def envelope_correlation(sound: FloatArray, vibration: FloatArray, samplerate: i
             break
         coefficients.append(float(np.corrcoef(then, now)[0, 1]))
     return max(coefficients, default=0.0)
-
-
-def st_sim(vibration: FloatArray, wanted: FloatArray, samplerate: int) -> float:
-    """Return the spectral-temporal similarity of a vibration to the wanted one, 0 to 1.
-
-    A pattern has the levels in half octaves from 20 to 640 Hz, in Hann windows of 100 ms every
-    12.5 ms, as a share of the 40 dB under the signal's highest level. S is the mean over time of
-    the cosine between the patterns' columns, T the mean over bands of that between their rows,
-    each where the wanted one has any. The result is S^(1/3) T^(2/3).
-
-    Parts and weights are those of the ST-SIM of Hassen and Steinbach (IEEE Transactions on
-    Haptics, 2020), which compares waves. A transform moves frequencies, so levels replace waves.
-    """
-    here, there = (_pattern(signal, samplerate) for signal in (vibration, wanted))
-    if not there.any():
-        return float("nan")
-    if not here.any():
-        return 0.0
-    most = 0.0
-    for late in range(1 + round(DELAY_MAX_S / PATTERN_HOP_S)):
-        now, then = here[late:], there[: len(there) - late]
-        if not then.any():
-            break
-        spectral, temporal = _mean_cosine(now, then, 1), _mean_cosine(now, then, 0)
-        most = max(most, spectral ** (1.0 - TEMPORAL_SHARE) * temporal**TEMPORAL_SHARE)
-    return most
 
 
 def felt_spectrum(vibration: FloatArray, samplerate: int) -> tuple[FloatArray, FloatArray]:
@@ -111,31 +78,3 @@ def _pieces_rms(signal: FloatArray, samplerate: int) -> FloatArray:
     pieces = signal[: signal.size - signal.size % frames].reshape(-1, frames)
     rms: FloatArray = np.sqrt((pieces**2).mean(axis=1))
     return rms
-
-
-def _pattern(signal: FloatArray, samplerate: int) -> FloatArray:
-    """Return the pattern of `st_sim`, (windows, bands)."""
-    frames, hop = round(PATTERN_WINDOW_S * samplerate), round(PATTERN_HOP_S * samplerate)
-    if signal.size < frames:
-        signal = np.concatenate((signal, np.zeros(frames - signal.size)))
-    windows = strided_windows(np.ascontiguousarray(signal), frames, hop)
-    highest = int(PATTERN_BANDS_HZ[-1] * frames / samplerate) + 1
-    power = np.abs(np.fft.rfft(windows * hann(frames, sym=False), axis=1)[:, : highest + 1]) ** 2
-    hz = np.arange(power.shape[1]) * (samplerate / frames)
-    edges = hz.searchsorted(PATTERN_BANDS_HZ)
-    bands = np.add.reduceat(power, edges, axis=1)[:, :-1]
-    if not bands.max() > 0.0:
-        return np.zeros(bands.shape)
-    with np.errstate(divide="ignore"):
-        under_db = 10.0 * np.log10(bands / bands.max())
-    pattern: FloatArray = np.maximum(0.0, 1.0 + under_db / PATTERN_RANGE_DB)
-    return pattern
-
-
-def _mean_cosine(here: FloatArray, there: FloatArray, axis: int) -> float:
-    """Return the mean of the cosines along an axis, where `there` has anything."""
-    wanted = np.sqrt((there**2).sum(axis=axis))
-    found = np.sqrt((here**2).sum(axis=axis))
-    products = (here * there).sum(axis=axis)
-    cosines = products / np.maximum(wanted * found, 1e-12)
-    return float(cosines[wanted > 0.0].mean())

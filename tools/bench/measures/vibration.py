@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, hilbert, sosfiltfilt
 
 from audioflinger_hook.transform import FloatArray
@@ -166,11 +165,6 @@ def _in_reach(these: Principals, others: Principals, reach_hz: float) -> int:
         np.abs(mine - theirs[np.maximum(after - 1, 0)]),
     )
     return int(np.count_nonzero(distance <= reach_hz))
-
-
-def differing_blocks(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    """Return whether two outputs differ in shape or in any byte."""
-    return one.shape != other.shape or one.tobytes() != other.tobytes()
 
 
 def _ratio_db(part: float, whole: float) -> float:

@@ -5,6 +5,7 @@ device/drive/damping defines residual, settling, peak volts and detuning.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -18,14 +19,12 @@ from device.drive.damping.residual import (
     undamped,
 )
 from device.rig import PAPER, ActuatorParameters
-from tools.bench.measures.large_bursts import LargeBurst, large_burst_response, undamped_large
+from tools.bench.measures.large_bursts import large_burst_response, undamped_large
 from tools.bench.report import Must, Row, Section
 from tools.bench.workbench import Workbench
 
 TITLE = "Residual vibration"
-LEVELS_TITLE = "Residual vibration by level"
 CHOSEN = "voltage drive, automatic"
-FLAT = "automatic and flat inverse"
 
 DETUNINGS = (0.0, -0.05, 0.05, -0.1, 0.1, -0.2, 0.2)
 CURVE = tuple(step / 100.0 for step in range(-20, 21))
@@ -42,13 +41,12 @@ LOW_LEVEL = 0.1
 
 @dataclass(frozen=True)
 class Drive:
-    """One way of driving: name, damping, whether limits apply, actuator, flat inverse or not."""
+    """One way of driving: name, damping, whether limits apply, and the actuator."""
 
     name: str
     damping: Damping
     asked: bool = False
     actuator: ActuatorParameters = PAPER.actuator
-    flat: bool = False
 
 
 @cache
@@ -70,18 +68,6 @@ def drives() -> tuple[Drive, ...]:
 
 
 @cache
-def large_drives() -> tuple[Drive, ...]:
-    """Return the drives that are compared on the non-linear model, the reference first."""
-    chosen = choose_damping(PAPER.actuator).damping
-    return (
-        Drive("current drive, undamped", no_damping(CURRENT_DRIVE_OHM)),
-        Drive("voltage drive", no_damping()),
-        Drive("automatic", chosen, asked=True),
-        Drive(FLAT, chosen, asked=True, flat=True),
-    )
-
-
-@cache
 def _reference(detuning: float) -> BurstResponse:
     return undamped(PAPER.actuator, detuning=detuning)
 
@@ -92,26 +78,23 @@ def _residual(drive: Drive, detuning: float) -> Residual:
     return own.against(_reference(detuning))
 
 
-def residual_energy(_bench: Workbench) -> Section:
-    """Energy after a burst, settling and peak volts of each drive, by detuning."""
-    rows = []
+def residual_vibration(_bench: Workbench) -> Section:
+    """Energy after a burst, settling and peak volts, by drive, detuning and level."""
+    rows: list[Row] = []
     for drive in drives():
         at = {detuning: _residual(drive, detuning) for detuning in DETUNINGS}
-        rows += _detuning_rows(drive.name, at, limited=drive.asked)
-        for detuning in (0.0, -LIMITED_DETUNING, LIMITED_DETUNING):
-            column = f"still after, {_column(detuning)}"
-            rows.append(Row(drive.name, 1e3 * at[detuning].settling_s, "ms", column))
-        must = VOLTS_DB if drive.asked else None
-        volts_db, note = at[0.0].peak_volts_db, _note(drive.damping)
-        rows.append(Row(drive.name, volts_db, "dB", "peak volts", must, note=note))
+        rows += _rows(drive.name, at, limited=drive.asked, note=_note(drive.damping))
     return Section(
         TITLE,
         "Energy of the seat's acceleration after a burst of 50 ms at 90 Hz, against undamped "
         "current drive of the same rig at the same vibration during the burst; and the peak volts "
         "against the same. Columns: the true f0 against the assumed one (only the stiffness "
         "differs). Still after: time from the end of the burst until the acceleration stays under "
-        "10 % of its peak. The model is linear, so this holds up to about 0.1 Xmax.",
-        tuple(rows),
+        "10 % of its peak. The first rows are of the linear model. The last are of the non-linear "
+        "`paper` rig, which stiffens, loses force and changes its inductance as it swings; their "
+        "level is the largest excursion of the linear model, the one reached is in the note. The "
+        "flat inverse is that of the assumed rig.",
+        (*rows, *_rows_by_level()),
         series={
             drive.name: tuple(_residual(drive, share).residual_db for share in CURVE)
             for drive in drives()
@@ -119,68 +102,41 @@ def residual_energy(_bench: Workbench) -> Section:
     )
 
 
-@cache
-def _burst(drive: Drive, level: float, detuning: float) -> LargeBurst:
-    excursion_m = level * PAPER.actuator.x_max_m
-    return large_burst_response(
-        PAPER, drive.damping, excursion_m, flat=drive.flat, detuning=detuning
-    )
-
-
-@cache
-def _large_reference(level: float, detuning: float) -> LargeBurst:
-    return undamped_large(PAPER, level * PAPER.actuator.x_max_m, detuning=detuning)
-
-
-def residual_energy_by_level(_bench: Workbench) -> Section:
-    """Energy after a burst, settling and peak volts by level and detuning."""
-    rows = []
-    low = undamped(PAPER.actuator)
+def _rows_by_level() -> Iterator[Row]:
+    """Yield the same of the non-linear model, for voltage drive without and with damping."""
+    chosen = choose_damping(PAPER.actuator).damping
+    ways = {
+        "voltage drive": (no_damping(), False),
+        "automatic": (chosen, False),
+        "automatic and flat inverse": (chosen, True),
+    }
     for level in LEVELS:
-        for drive in large_drives():
-            name = f"{level:g} Xmax, {drive.name}"
-            limited = drive.asked and level <= LOW_LEVEL
-            at = {
-                detuning: _burst(drive, level, detuning).response.against(
-                    _large_reference(level, detuning).response
+        excursion_m = level * PAPER.actuator.x_max_m
+        references = {d: undamped_large(PAPER, excursion_m, detuning=d) for d in DETUNINGS}
+        for name, (damping, flat) in ways.items():
+            bursts = {
+                detuning: large_burst_response(
+                    PAPER, damping, excursion_m, flat=flat, detuning=detuning
                 )
                 for detuning in DETUNINGS
             }
-            rows += _detuning_rows(name, at, limited=limited)
-            exact = _burst(drive, level, 0.0)
-            low_db = exact.response.against(low).residual_db
-            reached = exact.excursion_m / PAPER.actuator.x_max_m
-            must = VOLTS_DB if limited else None
-            rows += [
-                Row(name, 1e3 * exact.response.settling_s, "ms", "still after, exact"),
-                Row(name, at[0.0].peak_volts_db, "dB", "peak volts", must),
-                Row(name, low_db, "dB", "exact, against low level"),
-                Row(name, reached, "Xmax", "reached"),
-            ]
-    return Section(
-        LEVELS_TITLE,
-        "The same bursts on the non-linear `paper` rig, which stiffens, loses force and changes "
-        "its inductance as it swings. The level is the largest excursion of the linear model. "
-        "Residual and peak volts are against undamped current drive of the same rig at the same "
-        "level and detuning. That drive rings less at high levels, as its resonance moves away, "
-        "so there is a column against current drive at a low level. The flat inverse is that of "
-        "the assumed rig. Reached: the largest excursion, f0 exact.",
-        tuple(rows),
-    )
+            at = {d: bursts[d].response.against(references[d].response) for d in DETUNINGS}
+            limited = damping is chosen and level <= LOW_LEVEL
+            reached = bursts[0.0].excursion_m / PAPER.actuator.x_max_m
+            note = f"{reached:.3g} Xmax reached"
+            yield from _rows(f"{level:g} Xmax, {name}", at, limited=limited, note=note)
 
 
-def _detuning_rows(name: str, at: dict[float, Residual], *, limited: bool) -> list[Row]:
-    rows = []
+def _rows(name: str, at: dict[float, Residual], *, limited: bool, note: str) -> Iterator[Row]:
+    """Yield the rows of one drive: residual by detuning, settling, and peak volts."""
     for detuning, residual in at.items():
-        must = None
-        if limited and abs(detuning) <= LIMITED_DETUNING:
-            must = DETUNED_DB if detuning else EXACT_DB
-        rows.append(Row(name, residual.residual_db, "dB", _column(detuning), must))
-    return rows
-
-
-def _column(detuning: float) -> str:
-    return f"{100.0 * detuning:+.0f} %" if detuning else "exact"
+        asked = limited and abs(detuning) <= LIMITED_DETUNING
+        must = (DETUNED_DB if detuning else EXACT_DB) if asked else None
+        column = f"{100.0 * detuning:+.0f} %" if detuning else "exact"
+        yield Row(name, residual.residual_db, "dB", column, must)
+    yield Row(name, 1e3 * at[0.0].settling_s, "ms", "still after")
+    must = VOLTS_DB if limited else None
+    yield Row(name, at[0.0].peak_volts_db, "dB", "peak volts", must, note=note)
 
 
 def _note(damping: Damping) -> str:

@@ -1,4 +1,4 @@
-"""Sections on fidelity: recordings used, onset lag, audible energy, partials, and block splits."""
+"""Sections on fidelity: recordings used, onset lag, audible energy, principal frequencies."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tools.bench.measures.vibration import (
     Agreement,
     agreement,
-    differing_blocks,
     energy_above_db,
     onset_lag_s,
 )
@@ -28,7 +27,6 @@ from tools.bench.sounds.signals import (
     SHORTEST_S,
     Recording,
     burst,
-    demo_sound,
     white_noise,
 )
 from tools.bench.workbench import Subject, Workbench
@@ -48,11 +46,6 @@ AGREEMENT, AGREEMENT_LEAD = Must(">=", 0.95), Must(">=", 0.99)
 UNITS_AT_ONCE = 64
 FEWEST_FOR_A_RATIO = 50
 """Recordings with fewer principal frequencies have no precision of their own."""
-
-SPLIT_FRAMES = (1, 7, 240, 256, 960, 4096)
-SPLIT_FROM_S = 6.9
-"""Footsteps and speech in the demo scene, where partials begin and end all the time."""
-RANDOM_SPLITS = 3
 
 
 def recordings(bench: Workbench) -> Section:
@@ -206,36 +199,3 @@ def _unit_batches(recording: Recording) -> Iterator[FloatArray]:
     units = reference.cut(recording.frames.astype(np.float64).mean(axis=1))
     for first in range(0, len(units), UNITS_AT_ONCE):
         yield units[first : first + UNITS_AT_ONCE]
-
-
-def any_split(bench: Workbench) -> Section:
-    """Whether the vibration depends on the block sizes in which the sound arrives."""
-    first = round(SPLIT_FROM_S * SAMPLERATE)
-    sound = demo_sound()[first : first + round(bench.effort.split_s * SAMPLERATE)]
-    rng = np.random.default_rng(2)
-    splits = [[frames] * (len(sound) // frames + 1) for frames in SPLIT_FRAMES]
-    splits += [list(rng.integers(0, 3000, len(sound) // 500)) for _ in range(RANDOM_SPLITS)]
-    differ: dict[str, float | None] = {}
-    for subject in bench.subjects:
-        whole = _delivered(subject, sound, [len(sound)])
-        parts = [_delivered(subject, sound, split) for split in splits]
-        differ[subject.name] = float(sum(differing_blocks(whole, part) for part in parts))
-    return Section(
-        "Any split of the sound",
-        "The vibration must not depend on the block size. Blocks of "
-        f"{', '.join(str(f) for f in SPLIT_FRAMES)} frames and {RANDOM_SPLITS} random splits of "
-        f"{bench.effort.split_s:g} s of the demo scene are compared with one block.",
-        tuple(line("splits that change a byte", differ, f"of {len(splits)}", Must("<=", 0))),
-    )
-
-
-def _delivered(subject: Subject, sound: Frames, split: list[int]) -> FloatArray:
-    """Return the vibration of a sound that arrives in blocks of these lengths, then the rest."""
-    stream = subject.start(SAMPLERATE, sound.shape[1])
-    parts = []
-    start = 0
-    for frames in [*split, len(sound)]:
-        parts.append(stream.process(sound[start : start + frames]))
-        start = min(len(sound), start + frames)
-    parts.append(stream.finish())
-    return np.concatenate(parts)

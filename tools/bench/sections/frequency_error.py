@@ -11,8 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import fft
-from scipy.signal.windows import hamming
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
@@ -20,11 +18,11 @@ from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tools.bench.report import Must, Row, Section, line
-from tools.bench.sections.tones import SAMPLERATES
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import LIVE, REFERENCE, Workbench
 
 TITLE = "Frequency error"
+SAMPLERATES = (8_000, 11_025, 16_000, 22_050, 44_100, 48_000, 96_000, 192_000)
 RANGES_HZ = ((50.0, 150.0), (150.0, 600.0), (600.0, 12_000.0))
 """Below about 600 Hz the image of a tone, at negative frequency, matters more than weak noise."""
 HIGHEST_SHARE = 0.45
@@ -36,10 +34,6 @@ AMPLITUDE = 0.05
 """Of the tone: at 0 dB the noise stays under C_th, so only the tone is refined."""
 WINDOWS_AT_ONCE = 64
 
-APART_HZ = (30.0, 45.0, 60.0, 90.0)
-PAIR_HZ = (300.0, 5_000.0)
-RESOLVED_SHARE = 0.95
-"""Distances at which fewer windows than this share hold two tones are named in the text."""
 BOUND = "bound"
 FORMS = (LIVE, REFERENCE)
 
@@ -53,29 +47,13 @@ def bound_hz(samplerate: int, frames: int, snr_db: float) -> float:
     return float(np.sqrt(24.0 * noise_over_tone / cube) * samplerate / (2.0 * np.pi))
 
 
-def window_loss() -> float:
-    """Return the least error through the Hamming window, as a multiple of the bound.
-
-    A window w leaves 12 integral(w^2 t^2) / (12 integral(w t^2))^2 of the bound's variance, with t
-    from -1/2 to 1/2.
-    """
-    points = 4096
-    window = hamming(points, sym=False)
-    time = np.arange(points) / points - 0.5
-    squares = float((window**2 * time**2).mean())
-    moment = float((window * time**2).mean())
-    return float(np.sqrt(squares / 12.0)) / moment
-
-
 @dataclass(frozen=True)
 class _Grid:
-    """Both forms' analysis at one samplerate, and the windows that they take."""
+    """Both forms' analysis at one samplerate, and the frames of its windows."""
 
     samplerate: int
     frames: int
     forms: dict[str, Analysis]
-    spectrum: Spectrum
-    finder: PrincipalFinder
 
     @classmethod
     def at(cls, samplerate: int) -> _Grid:
@@ -86,21 +64,13 @@ class _Grid:
             LIVE: LiveTransform(LiveDesign.of(parameters, samplerate)).analyse,
             REFERENCE: lambda windows: finder.all_principal(magnitude(spectrum.transform(windows))),
         }
-        return cls(samplerate, spectrum.window_frames, forms, spectrum, finder)
+        return cls(samplerate, spectrum.window_frames, forms)
 
-    def turns(self, audio_hz: FloatArray, phase: FloatArray) -> FloatArray:
-        """Return the phase in radians of each tone in each frame of its window."""
+    def tones(self, audio_hz: FloatArray, phase: FloatArray) -> FloatArray:
+        """Return a window of each tone, (tones, frames); phase in radians."""
         turn = 2.0 * np.pi / self.samplerate * audio_hz
-        radians: FloatArray = turn[:, None] * np.arange(self.frames) + phase[:, None]
-        return radians
-
-    def without_image(self, audio_hz: FloatArray, phase: FloatArray) -> FloatArray:
-        """Return the errors in Hz of the reference form's steps on complex tones, noise-free."""
-        window = hamming(self.frames, sym=False)
-        tones = AMPLITUDE * np.exp(1j * self.turns(audio_hz, phase)) * (2.0 / window.sum())
-        spectra = fft(tones * window, self.spectrum.fft_length, axis=1)
-        amplitude = 0.5 * np.abs(spectra[:, : self.spectrum.bins])
-        return _highest_hz(self.finder.all_principal(amplitude), audio_hz.size) - audio_hz
+        waves: FloatArray = np.sin(turn[:, None] * np.arange(self.frames) + phase[:, None])
+        return AMPLITUDE * waves
 
 
 def _highest_hz(found: Principals, rows: int) -> FloatArray:
@@ -109,12 +79,6 @@ def _highest_hz(found: Principals, rows: int) -> FloatArray:
     highest = np.full(rows, np.nan)
     highest[found.row[order]] = found.audio_hz[order]  # of several the last one stays
     return highest
-
-
-def _log_uniform(rng: np.random.Generator, span_hz: tuple[float, float], count: int) -> FloatArray:
-    """Return random frequencies in a range, equally many an octave."""
-    frequencies_hz: FloatArray = np.exp(rng.uniform(np.log(span_hz[0]), np.log(span_hz[1]), count))
-    return frequencies_hz
 
 
 def _rms(errors: FloatArray) -> float:
@@ -135,8 +99,8 @@ def _errors_hz(
     for first in range(0, count, WINDOWS_AT_ONCE):
         batch = slice(first, min(first + WINDOWS_AT_ONCE, count))
         rows = batch.stop - first
-        audio_hz = _log_uniform(rng, span_hz, rows)
-        tones = AMPLITUDE * np.sin(grid.turns(audio_hz, rng.uniform(0.0, 2.0 * np.pi, rows)))
+        audio_hz = np.exp(rng.uniform(np.log(span_hz[0]), np.log(span_hz[1]), rows))
+        tones = grid.tones(audio_hz, rng.uniform(0.0, 2.0 * np.pi, rows))
         for ratio, snr_db in enumerate(snrs_db):
             windows = tones
             if snr_db is not None:
@@ -148,30 +112,26 @@ def _errors_hz(
 
 
 def frequency_error(bench: Workbench) -> Section:
-    """The error of a tone's frequency in noise over the bound, and two tones close together."""
+    """The error of a tone's frequency in noise over the bound."""
     count = bench.effort.noisy_tones
     grids = {samplerate: _Grid.at(samplerate) for samplerate in SAMPLERATES}
     rows, series = _over_snr(grids[SAMPLERATE], count)
     for samplerate, grid in grids.items():
         rows += _at_samplerate(samplerate, grid, count)
-    pairs, merging = _pairs(grids[SAMPLERATE], count)
     spread = 100.0 / np.sqrt(2.0 * count * len(LIMITED_SNRS_DB))
     limited = f"{LIMITED_SNRS_DB[0]:g} to {LIMITED_SNRS_DB[-1]:g} dB"
     return Section(
         TITLE,
         "Root mean square error of the frequency of a tone in white noise, over tones that are "
         "evenly spread by octave, in multiples of the Cramer-Rao bound. No unbiased method is "
-        f"better than the bound; through a Hamming window the least is {window_loss():.2f} times "
-        "the bound. With little noise the bias of the method remains. Then two equal tones: how "
-        "often both are found, each nearer to its own frequency than to the middle"
-        + (f"; some merge {' and '.join(merging)} Hz apart." if merging else "; none merge."),
-        tuple(rows + pairs),
+        "better than the bound. With little noise the bias of the method remains.",
+        tuple(rows),
         series=series,
         footnote=f"{count} tones for each samplerate, range and signal-to-noise ratio; a value "
         f"over {limited} is uncertain by {spread:.1f} %. The limit applies to the live form from "
         f"{RANGES_HZ[1][0]:g} Hz up, at {limited}. The reference form's larger error is the pull "
-        "of the tone's image, which the live form removes; complex tones have no image. Tones go "
-        f"up to {HIGHEST_SHARE:g} of the samplerate.",
+        "of the tone's image, which the live form removes. Tones go up to "
+        f"{HIGHEST_SHARE:g} of the samplerate.",
     )
 
 
@@ -206,45 +166,5 @@ def _at_samplerate(samplerate: int, grid: _Grid, count: int) -> list[Row]:
         must = TIMES_BOUND if span_hz[0] >= RANGES_HZ[1][0] else None
         rows += line(name, dict(over), "times", must)
         noiseless = {f"{form}, no noise": _rms(by_form[form][-1]) for form in FORMS}
-        if samplerate == SAMPLERATE:
-            rng = np.random.default_rng(samplerate)
-            audio_hz = _log_uniform(rng, span_hz, count)
-            alone = grid.without_image(audio_hz, rng.uniform(0.0, 2.0 * np.pi, count))
-            noiseless[f"{REFERENCE}, no noise, no image"] = _rms(alone)
         rows += line(name, dict(noiseless), "Hz")
     return rows
-
-
-def _pairs(grid: _Grid, count: int) -> tuple[list[Row], list[str]]:
-    """Return how often two equal tones are found and how well, and at what distances they merge."""
-    rows: list[Row] = []
-    merging = []
-    for apart_hz in APART_HZ:
-        rng = np.random.default_rng(int(apart_hz))
-        lower_hz = _log_uniform(rng, PAIR_HZ, count)
-        wanted_hz = np.stack((lower_hz, lower_hz + apart_hz), axis=1)
-        windows = sum(
-            AMPLITUDE * np.sin(grid.turns(hz, rng.uniform(0.0, 2.0 * np.pi, count)))
-            for hz in wanted_hz.T
-        )
-        shares: dict[str, float | None] = {}
-        errors: dict[str, float | None] = {}
-        for form, analyse in grid.forms.items():
-            errors_hz = _nearest_hz(analyse(np.asarray(windows)), wanted_hz) - wanted_hz
-            both = (np.abs(errors_hz) < apart_hz / 2.0).all(axis=1)
-            shares[form] = 100.0 * float(both.mean())
-            errors[form] = _rms(errors_hz[both]) if both.any() else None
-        rows += line(f"two tones {apart_hz:g} Hz apart, two found", shares, "%")
-        rows += line(f"two tones {apart_hz:g} Hz apart, error", errors, "Hz")
-        if any((share or 0.0) < 100.0 * RESOLVED_SHARE for share in shares.values()):
-            merging.append(f"{apart_hz:g}")
-    return rows, merging
-
-
-def _nearest_hz(found: Principals, wanted_hz: FloatArray) -> FloatArray:
-    """Return the found frequency nearest to each wanted one, (rows, tones), or infinity."""
-    nearest = np.full(wanted_hz.shape, np.inf)
-    for row, audio_hz in zip(found.row, found.audio_hz, strict=True):
-        nearer = np.abs(audio_hz - wanted_hz[row]) < np.abs(nearest[row] - wanted_hz[row])
-        nearest[row, nearer] = audio_hz
-    return nearest

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Literal
 
 import numpy as np
@@ -10,20 +10,15 @@ from scipy.signal import hilbert
 
 from audioflinger_hook.transform import FloatArray, TransformParameters, kernel_warning
 from audioflinger_hook.transform.mapping import vibration_hz
-from audioflinger_hook.transform.principal import PrincipalFinder
-from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tools.bench.measures.vibration import energy_above_db, onset_lag_s, sine_fit
 from tools.bench.report import Row, Section, number
 from tools.bench.sections.fidelity import (
     BURST_AMPLITUDE,
     BURST_HZ,
     BURST_ONSET_S,
-    LAG_P95_LEAD,
-    LEAK_RECORDING_LEAD,
     REST_S,
 )
 from tools.bench.sections.frontier_settings import DEFAULT, SETTINGS, Setup
-from tools.bench.sections.tones import PURITY_LEAD
 from tools.bench.sounds.signals import (
     SAMPLERATE,
     Stereo,
@@ -48,22 +43,17 @@ NOTE_REACH_HZ = 10.8
 COST, TONE_ERROR, TONE_LEVEL, CHIRP = "cost", "tones", "tones, level", "chirp"
 SWELL, PURITY, LAG, LEAK = "AM, level", "THD+N", "lag, p95", "over 250 Hz"
 MISSED, SPURIOUS = "missed", "spurious"
-UNLIKE = "not the reference's"
 UNITS = {
     COST: "ms", TONE_ERROR: "Hz", TONE_LEVEL: "dB", CHIRP: "Hz", SWELL: "dB", PURITY: "dB",
-    LAG: "ms", LEAK: "dB", MISSED: "%", SPURIOUS: "%", UNLIKE: "%",
+    LAG: "ms", LEAK: "dB", MISSED: "%", SPURIOUS: "%",
 }  # fmt: skip
 """Measures of a setting and their units; less is better."""
 BLUR = {
     COST: 0.1, TONE_ERROR: 1e-3, TONE_LEVEL: 0.01, CHIRP: 0.1, SWELL: 0.02, PURITY: 1.0,
-    LAG: 0.7, LEAK: 0.7, MISSED: 0.3, SPURIOUS: 0.3, UNLIKE: 0.3,
+    LAG: 0.7, LEAK: 0.7, MISSED: 0.3, SPURIOUS: 0.3,
 }  # fmt: skip
 """Differences within the spread of repeats count as none; that of cost is a share."""
-
-
-ENOUGH = {PURITY: PURITY_LEAD, LEAK: LEAK_RECORDING_LEAD, LAG: LAG_P95_LEAD}
-"""The project's aims; a setting that is better only beyond them cannot be felt."""
-NOT_COMPARED = {COST: "not compiled", UNLIKE: "other units"}
+NOT_COMPILED = "not compiled"
 
 
 def frontier(bench: Workbench) -> Section:
@@ -79,7 +69,7 @@ def frontier(bench: Workbench) -> Section:
     }
     rows = [
         Row(name, value, UNITS[column], f"{column}, {UNITS[column]}",
-            note="" if value is not None else NOT_COMPARED[column])
+            note="" if value is not None else NOT_COMPILED)
         for name, values in measured.items()
         for column, value in values.items()
     ]  # fmt: skip
@@ -90,16 +80,11 @@ def frontier(bench: Workbench) -> Section:
         f"scene, the least of {bench.effort.cost_repeats} repeats. Errors: root mean square in Hz "
         f"of vibration and in dB over steady tones ({TONES_HZ[0]:g} to {TONES_HZ[1]:g} Hz), and "
         f"their worst THD+N; a chirp of {CHIRP_OCTAVES_A_S:g} octaves a second; a level that "
-        f"swells at {SWELL_HZ:g} Hz; onset lag; energy over 250 Hz; partials missed and spurious "
-        f"on {NOTES} decaying notes of {HARMONICS} harmonics; and principal frequencies of the "
-        "scene that only one of live and reference form finds.",
+        f"swells at {SWELL_HZ:g} Hz; onset lag; energy over 250 Hz; and partials missed and "
+        f"spurious on {NOTES} decaying notes of {HARMONICS} harmonics.",
         tuple(rows),
         footnote=_verdict(measured),
     )  # fmt: skip
-
-
-def _plain(value: float | None) -> float:
-    return float("nan") if value is None else value
 
 
 def _costs_ms(setups: list[Setup], scene: Stereo, repeats: int) -> list[float | None]:
@@ -129,7 +114,6 @@ def _errors(setup: Setup, scene: Stereo, count: int) -> dict[str, float | None]:
         LEAK: energy_above_db(quiet, SAMPLERATE),
         MISSED: missed,
         SPURIOUS: spurious,
-        UNLIKE: _unlike_reference(setup, scene),
     }
 
 
@@ -215,25 +199,6 @@ def _notes(setup: Setup) -> tuple[float, float]:
     return 100.0 * float((~hits).mean()), 100.0 * spurious / hits.size
 
 
-def _unlike_reference(setup: Setup, scene: Stereo) -> float | None:
-    """Return the share in percent of principal frequencies that only one of both forms finds."""
-    parameters = TransformParameters()
-    if setup.parameters.window_s != parameters.window_s:
-        return None
-    spectrum = Spectrum.of(parameters, SAMPLERATE)
-    finder = PrincipalFinder(parameters, spectrum.bin_hz, spectrum.bins)
-    form = setup.form()
-    filtered = form._bandpass.process(scene.astype(np.float64).mean(axis=1))
-    units = filtered[: filtered.size - filtered.size % spectrum.window_frames]
-    units = units.reshape(-1, spectrum.window_frames)
-    wanted, found = finder.all_principal(magnitude(spectrum.transform(units))), form.analyse(units)
-    pitch_hz = 4.0 * SAMPLERATE
-    here, there = (each.row * pitch_hz + each.audio_hz for each in (found, wanted))
-    near = np.abs(here[:, None] - there) <= spectrum.bin_hz / 2.0
-    alone = int((~near.any(axis=0)).sum()) + int((~near.any(axis=1)).sum())
-    return 100.0 * alone / max(1, here.size + there.size)
-
-
 def _rms(errors: FloatArray | list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
@@ -256,65 +221,27 @@ def _compared(
 def _verdict(measured: Mapping[str, Mapping[str, float | None]]) -> str:
     """Return what every other setting costs and gains, and which dominate the defaults."""
     default = measured[DEFAULT]
-    dominating: dict[str, list[str]] = {}
+    dominating = []
     lines = []
     for name, values in measured.items():
         if name == DEFAULT:
             continue
         compared = _compared(values, default)
-        gains = [column for column, side in compared.items() if side == "better"]
-        losses = [column for column, side in compared.items() if side == "worse"]
-        if gains and not losses:
-            dominating[name] = gains
-        lines.append(
-            f"- {name}: better in {_listed(gains, values) or 'nothing'}; "
-            f"worse in {_listed(losses, values) or 'nothing'}"
+        better, worse = (
+            ", ".join(
+                f"{column} {number(values[column] or 0.0)} {UNITS[column]}"
+                for column, side in compared.items()
+                if side == wanted
+            )
+            for wanted in ("better", "worse")
         )
-    head = f"The defaults ({_listed(default, default)}) {_place(dominating, measured)}"
-    return "\n".join((head, "Compared with them, beyond the spread of repeats:", *lines))
-
-
-def _listed(columns: Iterable[str], values: Mapping[str, float | None]) -> str:
-    return ", ".join(
-        f"{column} {number(_plain(values[column]))} {UNITS[column]}" for column in columns
+        if better and not worse:
+            dominating.append(name)
+        lines.append(f"- {name}: better in {better or 'nothing'}; worse in {worse or 'nothing'}")
+    said = (
+        f"Better in something and worse in nothing than the defaults: {', '.join(dominating)}."
+        if dominating
+        else "The defaults lie on the frontier: no other setting is better in something and worse "
+        "in nothing."
     )
-
-
-def _place(
-    dominating: Mapping[str, list[str]], measured: Mapping[str, Mapping[str, float | None]]
-) -> str:
-    """Return where the defaults lie; dominating: the settings that dominate, and their gains."""
-    default = measured[DEFAULT]
-    needless = {
-        name: gains
-        for name, gains in dominating.items()
-        if all(column in ENOUGH and ENOUGH[column].met(_plain(default[column])) for column in gains)
-    }
-    rest = [name for name in dominating if name not in needless]
-    if rest:
-        verb = "is" if len(rest) == 1 else "are"
-        said = (
-            f"do not lie on the frontier: {', '.join(rest)} {verb} better in something and worse "
-            "in nothing."
-        )
-    elif needless:
-        said = "lie on the frontier of what can be felt."
-    else:
-        said = "lie on the frontier: no other setting is better in something and worse in nothing."
-    if needless:
-        each = "; ".join(
-            f"{name} ({_listed(gains, measured[name])}; cost {_dearer(measured[name], default)})"
-            for name, gains in needless.items()
-        )
-        aims = dict.fromkeys(column for gains in needless.values() for column in gains)
-        reached = ", ".join(f"{column} {ENOUGH[column].shown(UNITS[column])}" for column in aims)
-        said += f" Better only beyond the aims ({reached}): {each}."
-    return said
-
-
-def _dearer(values: Mapping[str, float | None], default: Mapping[str, float | None]) -> str:
-    """Return by how much a setting costs more than the defaults."""
-    cost, ours = values[COST], default[COST]
-    if cost is None or ours is None:
-        return NOT_COMPARED[COST]
-    return f"{100.0 * (cost / ours - 1.0):+.0f} %"
+    return "\n".join((said, "Compared with them, beyond the spread of repeats:", *lines))

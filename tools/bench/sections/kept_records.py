@@ -8,14 +8,13 @@ from typing import TypeVar
 
 from audioflinger_hook.config.settings import LiveSettings
 from device.errors import UsageError
-from tools.bench import soak_record
-from tools.bench.measures.random_rigs import F0_ERROR, HELD, Q_ERROR, RIGS, SNR_DB
+from tools import soak_record
 from tools.bench.report import Missing, Must, Row, Section, number
-from tools.bench.soak_record import SoakRecord
 from tools.bench.workbench import Workbench
 from tools.live_latency import record as live_record
 from tools.live_latency.record import LiveRecord
 from tools.records import record_path
+from tools.soak_record import SoakRecord
 
 MILLION = 1e6
 USUAL_BLOCK_FRAMES = LiveSettings.block_frames
@@ -60,11 +59,11 @@ _ENERGY_COLUMNS: Columns = (
     ("energy_from_nowhere", "energy-balance error of a step", "", soak_record.PASSIVE_STEPPED),
 )
 _IDENTIFICATION_COLUMNS: Columns = (
-    ("rigs", "rigs", "", Must(">=", RIGS)),
-    ("f0_error_percent", "largest error of f0", "%", F0_ERROR),
-    ("q_error_percent", "largest error of Q", "%", Q_ERROR),
-    ("f0_held_percent", "intervals that hold f0", "%", HELD),
-    ("q_held_percent", "intervals that hold Q", "%", HELD),
+    ("rigs", "rigs", "", Must(">=", soak_record.RIGS)),
+    ("f0_error_percent", "largest error of f0", "%", soak_record.F0_ERROR),
+    ("q_error_percent", "largest error of Q", "%", soak_record.Q_ERROR),
+    ("f0_held_percent", "intervals that hold f0", "%", soak_record.HELD),
+    ("q_held_percent", "intervals that hold Q", "%", soak_record.HELD),
 )
 
 
@@ -101,8 +100,11 @@ def rig_soak(_bench: Workbench) -> Section:
 def identification_soak(_bench: Workbench) -> Section:
     """The identification's last soak."""
     what = (
-        f"The random rigs of the section above, {RIGS} at each sweep level, every other one on an "
-        f"occupied seat, with noise at -{SNR_DB:g} dB."
+        f"f0 and Q of {soak_record.RIGS} random rigs, from one sweep each of 5 s from 15 to 400 Hz "
+        "on the simulated non-linear rig. The instruments have noise at "
+        f"-{soak_record.SNR_DB:g} dB; every other rig is on an occupied seat. The rows say how "
+        "much of Xmax the sweep moves. The truth is computed from the eigenvalues of the linear "
+        "equations. The intervals are of 95 %."
     )
     return _soak("Soak of the identification", what, _IDENTIFICATION_COLUMNS)
 

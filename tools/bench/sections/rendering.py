@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -15,7 +14,7 @@ import soundfile
 
 from audioflinger_hook.offline.workers import usable_cores
 from tools.bench.cost import in_ffts
-from tools.bench.report import Missing, Must, Row, Section
+from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, demo_sound
 from tools.bench.workbench import Workbench, not_compiled
 from tools.records import PROJECT_ROOT
@@ -61,37 +60,23 @@ sys.__stdout__.write(json.dumps(spent))
 
 def render_speed(bench: Workbench) -> Section:
     """Wall time and peak memory of `render`, the whole process; and what it costs a core."""
-    title = "Rendering a file"
-    explanation = (
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory(prefix="cushion-bench-") as folder:
+        for duration_s in bench.effort.render_s:
+            source = Path(folder) / "sound.wav"
+            _write_sound(source, duration_s)
+            for measure in (_whole_command, _a_core, _several_files):
+                rows += measure(source, f"{duration_s / 60:g} min", duration_s)
+    return Section(
+        "Rendering a file",
         "`cushion render` of the looped demo scene, 48 kHz stereo, live form: wall time of the "
         "whole command with the start of Python, and its peak memory, which must not depend on "
         "the length. A core: CPU time without the start, the best of "
         f"{REPEATS} runs, and in FFTs the cost of a second of sound. Several files: one for each "
-        "core at once, by wall time; and one file of the reference form that several cores share. "
-        "Limits other than memory apply to ten minutes (full run)."
+        "core at once, by wall time. Limits other than memory apply to ten minutes (full run).",
+        tuple(rows),
+        not_compiled("rendering"),
     )
-    if importlib.util.find_spec(f"{PACKAGE}.__main__") is None:
-        reason = f"`python -m {PACKAGE}` is not there"
-        return Section(title, explanation, (), (Missing("rendering", reason, "pip install -e ."),))
-    rows: list[Row] = []
-    missing: list[Missing] = [*not_compiled("rendering")]
-    with tempfile.TemporaryDirectory(prefix="cushion-bench-") as folder:
-        for duration_s in bench.effort.render_s:
-            name = f"{duration_s / 60:g} min"
-            source = Path(folder) / "sound.wav"
-            _write_sound(source, duration_s)
-            for what, measure in (
-                (name, _whole_command),
-                (f"{name}, a core", _a_core),
-                (f"{name}, several files", _several_files),
-                (f"{name}, shared", _one_file),
-            ):
-                try:
-                    rows += measure(source, name, duration_s)
-                except (RuntimeError, OSError, ValueError, subprocess.SubprocessError) as error:
-                    reason = " ".join(str(error).split())
-                    missing.append(Missing(f"rendering {what}", reason, "cushion render --help"))
-    return Section(title, explanation, tuple(rows), tuple(missing))
 
 
 def _whole_command(source: Path, name: str, duration_s: float) -> list[Row]:
@@ -142,20 +127,6 @@ def _several_files(source: Path, name: str, duration_s: float) -> list[Row]:
         out.mkdir()
         wall_s, _ = _render(*map(str, sources), "--out-dir", str(out), "--workers", str(cores))
     return [Row(f"{name}, {cores} files at once", cores * duration_s / wall_s, "", "x real time")]
-
-
-def _one_file(source: Path, name: str, duration_s: float) -> list[Row]:
-    """Return how many seconds of one sound a second renders, with one worker and with all."""
-    if duration_s < LONG_S:  # too short to be shared
-        return []
-    rows = []
-    for workers in dict.fromkeys((1, usable_cores())):
-        target = str(source.with_name("vibration.wav"))
-        options = ("--transform", "reference", "--workers", str(workers))
-        wall_s, _ = _render(str(source), target, *options)
-        shared = f"{workers} worker{'s' if workers > 1 else ''}"
-        rows.append(Row(f"{name}, reference, {shared}", duration_s / wall_s, "", "x real time"))
-    return rows
 
 
 def _render(*arguments: str) -> tuple[float, float]:

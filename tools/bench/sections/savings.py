@@ -5,20 +5,18 @@ Each saving is switched off from outside, so the transform itself carries no swi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
-from audioflinger_hook.transform.arrays import strided_windows
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, window_tables
 from audioflinger_hook.transform.live.analysis import LiveAnalysis
 from audioflinger_hook.transform.live.synthesis import Glides, OscillatorBank
 from audioflinger_hook.transform.live.transform import LiveTransform
-from audioflinger_hook.transform.principal import Principals
 from audioflinger_hook.transform.spectrum import Spectrum
 from tools.bench.cost import Timings, interleaved
 from tools.bench.report import Missing, Must, Row, Section
@@ -47,9 +45,6 @@ TIED = 0.06
 """Bound where two peaks tie for the last place: twice 0.03, the strongest partials of white noise.
  The smallest change then decides which peak, and which phase, is kept."""
 
-ALIKE = 0.1
-"""Bandwidths within this share of each other are the same."""
-
 INAUDIBLE = 1e-300
 """Replaces an amplitude of 0 where a rule looks for 0; adding it changes nothing."""
 
@@ -58,26 +53,21 @@ INAUDIBLE = 1e-300
 class Saving:
     """One saving: what is done without it, and how to switch it off.
 
-    bound: of the change of any sample, of full scale. partial_bound: of the change of any
-    partial's amplitude, see `kept_alike`.
+    bound: of the change of any sample, of full scale.
     """
 
     name: str
     switch_off: Callable[[LiveTransform], None]
     bound: float = 0.0
-    partial_bound: float | None = None
 
 
-def _analyse_silence(transform: LiveTransform) -> None:
-    transform._silence = -1.0
+def _setting(part: str, name: str, value: float) -> Callable[[LiveTransform], None]:
+    """Return what sets a number of the transform (part "") or of one of its parts."""
 
+    def switch_off(transform: LiveTransform) -> None:
+        setattr(getattr(transform, part) if part else transform, name, value)
 
-def _never_rest(transform: LiveTransform) -> None:
-    transform._ring_hops = 10**9
-
-
-def _examine_every_peak(transform: LiveTransform) -> None:
-    transform._analysis._peak_span_min = -1.0
+    return switch_off
 
 
 def _keep_every_bin(transform: LiveTransform) -> None:
@@ -85,10 +75,6 @@ def _keep_every_bin(transform: LiveTransform) -> None:
     transform._analysis = LiveAnalysis(
         AnalysisDesign.of(TransformParameters(), spectrum, spectrum.bins)
     )
-
-
-def _clear_every_image(transform: LiveTransform) -> None:
-    transform._analysis._weakest_image = 0.0
 
 
 class _EveryImage(LiveAnalysis):
@@ -126,13 +112,17 @@ def _sound_every_slot(transform: LiveTransform) -> None:
 
 
 SAVINGS: tuple[Saving, ...] = (
-    Saving("saving off: quiet windows are analysed", _analyse_silence),
-    Saving("saving off: vibration that has decayed plays on", _never_rest, 1e-8),
-    Saving("saving off: empty slots are played", _sound_every_slot),
-    Saving("saving off: small peaks are refined", _examine_every_peak),
-    Saving("saving off: bins above the band are kept", _keep_every_bin, 0.02),
-    Saving("saving off: images of weak peaks are cleared", _clear_every_image, 0.02),
-    Saving("saving off: images of high peaks are cleared", _clear_high_images, TIED, 0.001),
+    Saving("quiet windows are analysed", _setting("", "_silence", -1.0)),
+    Saving("vibration that has decayed plays on", _setting("", "_ring_hops", 10**9), 1e-8),
+    Saving("empty slots are played", _sound_every_slot),
+    Saving("small peaks are refined", _setting("_analysis", "_peak_span_min", -1.0)),
+    Saving("bins above the band are kept", _keep_every_bin, 0.02),
+    Saving(
+        "images of weak peaks are cleared",
+        _setting("_analysis", "_weakest_image", 0.0),
+        0.02,
+    ),
+    Saving("images of high peaks are cleared", _clear_high_images, TIED),
 )
 
 
@@ -163,45 +153,6 @@ def _clicks(duration_s: float) -> FloatArray:
     return clicks
 
 
-def kept_alike(sound: FloatArray, saving: Saving) -> tuple[float, int, int]:
-    """Return the largest change of a partial's amplitude in hops that keep the same peaks.
-
-    Then the number of hops that keep others, and of all hops.
-    """
-    ours, theirs = (
-        LiveTransform(LiveDesign.of(TransformParameters(), SAMPLERATE)) for _ in range(2)
-    )
-    saving.switch_off(theirs)
-    reach_hz = ours._spectrum.bin_hz / 2.0
-    change, others = 0.0, 0
-    hops = list(zip(_hops(ours, sound), _hops(theirs, sound), strict=True))
-    for (found, amplitude), (their, their_amplitude) in hops:
-        if (
-            len(found) != len(their)
-            or (np.abs(found.audio_hz - their.audio_hz) > reach_hz).any()
-            or (np.abs(found.bandwidth_hz / their.bandwidth_hz - 1.0) > ALIKE).any()
-        ):
-            others += 1
-        else:
-            change = max(change, float(np.abs(amplitude - their_amplitude).max(initial=0.0)))
-    return change, others, len(hops)
-
-
-def _hops(transform: LiveTransform, sound: FloatArray) -> Iterator[tuple[Principals, FloatArray]]:
-    """Yield what each hop's window holds, and its amplitudes by the level law."""
-    grid = transform._grid
-    filtered = transform._bandpass.process(sound)
-    windows = strided_windows(filtered, grid.window_frames, grid.hop_frames)
-    for window in windows:
-        found = transform._analysis.strongest(transform._spectrum.transform(window[None]))
-        yield (
-            found,
-            transform.design.mapping.amplitudes(found.amplitude, found.r)
-            if len(found)
-            else found.r,
-        )
-
-
 def savings(bench: Workbench) -> Section:
     """Cost with and without each saving, by scene, and what it changes."""
     rows: list[Row] = []
@@ -229,8 +180,9 @@ def savings(bench: Workbench) -> Section:
     return Section(
         "What each saving saves",
         "The live form leaves out work that a scene does not need. First the cost of a second with "
-        f"all savings, then without one at a time (one channel, blocks of {BLOCKSIZE} frames, in "
-        f"NumPy, medians of {bench.effort.saving_repeats} over {bench.effort.saving_s:g} s). Then "
+        "all savings, then without one at a time: the row says what is done then. It is of one "
+        f"channel, blocks of {BLOCKSIZE} frames, in "
+        f"NumPy, medians of {bench.effort.saving_repeats} over {bench.effort.saving_s:g} s. Then "
         "the most that it saves on any scene, and the largest change of any sample, of full "
         f"scale. In noise two peaks can tie for the last of {PARTIALS_MAX} places; a tiny change "
         "then decides which one is kept.",

@@ -24,7 +24,7 @@ TOTAL, PER_UNIT = "CPU time", "for each second or channel-second"
 REPEATS, OPENINGS = 3, 15
 BLOCKSIZE = 32_768
 
-RIG_RATES = (8_000, 16_000, 48_000, 96_000, 192_000)
+RIG_RATES = (48_000, 8_000, 16_000, 96_000, 192_000)
 RIG_DURATION_PARTS = (8, 4, 2, 1)
 ACTUATORS = (1, 2, 4, 8)
 RIG_LONGEST_S = 4.0
@@ -88,35 +88,29 @@ def rig_scaling(bench: Workbench) -> Section:
     """What the rig costs at other rates, over other durations, and with more actuators."""
     longest_s = min(RIG_LONGEST_S, bench.effort.rig_s / 20.0)
     durations_s = [longest_s / part for part in RIG_DURATION_PARTS]
-    cases = [
-        *((rate, longest_s, 1) for rate in RIG_RATES),
-        *((SAMPLERATE, duration_s, 1) for duration_s in durations_s),
-        *((SAMPLERATE, longest_s, count) for count in ACTUATORS),
-    ]
+    # Label, sizes, what a cost is divided by, arguments of _rig_work, and the exponent's limit.
+    tables = (
+        ("sample rate: {} kHz", [rate / 1e3 for rate in RIG_RATES], [1.0] * len(RIG_RATES),
+         [(rate, longest_s, 1) for rate in RIG_RATES], None),
+        ("duration: {} s, a second of it", durations_s, durations_s,
+         [(SAMPLERATE, duration_s, 1) for duration_s in durations_s], LINEAR),
+        ("number of actuators: {}, each", ACTUATORS, ACTUATORS,
+         [(SAMPLERATE, longest_s, count) for count in ACTUATORS], LINEAR),
+    )  # fmt: skip
     rows = []
     for model in MODELS:
         column = f"{model}" if model else f"selected at {TOLERANCE:g}"
-        timings = interleaved([_rig_work(model, *case) for case in cases], REPEATS)
-        costs = [timing.median_s for timing in timings]
-        by_rate, rest = costs[: len(RIG_RATES)], costs[len(RIG_RATES) :]
-        by_duration, by_count = rest[: len(durations_s)], rest[len(durations_s) :]
-        usual = by_rate[RIG_RATES.index(SAMPLERATE)]
-        shares = [cost / length_s for cost, length_s in zip(by_duration, durations_s, strict=True)]
-        for rate, cost in zip(RIG_RATES, by_rate, strict=True):
-            rows.append(
-                Row(f"sample rate: {number(rate / 1e3)} kHz", cost / usual, "times", column)
-            )
-        rows.append(Row("sample rate: exponent", exponent(RIG_RATES, by_rate), "", column))
-        for length_s, share in zip(durations_s, shares, strict=True):
-            name = f"duration: {number(length_s)} s, a second of it"
-            rows.append(Row(name, share / shares[0], "times", column))
-        fitted = exponent(durations_s, by_duration)
-        rows.append(Row("duration: exponent", fitted, "", column, LINEAR))
-        for count, cost in zip(ACTUATORS, by_count, strict=True):
-            name = f"number of actuators: {count}, each"
-            rows.append(Row(name, cost / count / by_count[0], "times", column))
-        fitted = exponent(ACTUATORS, by_count)
-        rows.append(Row("number of actuators: exponent", fitted, "", column, LINEAR))
+        cases = [case for *_, table, _ in tables for case in table]
+        timings = iter(interleaved([_rig_work(model, *case) for case in cases], REPEATS))
+        for label, sizes, units, table, must in tables:
+            costs = [next(timings).median_s for _ in table]
+            shares = [cost / unit for cost, unit in zip(costs, units, strict=True)]
+            rows += [
+                Row(label.format(number(float(size))), share / shares[0], "times", column)
+                for size, share in zip(sizes, shares, strict=True)
+            ]
+            name = f"{label.partition(':')[0]}: exponent"
+            rows.append(Row(name, exponent(sizes, costs), "", column, must))
     return Section(
         "Scaling of the rig's cost",
         "CPU time of the same drive, a swelling tone, as ratios within one run. Another sample "

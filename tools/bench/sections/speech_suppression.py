@@ -1,4 +1,4 @@
-"""Sections on speech suppression: hits on speech, false alarms, and effects under speech."""
+"""Section on speech suppression: hits on speech, false alarms, and how far speech is lowered."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from audioflinger_hook.transform.live.speech import SpeechSuppressor
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.spectrum import ComplexArray
 from tools.bench.measures.similarity import level_db
-from tools.bench.report import Missing, Row, Section, line
+from tools.bench.report import Missing, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, Recording
 from tools.bench.sounds.speech_sounds import (
     OTHER_HALF,
@@ -28,7 +28,6 @@ from tools.bench.sounds.speech_sounds import (
 from tools.bench.workbench import Workbench
 
 TITLE = "Speech suppression"
-EFFECTS_TITLE = "Effects under speech"
 SUPPRESSION_DB = 18.0
 LENGTH_S = 2.0, 6.0
 """Shortest and longest sound."""
@@ -38,12 +37,6 @@ KNOWN_AFTER_S = 0.5
 BELIEVED = 0.5
 RATIOS_DB = (-10, 0, 10, 20)
 """Speech over effects, both while they sound."""
-
-EFFECT_AT_S, EFFECT_S, SCENE_S = 4.0, 1.0, 6.0
-BEFORE = slice(round(2.0 * SAMPLERATE), round(3.9 * SAMPLERATE))
-DURING = slice(round(EFFECT_AT_S * SAMPLERATE), round((EFFECT_AT_S + EFFECT_S) * SAMPLERATE))
-IMPACTS = ("explosion", "footsteps")
-COURSE_S, LEAST_DB = 0.04, -70.0
 OFF = TransformParameters()
 ON = TransformParameters(speech_suppression_db=SUPPRESSION_DB)
 
@@ -180,51 +173,6 @@ def _alarm_and_sound_s(recording: Recording) -> tuple[float, float]:
     return float(alarms.sum()) * found.hop_s, float(found.sounding.sum()) * found.hop_s
 
 
-def effects_under_speech(bench: Workbench) -> Section:
-    """Vibration of an impact during speech, with and without suppression."""
-    explanation = (
-        "An impact after 4 s of speech: level of the vibration in its first second, by the ratio "
-        "of speech to effect (0 dB is a full-scale sine). Alone: without speech, with suppression. "
-        "Both: with speech. Before: in the two seconds of speech before it. Suppression is "
-        f"{SUPPRESSION_DB:g} dB. In the paper's amplitude mapping partials weaken one another, so "
-        "speech weakens an effect unless it is suppressed. An effect whose upper partials are "
-        "taken for speech can come out stronger than alone."
-    )
-    voices = {"synthetic speech": scene_track("speech")}
-    recorded = spoken(bench.recordings)
-    if OTHER_HALF in recorded:
-        voices["recorded speech"] = recorded[OTHER_HALF]
-    rows: list[Row] = []
-    series: dict[str, tuple[float, ...]] = {}
-    missing = () if recorded else (bench.missing_recordings(f"{EFFECTS_TITLE}: recorded speech"),)
-    for voice, sound in voices.items():
-        speech = repeated(sound, SCENE_S)
-        for impact in IMPACTS:
-            effect = np.zeros(speech.size)
-            at = scene_track(impact)[: effect.size - DURING.start]
-            effect[DURING.start : DURING.start + at.size] = at
-            for ratio_db in RATIOS_DB[:-1]:
-                quiet = effect * 10 ** (-ratio_db / 20)
-                alone = _vibration(quiet, ON)
-                plain, both = (_vibration(quiet + speech, each) for each in (OFF, ON))
-                name = f"{impact} under {voice}, {ratio_db:+d} dB"
-                rows += line(
-                    name,
-                    {
-                        "alone": _level(alone[DURING]),
-                        "both, off": _level(plain[DURING]),
-                        "both, suppressed": _level(both[DURING]),
-                        "before, off": _level(plain[BEFORE]),
-                        "before, suppressed": _level(both[BEFORE]),
-                    },
-                    "dB",
-                )
-                if impact == IMPACTS[0] and ratio_db == 0:
-                    series[f"{voice}, off"] = _course(plain)
-                    series[f"{voice}, on"] = _course(both)
-    return Section(EFFECTS_TITLE, explanation, tuple(rows), missing, series)
-
-
 def _vibration(sound: FloatArray, parameters: TransformParameters) -> FloatArray:
     """Return the vibration at its sound's own time, (frames,)."""
     transform = HapticTransform(SAMPLERATE, 1, parameters)
@@ -235,13 +183,6 @@ def _vibration(sound: FloatArray, parameters: TransformParameters) -> FloatArray
 
 def _level(vibration: FloatArray) -> float:
     return level_db(float((vibration**2).mean()))
-
-
-def _course(vibration: FloatArray) -> tuple[float, ...]:
-    """Return the level of every COURSE_S, in dB, LEAST_DB at least."""
-    frames = round(COURSE_S * SAMPLERATE)
-    pieces = vibration[: vibration.size // frames * frames].reshape(-1, frames)
-    return tuple(max(LEAST_DB, _level(piece)) for piece in pieces)
 
 
 def _percent(chosen: Hops, among: Hops) -> float:

@@ -17,17 +17,11 @@ from device.identification.simulated_laboratory import SimulatedLaboratory
 from device.identification.sweep import Sweep
 from device.rig import PAPER, ActuatorParameters, Rig
 from device.rig.parameters import LargeSignalParameters, SeatParameters
-from tools.bench.report import Must
+from tools.soak_record import F0_ERROR, HELD, Q_ERROR, SNR_DB
 
-SNR_DB = 20.0
 SHARES = (0.05, 0.12)
 """Of Xmax, that the sweeps move."""
-RIGS = 200
-"""In the soak, at each of these."""
 SWEEP_S = 5.0
-F0_ERROR, Q_ERROR = Must("<=", 0.5), Must("<=", 5.0)
-HELD = Must(">=", 90.0)
-"""Per cent, of intervals of 95 %."""
 
 
 def random_rig(seed: int) -> tuple[Rig, bool]:
@@ -100,7 +94,7 @@ def sweep_of(rig: Rig, share: float, bench: SimulatedLaboratory) -> Sweep:
 
 
 def identified(seed: int, share: float) -> tuple[Mode, Truth]:
-    """The mode of a random rig from one noisy sweep of its non-linear twin, and the true one."""
+    """The mode of a random rig from one noisy sweep of the non-linear model, and the true one."""
     rig, seat = random_rig(seed)
     bench = SimulatedLaboratory(rig, seat=seat, snr_db=SNR_DB, seed=seed)
     recording = bench.measure(sweep_of(rig, share, bench), [("voltage", "acceleration")])[0]

@@ -1,12 +1,23 @@
-"""Sounds with known onsets: trains of tones, clicks and noise, the same planted in other sounds."""
+"""Sounds with known onsets, and how many of these the live form detects, how soon, and how falsely.
+
+It runs the detector by which the live form begins partials, tick by tick.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from audioflinger_hook.transform import FloatArray
+from audioflinger_hook.transform import FloatArray, TransformParameters
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.live.transform import LiveTransform
 from tools.bench.sounds.signals import SAMPLERATE, chord
 
+REACH_S = 0.024
+"""An onset is found if one is detected within this time of it."""
+STEADY_FROM_S = 0.1
+"""The start of a steady sound is an onset; later ones are false."""
 ONSET_HZ = (80.0, 8_000.0)
 LEVELS_DB = (-40.0, -6.0)
 SPACING_S = (0.06, 1.0)
@@ -20,6 +31,65 @@ AROUND_S = 0.05
 FAINTEST = 1e-3
 """Least r.m.s. of the surroundings, of full scale."""
 STEADY_S = 2.0
+
+
+@dataclass(frozen=True)
+class Found:
+    """Counts of onsets: there, detected, and both; and the delay of each of these, s."""
+
+    there: int
+    detected: int
+    hits: int
+    late_s: tuple[float, ...]
+
+    @property
+    def precision(self) -> float:
+        """Share of the detected ones that were there."""
+        return self.hits / self.detected if self.detected else float("nan")
+
+    @property
+    def recall(self) -> float:
+        """Share of those there that were detected."""
+        return self.hits / self.there if self.there else float("nan")
+
+    @property
+    def f1(self) -> float:
+        """The harmonic mean of both."""
+        return 2.0 * self.hits / max(1, self.there + self.detected)
+
+
+def onset_times_s(sound: FloatArray) -> FloatArray:
+    """Return when onsets are detected in a sound (frames,) at 48 kHz, in seconds."""
+    form = LiveTransform(LiveDesign.of(TransformParameters(), SAMPLERATE))
+    onsets, detector = form.design.onsets, form._detector
+    tick_frames, rest_ticks = form.design.grid.tick_frames, onsets.rest_ticks
+    filtered = form._bandpass.process(sound)
+    ticks = filtered.size // tick_frames
+    past = onsets.short_frames - tick_frames
+    joined = np.concatenate((np.zeros(past), filtered[: ticks * tick_frames]))
+    windows = np.lib.stride_tricks.sliding_window_view(joined, onsets.short_frames)
+    seen = detector.measure(
+        windows[::tick_frames], filtered[: ticks * tick_frames].reshape(ticks, -1)
+    )
+    heard = [tick + 1 for tick in range(ticks) if detector.detect(seen, tick)]
+    # A second detection within the rest is of the same onset.
+    kept = [tick for tick, last in zip(heard, [-rest_ticks, *heard], strict=False)
+            if tick - last >= rest_ticks]  # fmt: skip
+    return np.array(kept, dtype=np.float64) * (tick_frames / SAMPLERATE)
+
+
+def found(sound: FloatArray, onsets_s: FloatArray) -> Found:
+    """Return how the detected onsets match the known ones; each counts once."""
+    detected = onset_times_s(sound)
+    free = np.ones(detected.size, dtype=bool)
+    late = []
+    for onset_s in onsets_s.tolist():
+        away = np.where(free, np.abs(detected - onset_s), np.inf)
+        if away.size and away.min() <= REACH_S:
+            nearest = int(away.argmin())
+            free[nearest] = False
+            late.append(float(detected[nearest]) - onset_s)
+    return Found(onsets_s.size, detected.size, len(late), tuple(late))
 
 
 def _spread(rng: np.random.Generator, bounds: tuple[float, float], count: int) -> FloatArray:

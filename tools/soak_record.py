@@ -19,6 +19,12 @@ NO_DRIFT_DB, PURITY = Must("<=", 0.01), Must("<=", -60.0)
 NO_CREEP = Must("<=", 1e-6)
 PASSIVE, PASSIVE_STEPPED = Must("<=", 1e-6), Must("<=", 1e-10)
 """Energy-balance error of a step, as a share of the energy."""
+RIGS = 200
+"""Rigs that are identified at each sweep level."""
+SNR_DB = 20.0
+F0_ERROR, Q_ERROR = Must("<=", 0.5), Must("<=", 5.0)
+HELD = Must(">=", 90.0)
+"""Per cent, of intervals of 95 %."""
 
 
 @dataclass(frozen=True)
