@@ -8,6 +8,9 @@ import textwrap
 import pytest
 from hypothesis import settings
 
+# Matrices are small and tests run on every core: threads of BLAS would only wait for one another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # No deadline: a shared machine pauses any example now and then.
 settings.register_profile("here", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
