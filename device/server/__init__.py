@@ -11,9 +11,8 @@
 | `forwarding` | the virtual sink and its loopback, as the server reports them |
 | `moved_streams` | the default sink and the streams that drop-in mode moves |
 | `app_rules` | `AppRules`: which applications are captured before the mix |
-| `app_captures` | `AppCaptures`: opens one capture per application |
+| `app_captures` | `AppCaptures`: the connection that opens one capture per application |
 | `app_capture` | `AppCapture`: the frames of one application |
-| `record_connection` | the libpulse connection that all application captures share |
 | `connection_thread` | the thread that owns a connection and serves requests |
 | `libpulse` | the functions of libpulse that record a stream |
 

@@ -13,18 +13,35 @@ PulseAudio delivers silence and PipeWire nothing.
 from __future__ import annotations
 
 import ctypes
+import itertools
+import os
+import sys
 import time
 from collections.abc import Callable
 from ctypes import byref, string_at
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
 from device.server import libpulse
-from device.stream.streams import OnFrames
+from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME, ROLE, TAG
+from device.stream.streams import CallbackCounts, OnBlock
 
-_ERROR_NAMES = 16
+FRAGMENT_FRAMES = 256
+"""Frames that the server gathers before it delivers: 5.3 ms at 48 kHz."""
+
+BACKLOG_S = 0.5
+"""Sound that the server keeps while the capturing thread is delayed; older sound is dropped."""
+
+_FLAGS = (
+    libpulse.STREAM_DONT_MOVE
+    | libpulse.STREAM_ADJUST_LATENCY
+    | libpulse.STREAM_DONT_INHIBIT_AUTO_SUSPEND  # a card may sleep while the application pauses
+)
+_FLOAT32 = libpulse.FLOAT32_LE if sys.byteorder == "little" else libpulse.FLOAT32_BE
+_numbers = itertools.count(1)
 
 
 class EndReason(StrEnum):
@@ -36,39 +53,38 @@ class EndReason(StrEnum):
     CLOSED = "the capture was closed"
 
 
-class AppCapture:
+@dataclass(frozen=True)
+class PlayingStream:
+    """A stream that plays, as the server describes it. paused: by the application ("corked")."""
+
+    name: str
+    channels: int
+    channel_map: libpulse.ChannelMap
+    paused: bool
+
+
+class AppCapture(CallbackCounts):
     """Delivers the frames of one application's stream. Made by `AppCaptures.open`.
 
-    Any thread may read the attributes:
+    Any thread may read the attributes, those of a `CaptureStream` and these:
 
-    stream_index: of the sink input. tag: value of the property `pcms.TAG`. samplerate: Hz.
-    opened_s: time of opening. last_callback_s: time of the last frames, opened_s before the first.
-    callbacks, frames: counts so far; callbacks differ in length. xruns: how often the server
-    reported missing frames, which become silence. errors: exceptions in on_frames, by name.
-    ended: None while it runs, else the reason.
-
-    audible: any thread may set it. While it is False, the frames are 0. silenced: how many
-    callbacks that affected.
+    stream_index: of the sink input. ended: None while it runs, else the reason. Callbacks differ in
+    length. xruns: how often the server reported missing frames, which become silence.
     """
 
     def __init__(
         self,
         stream_index: int,
-        tag: str,
-        on_frames: OnFrames,
+        samplerate: int,
+        channels: int,
+        on_frames: OnBlock,
         close: Callable[[AppCapture], bool],
     ) -> None:
+        super().__init__(audible=True)
         self.stream_index = stream_index
-        self.tag = tag
-        self.samplerate = self.channels = 0
-        self.audible = True
-        self.silenced = 0
-        self.opened_s = self.last_callback_s = time.monotonic()
-        self.callbacks = 0
-        self.frames = 0
-        self.xruns = 0
-        self.errors: dict[str, int] = {}
+        self.tag = f"{os.getpid()}-app-{next(_numbers)}"
         self.ended: EndReason | None = None
+        self._samplerate, self._channels = samplerate, channels
         self._on_frames = on_frames
         self._close = close
         self._handle: Any = None
@@ -76,35 +92,55 @@ class AppCapture:
         self._failed = False  # the server ended the stream; the reason is not known yet
         self._data, self._size = ctypes.c_void_p(), ctypes.c_size_t()
 
-    def is_lost(self, now_s: float | None = None) -> bool:
-        """Whether it has ended; now_s is not used. Any thread may call it.
-
-        A paused application is not lost, though no frames may come.
-        """
-        return self.ended is not None
-
     def close(self) -> bool:
         """End the capture; whether that was in time.
 
         After True, on_frames is not called any more. Any thread but the one that calls on_frames
         may call this, more than once; it raises nothing.
         """
-        if self.ended is None:
-            self.ended = EndReason.CLOSED
+        self.ended = self.ended or EndReason.CLOSED
         return self._close(self)
 
     # -------------------------------------------------------------- on the connection's thread
 
-    def _start(self, handle: Any, samplerate: int, channels: int) -> None:
-        """Start with this stream of libpulse."""
-        self._handle, self.samplerate, self.channels = handle, samplerate, channels
+    def _start(self, library: libpulse.LibPulse, context: Any, playing: PlayingStream) -> bool:
+        """Ask for a stream that records the application; whether the server accepts that."""
+        positions = playing.channel_map
+        if self._channels != playing.channels:
+            positions = libpulse.ChannelMap()
+            library.channel_map_init_extend(positions, self._channels, libpulse.DEFAULT_MAP)
+        frame_bytes = 4 * self._channels
+        sizes = libpulse.BufferAttributes(
+            maxlength=int(BACKLOG_S * self._samplerate) * frame_bytes,
+            fragsize=FRAGMENT_FRAMES * frame_bytes,
+        )
+        known = {
+            "application.id": APPLICATION_ID,
+            "application.name": APPLICATION_NAME,
+            "media.role": ROLE,
+            TAG: self.tag,
+            "node.dont-reconnect": "true",  # PipeWire's form of STREAM_DONT_MOVE
+        }
+        with library.properties(known) as properties:
+            handle = library.stream_new_with_proplist(
+                context,
+                f"{playing.name} (captured)".encode(),
+                libpulse.SampleSpec(_FLOAT32, self._samplerate, self._channels),
+                positions,
+                properties,
+            )
+        if not handle:
+            return False
+        if (
+            library.stream_set_monitor_stream(handle, self.stream_index) < 0
+            or library.stream_connect_record(handle, None, sizes, _FLAGS) < 0
+        ):
+            library.stream_unref(handle)
+            return False
+        self._handle = handle
         self._pending, self._failed = True, False
         self.opened_s = self.last_callback_s = time.monotonic()
-
-    def _stop(self) -> Any:
-        """Stop; returns the stream of libpulse that it had, or None."""
-        handle, self._handle = self._handle, None
-        return handle
+        return True
 
     def _read(self, library: libpulse.LibPulse) -> None:
         """Deliver everything that has arrived as one buffer.
@@ -150,11 +186,8 @@ class AppCapture:
             if not self.audible:
                 self.silenced += 1
                 data = bytes(len(data))
-            frames = np.frombuffer(data, np.float32).reshape(-1, self.channels)
+            frames = np.frombuffer(data, np.float32).reshape(-1, self._channels)
             self.frames += len(frames)
             self._on_frames(frames, now_s)
         except BaseException as error:  # other captures continue
-            name = type(error).__name__
-            if name not in self.errors and len(self.errors) >= _ERROR_NAMES:
-                name = "others"
-            self.errors[name] = self.errors.get(name, 0) + 1
+            self._count(error)

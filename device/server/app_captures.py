@@ -1,4 +1,4 @@
-"""Captures of applications: one connection and one thread for all of them.
+"""Captures of applications: one connection of libpulse and one thread for all of them.
 
 They use another connection than `PulseConnection`: sound arrives hundreds of times per second, and
 queries must not delay it.
@@ -7,23 +7,17 @@ queries must not delay it.
 from __future__ import annotations
 
 import itertools
-import os
-import sys
 import threading
+import time
+from collections.abc import Callable
 from typing import Any
 
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import libpulse
-from device.server.app_capture import AppCapture, EndReason
-from device.server.record_connection import PlayingStream, RecordConnection
-from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME, ROLE, TAG
-from device.stream.streams import OnFrames, check_format
-
-FRAGMENT_FRAMES = 256
-"""Frames that the server gathers before it delivers: 5.3 ms at 48 kHz."""
-
-BACKLOG_S = 0.5
-"""Sound that the server keeps while this thread is delayed; older sound is dropped."""
+from device.server.app_capture import AppCapture, EndReason, PlayingStream
+from device.server.connection_thread import ANSWER_LIMIT_S, ConnectionThread, no_server, where
+from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME
+from device.stream.streams import OnBlock
 
 ATTEMPTS = 3
 """PipeWire occasionally refuses a stream on a busy machine, where links are made late."""
@@ -31,16 +25,11 @@ ATTEMPTS = 3
 START_LIMIT_S = 0.5
 """How long an opening waits for the first sound of an application that plays."""
 
-_FLAGS = (
-    libpulse.STREAM_DONT_MOVE
-    | libpulse.STREAM_ADJUST_LATENCY
-    | libpulse.STREAM_DONT_INHIBIT_AUTO_SUSPEND  # a card may sleep while the application pauses
-)
-_FLOAT32 = libpulse.FLOAT32_LE if sys.byteorder == "little" else libpulse.FLOAT32_BE
-_numbers = itertools.count(1)
+_QUERY_AFTER_S = 1.0
+"""With open streams, a server that is silent for this long gets a query as a sign of life."""
 
 
-class AppCaptures(RecordConnection):
+class AppCaptures(ConnectionThread):
     """Opens captures of applications; connected from the moment it is made.
 
     `close` ends all captures. Any thread but its own, which calls on_frames, may call the methods.
@@ -48,8 +37,7 @@ class AppCaptures(RecordConnection):
     Attributes
     ----------
     lost : LostError or None
-        Why the connection was lost; all captures have ended then. Make another object to connect
-        again.
+        Why the connection and all captures were lost. Make another object to connect again.
 
     Raises
     ------
@@ -62,25 +50,29 @@ class AppCaptures(RecordConnection):
     def __init__(self) -> None:
         self._captures: list[AppCapture] = []
         self._dropped: list[Any] = []
+        self._library = libpulse.load()
+        self._loop: Any = None
+        self._context: Any = None
+        self._numbers = itertools.count(1)
+        self._answers: dict[int, PlayingStream | None] = {}
+        self._query = 0  # number of the query to a silent server, or 0
+        self._queried_s = self._heard_s = time.monotonic()
+        self._info_callback = libpulse.SinkInputCallback(self._take_info)
+        self._event_callback = libpulse.EventCallback(self._take_event)
         super().__init__("app-captures")
 
     def open(
-        self,
-        stream_index: int,
-        samplerate: int | None,
-        channels: int | None,
-        on_frames: OnFrames,
+        self, stream_index: int, samplerate: int, channels: int, on_frames: OnBlock
     ) -> AppCapture:
         """Return a running capture of the playing stream (sink input) with this index.
 
-        samplerate (Hz), channels: the server converts to them; None takes the application's own.
-        The sink's rate avoids a second conversion. A paused application is captured once it
-        continues.
+        samplerate (Hz), channels: the server converts to them. The sink's rate avoids a second
+        conversion. A paused application is captured once it continues.
 
         on_frames(frames, now_s): called by the thread that all captures share, with read-only
-        float32 (frames, channels), which it may keep, and the time of arrival in seconds of
-        time.monotonic(). It gets FRAGMENT_FRAMES at a time, or up to BACKLOG_S after a delay. It
-        must neither block nor open or close captures; its exceptions are counted in `errors`.
+        float32 (frames, channels), which it may keep, and the time of arrival. It gets
+        FRAGMENT_FRAMES at a time, or up to BACKLOG_S after a delay. It must neither block nor open
+        or close captures; its exceptions are counted in `errors`.
 
         Raises
         ------
@@ -88,17 +80,10 @@ class AppCaptures(RecordConnection):
             No application plays a stream with this index.
         LostError
             The connection is lost, or the server refuses or does not answer in time.
-        UsageError
-            samplerate or channels is out of range.
         """
-        check_format(
-            48_000 if samplerate is None else samplerate, 2 if channels is None else channels
-        )
-        capture = AppCapture(
-            stream_index, f"{os.getpid()}-app-{next(_numbers)}", on_frames, self._close
-        )
+        capture = AppCapture(stream_index, samplerate, channels, on_frames, self._close)
         try:
-            self._ask(lambda: self._start_capture(capture, samplerate, channels))
+            self._ask(lambda: self._start_capture(capture))
         except CushionError:
             capture.close()  # a late server may still make it
             raise
@@ -113,104 +98,49 @@ class AppCaptures(RecordConnection):
             return self._ended
         return True
 
-    # ------------------------------------------------------------------ on the connection's thread
+    # ------------------------------------------------------- captures, on the connection's thread
 
-    def _on_step(self) -> None:
-        for capture in self._captures:
-            capture._read(self._library)
-        if self._dropped:
-            self._close_left()
+    def _start_capture(self, capture: AppCapture) -> None:
+        if capture.ended:  # the caller has given up
+            return
+        index = capture.stream_index
+        gone = NotFoundError(
+            f"no application plays a stream with the index {index}, or it ended just now; "
+            "`pactl list short sink-inputs` shows those that play"
+        )
+        self._captures.append(capture)  # from now on its application's end is noticed
+        try:
+            playing = self._find_playing(index)
+            if playing is None:
+                raise gone
+            for _ in range(ATTEMPTS):
+                self._drop_stream(capture)
+                if not capture._start(self._library, self._context, playing):
+                    break
+                # PipeWire reports the stream as ready when the application plays.
+                limit_s = 0.0 if playing.paused else START_LIMIT_S
+                self._wait_for(lambda: not capture._pending, limit_s)
+                runs = not capture._pending and not capture._failed
+                if capture.ended or not (runs or self._find_playing(index)):
+                    raise gone
+                if not capture._failed:
+                    return
+            raise LostError(
+                f"the sound server does not capture stream {index} ({self._reason()}); "
+                "try again, as it may be moving, or tap its sink"
+            )
+        except BaseException:
+            self._give_up(capture)
+            raise
 
-    def _on_round(self) -> None:
+    def _maintain(self) -> None:
+        """End captures whose streams have ended."""
         for capture in tuple(self._captures):
             if capture._failed and capture.ended is None:
                 plays = self._find_playing(capture.stream_index) is not None
                 capture.ended = EndReason.TAKEN if plays else EndReason.GONE
             if capture.ended is not None:
                 self._give_up(capture)
-
-    def _on_removed(self, stream_index: int) -> None:
-        for capture in self._captures:
-            if capture.stream_index == stream_index and capture.ended is None:
-                capture.ended = EndReason.GONE
-
-    def _on_end(self) -> None:
-        for capture in tuple(self._captures):
-            capture.ended = capture.ended or (EndReason.LOST if self.lost else EndReason.CLOSED)
-            self._give_up(capture)
-        while self._dropped:
-            self._library.stream_unref(self._dropped.pop())
-
-    def _has_streams(self) -> bool:
-        return bool(self._captures)
-
-    def _start_capture(
-        self, capture: AppCapture, samplerate: int | None, channels: int | None
-    ) -> None:
-        if capture.is_lost():  # the caller has given up
-            return
-        self._captures.append(capture)  # from now on its application's end is noticed
-        try:
-            playing = self._find_playing(capture.stream_index)
-            if playing is None:
-                raise NotFoundError(_no_stream(capture.stream_index))
-            samplerate, channels = samplerate or playing.samplerate, channels or playing.channels
-            for attempt in range(1, ATTEMPTS + 1):
-                handle = self._connected(capture, playing, samplerate, channels)
-                capture._start(handle, samplerate, channels)
-                # PipeWire reports the stream as ready when the application plays.
-                limit_s = 0.0 if playing.paused else START_LIMIT_S
-                self._wait_for(lambda: not capture._pending, limit_s)
-                runs = not capture._pending and not capture._failed
-                if capture.is_lost() or not (runs or self._find_playing(capture.stream_index)):
-                    raise NotFoundError(_no_stream(capture.stream_index))
-                if not capture._failed:
-                    return
-                if attempt == ATTEMPTS:
-                    raise LostError(self._refusal(capture))
-                self._drop_stream(capture)
-        except BaseException:
-            self._give_up(capture)
-            raise
-
-    def _connected(
-        self, capture: AppCapture, playing: PlayingStream, samplerate: int, channels: int
-    ) -> Any:
-        """Return a stream of libpulse that will record the capture's application."""
-        library = self._library
-        positions = playing.channel_map
-        if channels != playing.channels:
-            positions = libpulse.ChannelMap()
-            library.channel_map_init_extend(positions, channels, libpulse.DEFAULT_MAP)
-        frame_bytes = 4 * channels
-        sizes = libpulse.BufferAttributes(
-            maxlength=int(BACKLOG_S * samplerate) * frame_bytes,
-            fragsize=FRAGMENT_FRAMES * frame_bytes,
-        )
-        known = {
-            "application.id": APPLICATION_ID,
-            "application.name": APPLICATION_NAME,
-            "media.role": ROLE,
-            TAG: capture.tag,
-            "node.dont-reconnect": "true",  # PipeWire's form of STREAM_DONT_MOVE
-        }
-        with self._properties(known) as properties:
-            handle = library.stream_new_with_proplist(
-                self._context,
-                f"{playing.name} (captured)".encode(),
-                libpulse.SampleSpec(_FLOAT32, samplerate, channels),
-                positions,
-                properties,
-            )
-        if not handle:
-            raise LostError(self._refusal(capture))
-        if (
-            library.stream_set_monitor_stream(handle, capture.stream_index) < 0
-            or library.stream_connect_record(handle, None, sizes, _FLAGS) < 0
-        ):
-            library.stream_unref(handle)
-            raise LostError(self._refusal(capture))
-        return handle
 
     def _give_up(self, capture: AppCapture) -> None:
         if capture in self._captures:
@@ -220,7 +150,7 @@ class AppCaptures(RecordConnection):
 
     def _drop_stream(self, capture: AppCapture) -> None:
         """End the stream of a capture, if it has one."""
-        handle = capture._stop()
+        handle, capture._handle = capture._handle, None
         if handle is not None:
             self._dropped.append(handle)
             self._close_left()
@@ -233,15 +163,139 @@ class AppCaptures(RecordConnection):
                 self._library.stream_disconnect(handle)  # without effect if the server has ended it
                 self._library.stream_unref(handle)
 
-    def _refusal(self, capture: AppCapture) -> str:
-        return (
-            f"the sound server does not capture stream {capture.stream_index} ({self._reason()}); "
-            "try again, as it may be moving, or tap its sink"
+    # ------------------------------------------------------------- the connection, on its thread
+
+    def _wake_up(self) -> None:
+        if self._loop is not None:
+            self._library.mainloop_wakeup(self._loop)
+
+    def _open(self) -> None:
+        library = self._library
+        with self._gate:
+            self._loop = library.mainloop_new()
+        api = library.mainloop_get_api(self._loop)
+        with library.properties({"application.id": APPLICATION_ID}) as properties:
+            self._context = library.context_new_with_proplist(
+                api, APPLICATION_NAME.encode(), properties
+            )
+        flags, ready = libpulse.CONTEXT_NOAUTOSPAWN, libpulse.CONTEXT_READY
+        try:
+            if library.context_connect(self._context, None, flags, None) < 0:
+                raise LostError(self._reason())
+            self._wait_for_answer(lambda: library.context_get_state(self._context) == ready)
+        except LostError:
+            raise no_server() from None
+        library.context_set_subscribe_callback(self._context, self._event_callback, None)
+        events = libpulse.SUBSCRIBE_SINK_INPUTS
+        library.operation_unref(library.context_subscribe(self._context, events, None, None))
+
+    def _serve(self) -> None:
+        while not self._stopping:
+            self._step(_QUERY_AFTER_S / 2 if self._captures else None)
+            self._do_requests()
+            self._maintain()
+            self._check_silence(time.monotonic())
+
+    def _step(self, limit_s: float | None, for_requests: bool = True) -> None:
+        """Wait for the server, and for requests if `for_requests`; then read the streams."""
+        library, loop = self._library, self._loop
+        prepared = library.mainloop_prepare(loop, -1 if limit_s is None else int(limit_s * 1e6))
+        # preparing clears earlier wake-ups
+        if self._stopping or (for_requests and not self._requests.empty()):
+            library.mainloop_wakeup(loop)
+        if prepared < 0 or library.mainloop_poll(loop) < 0:
+            raise self._no_answer()
+        if library.mainloop_dispatch(loop) > 0:
+            self._heard_s = time.monotonic()
+        if library.context_get_state(self._context) >= libpulse.CONTEXT_FAILED:
+            raise self._loss()
+        for capture in self._captures:
+            capture._read(library)
+        if self._dropped:
+            self._close_left()
+
+    def _wait_for(self, condition: Callable[[], bool], limit_s: float) -> bool:
+        """Wait until the condition holds, limit_s at most; whether it does. Streams continue."""
+        deadline_s = time.monotonic() + limit_s
+        while not condition():
+            if self._stopping:
+                raise LostError("the connection to the sound server is closed")
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0.0:
+                return False
+            self._step(left_s, for_requests=False)
+        return True
+
+    def _wait_for_answer(self, condition: Callable[[], bool]) -> None:
+        if not self._wait_for(condition, ANSWER_LIMIT_S):
+            raise self._no_answer()
+
+    def _check_silence(self, now_s: float) -> None:
+        """Query a silent server, to tell whether it hangs."""
+        if self._query in self._answers:
+            del self._answers[self._query]
+            self._query = 0
+        if not self._captures or now_s - self._heard_s < _QUERY_AFTER_S:
+            return
+        if not self._query:
+            self._queried_s, self._query = now_s, self._send_query(0)
+        elif now_s - self._queried_s > ANSWER_LIMIT_S:
+            raise self._no_answer()
+
+    def _find_playing(self, stream_index: int) -> PlayingStream | None:
+        """Query the playing stream with this index; None if there is none."""
+        number = self._send_query(stream_index)
+        self._wait_for_answer(lambda: number in self._answers)
+        return self._answers.pop(number)
+
+    def _send_query(self, stream_index: int) -> int:
+        """Query a playing stream; returns the key of the answer in `_answers`."""
+        number = next(self._numbers)
+        operation = self._library.context_get_sink_input_info(
+            self._context, stream_index, self._info_callback, number
+        )
+        if not operation:
+            raise self._loss()
+        self._library.operation_unref(operation)
+        return number
+
+    def _take_info(self, context: Any, info: Any, end: int, number: int) -> None:
+        if end:
+            self._answers.setdefault(number, None)
+            return
+        found = info.contents
+        self._answers[number] = PlayingStream(
+            (found.name or b"").decode("utf-8", "replace"),
+            found.sample_spec.channels,
+            libpulse.ChannelMap.from_buffer_copy(found.channel_map),
+            bool(found.corked),
         )
 
+    def _take_event(self, context: Any, what: int, index: int, _: Any) -> None:
+        if what & libpulse.EVENT_MASK == libpulse.EVENT_SINK_INPUT_REMOVED:
+            for capture in self._captures:
+                if capture.stream_index == index and capture.ended is None:
+                    capture.ended = EndReason.GONE
 
-def _no_stream(stream_index: int) -> str:
-    return (
-        f"no application plays a stream with the index {stream_index}, or it ended just now; "
-        "`pactl list short sink-inputs` shows those that play"
-    )
+    def _reason(self) -> str:
+        """Return why libpulse refused the latest call."""
+        code = self._library.context_errno(self._context)
+        return str(self._library.strerror(code).decode("utf-8", "replace"))
+
+    def _loss(self) -> LostError:
+        return LostError(f"the sound server{where()} was lost ({self._reason()})")
+
+    def _disconnect(self) -> None:
+        for capture in tuple(self._captures):
+            capture.ended = capture.ended or (EndReason.LOST if self.lost else EndReason.CLOSED)
+            self._give_up(capture)
+        while self._dropped:
+            self._library.stream_unref(self._dropped.pop())
+        if self._context is not None:
+            self._library.context_disconnect(self._context)
+            self._library.context_unref(self._context)
+
+    def _free(self) -> None:
+        loop, self._loop = self._loop, None
+        if loop is not None:
+            self._library.mainloop_free(loop)

@@ -15,13 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 from device.errors import UsageError
-from device.server.identity import is_own_stream
+from device.server.identity import is_ours
 from device.server.snapshot import ServerSnapshot, Stream
-from device.stream.pcms import APPLICATION_ID, ROLE, TAG
 
 _KINDS = ("application", "binary", "role")
 _SERVER_ROLES = ("abstract", "filter")
@@ -107,51 +105,18 @@ class AppRules:
         """
         return tuple(
             stream
-            for stream in _of_applications(snapshot)
-            if stream.device_index is not None
+            for stream in snapshot.sink_inputs
+            if not (is_ours(stream) or _is_of_server(stream))
+            and stream.device_index is not None
             and (haptic_sink is None or stream.device_name != haptic_sink)
             and (not self.include or any(rule.matches(stream) for rule in self.include))
             and not any(rule.matches(stream) for rule in self.exclude)
         )
 
 
-def suggest_apps(text: str, snapshot: ServerSnapshot) -> tuple[str, ...]:
-    """Return up to three names of playing applications that resemble a rule, or all names.
-
-    text: the rule, for an error message.
-    """
-    names = {app_name(stream) for stream in _of_applications(snapshot)} - {""}
-    known = {name.casefold(): name for name in sorted(names)}
-    for stream in _of_applications(snapshot):
-        if stream.binary and app_name(stream):
-            known.setdefault(stream.binary.casefold(), app_name(stream))
-    kind, _, rest = text.casefold().partition(":")
-    wanted = (rest if kind in _KINDS else text.casefold()).strip()
-    close = get_close_matches(wanted, known, n=3, cutoff=0.5)
-    found = dict.fromkeys(known[name] for name in close)
-    return tuple(found) or tuple(sorted(names))
-
-
 def app_name(stream: Stream) -> str:
     """Return the application's name, else its binary, else the title of what it plays."""
     return stream.application or stream.binary or stream.media
-
-
-def _of_applications(snapshot: ServerSnapshot) -> Iterator[Stream]:
-    return (
-        stream
-        for stream in snapshot.sink_inputs
-        if not _is_ours(stream) and not _is_of_server(stream)
-    )
-
-
-def _is_ours(stream: Stream) -> bool:
-    return (
-        stream.role == ROLE
-        or TAG in stream.properties
-        or stream.properties.get("application.id") == APPLICATION_ID
-        or is_own_stream(stream)
-    )
 
 
 def _is_of_server(stream: Stream) -> bool:

@@ -23,13 +23,6 @@ class ConnectionThread:
     The thread calls the methods that derived classes override, except `_wake_up`.
 
     lost: why the connection was lost; None if it was not. Make another object to connect again.
-
-    Raises
-    ------
-    LostError
-        No server answers.
-    NotFoundError
-        The library libpulse is not installed.
     """
 
     def __init__(self, name: str) -> None:
@@ -48,10 +41,7 @@ class ConnectionThread:
             raise self._no_answer() from None
 
     def close(self) -> bool:
-        """End the connection; whether that was in time. Further calls do nothing.
-
-        Any thread may call it; it raises nothing.
-        """
+        """End the connection; whether that was in time. Any thread may call it, more than once."""
         self._stopping = True
         with self._gate:
             if not self._ended:

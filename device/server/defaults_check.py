@@ -8,12 +8,10 @@ shows that.
 from __future__ import annotations
 
 import math
-import select
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 from device.server.snapshot import ServerSnapshot, default_name
 
@@ -23,7 +21,6 @@ AFTER_S = 1.0
 RENEW_AGAIN_S = 30.0
 """Least time between two detections."""
 
-ANSWER_LIMIT_S = 1.0
 AGAIN_S = 0.5
 """Time between two queries: a change in progress has reached both by then."""
 
@@ -66,7 +63,11 @@ class DefaultsCheck:
         known = Defaults.of(snapshot)
 
         def check() -> None:
-            if confirm_defaults(known) is not None:
+            first = fetch_defaults()
+            if first in (None, known):
+                return
+            time.sleep(AGAIN_S)
+            if fetch_defaults() == first:
                 self._not_before_s = time.monotonic() + RENEW_AGAIN_S
                 self._disagreed(known)
 
@@ -74,48 +75,12 @@ class DefaultsCheck:
 
 
 def fetch_defaults() -> Defaults | None:
-    """Return what a new connection reports; None without an answer in time.
-
-    Any thread may call it; it waits at most 3 ANSWER_LIMIT_S and raises nothing.
-    """
+    """Return what a new connection reports, None if it fails. It waits, also if a server hangs."""
     import pulsectl
 
-    def poll(descriptors: Sequence[Any], timeout_s: float) -> int:
-        poller = select.poll()
-        for item in descriptors:
-            poller.register(item.fd, item.events)
-        left_s = max(0.0, until_s - time.monotonic())
-        wait_s = left_s if timeout_s < 0.0 else min(left_s, timeout_s)
-        found = dict(poller.poll(1_000.0 * wait_s))
-        for item in descriptors:
-            item.revents = found.get(item.fd, 0)
-        if not found and time.monotonic() >= until_s:
-            pulse.close()
-        return len(found)
-
-    pulse = pulsectl.Pulse("haptic-cushion-asks", connect=False)
-    until_s = time.monotonic() + 3.0 * ANSWER_LIMIT_S
     try:
-        pulse.set_poll_func(poll, lambda *_: None)
-        pulse.connect()
-        info = pulse.server_info()
-        return Defaults(
-            default_name(info.default_sink_name), default_name(info.default_source_name)
-        )
+        with pulsectl.Pulse("haptic-cushion-asks") as pulse:
+            info = pulse.server_info()
     except Exception:  # pulsectl has many exceptions for a lost server
         return None
-    finally:
-        with suppress(Exception):
-            pulse.close()
-
-
-def confirm_defaults(known: Defaults) -> Defaults | None:
-    """Return what two new connections in turn report instead of `known`; None if they do not.
-
-    Any thread may call it; it waits for both.
-    """
-    first = fetch_defaults()
-    if first is None or first == known:
-        return None
-    time.sleep(AGAIN_S)
-    return first if fetch_defaults() == first else None
+    return Defaults(default_name(info.default_sink_name), default_name(info.default_source_name))

@@ -64,8 +64,6 @@ class DropIn(Listener):
 
     Attributes
     ----------
-    sink_name : str
-        Of the virtual sink.
     target_name : str
         The present target, "" while there is none.
     reason : str
@@ -80,8 +78,6 @@ class DropIn(Listener):
     UsageError
         delay_s is out of range, or no module accepts the target's name.
     """
-
-    sink_name = SINK
 
     def __init__(
         self,
@@ -143,12 +139,6 @@ class DropIn(Listener):
         self._haptic_sink = name
         self._wake.set()
 
-    @property
-    def forwarded(self) -> bool:
-        """Whether both streams of the loopback are on their devices, by the latest snapshot."""
-        found = () if self._connection.lost else loopbacks(self._connection.latest)
-        return any(one.complete and one.route.target == self.target_name for one in found)
-
     def close(self) -> None:
         """Restore the user's sound without us. Further calls do nothing; it raises nothing.
 
@@ -192,11 +182,7 @@ class DropIn(Listener):
             try:
                 settled = self._stop.is_set() or self._follow(self._connection.latest)
                 wait_s = None if settled else TAKES_S
-            except (NotFoundError, UsageError) as error:
-                self.reason = str(error)
-                wait_s = 0.0
-                self._stop.wait(_AGAIN_S)
-            except LostError as error:
+            except (NotFoundError, UsageError, LostError) as error:
                 if self._connection.lost is not None:
                     return
                 self.reason = str(error)  # one late answer is no loss

@@ -9,9 +9,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from device.errors import UsageError
-from device.server.identity import identity_of, is_own_stream
+from device.server.identity import identity_of, is_ours
 from device.server.snapshot import ServerSnapshot, Sink, Stream
-from device.stream.pcms import APPLICATION_ID, FALLBACK_SINK, ROLE
+from device.stream.pcms import FALLBACK_SINK
 
 SINK = "cushion"
 """Name of the virtual sink."""
@@ -52,13 +52,7 @@ class Loopback:
 
 
 def round_delay_ms(delay_s: float | None) -> int:
-    """Return a delay in whole ms, at least MIN_DELAY_S, also for None.
-
-    Raises
-    ------
-    UsageError
-        It is negative or above MAX_DELAY_S.
-    """
+    """Return a delay in whole ms, at least MIN_DELAY_S; UsageError: out of range."""
     delay_s = MIN_DELAY_S if delay_s is None else delay_s
     if not 0.0 <= delay_s <= MAX_DELAY_S:
         raise UsageError(f"delay_s={delay_s!r} is out of range; choose 0 to {MAX_DELAY_S} s")
@@ -96,12 +90,7 @@ def is_cushion_sink(sink: Sink) -> bool:
 
 def is_application(stream: Stream) -> bool:
     """Whether a playing stream is neither vibration nor a loopback of ours."""
-    return not (
-        _TARGET in stream.properties
-        or stream.role == ROLE
-        or stream.properties.get("application.id") == APPLICATION_ID
-        or is_own_stream(stream)
-    )
+    return _TARGET not in stream.properties and not is_ours(stream)
 
 
 def real_sinks(snapshot: ServerSnapshot, haptic_sink: str | None) -> list[str]:
@@ -149,12 +138,8 @@ def loopback_arguments(snapshot: ServerSnapshot, route: Route, sink: Sink) -> li
 
     Its streams must not move: both servers unload the whole loopback when its target vanishes,
     where PipeWire would otherwise connect it to its own source. PulseAudio adds 5 ms after every
-    few underruns and keeps them; the bounds limit that to 20 ms.
-
-    Raises
-    ------
-    UsageError
-        A name has a quote, backslash or control character.
+    few underruns and keeps them; the bounds limit that to 20 ms. UsageError: no module accepts a
+    name.
     """
     for name in (route.target, route.restore):
         if not name.isprintable() or set(name) & set("\"'\\"):

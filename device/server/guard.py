@@ -1,11 +1,10 @@
 """Guards our streams: no vibration on another sink, and no microphone as input.
 
-A server that loses a device moves its streams to another one without notice. Two measures are
-necessary. A guard silences its stream at the first event about it, and releases it when it is
-known to be on its own device. And on PulseAudio a fallback sink catches the output: queued frames
-(about 10 ms) move with the stream before the event arrives, and the default sink would play them.
-PulseAudio prefers this silent sink for our role of stream. On PipeWire the output ends instead
-(see `pcms`).
+A server that loses a device moves its streams to another one without notice. A guard silences its
+stream at the first event about it, and releases it when it is known to be on its own device. And
+on PulseAudio a fallback sink catches the output: queued frames (about 10 ms) move with the stream
+before the event arrives. PulseAudio prefers this silent sink for our role of stream. On PipeWire
+the output ends instead (see `pcms`).
 """
 
 from __future__ import annotations
@@ -105,15 +104,8 @@ class StreamPlacement:
         if snapshot.events < self.unsettled:
             return self
         streams = snapshot.sink_inputs if self.plays else snapshot.source_outputs
-        devices = (
-            {sink.name: sink.index for sink in snapshot.sinks}
-            if self.plays
-            else {
-                source.name: source.index
-                for source in snapshot.sources
-                if source.monitor_of or self.any_source
-            }
-        )
+        sources = [one for one in snapshot.sources if one.monitor_of or self.any_source]
+        devices = {one.name: one.index for one in (snapshot.sinks if self.plays else sources)}
         stream = find_tagged(streams, self.tag)
         return replace(
             self,
@@ -133,7 +125,7 @@ class StreamGuard(Listener):
     """Silences a stream unless it is known to be on its device.
 
     It alone sets `stream.audible`, from the moment it is made. Any thread but the connection's
-    makes, retargets and releases it; any thread may read `hold` and call `misplaced_s`.
+    may use it; any thread may read `hold` and call `misplaced_s`.
 
     Parameters
     ----------

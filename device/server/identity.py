@@ -9,37 +9,29 @@ import os
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from device.errors import NotFoundError
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
-from device.stream.pcms import FALLBACK_SINK, TAG
+from device.stream.pcms import APPLICATION_ID, FALLBACK_SINK, ROLE, TAG
 from device.suggest import no_such
+
+Device = TypeVar("Device", Sink, Source)
 
 
 def find_sink(snapshot: ServerSnapshot, name: str) -> Sink:
     """Return the sink with exactly this name; NotFoundError suggests the nearest names."""
-    for sink in snapshot.sinks:
-        if sink.name == name:
-            return sink
-    raise _no_such("sink", name, (s.name for s in snapshot.sinks if s.name != FALLBACK_SINK))
+    names = (sink.name for sink in snapshot.sinks if sink.name != FALLBACK_SINK)
+    return _find("sink", name, snapshot.sinks, names)
 
 
 def find_source(snapshot: ServerSnapshot, name: str) -> Source:
     """Return the monitor or input with exactly this name; NotFoundError suggests others."""
-    for source in snapshot.sources:
-        if source.name == name:
-            return source
-    raise _no_such("source", name, (source.name for source in snapshot.sources))
+    return _find("source", name, snapshot.sources, (source.name for source in snapshot.sources))
 
 
 def monitor_of(snapshot: ServerSnapshot, sink_name: str) -> Source:
-    """Return the monitor of the sink with exactly this name, which a tap records from.
-
-    Raises
-    ------
-    NotFoundError
-        There is no such sink, or it has no monitor.
-    """
+    """Return the monitor of the sink with exactly this name; NotFoundError: one is missing."""
     sink = find_sink(snapshot, sink_name)
     for source in snapshot.sources:
         if source.monitor_of == sink.name:
@@ -51,11 +43,7 @@ def default_monitor(snapshot: ServerSnapshot, haptic_sink: str | None = None) ->
     """Return the default sink's monitor, which has all that the user hears.
 
     haptic_sink: the sink for vibration, which is never tapped, since that would feed back.
-
-    Raises
-    ------
-    NotFoundError
-        There is no default sink, or it is the haptic sink.
+    NotFoundError: there is no default sink, or it is the haptic sink.
     """
     name = snapshot.default_sink
     if not name:
@@ -71,12 +59,20 @@ def default_monitor(snapshot: ServerSnapshot, haptic_sink: str | None = None) ->
     return monitor_of(snapshot, name)
 
 
-def is_own_stream(stream: Stream, process_id: int | None = None) -> bool:
-    """Whether a stream belongs to this process (or the given one) on this machine."""
+def is_own_stream(stream: Stream) -> bool:
+    """Whether a stream belongs to this process on this machine."""
     host = stream.properties.get("application.process.host", "")
-    if host not in ("", socket.gethostname()):
-        return False
-    return stream.process_id == (os.getpid() if process_id is None else process_id)
+    return host in ("", socket.gethostname()) and stream.process_id == os.getpid()
+
+
+def is_ours(stream: Stream) -> bool:
+    """Whether a stream belongs to this process, or is vibration or a capture of any other."""
+    return (
+        stream.role == ROLE
+        or stream.properties.get("application.id") == APPLICATION_ID
+        or is_cushion_stream(stream)
+        or is_own_stream(stream)
+    )
 
 
 def is_cushion_stream(stream: Stream) -> bool:
@@ -86,10 +82,7 @@ def is_cushion_stream(stream: Stream) -> bool:
 
 def find_tagged(streams: Iterable[Stream], tag: str) -> Stream | None:
     """Return our stream with this tag, or None."""
-    for stream in streams:
-        if stream.properties.get(TAG) == tag:
-            return stream
-    return None
+    return next((stream for stream in streams if stream.properties.get(TAG) == tag), None)
 
 
 @dataclass(frozen=True)
@@ -139,6 +132,9 @@ def _usb_id(text: str) -> str:
         return ""
 
 
-def _no_such(kind: str, name: str, names: Iterable[str]) -> NotFoundError:
+def _find(kind: str, name: str, devices: Iterable[Device], names: Iterable[str]) -> Device:
+    for device in devices:
+        if device.name == name:
+            return device
     advice = "connect a sound card, or restart the sound server"
-    return NotFoundError(no_such(kind, name, names, advice))
+    raise NotFoundError(no_such(kind, name, names, advice))

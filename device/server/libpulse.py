@@ -11,6 +11,8 @@ Callbacks run within `mainloop_dispatch` and must not raise.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from ctypes import POINTER, c_char_p, c_int, c_size_t, c_uint8, c_uint32, c_uint64, c_void_p
 from functools import cache
 from typing import Any
@@ -141,6 +143,17 @@ class LibPulse:
                 function = getattr(library, f"pa_{name}")
                 function.restype, function.argtypes = result, arguments
                 setattr(self, name, function)
+
+    @contextmanager
+    def properties(self, values: Mapping[str, str]) -> Iterator[Any]:
+        """Provide a property list inside this context."""
+        properties = self.proplist_new()
+        for name, value in values.items():
+            self.proplist_sets(properties, name.encode(), value.encode())
+        try:
+            yield properties
+        finally:
+            self.proplist_free(properties)
 
     def __getattr__(self, name: str) -> Any:
         # tells type checkers that any attribute may exist

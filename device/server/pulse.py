@@ -53,8 +53,6 @@ class PulseConnection(ConnectionThread):
     ----------
     latest : ServerSnapshot
         The latest snapshot. Any thread may read it.
-    reconnects : int
-        How often outdated defaults caused a new connection, see `defaults_check`.
     lost : LostError or None
         Why the connection was lost. Make another object to connect again.
 
@@ -78,7 +76,6 @@ class PulseConnection(ConnectionThread):
         self._default_due_s: float | None = None
         self._default_seen = self._default_reported = ""
         self._check = DefaultsCheck(self._on_outdated)
-        self.reconnects = 0
         super().__init__("pulse")
 
     # ---------------------------------------------------------------------------------- requests
@@ -238,7 +235,6 @@ class PulseConnection(ConnectionThread):
 
     def _reconnect(self, known: Defaults) -> None:
         if Defaults.of(self._refresh()) == known:
-            self.reconnects += 1
             self._pulse.close()
             self._connect()
             self._refresh()

@@ -1,13 +1,11 @@
 """Named PCMs (ALSA devices), and the sinks, monitors and cards that they open.
 
 PortAudio lists ALSA's devices once, when it starts, by name. So a private ALSA configuration
-defines the names. ALSA reads the configuration again when its path changes, so a PCM can open
-another device each time, with the same PortAudio. A card that returns under another number needs
-no new list either.
+defines the names. ALSA reads it again when its path changes, so a PCM can open another device each
+time, also a card that returns under another number.
 
-At first every PCM opens ALSA's `null`, and the PCM called `default` always does. So PortAudio
-starts without a sound server, and no unnamed device can play or record. (PortAudio 19.6 aborts the
-process if there is no `default`.)
+At first every PCM opens ALSA's `null`, and `default`, which PortAudio 19.6 needs, always does. So
+PortAudio starts without a sound server, and no unnamed device can play or record.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from device.errors import InternalError, UsageError
+from device.errors import UsageError
 from device.stream.private_dir import PrivateDir
 
 ROLE = "haptic"
@@ -58,17 +56,14 @@ class PcmConfig:
 
     Make it before PortAudio and other threads start: it sets the environment of the process and
     its children. PULSE_LATENCY_MSEC is removed, as it would block the output, and no JACK server
-    is started. The user's PULSE_PROP stays, and ours follows it. `close` removes the directory and
-    restores the environment. One thread at a time calls the methods.
+    is started. The user's PULSE_PROP stays, and ours follows it. One thread at a time uses it.
 
     Parameters
     ----------
     names : str
         Of the PCMs, one word each.
     folder : Path or None
-        Parent of the private directory, made if missing. None stands for $XDG_RUNTIME_DIR/cushion,
-        or the directory for temporary files where that is not possible. Directories that killed
-        processes have left there are removed.
+        Parent of the private directory; see `PrivateDir`.
 
     Attributes
     ----------
@@ -82,9 +77,6 @@ class PcmConfig:
     """
 
     def __init__(self, *names: str, folder: Path | None = None) -> None:
-        wrong = [name for name in names if not name.isidentifier() or name == "default"]
-        if wrong or len(set(names)) != len(names) or not names:
-            raise InternalError(f"PCMs cannot be called {', '.join(names)}: one word each")
         self.pcms: Mapping[str, Pcm] = {name: Pcm(self, name) for name in names}
         self._folder = PrivateDir(folder)
         self._version = 0
@@ -105,8 +97,6 @@ class PcmConfig:
         """Return a context in which opening `pcm` opens its target with our properties and tag.
 
         output: whether it is opened for playback. One thread at a time may be in this context.
-        Connections that other threads make in the meantime get these properties too, without
-        effect, as only streams use them.
         """
         self._write()
         theirs = self._before["PULSE_PROP"] or ""
@@ -182,15 +172,7 @@ class Nowhere:
 
 @dataclass(frozen=True)
 class ServerDevice:
-    """A sink or source of the sound server.
-
-    device: the server's name for it. server: the server's address, None for the default one.
-
-    Raises
-    ------
-    UsageError
-        The name is empty.
-    """
+    """A sink or source, by the server's name for it. server: its address; None for the default."""
 
     device: str
     server: str | None = None
@@ -199,10 +181,6 @@ class ServerDevice:
         "the sound server does not answer or has no such device; "
         "`cushion devices` lists what it has"
     )
-
-    def __post_init__(self) -> None:
-        if not self.device:
-            raise UsageError('the name of a device cannot be ""; give a sink\'s name')
 
     def __str__(self) -> str:
         return self.device
@@ -239,10 +217,7 @@ class CardDevice:
 
 
 def _quoted(text: str) -> str:
-    """Quote any text for ALSA's configuration.
-
-    PipeWire accepts any sink name, and the default sink may have any of them.
-    """
+    """Quote any text for ALSA's configuration: PipeWire accepts any sink name."""
     octal = (f"\\{byte:03o}" for byte in text.encode("utf-8", "surrogateescape"))
     plain = text.isascii() and text.isprintable() and not set(text) & set('"\\')
     return f'"{text if plain else "".join(octal)}"'

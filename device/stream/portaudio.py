@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 from device.errors import InternalError, LostError, NotFoundError
@@ -28,13 +29,13 @@ START_LIMIT_S = 1.5
 ATTEMPTS = 3
 CLOSE_LIMIT_S = 2.0
 
-_NAMES = {
-    SampleFormat.FLOAT32: "paFloat32",
-    SampleFormat.S16: "paInt16",
-    SampleFormat.S24_3: "paInt24",
-    SampleFormat.S32: "paInt32",
+_FORMATS = {
+    SampleFormat.FLOAT32: 0x01,
+    SampleFormat.S32: 0x02,
+    SampleFormat.S24_3: 0x04,
+    SampleFormat.S16: 0x08,
 }
-"""PortAudio's formats have the machine's byte order, which must be little endian."""
+"""PortAudio's numbers; these formats have the machine's byte order, which must be little endian."""
 
 Callback = Callable[[bytes | None, int, Any, int], tuple[bytes | None, int]]
 """PyAudio's callback: (input, frames, times, flags) to (output, continue)."""
@@ -44,25 +45,18 @@ Result = TypeVar("Result")
 _lock = threading.Lock()
 """Held while PortAudio starts, ends or opens a stream: it does one of these at a time."""
 
-_count = threading.Lock()
 _pyaudio: Any = None
-_open = 0
-_abandoned = 0
+_open: set[str] = set()
+"""Tags of the streams that are open, being closed, or never started."""
 _numbers = itertools.count(1)
 
 
 @dataclass(frozen=True)
 class OpenStream:
-    """PyAudio's stream, the tag that the server shows for it (`pcms.TAG`), and its format."""
+    """PyAudio's stream, and the tag that the server shows for it (`pcms.TAG`)."""
 
     stream: Any
     tag: str
-    sample_format: SampleFormat = SampleFormat.FLOAT32
-
-    def start(self) -> OpenStream:
-        """Let callbacks come; returns itself."""
-        self.stream.start_stream()
-        return self
 
 
 def open_stream(
@@ -89,73 +83,60 @@ def open_stream(
         PyAudio or PortAudio is not installed.
     """
     what = f"{pcm.target} for {'playback' if output else 'capture'}"
-    setup = _StreamSetup(samplerate, channels, block_frames, sample_format)
+    side = "output" if output else "input"
+
+    def open_stopped() -> OpenStream:
+        if not _lock.acquire(timeout=OPEN_LIMIT_S):
+            raise LostError(
+                f"cannot open {pcm.target}: an earlier opening has not returned; the sound server "
+                "or the card hangs, restart it"
+            )
+        try:
+            instance, index = _instance(pcm)
+            tag = f"{os.getpid()}-{next(_numbers)}"
+            with pcm.config.opening(pcm, tag, output=output):
+                stream = instance.open(
+                    rate=samplerate,
+                    channels=channels,
+                    format=_FORMATS[sample_format],
+                    frames_per_buffer=block_frames,
+                    stream_callback=callback,
+                    start=False,
+                    **{side: True, f"{side}_device_index": index},
+                )
+            _open.add(tag)
+            return OpenStream(stream, tag)
+        finally:
+            _lock.release()
+
+    def start(opened: OpenStream) -> OpenStream:
+        opened.stream.start_stream()
+        return opened
+
     try:
         for attempt in range(1, ATTEMPTS + 1):
-            opened = _call_within(
-                OPEN_LIMIT_S,
-                f"open {what}",
-                lambda: _open_stopped(pcm, output, setup, callback),
-                close_stream,
-            )
+            opened = _call_within(OPEN_LIMIT_S, f"open {what}", open_stopped, close_stream)
             try:
-                return _call_within(START_LIMIT_S, f"start {what}", opened.start, _close_late)
+                return _call_within(
+                    START_LIMIT_S, f"start {what}", partial(start, opened), close_stream
+                )
             except LostError:
                 # PortAudio 19.6 never returns if its thread fails to start, which happens
                 # occasionally on PipeWire. That stream cannot be closed: abandon it.
-                _count_streams(opened=-1, abandoned=1)
                 if attempt == ATTEMPTS:
                     raise
             except OSError:
                 close_stream(opened)
                 raise
     except (OSError, ValueError) as error:
+        # PyAudio's text for an error, or its number
+        reason = str(error.args[-1]) if error.args else type(error).__name__
+        in_format = "" if sample_format is SampleFormat.FLOAT32 else f" in {sample_format.value}"
         raise LostError(
-            f"cannot open {what} with {setup} ({_reason(error)}): {pcm.target.trouble}"
+            f"cannot open {what} with {channels} channels at {samplerate} Hz{in_format} "
+            f"({reason}): {pcm.target.trouble}"
         ) from None
     raise InternalError("unreachable")
-
-
-@dataclass(frozen=True)
-class _StreamSetup:
-    """Rate, channels, block and format of a stream."""
-
-    samplerate: int
-    channels: int
-    block_frames: int
-    sample_format: SampleFormat
-
-    def __str__(self) -> str:
-        name = self.sample_format.value
-        in_format = "" if self.sample_format is SampleFormat.FLOAT32 else f" in {name}"
-        return f"{self.channels} channels at {self.samplerate} Hz{in_format}"
-
-
-def _open_stopped(pcm: Pcm, output: bool, setup: _StreamSetup, callback: Callback) -> OpenStream:
-    """Return the stream, opened but not started."""
-    if not _lock.acquire(timeout=OPEN_LIMIT_S):
-        raise LostError(
-            f"cannot open {pcm.target}: an earlier opening has not returned; the sound server or "
-            "the card hangs, restart it"
-        )
-    try:
-        pyaudio, instance, index = _instance(pcm)
-        tag = f"{os.getpid()}-{next(_numbers)}"
-        side = "output" if output else "input"
-        with pcm.config.opening(pcm, tag, output=output):
-            stream = instance.open(
-                rate=setup.samplerate,
-                channels=setup.channels,
-                format=getattr(pyaudio, _NAMES[setup.sample_format]),
-                frames_per_buffer=setup.block_frames,
-                stream_callback=callback,
-                start=False,
-                **{side: True, f"{side}_device_index": index},
-            )
-        _count_streams(opened=1)
-        return OpenStream(stream, tag, setup.sample_format)
-    finally:
-        _lock.release()
 
 
 def close_stream(opened: OpenStream) -> bool:
@@ -167,7 +148,7 @@ def close_stream(opened: OpenStream) -> bool:
     def work() -> None:
         with suppress(OSError, ValueError, SystemError):  # PortAudio has closed it already
             opened.stream.close()
-        _count_streams(opened=-1)
+        _open.discard(opened.tag)
 
     try:
         _call_within(CLOSE_LIMIT_S, "close a stream", work)
@@ -176,50 +157,13 @@ def close_stream(opened: OpenStream) -> bool:
     return True
 
 
-def _close_late(opened: OpenStream) -> None:
-    """Close an abandoned stream that has started after all."""
-    _count_streams(opened=1, abandoned=-1)
-    close_stream(opened)
-
-
-def _count_streams(opened: int = 0, abandoned: int = 0) -> None:
-    global _open, _abandoned
-    with _count:
-        _open += opened
-        _abandoned += abandoned
-
-
-def terminate() -> bool:
-    """End PortAudio and its device list; False, and no effect, while streams are open.
-
-    `open_stream` starts it again. Any thread but a callback's may call this; it raises nothing.
-    """
-    global _pyaudio
-    if not _lock.acquire(timeout=CLOSE_LIMIT_S):
-        return False
-    try:
-        if _open or _abandoned:
-            return False
-        instance, _pyaudio = _pyaudio, None
-        if instance is not None:
-            instance.terminate()
-        return True
-    finally:
-        _lock.release()
-
-
 def count_open() -> int:
-    """Return how many streams are open or still being closed."""
-    return _open
+    """Return how many streams are open, being closed, or never started."""
+    return len(_open)
 
 
-def count_abandoned() -> int:
-    """Return how many streams never started and cannot be closed; each holds a thread."""
-    return _abandoned
-
-
-def _instance(pcm: Pcm) -> tuple[Any, Any, int]:
-    """Return PyAudio's module, the one instance, and its index of this PCM."""
+def _instance(pcm: Pcm) -> tuple[Any, int]:
+    """Return the one instance of PyAudio, and its index of this PCM."""
     global _pyaudio
     try:
         import pyaudio
@@ -227,19 +171,15 @@ def _instance(pcm: Pcm) -> tuple[Any, Any, int]:
         raise NotFoundError(
             f"PyAudio cannot be loaded ({error}); install PortAudio (libportaudio2) and PyAudio"
         ) from None
-    if _pyaudio is None:
+    index = None if _pyaudio is None else _index(_pyaudio, pcm)
+    if index is None and not _open:
+        if _pyaudio is not None:  # its list is older than this PCM
+            _pyaudio.terminate()
         _pyaudio = pyaudio.PyAudio()
-    elif _index(_pyaudio, pcm) is None:  # its list is older than this PCM
-        if _open or _abandoned:
-            raise InternalError(
-                f"PortAudio cannot reload its list for {pcm.name} while streams are open"
-            )
-        _pyaudio.terminate()
-        _pyaudio = pyaudio.PyAudio()
-    index = _index(_pyaudio, pcm)
+        index = _index(_pyaudio, pcm)
     if index is None:
         raise InternalError(f"PortAudio does not know the PCM {pcm.name}")
-    return pyaudio, _pyaudio, index
+    return _pyaudio, index
 
 
 def _index(instance: Any, pcm: Pcm) -> int | None:
@@ -289,8 +229,3 @@ def _call_within(
         f"cannot {what}: the sound server or the card has not answered for {limit_s:g} s; "
         "see whether it hangs, and restart it if so"
     )
-
-
-def _reason(error: Exception) -> str:
-    """Return PyAudio's text for an error, or its number."""
-    return str(error.args[-1]) if error.args else type(error).__name__

@@ -1,8 +1,7 @@
 """Real-time priority for audio threads, where the system grants it.
 
 Each thread asks for itself, since only PortAudio knows its threads. It gets a low real-time
-priority, which its children do not inherit, else a better nice level, else nothing. Asking neither
-waits nor raises. A real-time thread that never sleeps could freeze the machine, so the kernel
+priority, which its children do not inherit, else a better nice level, else nothing. The kernel
 limits it: after SPIN_S of uninterrupted processor time the process gets SIGXCPU, upon which
 `revoke` must be called; after KILL_S it is killed.
 """
@@ -71,7 +70,7 @@ class AudioPriority:
             self.warning = ""
 
     def claim(self) -> None:
-        """Raise the calling thread's priority as far as allowed. It raises no exception."""
+        """Raise the calling thread's priority as far as allowed, without waiting or exceptions."""
         if not self.wanted:
             return
         self._threads.append(threading.get_native_id())

@@ -22,16 +22,11 @@ _OPEN = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 class PrivateDir:
-    """A new directory that only this user may enter, held until `close`.
+    """A new directory that only this user may enter, held until `close`. For one thread.
 
     inside: its parent, made if missing. None stands for $XDG_RUNTIME_DIR/cushion, or the directory
-    for temporary files where that is not possible. path: of the directory. One thread makes and
-    closes it.
-
-    Raises
-    ------
-    UsageError
-        No directory can be made there.
+    for temporary files where that is not possible. path: of the directory. UsageError: no directory
+    can be made there.
     """
 
     def __init__(self, inside: Path | None = None) -> None:
@@ -47,7 +42,7 @@ class PrivateDir:
             ) from None
 
     def close(self) -> None:
-        """Remove the directory and its content. Further calls do nothing; it raises nothing."""
+        """Remove the directory with its content. May be repeated; raises nothing."""
         if self._lock_file >= 0:
             shutil.rmtree(self.path, ignore_errors=True)
             os.close(self._lock_file)

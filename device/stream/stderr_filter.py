@@ -1,8 +1,7 @@
 """Hides what ALSA, JACK, PortAudio and libpulse print.
 
-They print through C's `stderr`, Python through file descriptor 2. So C's `stderr` is replaced by
-/dev/null and nothing else changes: Python's messages, tracebacks, faulthandler, warnings and child
-processes still write to the terminal. Errors of the libraries reach the caller as exceptions.
+They print through C's `stderr`, Python and child processes through file descriptor 2. So C's
+`stderr` is replaced by /dev/null and nothing else changes.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
 """Capture and playback streams on a server or a card, one block per callback of PortAudio.
 
 Capture and playback are separate, as a duplex stream would poll. A callback never raises and
-always delivers its full length, since an exception or a short block would end the stream silently;
-its errors are counted by name. The clock is time.monotonic().
-
+always delivers its full length, since an exception or a short block would end the stream silently.
 The age of the last callback shows whether a stream still runs: a server that dies or suspends its
 device raises nothing. Check `is_lost`, close the stream and open another one.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from device.blocks import emptied, peak
 from device.errors import UsageError
 from device.stream.gil_state import RELEASE_LIMIT_S, GilState
 from device.stream.pcms import Pcm, ServerDevice
@@ -34,16 +34,33 @@ gets its first callbacks at once and the next after these 2 s; a capture stream 
 first."""
 
 _CONTINUE = 0
-_INPUT_UNDERFLOW, _INPUT_OVERFLOW, _OUTPUT_UNDERFLOW, _OUTPUT_OVERFLOW = 1, 2, 4, 8
+_XRUNS = 0b1111
+"""PortAudio's flags for underflow and overflow of input and output."""
 _ERROR_NAMES = 16
 
-OnFrames = Callable[[Float32Array, float], None]
-Fill = Callable[[Float32Array, float], None]
-OnSent = Callable[[Float32Array, float], None]
+OnBlock = Callable[[Float32Array, float], None]
+"""Takes (frames, channels) float32 and the time of the callback, time.monotonic()."""
 
 
-class _Stream:
-    """The common part of both streams. Any thread may read its attributes."""
+class CallbackCounts:
+    """What a stream's callbacks did so far. Any thread may read it; see `CaptureStream`."""
+
+    def __init__(self, audible: bool) -> None:
+        self.audible = audible
+        self.silenced = 0
+        self.opened_s = self.last_callback_s = time.monotonic()
+        self.callbacks = self.frames = self.xruns = 0
+        self.errors: dict[str, int] = {}
+
+    def _count(self, error: BaseException) -> None:
+        name = type(error).__name__
+        if name not in self.errors and len(self.errors) >= _ERROR_NAMES:
+            name = "others"
+        self.errors[name] = self.errors.get(name, 0) + 1
+
+
+class _Stream(CallbackCounts):
+    """The common part of both streams."""
 
     def __init__(
         self,
@@ -57,17 +74,11 @@ class _Stream:
         priority: AudioPriority | None,
         sample_format: SampleFormat = SampleFormat.FLOAT32,
     ) -> None:
+        check_format(samplerate, channels)
+        super().__init__(audible)
         self._priority = priority
-        self.audible = audible
-        self.silenced = 0
-        self.pcm = pcm
         self.samplerate = samplerate
         self.channels = channels
-        self.opened_s = self.last_callback_s = time.monotonic()
-        self.callbacks = 0
-        self.frames = 0
-        self.xruns = 0
-        self.errors: dict[str, int] = {}
         self._closing = False
         self._gil_state = GilState()
         self._close_lock = threading.Lock()
@@ -92,14 +103,10 @@ class _Stream:
         thread may call it.
         """
         now = time.monotonic() if now_s is None else now_s
-        limit_s = BEGINS_WITHIN_S if self._begins else LOST_AFTER_S
-        return now - self.last_callback_s > limit_s or not self.is_active()
-
-    @property
-    def _begins(self) -> bool:
-        """Whether it is so new that the server's sink may have rendered ahead."""
         young = self.last_callback_s - self.opened_s < BEGUN_AFTER_S
-        return young and self._on_server and (self.callbacks > 0 or not self._output)
+        begins = young and self._on_server and (self.callbacks > 0 or not self._output)
+        limit_s = BEGINS_WITHIN_S if begins else LOST_AFTER_S
+        return now - self.last_callback_s > limit_s or not self.is_active()
 
     def is_active(self) -> bool:
         """Whether PortAudio reports the stream as running, even if suspended."""
@@ -134,8 +141,7 @@ class _Stream:
             self.last_callback_s = now_s
             self.callbacks += 1
             self.frames += frames
-            if flags & (_INPUT_UNDERFLOW | _INPUT_OVERFLOW | _OUTPUT_UNDERFLOW | _OUTPUT_OVERFLOW):
-                self.xruns += 1
+            self.xruns += bool(flags & _XRUNS)
             if self._closing:
                 self._gil_state.release()
             else:
@@ -144,24 +150,15 @@ class _Stream:
             self._count(error)
         return self._result(frames), _CONTINUE
 
-    def _count(self, error: BaseException) -> None:
-        name = type(error).__name__
-        if name not in self.errors and len(self.errors) >= _ERROR_NAMES:
-            name = "others"
-        self.errors[name] = self.errors.get(name, 0) + 1
-
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
         raise NotImplementedError
 
     def _result(self, frames: int) -> bytes | None:
-        raise NotImplementedError
+        return None
 
 
 class CaptureStream(_Stream):
     """Delivers the frames of a PCM's source; runs from the moment it is made.
-
-    `on_frames(frames, now_s)` gets float32 (frames, channels), read only, which it may keep, and
-    the time of arrival. PortAudio's thread calls it: it must neither block nor close the stream.
 
     Parameters
     ----------
@@ -172,7 +169,8 @@ class CaptureStream(_Stream):
     channels : int
         Per frame.
     on_frames : Callable
-        Receives every block.
+        Gets every block, read only, which it may keep, and the time. PortAudio's thread calls it:
+        it must neither block nor close the stream.
     audible : bool
         Initial value of the attribute.
     block_frames : int
@@ -211,13 +209,12 @@ class CaptureStream(_Stream):
         pcm: Pcm,
         samplerate: int,
         channels: int,
-        on_frames: OnFrames,
+        on_frames: OnBlock,
         *,
         audible: bool = True,
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
     ) -> None:
-        check_format(samplerate, channels)
         self._on_frames = on_frames
         super().__init__(
             pcm,
@@ -233,21 +230,14 @@ class CaptureStream(_Stream):
         if not self.audible:
             self.silenced += 1
             data = bytes(len(data or b""))
-        buffer = np.frombuffer(data or b"", np.float32)
-        self._on_frames(buffer.reshape(-1, self.channels), now_s)
-
-    def _result(self, frames: int) -> bytes | None:
-        return None
+        self._on_frames(_as_frames(data or b"", self.channels), now_s)
 
 
 class PlaybackStream(_Stream):
     """Plays frames to a PCM's sink as it asks for them; silent until `audible` is set.
 
-    `fill(out, now_s)` writes float32 into out (frames, channels), which is all 0 and must not be
-    kept. If it raises, or leaves a sample that is not finite, the block becomes silence and counts
-    in `errors`. `on_sent(frames, now_s)` gets the frames that were sent, silence included, as
-    read-only float32, which it may keep. PortAudio's thread calls both: they must neither block
-    nor close the stream.
+    PortAudio's thread calls both functions: they must neither block nor close the stream. The other
+    attributes and the exceptions are those of `CaptureStream`.
 
     Parameters
     ----------
@@ -258,9 +248,10 @@ class PlaybackStream(_Stream):
     channels : int
         Per frame.
     fill : Callable
-        Fills every block, also while nothing is audible.
+        Writes into every block, which is all 0, and must not keep it. If it raises, or leaves a
+        sample that is not finite, the block becomes silence and counts in `errors`.
     on_sent : Callable or None
-        Receives every block that was sent.
+        Gets every block that was sent, silence included, read only, which it may keep.
     block_frames : int
         Frames per callback.
     priority : AudioPriority or None
@@ -272,8 +263,6 @@ class PlaybackStream(_Stream):
     ----------
     audible : bool
         Any thread may set it. While it is False, silence is played from the next block on.
-
-    The other attributes and the exceptions are those of `CaptureStream`.
     """
 
     def __init__(
@@ -281,19 +270,20 @@ class PlaybackStream(_Stream):
         pcm: Pcm,
         samplerate: int,
         channels: int,
-        fill: Fill,
-        on_sent: OnSent | None = None,
+        fill: OnBlock,
+        on_sent: OnBlock | None = None,
         *,
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
         sample_format: SampleFormat = SampleFormat.FLOAT32,
     ) -> None:
-        check_format(samplerate, channels)
         self._fill = fill
         self._on_sent = on_sent
         self._out = np.zeros((block_frames, channels), np.float32)
         self._used = False  # not all 0, because the last block failed
-        self._encoder = Encoder(sample_format, channels, block_frames)
+        is_float = sample_format is SampleFormat.FLOAT32
+        self._encoder = None if is_float else Encoder(sample_format, channels, block_frames)
+        self._bytes_per_frame = channels * sample_format.bytes_per_sample
         self._sound: bytes | None = None
         super().__init__(
             pcm,
@@ -311,7 +301,11 @@ class PlaybackStream(_Stream):
             self._out = np.zeros((frames, self.channels), np.float32)
         self._used = True
         self._fill(self._out, now_s)
-        self._sound = self._encoder.encode_and_clear(self._out)
+        if self._encoder is None:
+            self._sound = emptied(self._out)
+        elif math.isfinite(peak(self._out)):
+            self._sound = self._encoder.encode(self._out)
+            self._out.fill(0.0)
         if self._sound is None:
             raise FloatingPointError("samples that are not finite")
         self._used = False
@@ -324,16 +318,21 @@ class PlaybackStream(_Stream):
             self.silenced += 1
         if self._on_sent is not None:
             try:
-                sent = self._silence(frames) if sound is None else self._encoder.decode_last()
+                if sound is None:
+                    sent = _as_frames(bytes(4 * frames * self.channels), self.channels)
+                elif self._encoder is None:
+                    sent = _as_frames(sound, self.channels)
+                else:
+                    sent = self._encoder.decode_last()
                 self._on_sent(sent, self.last_callback_s)
             except BaseException as error:  # PortAudio would end the stream
                 self._count(error)
-        return self._encoder.silence(frames) if sound is None else sound
+        return bytes(frames * self._bytes_per_frame) if sound is None else sound
 
-    def _silence(self, frames: int) -> Float32Array:
-        silence = np.zeros((frames, self.channels), np.float32)
-        silence.setflags(write=False)
-        return silence
+
+def _as_frames(data: bytes, channels: int) -> Float32Array:
+    """Return the bytes as float32 (frames, channels), read only."""
+    return np.frombuffer(data, np.float32).reshape(-1, channels)
 
 
 def check_format(samplerate: int, channels: int) -> None:

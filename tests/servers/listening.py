@@ -24,6 +24,11 @@ LEVEL = np.float32(0.25)
 Found = TypeVar("Found")
 
 
+def count_stuck() -> int:
+    """How many streams PortAudio never started: each holds the thread that started it."""
+    return sum(thread.name.startswith("start ") for thread in threading.enumerate())
+
+
 def wait_for(condition: Callable[[], Found], what: str, limit_s: float = 10.0) -> Found:
     """What the condition gives once that is true; looks every millisecond."""
     deadline_s = time.monotonic() + limit_s

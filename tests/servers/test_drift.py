@@ -23,7 +23,7 @@ from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.gc_freeze import freeze_loaded_objects
 from device.clock.delay_line import DelayState, DelayStatus
-from device.stream import CaptureStream, PcmConfig, PlaybackStream, portaudio
+from device.stream import CaptureStream, PcmConfig, PlaybackStream
 from device.stream.pcms import ServerDevice
 from tests.servers.bare_streams import bare_streams
 from tests.servers.listening import RATE_HZ, playing, wait_for
@@ -153,7 +153,6 @@ def bridged(heard: SoundServer, felt: SoundServer) -> Iterator[Engine]:
     finally:
         for stream in streams:
             stream.close()
-        portaudio.terminate()
         config.close()
 
 

@@ -16,7 +16,7 @@ import pytest
 
 from device.errors import NotFoundError, UsageError
 from device.server.drop_in import DropIn
-from device.server.forwarding import SINK
+from device.server.forwarding import SINK, loopbacks
 from device.server.guard import Hold, StreamGuard
 from device.server.identity import find_sink, find_tagged
 from device.server.pulse import PulseConnection
@@ -52,6 +52,12 @@ def dropped_in(
         yield drop_in
     finally:
         drop_in.close()
+
+
+def forwarded(connection: PulseConnection, drop_in: DropIn) -> bool:
+    """Whether both streams of the loopback are on their devices, by the latest snapshot."""
+    found = () if connection.lost else loopbacks(connection.latest)
+    return any(one.complete and one.route.target == drop_in.target_name for one in found)
 
 
 @contextmanager
@@ -148,7 +154,7 @@ def test_what_plays_to_the_default_sink_is_heard_at_its_level_and_can_be_tapped(
         playing(server, DEFAULT, tone(1_000.0, 20.0)),
     ):
         assert (drop_in.target_name, drop_in.delay_s) == ("desktop", 0.05)
-        wait_for(lambda: drop_in.forwarded, "forwarding")
+        wait_for(lambda: forwarded(connection, drop_in), "forwarding")
 
         def alike() -> bool:
             both = [level_db(heard()[-RATE_HZ // 2 :]) for heard in (near, far)]
@@ -233,7 +239,7 @@ def test_a_killed_process_leaves_the_sound_going_and_the_next_one_takes_over(
         forwarder = forwarders(connection)
         with dropped_in(connection) as drop_in:
             assert (drop_in.target_name, drop_in.delay_s) == ("desktop", 0.05)
-            assert drop_in.forwarded
+            assert forwarded(connection, drop_in)
             wait_for(lambda: sounds(far, 0.2), "sound")
             assert forwarders(connection) == forwarder  # the same one: no gap
             heard = far()[killed:, 0]
@@ -309,13 +315,19 @@ def test_without_its_sink_the_sound_goes_elsewhere_until_that_is_back(
         server.add_sink("desktop")
         with recording(server, "desktop.monitor", tmp_path / "first", stays=True) as first:
             wait_for(lambda: sounds(first), "sound from the first sink")
-        wait_for(lambda: drop_in.forwarded and drop_in.target_name == "desktop", "the first sink")
+        wait_for(
+            lambda: forwarded(connection, drop_in) and drop_in.target_name == "desktop",
+            "the first sink",
+        )
         for name in ("desktop", "speakers"):
             server.remove(name)
         wait_for(lambda: "no sink is left" in drop_in.reason, "the reason")
-        assert not drop_in.forwarded
+        assert not forwarded(connection, drop_in)
         server.add_sink("speakers")
-        wait_for(lambda: drop_in.forwarded and drop_in.target_name == "speakers", "forwarding")
+        wait_for(
+            lambda: forwarded(connection, drop_in) and drop_in.target_name == "speakers",
+            "forwarding",
+        )
         wait_for(lambda: not drop_in.reason, "the end of the reason")
         assert not np.any(felt())  # never the haptic sink
 
@@ -335,7 +347,7 @@ def test_the_default_sink_that_a_user_chooses_becomes_the_target(
             wait_for(lambda: connection.snapshot().default_sink == SINK, "the default sink")
             wait_for(lambda: places(connection).get(str(player)) == SINK, "the player")
             wait_for(lambda: sounds(other), "sound from the chosen sink")
-            assert drop_in.forwarded
+            assert forwarded(connection, drop_in)
         assert connection.snapshot().default_sink == "speakers"
         wait_for(lambda: places(connection) == {str(player): "speakers"}, "the player", 2.0)
 
@@ -442,7 +454,7 @@ def test_a_program_that_wants_the_default_sink_for_itself_gets_it(
         wait_for(insists, "the reason")
         wait_for(lambda: connection.snapshot().default_sink == "speakers", "the other default")
         assert connection.snapshot().default_sink == "speakers"
-        assert drop_in.forwarded
+        assert forwarded(connection, drop_in)
         server.pactl("set-default-sink", SINK)
         wait_for(lambda: drop_in.reason == "", "the end of the contest")
 
@@ -474,7 +486,7 @@ def test_a_virtual_sink_that_is_forwarded_to_brings_nothing_back(
         wait_for(lambda: len(near()) > again + 2 * RATE_HZ, "two seconds")
         level = level_db(near()[-RATE_HZ // 2 :]) - level_db(tone(440.0, 1.0))
         assert abs(level) < 0.2  # one sound, not many
-        assert drop_in.forwarded
+        assert forwarded(connection, drop_in)
     server.choose_default("desktop")
     server.pactl("unload-module", module)
 
@@ -491,7 +503,7 @@ def test_a_server_started_anew_has_a_usable_default_sink(
     wait_for(lambda: remembers(server), "the server's memory")
     server.kill()
     wait_for(lambda: connection.lost, "the loss")
-    assert not drop_in.forwarded
+    assert not forwarded(connection, drop_in)
     drop_in.close()
     connection.close()
     monkeypatch.setattr(server, "choose_default", lambda name: None)
@@ -501,7 +513,7 @@ def test_a_server_started_anew_has_a_usable_default_sink(
     print(f"{server.kind}: {connection.latest.default_sink} is the default sink")
     assert connection.latest.default_sink in ("desktop", "haptic")
     with dropped_in(connection, "desktop") as drop_in:
-        assert drop_in.forwarded
+        assert forwarded(connection, drop_in)
     assert connection.snapshot().default_sink in ("desktop", "haptic")
     connection.close()
 

@@ -132,9 +132,17 @@ def test_a_connection_that_is_told_another_default_than_others_is_made_anew(
         pytest.skip("only PipeWire tells one connection this and another one that")
     told = defaults_check.Defaults("speakers", "desktop.monitor")
     monkeypatch.setattr(defaults_check, "fetch_defaults", lambda: told)
+    connected: list[PulseConnection] = []
+    connect = PulseConnection._connect
+
+    def counted(self: PulseConnection) -> None:
+        connected.append(self)
+        connect(self)
+
+    monkeypatch.setattr(PulseConnection, "_connect", counted)
     connection = PulseConnection(notes)
     try:
-        wait_for(lambda: connection.reconnects == 1, "another connection")
+        wait_for(lambda: len(connected) == 2, "another connection")
         server.add_sink("speakers")
         server.choose_default("speakers")
         wait_for(lambda: connection.latest.default_sink == "speakers", "the new default sink")

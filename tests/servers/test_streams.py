@@ -23,6 +23,7 @@ from tests.servers.listening import (
     LEVEL,
     RATE_HZ,
     Collector,
+    count_stuck,
     noise,
     playing,
     recording,
@@ -177,7 +178,7 @@ def test_a_server_that_hangs_costs_neither_the_caller_nor_the_process(
     with pytest.raises(LostError, match=r"not answered|not come back|does not answer"):
         output(pcms)
     server.resume()
-    wait_for(lambda: portaudio.count_open() == 0, "end of the streams")
+    wait_for(lambda: portaudio.count_open() == count_stuck(), "end of the streams")
     stream = output(pcms)
     wait_for(lambda: stream.callbacks > 20, "callbacks")
     assert stream.close()
@@ -253,8 +254,6 @@ def test_a_sink_is_played_to_and_tapped_whatever_it_is_called(
 
 
 def test_what_cannot_be_opened_is_refused(server: SoundServer, pcms: PcmConfig) -> None:
-    with pytest.raises(UsageError, match="cannot be"):
-        pcms.pcms["cushion_tap"].target = ServerDevice("")
     with pytest.raises(UsageError, match="samplerate=12"):
         CaptureStream(pcms.pcms["cushion_tap"], 12, 2, Collector())
     with pytest.raises(UsageError, match="channels=0"):
@@ -280,10 +279,10 @@ def test_opening_and_closing_leaves_nothing_behind(server: SoundServer, pcms: Pc
 
     def grown() -> int | None:
         """Memory after 20 cycles; None if one of them had to leave a stream behind."""
-        before, before_kb, abandoned = held(), memory_kb(), portaudio.count_abandoned()
+        before, before_kb, abandoned = held(), memory_kb(), count_stuck()
         for _ in range(20):
             cycle()
-        if portaudio.count_abandoned() != abandoned:
+        if count_stuck() != abandoned:
             return None
         wait_for(lambda: held() == before, f"return to {before}", 3.0)
         return memory_kb() - before_kb

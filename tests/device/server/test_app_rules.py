@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device.errors import UsageError
-from device.server.app_rules import AppRules, app_name, suggest_apps
+from device.server.app_rules import AppRules, app_name
 from device.server.snapshot import ServerSnapshot, Sink, Stream
 from device.stream.pcms import APPLICATION_ID, ROLE, TAG
 
@@ -168,20 +168,6 @@ def test_a_selection_keeps_the_order_and_more_rules_only_narrow_or_widen_it(
     if include:
         assert set(found) <= set(chosen([*include, "m*"], exclude))
         assert set(found) <= set(chosen([], exclude))
-
-
-def test_an_error_can_offer_what_plays() -> None:
-    streams = snapshot(*APPLICATIONS, playing(9, "ours", role=ROLE))
-    assert suggest_apps("firefx", streams) == ("Firefox",)
-    assert suggest_apps("binary:thunderbrd", streams) == ("Mail",)
-    assert suggest_apps("application:MPV media plaver", streams) == ("mpv Media Player",)
-    assert suggest_apps("zzzz", streams) == (
-        "Doom [shareware]",
-        "Firefox",
-        "Mail",
-        "mpv Media Player",
-    )
-    assert suggest_apps("mpv", snapshot()) == ()
 
 
 def test_a_stream_without_a_name_is_called_by_what_it_is() -> None:

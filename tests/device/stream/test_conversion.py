@@ -84,7 +84,7 @@ def test_full_scale_infinity_and_what_is_no_number_stay_within_the_integers(samp
     assert steps_of(stored, sample_format) == [full - 1, -full, full - 1, -full, 0, 0]
 
 
-@pytest.mark.parametrize("sample_format", SampleFormat)
+@integers
 def test_blocks_do_not_depend_on_those_before_them(sample_format) -> None:
     encoder = Encoder(sample_format, 2, 8)
     first = np.linspace(-1.0, 1.0, 16, dtype=np.float32).reshape(8, 2)
@@ -95,17 +95,3 @@ def test_blocks_do_not_depend_on_those_before_them(sample_format) -> None:
         assert not encoder.decode_last().any()
     np.testing.assert_array_equal(meant, kept[1])
     assert encoder.encode(first) == kept[0]
-
-
-@pytest.mark.parametrize("sample_format", SampleFormat)
-def test_silence_has_its_length_and_nothing_in_it(sample_format) -> None:
-    encoder = Encoder(sample_format, 2, 8)
-    for frames in (8, 5, 0):
-        assert encoder.silence(frames) == bytes(frames * 2 * sample_format.bytes_per_sample)
-
-
-@given(frames=arrays(np.float32, (4, 2), elements=st.floats(width=32)))
-def test_floats_pass_bit_for_bit(frames) -> None:
-    encoder = Encoder(SampleFormat.FLOAT32, 2, 4)
-    assert encoder.encode(frames) == frames.tobytes()
-    assert encoder.decode_last().tobytes() == frames.tobytes()
