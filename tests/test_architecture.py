@@ -84,6 +84,7 @@ def test_the_table_lists_every_room_and_no_other(package: str) -> None:
     assert listed - modules == folders
 
 
+@pytest.mark.exhaustive
 def test_a_room_imports_only_rooms_that_stand_below_it_in_the_table() -> None:
     floors = {room: len(ROOMS) - index for index, room in enumerate(ROOMS)}
     wrong = []

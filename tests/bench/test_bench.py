@@ -443,6 +443,7 @@ def test_a_tone_is_the_same_at_the_end_of_a_short_soak(record):
     assert record.thdn_end_db <= -60.0
 
 
+@pytest.mark.exhaustive
 def test_a_short_soak_of_the_scene_counts_hops_and_memory():
     record = soak.soak_scene(hops=500)
     assert record.hops is not None

@@ -94,6 +94,7 @@ def damaged(small, tmp_path):
 # ------------------------------------------------------------------------ cut at every byte offset
 
 
+@pytest.mark.exhaustive
 def test_an_index_cut_anywhere_gives_the_buffers_whose_lines_are_whole(damaged):
     index = damaged / INDEX_NAME
     content = index.read_bytes()
@@ -461,6 +462,7 @@ def flipped(path, offset):
     flip()
 
 
+@pytest.mark.exhaustive
 def test_any_damaged_byte_of_the_index_costs_at_most_the_buffers_of_its_lines(damaged):
     index = damaged / INDEX_NAME
     for offset in range(index.stat().st_size):

@@ -437,7 +437,7 @@ def test_an_acceleration_that_cannot_be_finished_leaves_the_older_vibration(tmp_
     assert listing(out.parent) == {out.name: b"old"}
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("command", ["inspect", "--help"])
 def test_a_stdout_that_cannot_be_written_is_an_error_of_one_line(source, command):
     arguments = [source] if command == "inspect" else []
@@ -446,7 +446,7 @@ def test_a_stdout_that_cannot_be_written_is_an_error_of_one_line(source, command
     assert "No space left on device" in refused(done, 5)
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("number", "stream"), [(1, "stdout"), (2, "stderr")])
 def test_a_stream_that_is_closed_keeps_nobody_from_rendering(source, out, number, stream):
     closed = {stream: None, "preexec_fn": lambda: os.close(number)}
@@ -490,7 +490,7 @@ def long_source(tmp_path_factory):
     return path
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGTERM", "SIGINT"])
 def test_a_signal_in_the_middle_leaves_the_folder_as_it_was(long_source, out, name):
     if name == "SIGKILL" and not has_nameless_files(out.parent):

@@ -48,6 +48,7 @@ def refused(laboratory):
     return str(caught.value)
 
 
+@pytest.mark.exhaustive
 def test_the_twin_is_calibrated_and_its_file_holds_what_was_identified(tmp_path):
     path = tmp_path / "mine.toml"
     done = call("calibrate", "--device", "twin", "--json", "--out", path)

@@ -237,7 +237,7 @@ def test_a_killed_capture_replays_to_its_last_whole_buffer_with_a_warning(tmp_pa
     assert soundfile.info(out).frames == report["frames"]
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_capture_is_finished_and_replays_without_a_warning(
     tmp_path, endless, number

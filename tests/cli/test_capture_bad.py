@@ -199,7 +199,7 @@ def test_what_is_playing_cannot_be_dumped_yet_and_an_application_not_captured(tm
     assert not (tmp_path / "cap").exists()
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("options", [[], ["--tap", "default"], ["--tap", "speakers"]])
 def test_without_a_sound_server_nothing_that_plays_is_captured(tmp_path, options):
     env = {"PULSE_SERVER": f"unix:{tmp_path / 'none'}"}

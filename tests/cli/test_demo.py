@@ -58,6 +58,7 @@ def demo(tmp_path_factory):
     return done, folder / "out"
 
 
+@pytest.mark.exhaustive
 def test_the_demo_writes_the_sound_the_vibration_and_the_acceleration(demo):
     _, out = demo
     assert listing(out).keys() >= SOUNDS
@@ -108,6 +109,7 @@ def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()
 
 
+@pytest.mark.exhaustive
 def test_every_sound_of_the_scene_is_felt_and_its_silence_is_not(demo):
     _, out = demo
     felt = vibration(out / "vibration.wav")[:, 0]
@@ -258,7 +260,7 @@ def test_a_file_in_the_place_of_the_folder_is_refused_and_unharmed(tmp_path):
     assert listing(tmp_path) == {"out": b"mine"}
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", ["scene.wav", "vibration.wav", "acceleration.wav", "report.png"])
 def test_a_folder_in_the_place_of_a_file_is_refused_before_anything_is_written(tmp_path, name):
     (tmp_path / name).mkdir()

@@ -40,7 +40,7 @@ def tracks_of(lines):
     return rows
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("at_s", "states"),
     [

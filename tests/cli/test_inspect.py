@@ -167,6 +167,7 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path):
     assert process.returncode == 0
 
 
+@pytest.mark.exhaustive
 def test_inspect_runs_as_a_command(tmp_path):
     source = sound(tmp_path / "in.wav", five_tones(0.5, RATE))
     done = cushion("inspect", "in.wav", "--json", cwd=tmp_path)

@@ -137,7 +137,7 @@ def test_status_tells_of_each_and_a_reload_reaches_them_without_a_gap(tmp_path, 
     assert blocks[-100:-20, 0].max() < 0.02 * blocks[:, 0].max()
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("device", "words"),
     [

@@ -102,7 +102,7 @@ def test_a_file_ends_by_itself_when_its_vibration_has_run_out(tmp_path, folder):
     assert soundfile.info(tmp_path / "out.wav").samplerate == 44_100
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("transform", ["live", "reference"])
 def test_what_was_recorded_of_a_capture_with_many_formats_is_the_same_again(
     tmp_path, folder, transform
@@ -141,7 +141,7 @@ def test_the_device_stream_is_what_went_into_the_file(tmp_path, folder):
     assert Capture(record).warnings == []
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_run_leaves_whole_files(tmp_path, folder, number):
     out, record = tmp_path / "out.wav", tmp_path / "rec"

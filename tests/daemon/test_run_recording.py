@@ -111,7 +111,7 @@ def test_a_replay_gives_the_recorded_effect_bit_for_bit(tmp_path, settings):
     assert len(owed) >= run.engine.framework.latency_frames
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", range(4))
 def test_formats_in_any_order_are_the_same_again(tmp_path, seed):
     order = np.random.default_rng(seed).permutation(len(FORMATS))

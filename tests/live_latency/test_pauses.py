@@ -97,6 +97,7 @@ def test_one_core_that_is_taken_away_is_a_pause_only_of_that_core() -> None:
         assert starts_s == sorted(starts_s)
 
 
+@pytest.mark.exhaustive
 def test_who_is_killed_leaves_no_witness_behind() -> None:
     watches = (
         "from tools.live_latency.pauses import PauseWitness\n"

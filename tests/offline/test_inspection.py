@@ -75,7 +75,7 @@ def test_other_parameters_reach_the_transform(source):
     assert max(len(unit.principal) for unit in found) == 5
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("blocksize", [1, 7, 1_000, WINDOW, 2 * WINDOW + 1, 10**6])
 def test_the_blocksize_changes_nothing(source, blocksize):
     expected = list(inspect_file(source))

@@ -136,7 +136,7 @@ def test_unusable_samples_are_counted_once_wherever_they_lie(tmp_path, out, shor
     assert told_together.replaced_samples == told.replaced_samples == 40
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "settings",
     [

@@ -80,6 +80,7 @@ def test_each_figure_is_a_picture_and_a_table(drawn):
         assert (drawn[0] / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("name", NAMES)
 def test_no_words_leave_the_sheet_or_cover_others(drawn, name):
     sheet = drawn[1][name]
@@ -133,7 +134,7 @@ def test_the_response_is_that_of_mass_spring_and_friction(drawn):
     assert at_90_deg == pytest.approx(90.0, abs=3.0)
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("resonance_hz", [60.0, 130.0])
 def test_the_measured_resonance_is_the_rigs_own(resonance_hz):
     rig = replace(PAPER, actuator=replace(PAPER.actuator, resonance_hz=resonance_hz))

@@ -120,7 +120,7 @@ def test_a_file_in_any_blocksize_gives_the_same_bytes(
     assert np.array_equal(vibration(path), expected[form])
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("blocksize", BLOCKSIZES)
 def test_a_scene_in_any_blocksize_gives_the_same_bytes(

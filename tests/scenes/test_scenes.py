@@ -130,7 +130,7 @@ def test_making_the_demo_scene_takes_less_than_a_second_and_a_half_of_a_quick_ma
     assert cost_ffts(lambda: demo_scene(SAMPLERATE)) < in_ffts(1.5)
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("samplerate", [16_000, 22_050, 44_100, 96_000])
 def test_the_demo_scene_keeps_its_shape_at_other_rates(samplerate):
     scene = demo_scene(samplerate)

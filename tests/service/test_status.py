@@ -239,6 +239,7 @@ def test_who_waits_says_for_what_and_why():
     assert "bypassed" not in shown
 
 
+@pytest.mark.exhaustive
 @given(statuses, st.integers(20, 200))
 def test_no_line_is_wider_than_the_terminal_whatever_the_names_are(status, width):
     shown = status_text(status, width)

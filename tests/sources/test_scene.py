@@ -150,6 +150,7 @@ def test_a_pause_that_is_no_time_while_the_track_plays_is_refused(pause_s):
 # --- the demo
 
 
+@pytest.mark.exhaustive
 def test_the_demo_has_tracks_of_many_rates_and_formats_and_one_that_pauses():
     tracks = demo_scene().tracks
     assert len({one.samplerate for one in tracks}) >= 4

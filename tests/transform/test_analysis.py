@@ -143,6 +143,7 @@ def test_it_finds_what_numpy_finds(kind, samplerate):
         assert len(ours.all_principal(spectra)) >= len(spectra)
 
 
+@pytest.mark.exhaustive
 def test_it_finds_what_numpy_finds_in_recordings():
     found = 0
     for path in require_recordings():

@@ -87,7 +87,7 @@ def test_twins_agree_on_the_demo_scene():
     assert assert_twins(mixdown(demo_scene()), 48_000).any()
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @needs_kernel
 @pytest.mark.parametrize("level", [0.05, 1.0, 8.0])
 def test_twins_agree_on_recordings_at_any_level(level):
@@ -214,7 +214,7 @@ def at_the_limits():
                     yield values
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @needs_kernel
 @pytest.mark.parametrize("kind", ["noise", "sweep", "square", "clicks", "Nyquist's frequency"])
 def test_twins_agree_with_every_parameter_at_its_limits(kind):

@@ -85,7 +85,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("command", "made"),
     [
@@ -165,7 +165,7 @@ def without_use_of(path, tmp_path):
     return done.stderr
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.skipif(kernel_warning() is not None, reason=str(kernel_warning()))
 @pytest.mark.parametrize(
     "share", [0.02, *(pytest.param(s, marks=pytest.mark.exhaustive) for s in (0.001, 0.5, 0.9))]
@@ -179,7 +179,7 @@ def test_a_kernel_that_is_cut_off_is_told_and_not_loaded(tmp_path, share):
     assert "_kernel" in without_use_of(cut, tmp_path)
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("text", "why"),
     [("raise SystemError('out of order')", "out of order"), ("", "another version")],

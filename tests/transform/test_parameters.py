@@ -204,7 +204,7 @@ def test_what_follows_from_the_parameters_keeps_its_equations(window_s, low, hig
         assert parameters.unit_strength_hz(samplerate) == 1.30 * samplerate / frames
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "form",
     [

@@ -57,7 +57,7 @@ def energy_db(vibration, from_s, to_s, samplerate=RATE):
     return 10.0 * np.log10((part**2).mean())
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("form", FORMS)
 def test_speech_is_lowered_once_it_is_known(form):
     plain, lowered = (played(talk(8), RATE, form=form, parameters=p)[:, 0] for p in (OFF, ON))

@@ -207,6 +207,7 @@ def heard(hz: float, ppm: float, jitter_s: float, samplerate_out: int, keep_s: f
     return np.concatenate(parts)
 
 
+@pytest.mark.sweep
 @pytest.mark.parametrize("samplerate_out", [pytest.param(48_000, marks=EXHAUSTIVE), 44_100])
 @pytest.mark.parametrize("hz", [20, pytest.param(90, marks=EXHAUSTIVE), 250])
 def test_a_sine_of_the_vibration_band_stays_a_sine(hz: float, samplerate_out: int) -> None:

@@ -274,6 +274,7 @@ def test_blocks_of_another_shape_are_a_mistake_of_the_program(shape: tuple[int, 
         line.read(np.zeros(shape, np.float32), 0.0)
 
 
+@pytest.mark.exhaustive
 def test_memory_does_not_grow() -> None:
     line = DelayLine(2, 48_000, 48_000)
     block = np.zeros((256, 2), np.float32)

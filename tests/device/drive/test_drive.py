@@ -405,6 +405,7 @@ def test_with_nothing_asked_for_the_drive_is_the_identity_without_a_copy(
     assert drive.drain().shape == (0, channels)
 
 
+@pytest.mark.exhaustive
 @given(
     channels=st.integers(1, 4),
     lengths=st.lists(st.integers(1, 9_000), min_size=1, max_size=4),

@@ -270,6 +270,7 @@ def test_transmission_scales_the_reading():
     assert quarter == pytest.approx(full / 4.0, rel=1e-12)
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=20)
 @given(
     st.lists(st.integers(0, 12_000), max_size=10),

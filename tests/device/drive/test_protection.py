@@ -118,6 +118,7 @@ def test_no_tones_and_bursts_exceed_the_excursion_at_any_f0_within_ten_percent(f
     assert protector.status().infeasible_blocks == 0
 
 
+@pytest.mark.exhaustive
 @settings(max_examples=60)
 @given(
     st.lists(st.tuples(st.integers(1, 60), st.floats(-3.0, 3.0)), min_size=1, max_size=40),

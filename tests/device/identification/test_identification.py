@@ -54,7 +54,7 @@ def recordings(bench, sweep):
 
 
 # 23 and 65 stand on seats without which their response is not explained.
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     "seed",
     [
@@ -134,6 +134,7 @@ def test_a_known_mass_gives_the_force_factor(recordings):
     assert force_factor.relative > 0.5 * 0.02  # half of the mass's share
 
 
+@pytest.mark.exhaustive
 def test_acceleration_alone_gives_the_mechanics_of_a_rig_whose_coil_is_known(recordings):
     mode = identify_mode(recordings[0], X_MAX_M)
     found = solve_mechanics(mode, PAPER)
@@ -155,6 +156,7 @@ def test_what_the_conditioning_amplifier_does_is_taken_out():
     assert mode.q.value == pytest.approx(true.q, rel=2e-3)
 
 
+@pytest.mark.exhaustive
 def test_the_transfer_function_is_coherent_and_its_peak_is_the_modes(recordings):
     found = estimate_transfer(recordings[0])
     assert np.median(found.coherence) > 0.99
@@ -190,7 +192,7 @@ def test_what_a_linear_twin_does_is_not_called_distortion():
         assert least <= second.largest_share < most
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("low_hz", [60.0, 150.0, 199.0])
 def test_a_narrow_band_has_room_for_fewer_orders(low_hz):
     sweep = Sweep(low_hz=low_hz, high_hz=400.0, duration_s=20.0, level=0.01)
@@ -284,7 +286,7 @@ def test_the_wrong_channel_is_refused_be_it_other_sound_or_the_drive_itself(reco
     assert "is the voltage itself, times 3" in refused(loop)
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("low_hz", "high_hz"), [(150.0, 600.0), (10.0, 60.0)])
 def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_hz):
     bench = SimulatedLaboratory(PAPER, snr_db=20.0)

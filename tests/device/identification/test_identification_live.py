@@ -74,7 +74,7 @@ def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(ri
     assert sources["actuator.resonance_hz"].kind == "identified"
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("drift_ppm", [-120.0, pytest.param(120.0, marks=EXHAUSTIVE)])
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_acceleration_for_what_was_played_needs_neither_one_clock_nor_a_polarity(drift_ppm, sign):
@@ -303,7 +303,7 @@ def test_channels_that_are_swapped_give_no_number_and_are_a_thing_to_check(wired
         calibrate(laboratory, PAPER, SWEEP, pairs=inputs.pairs)
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(("low_hz", "high_hz"), [(120.0, 500.0), (10.0, 60.0)])
 def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_hz):
     sweep = replace(SWEEP, low_hz=low_hz, high_hz=high_hz)

@@ -45,6 +45,7 @@ def rounded_half_away(sample: float, bits: int) -> int:
     return magnitude if exact >= 0 else -magnitude
 
 
+@pytest.mark.exhaustive
 @integers
 @given(frames=blocks)
 def test_every_sample_is_clamped_and_rounded_half_away_from_zero(sample_format, frames) -> None:

@@ -100,6 +100,7 @@ def test_devices_lists_it_with_name_card_and_formats(uac: int) -> None:
     assert device["formats"][0]["channels"] == 2
 
 
+@pytest.mark.exhaustive
 def test_two_alike_are_told_apart_by_their_ports() -> None:
     twins = [plugged(2), plugged(2, "1-2", 6, card=2)]
     done = cushion(twins, "devices", "--json")
@@ -249,6 +250,7 @@ def test_without_permission_all_that_the_kernel_tells_is_shown_and_the_way_out(u
     assert json.loads(listed.stdout)["usb"][0]["device"] == f"usb:1209:dac{uac}:SN1"
 
 
+@pytest.mark.exhaustive
 def test_no_bus_no_device_and_no_libusb_are_three_messages(tmp_path: Path) -> None:
     empty = cushion([], "usb", "describe")
     assert empty.returncode == 3
@@ -300,7 +302,7 @@ def test_a_card_s_own_mixer_is_read_and_set_and_never_above_0_db() -> None:
     assert rest == [0.0, -20.0, [True], 0.0, "volume nan dB is not a number; choose one up to 0"]
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @versions
 def test_while_its_driver_holds_it_volume_and_mute_are_told_by_the_card_s_mixer(uac: int) -> None:
     name = f"usb:1209:dac{uac}"
