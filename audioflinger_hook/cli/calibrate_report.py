@@ -60,8 +60,8 @@ def table(found: Calibration, devices: Devices | None) -> str:
         for parameter, estimate in found.values.items()
     ]
     if found.driven:
-        rows += _mode(found.driven, scaled=found.level_of_x_max is not None, found=found)
-    rows += [line for one in found.qualities for line in _lines(one)]
+        rows += _mode(found.driven, found)
+    rows += [_line(one) for one in found.qualities]
     if found.level_of_x_max is not None:
         rows.append(f"swept at {found.level_of_x_max:.3f} Xmax; intervals are of 95 %")
     else:
@@ -77,13 +77,14 @@ def table(found: Calibration, devices: Devices | None) -> str:
     return "\n".join(rows)
 
 
-def _mode(mode: Mode, *, scaled: bool, found: Calibration) -> list[str]:
+def _mode(mode: Mode, found: Calibration) -> list[str]:
     f0, q, s = mode.f0_hz, mode.q, mode.sensitivity
     rows = [f"driven by its amplifier: {f0.value:.2f} Hz, Q {q.value:.2f}"]
     if found.mode is None and found.impedance is None:
         rows[0] += f" ({f0.low:.3f} to {f0.high:.3f} Hz, Q {q.low:.3f} to {q.high:.3f})"
-        if scaled:
-            unit = "V" if ("voltage", "acceleration") in _names(found) else "full scale"
+        if found.level_of_x_max is not None:
+            measured = {one.names for one in found.qualities}
+            unit = "V" if ("voltage", "acceleration") in measured else "full scale"
             rows.append(
                 f"sensitivity above the resonance: {s.value:.4g} m/s² per {unit} "
                 f"({s.low:.4g} to {s.high:.4g})"
@@ -93,11 +94,7 @@ def _mode(mode: Mode, *, scaled: bool, found: Calibration) -> list[str]:
     return rows
 
 
-def _names(found: Calibration) -> list[tuple[str, str]]:
-    return [one.names for one in found.qualities]
-
-
-def _lines(one: Quality) -> list[str]:
+def _line(one: Quality) -> str:
     what = f"{one.names[1]} for {one.names[0]}"
     line = f"{what}: coherence {one.coherence:.4f}"
     if one.low_hz:
@@ -109,4 +106,4 @@ def _lines(one: Quality) -> list[str]:
         for h in one.harmonics
         if h.largest_share
     ]
-    return [f"{line}; distortion by order {', '.join(orders) or 'below the noise'}"]
+    return f"{line}; distortion by order {', '.join(orders) or 'below the noise'}"

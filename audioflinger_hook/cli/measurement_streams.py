@@ -77,27 +77,24 @@ class MeasurementStreams:
                 stack.callback(FallbackSink(self._connection).close)
             outward = self._pcms.pcms[OUTPUT]
             outward.target = self._output.target
+            rate, out, source = self.samplerate, self._output, self._source
             playback = PlaybackStream(
                 outward,
-                self.samplerate,
-                self._output.channels,
+                rate,
+                out.channels,
                 exchange.fill,
                 block_frames=BLOCK_FRAMES,
-                sample_format=self._output.sample_format,
+                sample_format=out.sample_format,
             )
             stack.callback(playback.close)
             inward = self._pcms.pcms[INPUT]
-            inward.target = self._source.target
+            inward.target = source.target
             capture = CaptureStream(
-                inward,
-                self.samplerate,
-                self._source.channels,
-                exchange.on_frames,
-                block_frames=BLOCK_FRAMES,
+                inward, rate, source.channels, exchange.on_frames, block_frames=BLOCK_FRAMES
             )
             stack.callback(capture.close)
             guards = []
-            for stream, endpoint in ((playback, self._output), (capture, self._source)):
+            for stream, endpoint in ((playback, out), (capture, source)):
                 if endpoint.guarded and self._connection is not None:
                     guard = StreamGuard(self._connection, stream, endpoint.name, any_source=True)
                     stack.callback(guard.release)
@@ -105,9 +102,11 @@ class MeasurementStreams:
                 else:
                     stream.audible = True
             stack.callback(exchange.abort, LostError("the measurement was aborted"))
-            watch = _Watch(playback, capture, guards, (self._output.name, self._source.name))
+            watch = _Watch((playback, capture), guards, (out.name, source.name))
             watch.settle(exchange)
-            watch.until_the_end(exchange)
+            while not exchange.wait(_POLL_S):
+                if error := watch.problem(time.monotonic()):
+                    exchange.abort(error)
 
 
 class _Watch:
@@ -115,14 +114,11 @@ class _Watch:
 
     def __init__(
         self,
-        playback: PlaybackStream,
-        capture: CaptureStream,
+        streams: tuple[PlaybackStream, CaptureStream],
         guards: list[StreamGuard],
         names: tuple[str, str],
     ) -> None:
-        self._streams = playback, capture
-        self._guards = guards
-        self._names = names
+        self._streams, self._guards, self._names = streams, guards, names
 
     def settle(self, exchange: Exchange) -> None:
         """Start the measurement when both run; LostError if that takes too long."""
@@ -141,17 +137,11 @@ class _Watch:
         self._before = self._counts()
         exchange.begin()
 
-    def until_the_end(self, exchange: Exchange) -> None:
-        """Wait for the end, or abort at the first error."""
-        while not exchange.wait(_POLL_S):
-            error = self._wrong(time.monotonic())
-            if error is not None:
-                exchange.abort(error)
-
     def _counts(self) -> list[tuple[int, int, int]]:
         return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self._streams]
 
-    def _wrong(self, now_s: float) -> CushionError | None:
+    def problem(self, now_s: float) -> CushionError | None:
+        """Return what ends the measurement, if anything."""
         for guard in self._guards:
             if not guard.hold.audible:
                 return LostError(

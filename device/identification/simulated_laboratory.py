@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from device.errors import UsageError
-from device.identification.recording import ComplexArray, Recording
+from device.identification.recording import Recording
 from device.identification.sweep import Sweep
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier, Dac
@@ -31,8 +31,8 @@ class SimulatedLaboratory:
         It must describe its instruments.
     seat : bool
         The actuator is on the rig's seat.
-    level : ModelLevel | None
-        The model of the actuator; None selects it block by block.
+    level : ModelLevel
+        The model of the actuator.
     snr_db : float
         Noise added to each signal, in the whole recorded band, relative to it during the sweep.
     seed : int
@@ -49,7 +49,7 @@ class SimulatedLaboratory:
         rig: Rig,
         *,
         seat: bool = False,
-        level: ModelLevel | None = ModelLevel.NONLINEAR,
+        level: ModelLevel = ModelLevel.NONLINEAR,
         snr_db: float = math.inf,
         seed: int = 0,
     ) -> None:
@@ -79,16 +79,17 @@ class SimulatedLaboratory:
         current_range = min(
             amplifier.current_limit_a, amplifier.output_limit_v / self.rig.actuator.resistance_ohm
         )
-        seeds = np.random.SeedSequence(self._seed).spawn(3)
-        noisy = [
+        acceleration, current = (
             self._add_noise(sweep, signal, np.random.default_rng(seed))
             for signal, seed in zip(
-                (motion.acceleration_m_s2, motion.current_a, voltage), seeds, strict=True
+                (motion.acceleration_m_s2, motion.current_a),
+                np.random.SeedSequence(self._seed).spawn(2),
+                strict=True,
             )
-        ]
+        )
         read = {
-            "acceleration": chain.acceleration_m_s2(noisy[0]),
-            "current": _read_scaled(daq, current_range, rate, self._seed + 2, noisy[1]),
+            "acceleration": chain.acceleration_m_s2(acceleration),
+            "current": _read_scaled(daq, current_range, rate, self._seed + 2, current),
             # The reference is a divider's volts: loud, without the noise of the others.
             "voltage": _read_scaled(daq, amplifier.output_limit_v, rate, self._seed + 3, voltage),
         }
@@ -98,17 +99,15 @@ class SimulatedLaboratory:
             "current": current_range * (1.0 - step),
             "voltage": amplifier.output_limit_v * (1.0 - step),
         }
-        return [
-            Recording(
-                sweep,
-                read[reference],
-                read[response],
-                (reference, response),
-                (limits[reference], limits[response]),
-                _correction(chain, sweep, response),
-            )
-            for reference, response in pairs
-        ]
+        recordings = []
+        for pair in pairs:
+            reference, response = pair
+            ends = limits[reference], limits[response]
+            found = Recording(sweep, read[reference], read[response], pair, ends)
+            if response == "acceleration":
+                found = replace(found, correction=chain.band.response(found.frequencies_hz))
+            recordings.append(found)
+        return recordings
 
     def _add_noise(
         self, sweep: Sweep, signal: FloatArray, random: np.random.Generator
@@ -149,11 +148,3 @@ def _read_scaled(
     """Read a signal through a divider or shunt that fits the DAQ's range."""
     scale = full_range / daq.range_v
     return np.asarray(Daq(daq, rate, seed).volts(signal / scale) * scale)
-
-
-def _correction(chain: InstrumentChain, sweep: Sweep, response: str) -> ComplexArray | None:
-    """Return the conditioning amplifier's response for a recording of acceleration."""
-    if response != "acceleration":
-        return None
-    bins = Recording(sweep, np.zeros(sweep.frames), np.zeros(sweep.frames)).frequencies_hz
-    return chain.band.response(bins)

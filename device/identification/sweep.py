@@ -47,10 +47,11 @@ class Sweep:
         if wrong := [words for words, holds in checks.items() if not holds]:
             raise UsageError(f"sweep: {'; '.join(wrong)}; choose another value")
 
-    @property
-    def rise_s(self) -> float:
-        """Time in which the frequency rises by a factor of e."""
-        return self.duration_s / math.log(self.high_hz / self.low_hz)
+    def wave(self, frames: int, duration_s: float) -> FloatArray:
+        """Return a sweep of that duration over the band, (frames,), without fades."""
+        rise_s = duration_s / math.log(self.high_hz / self.low_hz)
+        time_s = np.arange(frames) / self.samplerate
+        return np.asarray(np.sin(math.tau * self.low_hz * rise_s * np.expm1(time_s / rise_s)))
 
     @property
     def lead_frames(self) -> int:
@@ -65,9 +66,7 @@ class Sweep:
     def samples(self) -> FloatArray:
         """Return (frames,) between ±level, faded in over two periods and out over 1 %."""
         sounding = round(self.duration_s * self.samplerate)
-        time_s = np.arange(sounding) / self.samplerate
-        rise = self.rise_s
-        wave = np.sin(math.tau * self.low_hz * rise * np.expm1(time_s / rise))
+        wave = self.wave(sounding, self.duration_s)
         fade_in = min(2.0 / self.low_hz, 0.1 * self.duration_s)
         for frames, part in (
             (round(fade_in * self.samplerate), wave),
@@ -80,7 +79,7 @@ class Sweep:
 
     def harmonic_lead_s(self, order: int) -> float:
         """Return how long a harmonic's response precedes the linear one: 0 for order 1."""
-        return self.rise_s * math.log(order)
+        return self.duration_s / math.log(self.high_hz / self.low_hz) * math.log(order)
 
 
 MARK_S, GAP_S, REST_S = 0.25, 0.4, 0.2
@@ -113,18 +112,15 @@ class Excitation:
 
     @property
     def frames(self) -> int:
-        """Frames of sweep and silences."""
-        rest = round(REST_S * self.sweep.samplerate)
-        return self.second_mark + self.mark_frames + rest
+        """Frames of sweep, marks and silences."""
+        return self.second_mark + self.mark_frames + round(REST_S * self.sweep.samplerate)
 
     @cached_property
     def samples(self) -> FloatArray:
         """(frames,) between ±level of the sweep; read only."""
         sweep = self.sweep
         whole = np.zeros(self.frames)
-        time_s = np.arange(self.mark_frames) / sweep.samplerate
-        rise_s = MARK_S / math.log(sweep.high_hz / sweep.low_hz)
-        wave = np.sin(math.tau * sweep.low_hz * rise_s * np.expm1(time_s / rise_s))
+        wave = sweep.wave(self.mark_frames, MARK_S)
         wave *= sweep.level * np.hanning(len(wave)) ** 0.25
         whole[: len(wave)] = wave
         whole[self.sweep_start : self.second_mark] = sweep.samples()

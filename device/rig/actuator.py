@@ -5,26 +5,21 @@ follows from the same co-energy:
 
     m x'' + c x' + k x = Bl i            v = (R + Rs) i + L di/dt + Bl x'
 
-Between samples the voltage is taken as a straight line (first-order hold), and for such a voltage
-the solution is exact. Before the first sample it was 0.
+The solution is exact for a voltage that is a straight line between samples (first-order hold).
+Before the first sample it was 0. All quantities share three poles: the voltage passes through them
+once, and each quantity is a sum of the last four results. The order of all sums is fixed, so the
+bytes do not depend on how the signal is split into blocks.
 
-The exact step s[n] = P s[n-1] + A v[n-1] + B v[n] (Van Loan 1978) has three poles, which all
-quantities share. The voltage passes once through the poles, as second-order sections. Each quantity
-is a sum of the last four results, with its own four taps. The order of all sums is fixed, so the
-bytes do not depend on how the signal is split into blocks. As v[n] enters s[n], the last sample of
-a block is the true state there.
-
-One compiled function computes all quantities. SciPy and NumPy replace it where it could not be
-built: the same sums in the same order, at three times the cost in long blocks and nine in short.
+One compiled function computes all quantities; where it could not be built, SciPy and NumPy compute
+the same sums in the same order.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.signal import sosfilt
 
@@ -92,9 +87,8 @@ _TAPS = 4
 _ABSURD_V = 1e100
 _SILENT_V = 1e-30
 _PART_FRAMES = 32_768
-"""The signal is computed in parts that end at multiples of this, which bounds the memory. There a
-decayed state is set to 0, at fixed places, so that the result does not depend on the blocks.
-Denormal numbers, which are slow on many processors, would come far later."""
+"""The signal is computed in parts that end at multiples of this. There a decayed state is set to 0:
+at fixed places, so that the result does not depend on the blocks."""
 
 
 @dataclass(frozen=True)
@@ -169,15 +163,9 @@ class LinearActuator:
         while start < len(volts):
             stop = min(start + self._frames_to_check, len(volts))
             if blocks.compiled is not None:
+                taps = self._taps_of(wanted)
                 self.replaced_samples += blocks.compiled.linear_motion(
-                    volts,
-                    self._poles,
-                    self._state,
-                    self._taps_of(wanted),
-                    moved,
-                    start,
-                    stop,
-                    _ABSURD_V,
+                    volts, self._poles, self._state, taps, moved, start, stop, _ABSURD_V
                 )
             else:
                 recent = self._pass_poles(volts[start:stop])
@@ -235,7 +223,12 @@ def _filters(
     """Return the poles' sections, (2, 6), with gain 1 at 0 Hz, and each quantity's taps, (4,)."""
     rate, drive, rows = state_space(p, source_impedance_ohm)
     step, from_last, from_new = first_order_hold(rate, drive, 1.0 / samplerate)
-    poles = _sections_of(np.linalg.eigvals(rate), 1.0 / samplerate)
+    # The real pole, then the pair: complex, or the two slower real ones if it is overdamped. One
+    # section of third order with all its poles close to 1 would lose digits.
+    rates = np.linalg.eigvals(rate)
+    order = np.lexsort((rates.real, np.abs(rates.imag)))
+    single, *pair = np.exp(rates[order] / samplerate)
+    poles = np.array([_section(single, 0j), _section(*pair)])
 
     # The state after the first samples of an impulse; the taps make the poles reproduce it.
     states = [from_new, step @ from_new + from_last]
@@ -250,19 +243,8 @@ def _filters(
     return poles, taps
 
 
-def _sections_of(rates: NDArray[Any], period_s: float) -> FloatArray:
-    """Return second-order sections with the poles exp(rate T): one real, then the pair.
-
-    The pair is complex, or the two slower real ones if it is overdamped. One section of third order
-    with all its poles close to 1 would lose digits.
-    """
-    order = np.lexsort((rates.real, np.abs(rates.imag)))
-    single, *pair = np.exp(rates[order] * period_s)
-    return np.array([_section([complex(single), 0j]), _section([complex(z) for z in pair])])
-
-
-def _section(poles: list[complex]) -> list[float]:
+def _section(first: complex, second: complex) -> list[float]:
     """Return (b0, b1, b2, a0, a1, a2) for two real or conjugate poles, gain 1 at 0 Hz."""
-    first, second = poles
+    first, second = complex(first), complex(second)
     gain = ((1 - first) * (1 - second)).real
     return [gain, 0.0, 0.0, 1.0, -(first + second).real, (first * second).real]

@@ -11,8 +11,7 @@ e_n of d_n changes the residual by R e_n, and e_n+1 of d_n+1 by -Q e_n+1. Theref
 
     e_n+1 = Q^-1 R e_n + Q^-1 left_n,    Q, R = I ∓ h/6 J_n,n+1 ∓ h/3 J_m + h^2/12 J_m J_n,n+1
 
-which is one solution with a lower triangular band. If J is the linear part, Q and R are constant,
-and the result solves the linear equations for any known remainder.
+which is one solution with a lower triangular band. If J is the linear part, Q and R are constant.
 """
 
 from dataclasses import dataclass
@@ -26,8 +25,7 @@ from device.units import FloatArray
 
 MAX_ITERATIONS = 12
 CONVERGED = 1e-9
-"""Largest predicted next change of Newton's method, as a share of the block's largest excursion,
-flux and speed."""
+"""Largest predicted next change of Newton's method, as a share of the block's largest values."""
 _FREEZE = 0.05
 """Below this change the Jacobian is reused: convergence is then fast enough."""
 

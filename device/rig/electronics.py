@@ -16,12 +16,7 @@ _MAX_CORNER = 0.45
 class Band:
     """A high-pass and a low-pass, Butterworth of second order. One thread calls `filter`.
 
-    Parameters
-    ----------
-    low_cut_hz, high_cut_hz : float
-        The corners, -3 dB; 0 and infinity leave an end open.
-    samplerate : float
-        Hz.
+    The corners are at -3 dB; 0 and infinity leave an end open.
     """
 
     def __init__(self, low_cut_hz: float, high_cut_hz: float, samplerate: float) -> None:

@@ -5,8 +5,7 @@ times the change by a second one. Both begin with the best known state, so the e
 what cheap models of earlier blocks left ringing.
 
 If blocks with no larger excursion exceeded the tolerance with all cheap models, the non-linear
-model is used without an estimate, for several such blocks together. It is the most expensive, so
-this may cost a little but never accuracy. From time to time the estimate is made nonetheless.
+model is used without an estimate, for several such blocks together. Now and then it is made anyway.
 """
 
 import math
@@ -31,8 +30,7 @@ _NONLINEAR_ERROR = 1e-6
 _BEYOND = 3.0
 """A block is beyond a correction if the estimated error exceeds the tolerance by this factor."""
 _BEYOND_SHARE = 0.7
-"""Blocks with this share of such a block's excursion are assumed to be beyond it as well, because
-a correction's error grows with the square of the excursion."""
+"""Blocks with this share of such a block's excursion are assumed to be beyond it as well."""
 _RAISE = 1.2
 """If one of them is not, the assumption is raised to this multiple of its excursion."""
 _MAX_TOGETHER = 6

@@ -1,11 +1,9 @@
 """The model that never fails: one sample at a time, passive at any step size.
 
 The energy H(y, u, lambda) = V(y) + m u^2 / 2 + (lambda - Phi(y))^2 / 2 L(y) is differenced instead
-of differentiated (discrete gradient, Itoh and Abe 1988, averaged over both orders and therefore of
-second order). A step changes H exactly by the energy supplied less the heat, up to rounding. Flux,
-current and the frame's states follow from the excursion in closed form. One scalar equation
-remains. Its left side is unbounded in both directions, so a solution always exists, and bisection
-finds it if the secant method does not.
+of differentiated (discrete gradient, Itoh and Abe 1988, averaged over both orders). A step changes
+H exactly by the energy supplied less the heat, up to rounding. One scalar equation remains. Its
+left side is unbounded in both directions, so bisection always finds a solution.
 """
 
 import math
@@ -30,13 +28,7 @@ class _Tried(NamedTuple):
 
 
 class PassiveStepper:
-    """An actuator that is solved sample by sample. One thread calls it.
-
-    Attributes
-    ----------
-    state : list[float]
-        y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat.
-    """
+    """An actuator that is solved sample by sample. One thread calls it."""
 
     def __init__(self, equations: Equations, step_s: float) -> None:
         self.equations = equations
@@ -50,13 +42,13 @@ class PassiveStepper:
         )
         give = h * h / (2.0 * equations.mass) + (h / self._frame_drag if seat else 0.0)
         self._inertia = 1.0 / give
+        # y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat.
         self.state = [0.0, 0.0, 0.0, 0.0, 0.0]
 
     def move(self, volts: FloatArray, before_v: float) -> FloatArray:
         """Return y, u, lambda, z, z', current and u' after each of (frames,) volts, (7, frames).
 
-        Between samples the voltage is a straight line, which begins at before_v. All values are
-        finite for finite volts.
+        Between samples the voltage is a straight line, which begins at before_v.
         """
         result = np.empty((7, len(volts)))
         for frame, volt in enumerate(volts.tolist()):

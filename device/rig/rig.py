@@ -117,7 +117,13 @@ def find_contradictions(stages: dict[str, Any]) -> list[str]:
                     f"{name}, {stage.low_cut_hz!r} to {stage.high_cut_hz!r} Hz"
                 )
     if actuator and amplifier:
-        wrong += _drive_mode_contradictions(actuator, amplifier)
+        ratio = amplifier.source_impedance_ohm / actuator.resistance_ohm
+        if (amplifier.drive_mode == "current") != (ratio >= _MIN_CURRENT_DRIVE_RATIO):
+            wrong.append(
+                f"amplifier.drive_mode={amplifier.drive_mode!r} contradicts "
+                f"source_impedance_ohm={amplifier.source_impedance_ohm!r}, {ratio:.3g} times "
+                "actuator.resistance_ohm: at least 10 times makes a current drive"
+            )
     if actuator and accelerometer and accelerometer.resonance_hz < 5 * actuator.resonance_hz:
         wrong.append(
             f"accelerometer.resonance_hz={accelerometer.resonance_hz!r} must be at least five "
@@ -130,29 +136,7 @@ def find_contradictions(stages: dict[str, Any]) -> list[str]:
                 f"amplifier.output_limit_v={amplifier.output_limit_v!r} must be above one step "
                 f"of the DAC after the gain, {step_v:.3g} V"
             )
-    return wrong + _noise_contradictions(accelerometer, get("conditioning"), get("daq"))
-
-
-def _drive_mode_contradictions(a: ActuatorParameters, amplifier: AmplifierParameters) -> list[str]:
-    ratio = amplifier.source_impedance_ohm / a.resistance_ohm
-    words = (
-        f"amplifier.drive_mode={amplifier.drive_mode!r} contradicts "
-        f"source_impedance_ohm={amplifier.source_impedance_ohm!r}, {ratio:.3g} times "
-        "actuator.resistance_ohm"
-    )
-    if amplifier.drive_mode == "current" and ratio < _MIN_CURRENT_DRIVE_RATIO:
-        return [f"{words}: at least 10 times makes a current drive"]
-    if amplifier.drive_mode == "voltage" and ratio >= _MIN_CURRENT_DRIVE_RATIO:
-        return [f"{words}: that is a current drive"]
-    return []
-
-
-def _noise_contradictions(
-    accelerometer: AccelerometerParameters | None,
-    conditioning: ConditioningParameters | None,
-    daq: DaqParameters | None,
-) -> list[str]:
-    wrong = []
+    conditioning, daq = get("conditioning"), get("daq")
     if conditioning:
         noise_v = conditioning.noise_pc * conditioning.gain_v_per_pc
         for name, limit_v in (

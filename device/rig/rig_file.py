@@ -56,14 +56,12 @@ def read_rig(path: str | Path) -> Rig:
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is not text in UTF-8"
         raise UsageError(
-            f"cannot read the rig file {path}: {reason}; check the path, or choose one of: "
+            f"cannot read the rig file {path}: {reason}; check it, or choose one of: "
             + ", ".join(SHIPPED)
         ) from None
-    except UnicodeDecodeError:
-        raise UsageError(f"the rig file {path} is not text in UTF-8; save it as such") from None
     return parse_rig(text, path.stem, str(path))
 
 
@@ -109,12 +107,9 @@ class _Reading:
         before = len(self.wrong)
         known = {f.name: f for f in fields(kind)}  # type: ignore[arg-type]
         following = DERIVED if name == "actuator" else ()
-        self._refuse_unknown(f"{name}.", table, [*known, *following])
-        values = {
-            key: self._value(f"{name}.{key}", table[key])
-            for key in (*known, *following)
-            if key in table
-        }
+        every = [*known, *following]
+        self._refuse_unknown(f"{name}.", table, every)
+        values = {k: self._value(f"{name}.{k}", table[k]) for k in every if k in table}
         for key, description in known.items():
             if key not in values and description.default is MISSING:
                 self.wrong.append(f"{name}.{key} is missing")
@@ -162,9 +157,7 @@ class _Reading:
                     "follows: correct one of them, or leave it out"
                 )
 
-    def _refuse_unknown(
-        self, prefix: str, table: Iterable[str], known: list[str] | tuple[str, ...]
-    ) -> None:
+    def _refuse_unknown(self, prefix: str, table: Iterable[str], known: list[str]) -> None:
         for key in table:
             if key not in known:
                 near = difflib.get_close_matches(key, known, 1)
@@ -172,12 +165,11 @@ class _Reading:
                 self.wrong.append(f"{prefix}{key} is unknown{hint}")
 
 
-def _is_interval(interval: object, value: object) -> bool:
-    if not (isinstance(interval, list) and len(interval) == 2):
-        return False
+def _is_interval(interval: Any, value: Any) -> bool:
     try:
-        return bool(interval[0] <= value <= interval[1])
-    except TypeError:
+        low, high = interval
+        return bool(low <= value <= high)
+    except (TypeError, ValueError):
         return False
 
 

@@ -95,13 +95,11 @@ def crossfade(
     """Fade from the old model's correction to the new one's, in place.
 
     When the model changes, x, v and flux continue, but acceleration and current jump by the old
-    model's error. So the old correction is continued past the edge and faded out; a weight with
-    no slope and curvature at its ends does not click. If the old model deviates too far before
-    it is faded out, as at the start of a burst, the fade is halved until it fits.
+    model's error. So the old correction is continued past the edge and faded out. If it deviates
+    by more than `allowed_share` of the total's peak, the fade is halved until it fits.
 
     The corrections are `values`, (frames,), and `old` for the first samples; `base` is the linear
-    solution including the sample before, None for 0. The fade may deviate by `allowed_share` of the
-    total's peak.
+    solution including the sample before, None for 0.
     """
     frames = len(old)
     apart = old - values[:frames]

@@ -37,9 +37,9 @@ class Inputs:
         twice = sorted({name for name in used if used.count(name) > 1})
         shown = ",".join(self.names)
         if unknown or twice or not 1 <= len(self.names) <= MOST_CHANNELS:
-            what = f"{unknown[0]!r} is unknown" if unknown else f"{', '.join(twice)} twice"
-            if not (unknown or twice):
-                what = f"1 to {MOST_CHANNELS} channels are possible"
+            what = f"1 to {MOST_CHANNELS} channels are possible"
+            if unknown or twice:
+                what = f"{unknown[0]!r} is unknown" if unknown else f"{', '.join(twice)} twice"
             raise UsageError(
                 f"channels={shown}: {what}; name each input in order, of "
                 f"{', '.join(QUANTITIES)}, and {UNUSED} for one that is not used"
@@ -57,20 +57,17 @@ class Inputs:
         ):
             if value is not None and not 0.0 < value < 1e9:
                 raise UsageError(f"{name}={value!r} must be above 0; correct it")
-        if {"voltage", "current"} & set(used) and self.full_scale_v is None:
+        physical = {"voltage", "current"} & set(used) or self.acceleration_scaled
+        if physical and self.full_scale_v is None:
             raise UsageError(
-                f"channels={shown}: volts and amperes need the input's full scale; give "
-                "--input-full-scale-v V, the peak volts that a sample of 1.0 stands for"
+                f"channels={shown}: volts, amperes and an acceleration sensitivity need the "
+                "input's full scale; give --input-full-scale-v V, the peak volts that a sample of "
+                "1.0 stands for"
             )
         if "current" in used and self.shunt_ohm is None:
             raise UsageError(
                 f"channels={shown}: amperes need the resistance that the current's channel is "
                 "across; give --shunt-ohm R"
-            )
-        if self.acceleration_v_per_m_s2 is not None and self.full_scale_v is None:
-            raise UsageError(
-                "an acceleration sensitivity needs the input's full scale, too; give "
-                "--input-full-scale-v V, the peak volts that a sample of 1.0 stands for"
             )
 
     @classmethod

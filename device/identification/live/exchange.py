@@ -15,21 +15,11 @@ from device.errors import CushionError, LostError
 from device.identification.recording import IdentificationError
 from device.units import Float32Array, FloatArray
 
-BACKGROUND_S = 0.4
-"""Time without output, to measure the background."""
-
-MOST_LATENCY_S = 0.8
-"""Longest time from a played frame until it is recorded."""
-
-STALL_S = 0.5
-"""The other stream has stopped if it has no callback for this long."""
-
-LOUDEST_BACKGROUND = 0.02
-"""Largest r.m.s. before the sweep, as a share of the input's full scale."""
-
-NO_SIGNAL_S = 1.1
-"""A channel with digital silence for this long after playback began has no signal."""
-
+BACKGROUND_S = 0.4  # without output, to measure the background
+MOST_LATENCY_S = 0.8  # from a played frame until it is recorded
+STALL_S = 0.5  # a stream without a callback for this long has stopped
+LOUDEST_BACKGROUND = 0.02  # largest r.m.s. before the sweep, as a share of full scale
+NO_SIGNAL_S = 1.1  # of digital silence on a channel after playback began
 _CLIPPED = 0.999
 
 
@@ -72,8 +62,7 @@ class Exchange:
         self._squares = np.zeros(len(self._names))
         self._heard = [False] * len(self._names)
         self._heard_by = self.background_frames + round(NO_SIGNAL_S * samplerate)
-        self._got = 0
-        self._played = 0
+        self._got = self._played = 0
         self._begun = self._may_play = False
         self._heard_s = self._filled_s = -math.inf
 

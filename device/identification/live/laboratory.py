@@ -1,7 +1,7 @@
 """A laboratory of real devices: an output plays the sweep, an input records the rig."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -155,22 +155,20 @@ class LiveLaboratory:
         limits = tuple(self._inputs.scale(name) if name != DRIVE else float("inf") for name in pair)
         delayed = reference == DRIVE and "loopback" not in read
         drift = self._drifts[-1]
-        correction = None
-        if reference == DRIVE and self._amplifier is not None:
-            a = self._amplifier
-            bins = Recording(sweep, sweep.samples(), sweep.samples()).frequencies_hz
-            correction = Band(a.low_cut_hz, a.high_cut_hz, sweep.samplerate).response(bins)
-        return Recording(
+        found = Recording(
             sweep,
             read[reference],
             read[response],
             pair,
             (limits[0], limits[1]),
-            correction,
             delayed=delayed,
             polarity_known=response != "acceleration",
             drift_reach=1e-6 * drift.reach if delayed else 0.0,
         )
+        if reference == DRIVE and (a := self._amplifier) is not None:
+            band = Band(a.low_cut_hz, a.high_cut_hz, sweep.samplerate)
+            found = replace(found, correction=band.response(found.frequencies_hz))
+        return found
 
     def _clearest(self) -> tuple[int, str]:
         """Return the channel that shows the playback with the least effect of the rig."""

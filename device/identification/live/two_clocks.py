@@ -1,8 +1,7 @@
 """The delay of a recording, and the drift between the clocks of output and input.
 
-The delay is that of the deconvolved impulse response's peak (Farina 2000), which is within some ms
-of the true one. The drift comes from two equal marks: their distance in the recording is compared
-with the played one, and the rig's effect on both cancels.
+The delay is that of the deconvolved impulse response's peak (Farina 2000), within some ms of the
+true one. The drift comes from the distance of two equal marks, on which the rig's effect cancels.
 """
 
 import math
@@ -19,8 +18,7 @@ MOST_DRIFT_PPM = 200.0
 """Two crystals of ±100 ppm. A larger drift means lost or inserted frames."""
 
 MOST_UNSURE_PPM = 20.0
-"""Half the 95 % interval of the drift. 20 ppm turn the phase after 5 s at 400 Hz by at most a tenth
-of a turn, which does not affect a resonance."""
+"""Half the 95 % interval of the drift; after 5 s at 400 Hz it is less than a tenth of a turn."""
 
 CLEAREST = 8.0
 """Smallest peak of an impulse response over its r.m.s. Noise of this length has 5."""
@@ -109,9 +107,8 @@ def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: st
     # neighbouring bins of a padded mark correlate: as many are independent as it has frames
     together = size / length
     variance = together * float(np.sum((weight * turn * left) ** 2)) / max(total, 1e-300) ** 2
-    ppm = 1e6 / excitation.second_mark
-    found = Drift(ppm * (coarse + fine), 1.96 * ppm * math.sqrt(variance))
-    frames = coarse + fine
+    ppm, frames = 1e6 / excitation.second_mark, coarse + fine
+    found = Drift(ppm * frames, 1.96 * ppm * math.sqrt(variance))
     if not found.reach <= MOST_UNSURE_PPM:
         raise DropoutError(
             f"{name}: the two clocks cannot be compared, to ±{found.reach:.3g} ppm, "

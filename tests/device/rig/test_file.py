@@ -136,7 +136,7 @@ def test_an_amplifier_that_contradicts_the_rest_is_refused():
     assert "at least 10 times makes a current drive" in refused(
         PLAIN.replace("gain = 2.0", "gain = 2.0\ndrive_mode = 'current'")
     )
-    assert "that is a current drive" in refused(changed("source_impedance_ohm", "100.0"))
+    assert "makes a current drive" in refused(changed("source_impedance_ohm", "100.0"))
     assert "must be above one step of the DAC" in refused(changed("output_limit_v", "1e-5"))
     assert "inside the band of amplifier" in refused(
         PLAIN.replace("gain = 2.0", "gain = 2.0\nhigh_cut_hz = 20.0")
