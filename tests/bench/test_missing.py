@@ -274,6 +274,7 @@ def test_without_the_kernel_its_rows_are_missing_and_those_in_numpy_are_not_call
         assert gone.command == "rm -rf .venv && make run"
 
 
+@pytest.mark.exhaustive
 def test_with_the_kernel_none_of_its_rows_is_missing():
     if kernel.kernel_warning():
         pytest.skip(str(kernel.kernel_warning()))

@@ -46,6 +46,7 @@ def test_sounds_are_as_loud_while_they_sound_whatever_silence_is_beside():
     assert 10 * np.log10((middle**2).mean()) == pytest.approx(LOUDNESS_DB, abs=0.3)
 
 
+@pytest.mark.exhaustive
 def test_hops_with_sound_are_counted_and_belief_is_that_of_the_live_form():
     speech = joined(scene_track("speech"), silence(1.0, SAMPLERATE))
     found = speech_suppression.heard(speech)

@@ -70,6 +70,7 @@ def test_the_demo_writes_the_sound_the_vibration_and_the_acceleration(demo):
         assert "full scale = 100 m/s^2" in file.comment
 
 
+@pytest.mark.exhaustive
 def test_the_demo_draws_a_report(demo):
     pytest.importorskip("matplotlib", reason="pip install matplotlib")
     done, out = demo

@@ -69,6 +69,7 @@ def test_the_demos_tracks_are_in_the_state_that_the_scene_has_at_that_moment(at_
     assert f"5 Tracks of which {active} are active" in lines
 
 
+@pytest.mark.exhaustive
 def test_the_demos_tracks_have_their_own_rates_and_formats():
     rows = tracks_of(dumped("--tap", "scene:demo"))
     assert {name: (row["Format"], row["Chn"], row["SRate"]) for name, row in rows.items()} == {

@@ -201,7 +201,7 @@ def two_under_way(process, folder):
     return found
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @needs_proc
 @pytest.mark.parametrize(
     ("name", "whom"),

@@ -80,7 +80,7 @@ def test_each_figure_is_a_picture_and_a_table(drawn):
         assert (drawn[0] / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("name", NAMES)
 def test_no_words_leave_the_sheet_or_cover_others(drawn, name):
     sheet = drawn[1][name]

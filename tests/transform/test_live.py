@@ -136,6 +136,7 @@ def at_rest_after(sound, samplerate):
     return made(sound, samplerate).process(np.concatenate((sound, calm)))[:, 0]
 
 
+@pytest.mark.exhaustive
 def test_less_than_minus_50_db_of_any_recording_is_audible():
     for path in require_recordings():
         sound, samplerate = soundfile.read(path, always_2d=True)

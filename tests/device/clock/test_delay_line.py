@@ -127,7 +127,7 @@ def test_blocks_of_a_server_that_beat_with_ours_do_not_move_the_delay(server_blo
     assert np.ptp(course.after(60.0)) < 0.3 * MS
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("written_in", "read_in", "from_s", "limit_ms"),
     [

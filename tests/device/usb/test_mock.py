@@ -166,6 +166,7 @@ def test_volumes_are_told_without_a_driver_or_when_taken_over(uac: int, bound: b
     assert settings["samplerate"] == 44_100
 
 
+@pytest.mark.exhaustive
 @versions
 def test_a_device_that_stalls_everything_is_described_all_the_same(uac: int) -> None:
     scene = [plugged(uac, bound=False, dac={"stalls": True})]
@@ -206,7 +207,7 @@ print(attached)
 """
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @versions
 @pytest.mark.parametrize("ends", ["well", "killed"])
 def test_what_was_taken_is_given_back_also_by_one_who_is_killed(
@@ -233,7 +234,7 @@ def can_do_without_privileges() -> bool:
         return False
 
 
-@pytest.mark.sweep
+@pytest.mark.exhaustive
 @versions
 def test_without_permission_all_that_the_kernel_tells_is_shown_and_the_way_out(uac: int) -> None:
     without = () if os.geteuid() else NO_SUPERUSER
