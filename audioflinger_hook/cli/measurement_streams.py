@@ -64,13 +64,7 @@ class MeasurementStreams:
         self.samplerate = samplerate
 
     def run(self, exchange: Exchange) -> None:
-        """Run both streams until the measurement ends; it keeps the reason.
-
-        Raises
-        ------
-        LostError, NotFoundError, UsageError
-            A stream cannot be opened.
-        """
+        """Run both streams until the measurement ends; it keeps the reason."""
         with ExitStack() as stack:
             # closed last: every exit leaves silence, also Ctrl+C
             if self._output.guarded and self._connection is not None:

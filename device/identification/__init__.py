@@ -8,6 +8,9 @@
 | calibration, rig_values | all of it in turn, from low levels up; the rig with its new values |
 | simulated_laboratory | plays sweeps to the simulated rig |
 | live/ | plays sweeps to real devices |
+
+What cannot be identified raises `IdentificationError`, whose message gives the reason, the values
+and what to do.
 """
 
 from device.identification.recording import IdentificationError

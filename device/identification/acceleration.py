@@ -55,12 +55,6 @@ def identify_mode(recording: Recording, x_max_m: float, *, widest: float = 1.0) 
     """Return the mode that a recording of acceleration, for a current or a voltage, shows.
 
     x_max_m gives the level; `widest` is a factor on the widest accepted intervals.
-
-    Raises
-    ------
-    IdentificationError
-        No signal, clipping or the wrong channel; a resonance outside the band; a fit that does not
-        converge or explain the response; an interval that is too wide.
     """
     check_recording(recording)
     electrical = recording.names[0] != "current"
@@ -172,13 +166,7 @@ def _starts(recording: Recording, electrical: bool) -> list[FloatArray]:
 
 
 def refuse_outside(recording: Recording, log_hz: float) -> None:
-    """Refuse a resonance, by log f0, outside the sweep or too close to its ends.
-
-    Raises
-    ------
-    IdentificationError
-        The message says at which end.
-    """
+    """Refuse a resonance, by log f0, outside the sweep or too close to its ends."""
     sweep = recording.sweep
     low, high = 1.1 * sweep.low_hz, 0.9 * sweep.high_hz
     if log_hz <= math.log(low) or log_hz >= math.log(high):

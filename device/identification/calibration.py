@@ -53,11 +53,6 @@ def play_steps(
     """Return the recordings of the last of STEPS; `tell` is called before each level.
 
     With `scaled`, accelerations are in m/s^2, so the next step's excursion is known in advance.
-
-    Raises
-    ------
-    IdentificationError
-        Something clips or is unexpected; nothing louder was played.
     """
     recordings: list[Recording] = []
     for step, after in zip(STEPS, (*STEPS[1:], STEPS[-1]), strict=True):

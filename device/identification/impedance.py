@@ -55,11 +55,6 @@ def identify_impedance(recording: Recording, *, level_of_x_max: float = 0.0) -> 
     """Return the electrical side from a recording of current for the coil's voltage.
 
     The intervals of f0 and Q are extended down by the shift at level_of_x_max.
-
-    Raises
-    ------
-    IdentificationError
-        See `identify_mode`.
     """
     check_recording(recording)
     simple = fit(recording, responses.admittance, _starts(recording))

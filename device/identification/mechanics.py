@@ -33,11 +33,6 @@ def solve_mechanics(mode: Mode, rig: Rig) -> Values:
     """Return f0 and Qms, with the coil open, that explain a mode for the voltage at the coil.
 
     The intervals assume that the rest of the rig is exact.
-
-    Raises
-    ------
-    IdentificationError
-        The rig's Bl, R, L and m contradict the mode, or the mode does not ring.
     """
     centre = mode.fit.logs[1:3]
     logs = _solve_logs(centre, rig)
@@ -91,13 +86,7 @@ WIDEST_MASS, WIDEST_BL = 0.2, 0.2
 
 
 def by_known_mass(impedance: Impedance, mass: Estimate) -> Values:
-    """Return Bl for a moving mass, kg, that was weighed, and the mass.
-
-    Raises
-    ------
-    IdentificationError
-        Bl is not identified.
-    """
+    """Return Bl for a moving mass, kg, that was weighed, and the mass."""
     half = {index: 0.5 * power for index, power in MOTIONAL.items()}
     alone = multiply_powers([(impedance.fit, half)], math.sqrt(math.tau * mass.value))
     share = mass.relative / 1.96
@@ -111,11 +100,6 @@ def by_acceleration(impedance: Impedance, mode: Mode) -> Values:
 
     Both must be on solid ground: on a seat the coil feels the frame move, and the accelerometer
     does not.
-
-    Raises
-    ------
-    IdentificationError
-        The values are not identified.
     """
     force_factor, mass = (
         multiply_powers([(impedance.fit, MOTIONAL), (mode.fit, {0: power})], math.tau)

@@ -105,11 +105,6 @@ def fit(
 
     Of the starts, the best two are followed. The limits are the lowest and highest logarithms; a
     parameter at a limit is fixed and has no variance.
-
-    Raises
-    ------
-    IdentificationError
-        The fit does not converge.
     """
     far = np.full(len(starts[0]), _FAR)
     low, high = limits or (-far, far)
@@ -168,13 +163,7 @@ def fit(
 
 
 def check_misfit(found: Fit, response: str, advice: str) -> None:
-    """Refuse a fit that leaves too much of the response unexplained.
-
-    Raises
-    ------
-    IdentificationError
-        The message ends with the advice.
-    """
+    """Refuse a fit that leaves too much of the response unexplained."""
     if found.misfit > MOST_MISFIT:
         raise IdentificationError(
             f"the fit leaves {100 * found.misfit:.0f} % of the {response} unexplained, at most "
@@ -189,13 +178,7 @@ def is_better(simple: Fit, richer: Fit) -> bool:
 
 
 def require(name: str, estimate: Estimate, relative: float, advice: str) -> None:
-    """Refuse an interval that is too wide.
-
-    Raises
-    ------
-    IdentificationError
-        Half the interval is more than that share of the value.
-    """
+    """Refuse an interval that is too wide."""
     width = estimate.relative if math.isfinite(estimate.high) else math.inf
     if not width <= relative:
         raise IdentificationError(

@@ -25,23 +25,8 @@ USUAL_SHARE = 0.05
 class SimulatedLaboratory:
     """One rig with its instruments; every run begins at rest. One thread uses it.
 
-    Parameters
-    ----------
-    rig : Rig
-        It must describe its instruments.
-    seat : bool
-        The actuator is on the rig's seat.
-    level : ModelLevel
-        The model of the actuator.
-    snr_db : float
-        Noise added to each signal, in the whole recorded band, relative to it during the sweep.
-    seed : int
-        Seed of all noise.
-
-    Raises
-    ------
-    UsageError
-        The rig describes no instruments, or no seat where one is asked for.
+    snr_db sets noise that is added to each response, in the whole recorded band, relative to it
+    during the sweep.
     """
 
     def __init__(
@@ -123,11 +108,6 @@ def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = Fal
     """Return the sweep whose linear excursion is that share of the rig's Xmax.
 
     Its level is at most full scale.
-
-    Raises
-    ------
-    UsageError
-        The share is not above 0 and at most 0.15.
     """
     if not 0.0 < share <= LARGEST_SHARE:
         raise UsageError(

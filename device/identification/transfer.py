@@ -178,13 +178,7 @@ def assess_quality(recording: Recording, orders: int = 5) -> Quality:
 
 
 def check_recording(recording: Recording) -> None:
-    """Refuse a recording that has no signal, clips, or shows the wrong channel.
-
-    Raises
-    ------
-    IdentificationError
-        The message gives the reason, the values and what to do.
-    """
+    """Refuse a recording that has no signal, clips, or shows the wrong channel."""
     lead = slice(0, round(0.9 * recording.sweep.lead_frames))
     sounding = slice(recording.sweep.lead_frames, None)
     signals = (recording.reference, recording.response)

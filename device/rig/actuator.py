@@ -37,9 +37,7 @@ def state_space(
 ) -> tuple[FloatArray, FloatArray, dict[Quantity, FloatArray]]:
     """Return rate and drive of s' = rate s + drive v, and the row of each quantity.
 
-    s = (x sqrt(k), x' sqrt(m), i sqrt(L)), so half its square is the stored energy. In these
-    coordinates the exchange of energy is antisymmetric, which keeps the exponential well
-    conditioned.
+    s = (x sqrt(k), x' sqrt(m), i sqrt(L)), which keeps the exponential well conditioned.
     """
     m, c, k = p.moving_mass_kg, p.damping_n_s_per_m, p.stiffness_n_per_m
     bl, inductance = p.force_factor_n_per_a, p.inductance_h
@@ -68,8 +66,7 @@ def first_order_hold(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return P, A, B of s[n] = P s[n-1] + A v[n-1] + B v[n], exact for v linear between samples.
 
-    Van Loan, "Computing integrals involving the matrix exponential", 1978: one exponential of the
-    state, the voltage and its slope a sample holds all three.
+    All come from one exponential (Van Loan 1978).
     """
     n = len(rate)
     whole = np.zeros((n + 2, n + 2))
@@ -109,15 +106,7 @@ class Motion:
 class LinearActuator:
     """The linear actuator at one sample rate. One thread calls `move`.
 
-    Attributes
-    ----------
-    replaced_samples : int
-        Volts that were not finite and became 0, so far.
-
-    Raises
-    ------
-    UsageError
-        The rate or the impedance is out of range.
+    replaced_samples counts the volts so far that were not finite and became 0.
     """
 
     def __init__(

@@ -76,20 +76,6 @@ class AdaptiveActuator:
         Node rate of the non-linear model.
     early : bool
         Make no estimate for blocks that surely need the non-linear model.
-
-    Attributes
-    ----------
-    replaced_samples : int
-        Volts that were not finite or above 1e6 and became 0, so far.
-    reports : deque[BlockReport]
-        Of the last few thousand blocks.
-    frames_by_level : dict[ModelLevel, int]
-        Frames per selected model so far.
-
-    Raises
-    ------
-    UsageError
-        The rate or the tolerance is out of range, or the rig lacks what is asked for.
     """
 
     def __init__(
@@ -143,7 +129,7 @@ class AdaptiveActuator:
         if self.temperatures:
             self.temperatures.reset()
         self.equations.resistance_ohm = self.equations.linear_resistance_ohm
-        self.replaced_samples = 0
+        self.replaced_samples = 0  # volts that were not finite or above 1e6 and became 0
         self.reports: deque[BlockReport] = deque(maxlen=_REPORTS)
         self.frames_by_level = dict.fromkeys(ModelLevel, 0)
         self._last_level = self.level or ModelLevel.LINEAR

@@ -54,14 +54,7 @@ class Dac:
     """A converter that rounds to its steps, saturates at full scale, and gives volts.
 
     Codes are two's complement: -1.0 to 1.0 less one step, rounded to nearest, ties to even,
-    without dither. One thread calls it.
-
-    Attributes
-    ----------
-    clipped_samples : int
-        Samples beyond ±1.0 so far. 1.0 itself saturates by one step and does not count.
-    replaced_samples : int
-        Samples that were not finite and became 0.
+    without dither. 1.0 saturates by one step and does not count as clipped. One thread calls it.
     """
 
     def __init__(self, parameters: DacParameters) -> None:
@@ -71,7 +64,7 @@ class Dac:
     def reset(self) -> None:
         """Set the counts to 0."""
         self.clipped_samples = 0
-        self.replaced_samples = 0
+        self.replaced_samples = 0  # were not finite and became 0
 
     def volts(self, vibration: FloatArray | Float32Array) -> FloatArray:
         """Return the volts for samples of any shape, in a new array."""
@@ -92,11 +85,6 @@ class Amplifier:
 
     Its source impedance is part of the actuator's circuit (`LinearActuator`). Its current limit
     is not simulated: the simulated rig counts the samples beyond it.
-
-    Attributes
-    ----------
-    clipped_samples : int
-        Samples beyond the output limit so far.
     """
 
     def __init__(self, parameters: AmplifierParameters, samplerate: float = 48_000.0) -> None:

@@ -21,13 +21,7 @@ _NOISE_BAND = math.pi / (2.0 * math.sqrt(2.0))
 
 
 class Daq:
-    """Volts in, quantised volts out, with noise. One thread calls it.
-
-    Raises
-    ------
-    UsageError
-        The sample rate is above its highest.
-    """
+    """Volts in, quantised volts out, with noise. One thread calls it."""
 
     def __init__(self, parameters: DaqParameters, samplerate: float, seed: int) -> None:
         if samplerate > parameters.max_samplerate_hz:
@@ -53,11 +47,6 @@ class InstrumentChain:
 
     The output does not depend on how the signal is split into blocks. The accelerometer's resonance
     lies far above the vibration and is not simulated: at 220 Hz that omits 7e-6.
-
-    Raises
-    ------
-    UsageError
-        The rig describes no instruments, or the rate is too high for them.
     """
 
     def __init__(self, rig: Rig, samplerate: float, seed: int = 0) -> None:

@@ -69,7 +69,7 @@ class ModelLevels:
     ) -> Correction:
         """Return one level's correction from d at the first node, (states,).
 
-        under: where the path begins whose remainder CORRECTED uses.
+        CORRECTED uses the remainder of a path that begins at `under`.
         """
         if level is ModelLevel.LINEAR and self.equations.seat is None and not np.any(start):
             return self.zero_correction(segment)
@@ -179,11 +179,8 @@ class ModelLevels:
             "acceleration_m_s2": added,
             SEAT_ACCELERATION: self._frame_acceleration(added, whole[FRAME], whole[FRAME_SPEED]),
         }
-        return Correction(
-            end,
-            {name: partial(samples.__getitem__, name) for name in samples},
-            whole[EXCURSION],
-        )
+        given = {name: partial(samples.__getitem__, name) for name in samples}
+        return Correction(end, given, whole[EXCURSION])
 
     def _has_more_content(self, segment: Segment) -> bool:
         i = segment.current_a[:: max(1, self.spacing // 8)]

@@ -54,13 +54,7 @@ DriveMode = Literal["voltage", "current"]
 
 
 class Stage:
-    """Base of all stages; each field is annotated with its limit.
-
-    Raises
-    ------
-    UsageError
-        A parameter is out of range; the message names each one and its limit.
-    """
+    """Base of all stages; each field is annotated with its limit."""
 
     def __post_init__(self) -> None:
         wrong = self.problems(vars(self))

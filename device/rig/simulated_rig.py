@@ -25,8 +25,6 @@ class SimulatedRig:
     ----------
     rig : Rig | Sequence[Rig | None]
         The rig of all channels, or that of each channel, None where nothing is connected.
-    samplerate : int
-        Rate in Hz, 1000 or more.
     channels : int | None
         Number of channels, 1 or more; None for as many as rigs are listed.
     recorder : VibrationOutput | None
@@ -43,13 +41,6 @@ class SimulatedRig:
         Largest magnitudes of any channel since the start or `reset`.
     overcurrent_samples : int
         Samples beyond the amplifier's current limit; a real one would limit it or switch off.
-
-    Raises
-    ------
-    UsageError
-        The rate is too low.
-    InternalError
-        There are no channels, or the recorder has another rate or number of channels.
     """
 
     def __init__(

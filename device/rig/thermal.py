@@ -25,12 +25,7 @@ class ThermalStep(NamedTuple):
 class Temperatures:
     """Coil and magnet above their surroundings, K. One thread calls it.
 
-        Cc dTc/dt = P - (Tc - Tm) / Rc        Cm dTm/dt = (Tc - Tm) / Rc - Tm / Rm
-
-    Attributes
-    ----------
-    coil_k, magnet_k : float
-        0 at the start.
+    Cc dTc/dt = P - (Tc - Tm) / Rc        Cm dTm/dt = (Tc - Tm) / Rc - Tm / Rm
     """
 
     def __init__(self, parameters: ThermalParameters) -> None:

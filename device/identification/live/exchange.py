@@ -26,28 +26,12 @@ _CLIPPED = 0.999
 class Exchange:
     """Plays (frames,) on one channel, once, and records all channels of the input.
 
-    Any thread may call `begin` and `abort`.
-
-    Parameters
-    ----------
-    samples : FloatArray
-        Between ±1.
-    samplerate : int
-        Hz.
-    names : Sequence[str]
-        Of the input's channels; "-" is not checked.
-    output_channel : int
-        From 0.
+    Channels named "-" are not checked. Any thread may call `begin` and `abort`.
     """
 
     def __init__(
-        self,
-        samples: FloatArray,
-        samplerate: int,
-        names: Sequence[str],
-        output_channel: int = 0,
+        self, samples: FloatArray, samplerate: int, names: Sequence[str], output_channel: int = 0
     ) -> None:
-        self.samplerate = samplerate
         self.ended = threading.Event()  # all is recorded, or there is an error
         self.error: CushionError | None = None
         # Recorded frames before the first played one.

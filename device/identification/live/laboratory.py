@@ -59,16 +59,7 @@ class Devices:
 class LiveLaboratory:
     """A `Laboratory` of real devices. One thread uses it.
 
-    Parameters
-    ----------
-    transport : Transport
-        The two streams.
-    inputs : Inputs
-        What the input's channels carry.
-    output_channel : int
-        From 0.
-    amplifier : AmplifierParameters | None
-        Its band is divided out of a response to the played signal.
+    The amplifier's band is divided out of a response to the played signal.
     """
 
     def __init__(
@@ -95,14 +86,6 @@ class LiveLaboratory:
 
         "drive" is the loop-back or the played signal. In the latter case the unknown delay is
         fitted as well (`Recording.delayed`).
-
-        Raises
-        ------
-        IdentificationError
-            Something clips, plays already or does not follow the sweep, or frames were lost in
-            each attempt (`DropoutError`).
-        LostError, NotFoundError
-            See `Transport.run`.
         """
         if sweep.samplerate != self._transport.samplerate:
             raise UsageError(

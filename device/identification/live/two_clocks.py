@@ -41,13 +41,7 @@ class Drift:
 
 
 def find_delay(excitation: Excitation, channel: FloatArray, name: str) -> int:
-    """Return the frame of a recorded channel, (frames,), at which the playback begins.
-
-    Raises
-    ------
-    IdentificationError
-        The recording does not contain the playback.
-    """
+    """Return the frame of a recorded channel, (frames,), at which the playback begins."""
     mark = excitation.samples[: excitation.sweep_start]
     early = channel[: excitation.sweep_start + round(_EARLY_S * excitation.sweep.samplerate)]
     found = _peak(excitation, excitation.samples, channel)
@@ -76,13 +70,7 @@ def _peak(excitation: Excitation, played: FloatArray, channel: FloatArray) -> tu
 
 
 def find_drift(excitation: Excitation, channel: FloatArray, delay: int, name: str) -> Drift:
-    """Return the drift between the two marks in a recorded channel that begins at `delay`.
-
-    Raises
-    ------
-    DropoutError
-        The drift is uncertain, or too large for two clocks: frames were lost or inserted.
-    """
+    """Return the drift between the two marks in a recorded channel that begins at `delay`."""
     rate = excitation.sweep.samplerate
     length = excitation.mark_frames + round(_RING_S * rate)
     window = np.ones(length)
