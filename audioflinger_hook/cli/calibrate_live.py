@@ -201,7 +201,11 @@ def _input(
                 f"input {source!r} is the monitor of the output itself, which hears no cushion; "
                 "name the input that the accelerometer or the shunt is connected to"
             )
-        _enough(source, needed, found.channels)
+        if needed > found.channels:
+            raise UsageError(
+                f"channels: {needed} are named, input {source!r} has {found.channels}; name no "
+                "more than those"
+            )
         if found.mute:
             raise UsageError(f"input {source!r} is muted; unmute it")
         if abs(found.volume - 1.0) > 0.005:
@@ -228,10 +232,3 @@ def _input(
         )
     card = CardDevice(capture.card.number, capture.device)
     return StreamEndpoint(card, str(capture), choice.channels), choice.samplerate
-
-
-def _enough(source: str, needed: int, there: int) -> None:
-    if needed > there:
-        raise UsageError(
-            f"channels: {needed} are named, input {source!r} has {there}; name no more than those"
-        )

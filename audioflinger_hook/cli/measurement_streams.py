@@ -98,7 +98,7 @@ class MeasurementStreams:
             stack.callback(exchange.abort, LostError("the measurement was aborted"))
             watch = _Watch((playback, capture), guards, (out.name, source.name))
             watch.settle(exchange)
-            while not exchange.wait(_POLL_S):
+            while not exchange.ended.wait(_POLL_S):
                 if error := watch.problem(time.monotonic()):
                     exchange.abort(error)
 
@@ -127,7 +127,7 @@ class _Watch:
                     f"{' and '.join(self._names)} do not run after {SETTLE_S:g} s "
                     f"({', '.join(held) or 'a device delivers nothing'}); check both, and try again"
                 )
-            exchange.wait(_POLL_S)
+            exchange.ended.wait(_POLL_S)
         self._before = self._counts()
         exchange.begin()
 

@@ -68,16 +68,11 @@ def play_steps(
                 moved_m = recording.excursion_m(estimate_transfer(recording).response)
                 share = after / step * moved_m / rig.actuator.x_max_m
                 if share > TOO_FAR:
-                    raise too_far_error(rig, share)
+                    raise IdentificationError(
+                        f"a sweep of that level moves {share:.2f} Xmax, at most {LARGEST_SHARE} is "
+                        f"allowed: rig {rig.name!r} moves more than it says; lower the level"
+                    )
     return recordings
-
-
-def too_far_error(rig: Rig, share: float) -> IdentificationError:
-    """Return the error for an excursion of that share of Xmax."""
-    return IdentificationError(
-        f"a sweep of that level moves {share:.2f} Xmax, at most {LARGEST_SHARE} is allowed: "
-        f"rig {rig.name!r} moves more than it says; lower the level"
-    )
 
 
 def _compare(quiet: Recording, loud: Recording) -> None:
@@ -158,8 +153,6 @@ def calibrate(
     if recording := there.get(("voltage", "acceleration")) or there.get(("drive", "acceleration")):
         driven = identify_mode(recording, x_max_m)
         level = driven.level_of_x_max if scaled and level is None else level
-    if level is not None and level > TOO_FAR:
-        raise too_far_error(rig, level)
     if recording := there.get(("voltage", "current")):
         impedance = identify_impedance(recording, level_of_x_max=level or 0.0)
     found = Calibration(

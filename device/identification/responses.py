@@ -22,12 +22,6 @@ def pair(f: FloatArray, log_hz: float, log_q: float) -> Response:
     return np.asarray(1.0 - r**2 + damped), np.column_stack([2.0 * r**2 - damped, -damped])
 
 
-def lag(f: FloatArray, log_s: float) -> Response:
-    """Return 1 + s T: one pole or zero."""
-    turn: ComplexArray = 1j * math.tau * f * math.exp(log_s)
-    return np.asarray(1.0 + turn), turn[:, None]
-
-
 def seat(f: FloatArray, p: FloatArray) -> Response:
     """Return the factor of a moving frame: two zeros over two poles, 1 well above them.
 
@@ -55,9 +49,9 @@ def acceleration(f: FloatArray, p: FloatArray, *, electrical: bool) -> Response:
     slopes = [np.ones_like(d), -2.0 - dd[:, 0] / d, -dd[:, 1] / d]
     rest = 3
     if electrical:
-        turn, d_turn = lag(f, p[3])
-        h = h / turn
-        slopes.append(-d_turn[:, 0] / turn)
+        turn = 1j * math.tau * f * math.exp(p[3])
+        h = h / (1.0 + turn)
+        slopes.append(-turn / (1.0 + turn))
         rest = 4
     if len(p) > rest:
         more, d_more = seat(f, p[rest:])

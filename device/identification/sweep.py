@@ -7,7 +7,6 @@ distortion precedes the linear response by a time of its own.
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -86,44 +85,21 @@ MARK_S, GAP_S, REST_S = 0.25, 0.4, 0.2
 """Length of a mark, of the silence after the first one, and after the last one."""
 
 
-@dataclass(frozen=True)
 class Excitation:
     """One measurement: a mark, the sweep between its silences, the mark again.
 
     Two equal marks show the drift between two clocks, because the rig changes both alike.
     """
 
-    sweep: Sweep
-
-    @property
-    def mark_frames(self) -> int:
-        """Length of a mark."""
-        return round(MARK_S * self.sweep.samplerate)
-
-    @property
-    def sweep_start(self) -> int:
-        """First frame of the sweep's first silence."""
-        return self.mark_frames + round(GAP_S * self.sweep.samplerate)
-
-    @property
-    def second_mark(self) -> int:
-        """First frame of the second mark; the first mark begins at 0."""
-        return self.sweep_start + self.sweep.frames
-
-    @property
-    def frames(self) -> int:
-        """Frames of sweep, marks and silences."""
-        return self.second_mark + self.mark_frames + round(REST_S * self.sweep.samplerate)
-
-    @cached_property
-    def samples(self) -> FloatArray:
-        """(frames,) between ±level of the sweep; read only."""
-        sweep = self.sweep
-        whole = np.zeros(self.frames)
+    def __init__(self, sweep: Sweep) -> None:
+        self.sweep, rate = sweep, sweep.samplerate
+        self.mark_frames = round(MARK_S * rate)
+        self.sweep_start = self.mark_frames + round(GAP_S * rate)  # of its first silence
+        self.second_mark = self.sweep_start + sweep.frames
+        self.frames = self.second_mark + self.mark_frames + round(REST_S * rate)
         wave = sweep.wave(self.mark_frames, MARK_S)
         wave *= sweep.level * np.hanning(len(wave)) ** 0.25
-        whole[: len(wave)] = wave
-        whole[self.sweep_start : self.second_mark] = sweep.samples()
-        whole[self.second_mark : self.second_mark + len(wave)] = wave
-        whole.setflags(write=False)
-        return whole
+        self.samples = np.zeros(self.frames)
+        self.samples[: len(wave)] = wave
+        self.samples[self.sweep_start : self.second_mark] = sweep.samples()
+        self.samples[self.second_mark : self.second_mark + len(wave)] = wave

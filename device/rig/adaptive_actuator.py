@@ -9,7 +9,6 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -49,11 +48,8 @@ class BlockReport:
     excursion_peak_m: float
 
 
-class _Part(NamedTuple):
-    """What to add to the next frames of the linear solution; absent quantities stay."""
-
-    frames: int
-    added: dict[str, FloatArray]
+_Part = tuple[int, dict[str, FloatArray]]
+"""Frames, and what to add to quantities of the linear solution there."""
 
 
 class AdaptiveActuator:
@@ -176,10 +172,10 @@ class AdaptiveActuator:
             computed[SEAT_ACCELERATION] = self._levels.frame_share(motion.acceleration_m_s2)
         # Add in place, because large arrays are expensive; the models have a copy of their own.
         first = 1 - known
-        for part in parts:
-            for name, added in part.added.items():
-                computed[name][max(first, 0) : first + part.frames] += added[max(-first, 0) :]
-            first += part.frames
+        for frames, part in parts:
+            for name, added in part.items():
+                computed[name][max(first, 0) : first + frames] += added[max(-first, 0) :]
+            first += frames
         signal = slice(self._grid.upsampling - 1, None, self._grid.upsampling)
         return Motion(**{name: total[signal] for name, total in computed.items()})
 
@@ -216,9 +212,8 @@ class AdaptiveActuator:
 
     def _part(self, found: Correction, names: Sequence[str], frames: int) -> _Part:
         """Return what a correction adds to its first frames."""
-        if found.is_zero:
-            return _Part(frames, {})
-        return _Part(frames, {name: found.samples(name)[:frames] for name in names})
+        added = () if found.is_zero else names
+        return frames, {name: found.samples(name)[:frames] for name in added}
 
     def _count_linear(self, segment: Segment) -> int:
         """Return for how many of the first blocks the linear model suffices, and report them."""
@@ -265,7 +260,7 @@ class AdaptiveActuator:
                 old = self._levels.solve(self._last_level, before, start, self._under)
             inside = frames // blocks
             first = segment.part(0, inside)
-            for name, values in part.added.items():
+            for name, values in part[1].items():
                 base = getattr(first, name, None)
                 going_on = old.samples(name)[:faded]
                 crossfade(values[:inside], going_on, base, _FADE_SHARE * self.tolerance)

@@ -72,9 +72,9 @@ class ModelLevels:
         CORRECTED uses the remainder of a path that begins at `under`.
         """
         if level is ModelLevel.LINEAR and self.equations.seat is None and not np.any(start):
-            return self.zero_correction(segment)
+            return self._zero_correction(segment)
         if level is ModelLevel.STEPPED:
-            return self.solve_stepped(segment, start)
+            return self._solve_stepped(segment, start)
         bases = self.base_solutions(segment, self.spacing)
         linear = self.solve_linear(bases, under if level is ModelLevel.CORRECTED else start)
         if level is ModelLevel.LINEAR:
@@ -105,8 +105,7 @@ class ModelLevels:
         """Return d without a remainder."""
         return self._coarse.linear_path(bases, start)
 
-    def zero_correction(self, segment: Segment) -> Correction:
-        """Return a correction of 0."""
+    def _zero_correction(self, segment: Segment) -> Correction:
         end, frames = np.zeros(self.equations.states), len(segment.volts) - 1
         zeros = dict.fromkeys((*QUANTITIES, SEAT_ACCELERATION), lambda: np.zeros(frames))
         found = Correction(end, zeros, segment.displacement_m)
@@ -160,8 +159,7 @@ class ModelLevels:
         twice[:, ::2], twice[:, 1::2] = path.nodes, path.middles
         return self._refine(low, twice) or self._solve_pieces(segment, start)
 
-    def solve_stepped(self, segment: Segment, start: FloatArray) -> Correction:
-        """Return d sample by sample."""
+    def _solve_stepped(self, segment: Segment, start: FloatArray) -> Correction:
         state, size = start.copy(), self.equations.states
         y, w, i = segment.displacement_m, segment.velocity_m_s, segment.current_a
         flux = self._linear_flux(y, i)
@@ -239,7 +237,7 @@ class ModelLevels:
             piece = segment.part(first, min(first + length, samples))
             nodes = (len(piece.volts) - 1) // (self.spacing // 2) + 1
             guess = np.repeat(start[:, None], nodes, axis=1)
-            found = self._refine(piece, guess) or self.solve_stepped(piece, start)
+            found = self._refine(piece, guess) or self._solve_stepped(piece, start)
             pieces.append(found)
             start = found.end
         return join_corrections(pieces)

@@ -1,6 +1,6 @@
 """One segment of signal: the linear solution on it, what a model adds to it, and the crossfade."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,7 +58,7 @@ class Correction:
     def __init__(
         self,
         end: FloatArray,
-        samples: dict[str, Callable[[], FloatArray]],
+        samples: Mapping[str, Callable[[], FloatArray]],
         excursions_m: FloatArray,
     ) -> None:
         # d at the last node, (states,), and that of the path whose remainder was used

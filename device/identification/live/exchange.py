@@ -60,16 +60,10 @@ class Exchange:
             self.error = error
         self.ended.set()
 
-    def wait(self, seconds: float) -> bool:
-        """Wait for the end and return whether it came. Not for the streams' threads."""
-        return self.ended.wait(seconds)
-
     @property
     def recorded(self) -> Float32Array:
-        """The recording, (frames, channels), read only, background first; valid after `ended`."""
-        view = self._recorded[: self._got]
-        view.setflags(write=False)
-        return view
+        """The recording, (frames, channels), background first; valid after `ended`."""
+        return self._recorded[: self._got]
 
     def fill(self, out: Float32Array, now_s: float) -> None:
         """Write the next frames into `out`, (frames, channels) of zeros. The output's thread."""
