@@ -1,0 +1,81 @@
+"""A live buffer passes the files that docs/architecture.md lists, and no others."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+from audioflinger_hook.daemon.capture_queue import CaptureQueue
+from audioflinger_hook.daemon.engine import Clocks, Engine
+from device.drive import ChannelMap
+from device.drive.drive import ChannelRouter
+
+ROOT = Path(__file__).resolve().parents[2]
+WAY = (ROOT / "docs/architecture.md").read_text().partition("\n## One buffer's way\n")[2]
+WAY = WAY.partition("\nWhat happens on the way:")[0]
+
+RATE_HZ, BLOCK = 48_000, 256
+CARRIERS_MAX = 15
+
+
+def listed_carriers() -> set[str]:
+    """Return the files of the table that carry a buffer's samples."""
+    found = set()
+    for room, cell in re.findall(r"^\| `([\w/]+)` \| (.*) \|$", WAY, re.MULTILINE):
+        owner = room if room.startswith("device") else f"audioflinger_hook/{room}"
+        found |= {f"{owner}/{name}" for name in re.findall(r"`(\w+\.py)`", cell)}
+    return found
+
+
+def listed_helpers() -> set[str]:
+    """Return the names of the files that change no sample."""
+    text = WAY.partition("These change no sample")[2].partition("`tests/")[0]
+    return {Path(name).name for name in re.findall(r"`([\w/]+\.py)`", text)}
+
+
+def files_of_a_cycle() -> set[str]:
+    """Return the files that run while blocks pass from a capture to a device within a second."""
+    queue = CaptureQueue()
+    clocks = Clocks(lambda: 0.0, lambda: 0.0)
+    engine = Engine(queue.client(RATE_HZ, 2), RATE_HZ, clocks=clocks, block_frames=BLOCK)
+    queue.serve(engine)
+    queue.opened(RATE_HZ, 2)
+    fill = ChannelRouter(()).connect(engine.fill, ChannelMap.repeated(1, 2), BLOCK)
+    at = np.arange(400 * BLOCK) / RATE_HZ
+    sound = np.repeat(0.3 * np.sin(2 * np.pi * 440 * at)[:, None], 2, axis=1).astype(np.float32)
+    out = np.zeros((BLOCK, 2), np.float32)
+    files: set[str] = set()
+
+    def called(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            files.add(frame.f_code.co_filename)
+
+    def play(first: int, last: int) -> None:
+        for block in range(first, last):
+            now_s = (block + 1) * BLOCK / RATE_HZ
+            queue.push(sound[block * BLOCK : (block + 1) * BLOCK], now_s)
+            fill(out, now_s + 0.3 * BLOCK / RATE_HZ)
+
+    play(0, 200)  # past the first second, after which effects are asked for their state
+    assert out.any(), "the vibration arrives"
+    sys.setprofile(called)
+    try:
+        play(200, 350)
+    finally:
+        sys.setprofile(None)
+    ours = [Path(name).relative_to(ROOT) for name in files if name.startswith(str(ROOT / ""))]
+    return {str(path) for path in ours if path.parts[0] in ("audioflinger_hook", "device")}
+
+
+def test_a_live_buffer_passes_the_files_that_the_page_lists_and_no_others() -> None:
+    carriers = listed_carriers()
+    assert len(carriers) <= CARRIERS_MAX
+    assert all((ROOT / name).is_file() for name in carriers)
+    ran = files_of_a_cycle()
+    # PortAudio's callbacks need a sound card.
+    assert carriers - ran == {"device/stream/streams.py"}
+    assert {Path(name).name for name in ran - carriers} == listed_helpers()
