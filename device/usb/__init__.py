@@ -1,8 +1,7 @@
-"""USB audio devices: finding them, naming them, and following them as they come and go.
+"""USB audio devices: finding, naming and asking them.
 
     sysfs.py                    devices, as the kernel lists them
     identity.py, mapping.py     their names, sound cards and sinks
-    presence.py, uevents.py     devices that appear and vanish
     pyusb_access.py             descriptors and strings that only the device knows
     control.py, requests.py     volume, mute and rate of a device without a driver
     take_over.py, guardian.py   taking a device from its driver, and giving it back

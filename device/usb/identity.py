@@ -11,7 +11,7 @@ reboot as long as the machine keeps its USB controllers.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from device.errors import NotFoundError, UsageError
@@ -112,13 +112,6 @@ def identify(device: UsbAudioDevice, present: Iterable[UsbAudioDevice]) -> UsbId
     return replace(bare, serial=device.serial, port=device.port)
 
 
-def matching(
-    identity: UsbIdentity, devices: Iterable[UsbAudioDevice]
-) -> tuple[UsbAudioDevice, ...]:
-    """Return the devices that a name leads to."""
-    return tuple(device for device in devices if identity.is_device(device))
-
-
 def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
     """Return the device that a name means.
 
@@ -136,7 +129,7 @@ def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
     NotFoundError
         Several devices have it; the message says how to name one.
     """
-    matches = matching(identity, found.devices)
+    matches = [device for device in found.devices if identity.is_device(device)]
     if len(matches) == 1:
         return matches[0]
     if matches:
@@ -150,22 +143,6 @@ def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
         f"{identity} is missing: plug it in, or name one of "
         f"{describe(found.devices, found.devices)}"
     )
-
-
-def find_again(
-    gone: UsbAudioDevice, before: Sequence[UsbAudioDevice], now: Iterable[UsbAudioDevice]
-) -> UsbAudioDevice | None:
-    """Return the device that was pulled out, now that it is back; None while that is not sure.
-
-    before: the devices that were present with it. In the same port it is the same device. In
-    another port it is the same if its kind and serial were unique, before and now.
-    """
-    alike = [device for device in now if _same_kind(device, gone)]
-    for device in alike:
-        if device.port == gone.port:
-            return device
-    had_twin = any(other.port != gone.port and _same_kind(other, gone) for other in before)
-    return alike[0] if len(alike) == 1 and not had_twin else None
 
 
 def describe(devices: Iterable[UsbAudioDevice], present: Iterable[UsbAudioDevice]) -> str:

@@ -49,11 +49,6 @@ def device_of_card(card: int | str, devices: Iterable[UsbAudioDevice]) -> UsbAud
     return None
 
 
-def device_of_name(name: str, devices: Iterable[UsbAudioDevice]) -> UsbAudioDevice | None:
-    """Return the device of an ALSA or PortAudio name."""
-    return device_of_card(card_of_name(name), devices)
-
-
 def device_of_sink(sink: Sink, devices: Iterable[UsbAudioDevice]) -> UsbAudioDevice | None:
     """Return the device that a sink plays on, or None if that is unknown."""
     known = tuple(devices)

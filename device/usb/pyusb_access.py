@@ -1,13 +1,12 @@
-"""Descriptors and strings that a device is asked for through PyUSB.
+"""Descriptors that a device is asked for through PyUSB.
 
-/sys has nearly all of them and is read first. Opening a device for these requests does not affect
+/sys is read first. Opening a device for these requests does not affect
 its driver or sound card. Requests take milliseconds, or seconds if the device does not answer.
 """
 
 from __future__ import annotations
 
 import errno
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -18,15 +17,6 @@ _DEVICE, _CONFIGURATION = 1, 2
 _DEVICE_LENGTH, _CONFIGURATION_LENGTH = 18, 9
 _TOTAL_LENGTH = slice(2, 4)
 """Where descriptors have their type and length: USB 2.0, tables 9-5, 9-8 and 9-10."""
-
-
-@dataclass(frozen=True)
-class UsbStrings:
-    """What a device calls itself; "" where it does not say, or may not be asked."""
-
-    manufacturer: str
-    product: str
-    serial: str
 
 
 @cache
@@ -109,41 +99,6 @@ def read_descriptors(device: UsbAudioDevice) -> bytes:
     finally:
         usb.util.dispose_resources(handle)
     return b"".join(blocks)
-
-
-def read_strings(device: UsbAudioDevice) -> UsbStrings:
-    """Return what a device calls itself: as /sys has it, and of the device what is missing there.
-
-    A device that may not be opened, or has no strings, keeps what /sys says.
-
-    Raises
-    ------
-    NoLibusbError, NoUsbDeviceError
-        Something is missing in /sys, and the device cannot be found through libusb.
-    """
-    known = UsbStrings(device.manufacturer, device.product, device.serial)
-    if all((known.manufacturer, known.product, known.serial)):
-        return known
-    handle = open_device(device)
-    import usb.core
-    import usb.util
-
-    def asked(index: int) -> str:
-        # ValueError: "no langid", which is also what a missing permission looks like here
-        try:
-            text = usb.util.get_string(handle, index) or ""
-        except (ValueError, usb.core.USBError):
-            return ""
-        return "".join(sign for sign in text if sign.isprintable()).strip()
-
-    try:
-        return UsbStrings(
-            known.manufacturer or asked(handle.iManufacturer),
-            known.product or asked(handle.iProduct),
-            known.serial or asked(handle.iSerialNumber),
-        )
-    finally:
-        usb.util.dispose_resources(handle)
 
 
 def _refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:

@@ -20,8 +20,7 @@ from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
 from device.stream.pcms import CardDevice, Target
 from device.stream.sample_format import SampleFormat
-from device.usb import UsbIdentity, find_one
-from device.usb.presence import PresenceWatch
+from device.usb import UsbIdentity, find_devices, find_one
 from device.usb.sysfs import ROOT
 
 
@@ -66,7 +65,6 @@ class CardOutput(StreamOutput[CardNode]):
         super().__init__(*arguments, **options)
         self._root = root
         self._usb_root = usb_root
-        self._presence: PresenceWatch | None = None
         self._target = target
         self._mix: tuple[int, int] | None = None
         self._delay_s = 0.0
@@ -151,19 +149,10 @@ class CardOutput(StreamOutput[CardNode]):
         super().close()
         self._playing = None
 
-    def end(self, *, keep: bool) -> None:
-        """Stop, and end the watch for USB devices."""
-        self.close()
-        if self._presence is not None:
-            self._presence.close()
-
     def _find(self) -> PlaybackDevice:
         if self.address.kind != "usb":
             return find_playback(self.address.name, self._root)
-        if self._presence is None:
-            self._presence = PresenceWatch(self._usb_root)
-        self._presence.poll(0.0)
-        device = find_one(UsbIdentity.parse(str(self.address)), self._presence.found)
+        device = find_one(UsbIdentity.parse(str(self.address)), find_devices(self._usb_root))
         for card in device.cards:
             for number in card.playback:
                 return find_playback(f"{card.number},{number}", self._root)

@@ -4,7 +4,7 @@
     blocks.py           bytes split into descriptors
     problems.py         violations of the specifications, with their places
     standard.py         device, configuration, association, endpoint
-    entities.py         terminals, units, clocks (read by control_v1.py, control_v2.py)
+    entities.py         terminals, units, clocks (read by control.py)
     streaming.py        formats, sample rates, streaming endpoints
     configuration.py    a configuration as a tree (built by reading.py)
     checks.py           contradictions in a configuration

@@ -15,7 +15,7 @@ from device.usb.descriptors.standard import (
     Endpoint,
     InterfaceAssociation,
 )
-from device.usb.descriptors.streaming import AudioEndpoint, StreamFormat, StreamGeneral
+from device.usb.descriptors.streaming import StreamFormat, StreamGeneral
 
 AUDIO = 0x01
 CONTROL, STREAMING, MIDI = 0x01, 0x02, 0x03
@@ -127,11 +127,6 @@ class Configuration:
                 found += [endpoint, *endpoint.descriptors]
         yield self.header
         yield from sorted(found, key=lambda descriptor: descriptor.offset)
-
-
-def audio_endpoint(endpoint: Endpoint) -> AudioEndpoint | None:
-    """The class-specific side of an endpoint, None without one."""
-    return next((d for d in endpoint.descriptors if isinstance(d, AudioEndpoint)), None)
 
 
 def read_interface(block: Block) -> Interface | None:

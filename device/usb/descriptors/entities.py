@@ -232,10 +232,7 @@ class ClockEntity(Entity):
 
 @dataclass(frozen=True, slots=True)
 class ClockSource(ClockEntity):
-    """What a samplerate is asked of and set at. terminal_id: whose clock it recovers, 0 for none.
-
-    frequency, validity: what the host may do with the two controls.
-    """
+    """What samplerates are asked of. terminal_id: whose clock it recovers, 0 for none."""
 
     clock_kind: ClockKind
     follows_usb_frames: bool
@@ -247,11 +244,6 @@ class ClockSource(ClockEntity):
     def frequency(self) -> Access:
         """What the host may do with the samplerate."""
         return Access(self.controls & 3)
-
-    @property
-    def validity(self) -> Access:
-        """What the host may do with "is the clock valid"."""
-        return Access(self.controls >> 2 & 3)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,7 @@ from device.usb.descriptors.configuration import (
     Interface,
     read_interface,
 )
-from device.usb.descriptors.control_v1 import CONTROL_READERS as CONTROL_READERS_1
-from device.usb.descriptors.control_v2 import CONTROL_READERS as CONTROL_READERS_2
+from device.usb.descriptors.control import CONTROL_READERS
 from device.usb.descriptors.names import class_name, midi_name, uac3_name
 from device.usb.descriptors.problems import Findings
 from device.usb.descriptors.standard import (
@@ -35,7 +34,6 @@ from device.usb.descriptors.streaming import ENDPOINT_READERS, STREAMING_READERS
 CS_DEVICE, CS_INTERFACE, CS_ENDPOINT = 0x21, 0x24, 0x25
 _OF_ENDPOINTS = (CS_ENDPOINT, 0x30, 0x31)
 
-_CONTROL_READERS = {1: CONTROL_READERS_1, 2: CONTROL_READERS_2}
 _HID = 0x03
 
 BYTES_MAX = 0xFFFF
@@ -219,7 +217,7 @@ def _audio(block: Block, interface: Interface) -> Descriptor:
     if uac == 3:
         block.name = uac3_name(interface.is_streaming, block.subtype)
         return block.other()
-    readers = STREAMING_READERS[uac] if interface.is_streaming else _CONTROL_READERS[uac]
+    readers = STREAMING_READERS[uac] if interface.is_streaming else CONTROL_READERS[uac]
     known = readers.get(block.subtype)
     if known is None:
         name = class_name(interface.interface_class, interface.subclass)

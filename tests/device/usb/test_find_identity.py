@@ -18,7 +18,6 @@ from device.usb import (
     find_one,
     identify,
 )
-from device.usb.identity import find_again, matching
 from tests.support.usb_tree import UsbTree
 
 DAC = "0d8c:0014"
@@ -100,7 +99,6 @@ def test_a_dac_with_a_serial_of_its_own_keeps_its_name_in_every_port_and_as_ever
     after = find_one(UsbIdentity.parse(name), found)
     assert (after.port, after.address, after.cards[0].number) == ("1-3", 7, 2)
     assert str(identify(after, found.devices)) == name
-    assert find_again(before, [before], found.devices) == after
 
 
 @pytest.mark.parametrize("serial", [None, "20190808"])
@@ -111,7 +109,7 @@ def test_two_alike_are_told_apart_by_their_ports(tree, serial):
     names = [identify(device, found.devices) for device in found.devices]
     middle = f":{serial}" if serial else ""
     assert [str(name) for name in names] == [f"usb:{DAC}{middle}@1-2", f"usb:{DAC}{middle}@1-3.1"]
-    assert [matching(name, found.devices) for name in names] == [(one,) for one in found.devices]
+    assert [find_one(name, found) for name in names] == list(found.devices)
 
 
 def test_a_device_without_a_serial_has_its_port_in_its_name_even_alone(tree):
@@ -182,39 +180,3 @@ def test_where_there_is_no_bus_the_error_says_that_and_not_that_it_is_unplugged(
     found = find_devices(UsbTree(tmp_path, bus=False).root)
     with pytest.raises(NoUsbBusError, match=r"usb:0d8c:0014 is missing: no USB bus is visible"):
         find_one(UsbIdentity.parse(f"usb:{DAC}"), found)
-
-
-@pytest.mark.parametrize("serial", [None, "S"])
-def test_of_two_alike_the_one_that_is_back_in_its_port_is_itself(tree, serial):
-    tree.plug("1-2", serial=serial, address=5)
-    tree.plug("1-3", serial=serial, address=6)
-    before = find_devices(tree.root).devices
-    tree.unplug("1-2")
-    assert find_again(before[0], before, find_devices(tree.root).devices) is None
-    tree.plug("1-2", serial=serial, address=7)
-    after = find_again(before[0], before, find_devices(tree.root).devices)
-    assert after is not None
-    assert (after.port, after.address) == ("1-2", 7)
-
-
-def test_of_two_alike_one_in_a_new_port_is_never_taken_for_the_one_that_left(tree):
-    tree.plug("1-2", serial="S", address=5)
-    tree.plug("1-3", serial="S", address=6)
-    before = find_devices(tree.root).devices
-    tree.unplug("1-2")
-    tree.unplug("1-3")
-    tree.plug("1-4", serial="S", address=7)
-    assert find_again(before[0], before, find_devices(tree.root).devices) is None
-
-
-@pytest.mark.parametrize("serial", [None, "S"])
-def test_the_only_one_of_its_kind_is_known_again_in_another_port(tree, serial):
-    tree.plug("1-2", serial=serial, address=5, card=1)
-    before = find_devices(tree.root).devices
-    tree.unplug("1-2")
-    tree.plug("1-3", serial="another", address=6, card=1)
-    assert find_again(before[0], before, find_devices(tree.root).devices) is None
-    tree.plug("1-4", serial=serial, address=7, card=3)
-    after = find_again(before[0], before, find_devices(tree.root).devices)
-    assert after is not None
-    assert (after.port, after.cards[0].number) == ("1-4", 3)

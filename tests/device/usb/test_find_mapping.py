@@ -14,7 +14,6 @@ from device.usb import UsbIdentity, find_devices
 from device.usb.mapping import (
     card_of_name,
     device_of_card,
-    device_of_name,
     device_of_sink,
     hw_names,
     is_sink_of,
@@ -180,8 +179,7 @@ def test_every_hw_name_of_a_device_leads_back_to_it(tree):
     assert [hw_names(device) for device in devices] == [("hw:1,0",), ("hw:2,0", "hw:2,1")]
     for device in devices:
         for name in hw_names(device):
-            assert device_of_name(name, devices) == device
-            assert device_of_name(f"USB Audio DAC: USB Audio ({name})", devices) == device
+            assert device_of_card(card_of_name(name), devices) == device
     assert device_of_card("DAC_1", devices) == device_of_card(2, devices) == devices[1]
     assert device_of_card(0, devices) is device_of_card("", devices) is None
 
@@ -191,7 +189,7 @@ def test_a_device_without_a_card_has_no_hw_name_and_the_number_of_its_last_one_l
     tree.plug("1-2", serial="S", address=7, driver=None)
     devices = find_devices(tree.root).devices
     assert hw_names(devices[0]) == ()
-    assert device_of_name("hw:1,0", devices) is None
+    assert device_of_card(1, devices) is None
     assert device_of_sink(without(pulseaudio("1-2", 1), "sysfs.path"), devices) is None
 
 

@@ -15,11 +15,9 @@ from usb.backend import libusb1
 
 from device.usb import NoLibusbError, NoUsbDeviceError, UsbAccessError, find_devices
 from device.usb.pyusb_access import (
-    UsbStrings,
     libusb,
     open_device,
     read_descriptors,
-    read_strings,
 )
 from device.usb.sysfs import UsbAudioDevice
 from tests.support.usb_tree import UsbTree
@@ -131,7 +129,6 @@ def test_what_sys_has_is_not_asked_of_the_device(tmp_path, monkeypatch):
     device = find_devices(tree.root).devices[0]
     chosen(monkeypatch, None)
     assert read_descriptors(device) == DEVICE
-    assert read_strings(device) == UsbStrings("C-Media", "USB Audio", "S")
 
 
 def test_descriptors_come_from_the_device_as_they_would_lie_in_sys(device, monkeypatch):
@@ -139,16 +136,6 @@ def test_descriptors_come_from_the_device_as_they_would_lie_in_sys(device, monke
     chosen(monkeypatch, backend)
     assert read_descriptors(device) == DEVICE + CONFIGURATION
     assert backend.closed == 1
-
-
-def test_strings_that_sys_lacks_come_from_the_device_on_one_line(device, monkeypatch):
-    chosen(monkeypatch, Backend())
-    assert read_strings(device) == UsbStrings("Maker", "DAC", "A42")
-
-
-def test_without_permission_strings_are_those_of_sys(device, monkeypatch):
-    chosen(monkeypatch, Backend(opening=13))
-    assert read_strings(device) == UsbStrings("", "DAC", "")
 
 
 def test_without_permission_the_error_says_what_the_udev_rule_would_add(device, monkeypatch):
