@@ -30,9 +30,8 @@ class RateLoop:
         z3 += w B / 1.6 z2
         ratio = 1 + z2 + z3
 
-    The damping is 0.8, and no error remains at a constant drift. The bandwidth is 0.128 Hz for
-    10 s of updates after a restart, then 0.02 Hz. The ratio stays within ±2000 ppm.
-    F. Adriaensen, zita-ajbridge (there with the opposite signs of error and ratio).
+    No error remains at a constant drift. The bandwidth is wide for 10 s after a restart, then
+    narrow. F. Adriaensen, zita-ajbridge (there with the opposite signs of error and ratio).
 
     z1, z2: the smoothed error, as a relative rate. z3: the drift between the clocks.
     ratio: frames to read for each nominal one, as of the last update.

@@ -192,10 +192,10 @@ class DelayLine:
         now_s: float,
         earlier: Sequence[tuple[float, int]] = (),
     ) -> None:
-        """Store (frames, channels), full scale ±1.0, any number of frames, captured until now_s.
+        """Store a copy of (frames, channels), any number of frames, captured until now_s.
 
         earlier: if they were captured in parts, (time, frames until then) of each part but the
-        last, in order. The array is copied. Called by one thread at a time.
+        last, in order. Called by one thread at a time.
         """
         check_channels(frames, self.channels)
         if len(frames):
@@ -211,11 +211,10 @@ class DelayLine:
         return self._reader.readable(written.frames, self._step)
 
     def read(self, out: Float32Array, now_s: float, ahead: int = 0) -> int:
-        """Fill (frames, channels), any number of frames, to be played from now_s on.
+        """Fill (frames, channels), any number, to be played from now_s on; silence if missing.
 
-        Silence fills what is missing. ahead: how many of the last frames are optional, taken
-        because they are available (see `readable`); fewer, larger reads cost less. Returns how
-        many frames were filled. Called by the output's audio thread.
+        ahead: how many of the last frames are optional (see `readable`). Returns how many frames
+        were filled. Called by the output's audio thread.
         """
         check_channels(out, self.channels)
         frames = len(out)

@@ -59,7 +59,7 @@ class PlayingStream:
 
     name: str
     channels: int
-    channel_map: libpulse.ChannelMap
+    channel_map: Any
     paused: bool
 
 
@@ -95,8 +95,8 @@ class AppCapture(CallbackCounts):
     def close(self) -> bool:
         """End the capture; whether that was in time.
 
-        After True, on_frames is not called any more. Any thread but the one that calls on_frames
-        may call this, more than once; it raises nothing.
+        After True, on_frames is not called any more. For any thread but the captures' own; may be
+        repeated, and raises nothing.
         """
         self.ended = self.ended or EndReason.CLOSED
         return self._close(self)
@@ -107,10 +107,10 @@ class AppCapture(CallbackCounts):
         """Ask for a stream that records the application; whether the server accepts that."""
         positions = playing.channel_map
         if self._channels != playing.channels:
-            positions = libpulse.ChannelMap()
-            library.channel_map_init_extend(positions, self._channels, libpulse.DEFAULT_MAP)
+            positions = library.types.PA_CHANNEL_MAP()
+            library.channel_map_init_extend(byref(positions), self._channels, libpulse.DEFAULT_MAP)
         frame_bytes = 4 * self._channels
-        sizes = libpulse.BufferAttributes(
+        sizes = library.types.PA_BUFFER_ATTR(
             maxlength=int(BACKLOG_S * self._samplerate) * frame_bytes,
             fragsize=FRAGMENT_FRAMES * frame_bytes,
         )
@@ -125,15 +125,15 @@ class AppCapture(CallbackCounts):
             handle = library.stream_new_with_proplist(
                 context,
                 f"{playing.name} (captured)".encode(),
-                libpulse.SampleSpec(_FLOAT32, self._samplerate, self._channels),
-                positions,
+                byref(library.types.PA_SAMPLE_SPEC(_FLOAT32, self._samplerate, self._channels)),
+                byref(positions),
                 properties,
             )
         if not handle:
             return False
         if (
             library.stream_set_monitor_stream(handle, self.stream_index) < 0
-            or library.stream_connect_record(handle, None, sizes, _FLAGS) < 0
+            or library.stream_connect_record(handle, None, byref(sizes), _FLAGS) < 0
         ):
             library.stream_unref(handle)
             return False
@@ -183,9 +183,6 @@ class AppCapture(CallbackCounts):
         try:
             self.last_callback_s = now_s
             self.callbacks += 1
-            if not self.audible:
-                self.silenced += 1
-                data = bytes(len(data))
             frames = np.frombuffer(data, np.float32).reshape(-1, self._channels)
             self.frames += len(frames)
             self._on_frames(frames, now_s)

@@ -57,8 +57,9 @@ class AppCaptures(ConnectionThread):
         self._answers: dict[int, PlayingStream | None] = {}
         self._query = 0  # number of the query to a silent server, or 0
         self._queried_s = self._heard_s = time.monotonic()
-        self._info_callback = libpulse.SinkInputCallback(self._take_info)
-        self._event_callback = libpulse.EventCallback(self._take_event)
+        types = self._library.types
+        self._info_callback = types.PA_SINK_INPUT_INFO_CB_T(self._take_info)
+        self._event_callback = types.PA_SUBSCRIBE_CB_T(self._take_event)
         super().__init__("app-captures")
 
     def open(
@@ -69,17 +70,11 @@ class AppCaptures(ConnectionThread):
         samplerate (Hz), channels: the server converts to them. The sink's rate avoids a second
         conversion. A paused application is captured once it continues.
 
-        on_frames(frames, now_s): called by the thread that all captures share, with read-only
-        float32 (frames, channels), which it may keep, and the time of arrival. It gets
-        FRAGMENT_FRAMES at a time, or up to BACKLOG_S after a delay. It must neither block nor open
-        or close captures; its exceptions are counted in `errors`.
+        on_frames: called by the thread that all captures share, with read-only frames, which it may
+        keep, and the time of arrival. It must neither block nor open or close captures.
 
-        Raises
-        ------
-        NotFoundError
-            No application plays a stream with this index.
-        LostError
-            The connection is lost, or the server refuses or does not answer in time.
+        NotFoundError: no application plays such a stream. LostError: the connection is lost, or the
+        server refuses or does not answer in time.
         """
         capture = AppCapture(stream_index, samplerate, channels, on_frames, self._close)
         try:
@@ -267,7 +262,7 @@ class AppCaptures(ConnectionThread):
         self._answers[number] = PlayingStream(
             (found.name or b"").decode("utf-8", "replace"),
             found.sample_spec.channels,
-            libpulse.ChannelMap.from_buffer_copy(found.channel_map),
+            self._library.types.PA_CHANNEL_MAP.from_buffer_copy(found.channel_map),
             bool(found.corked),
         )
 

@@ -13,7 +13,6 @@ Case is ignored. NAME must match as a whole; `*`, `?` and `[...]` match as in a 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
@@ -58,20 +57,18 @@ class Rule:
 
     def matches(self, stream: Stream) -> bool:
         """Whether the rule matches this stream; unknown properties never match."""
+        names = (stream.application, stream.properties.get("application.id", ""))
+        values = {
+            "role": (stream.role,),
+            "binary": (stream.binary,),
+            "application": names,
+            "": (stream.binary, *names),
+        }
         return any(
             value.casefold() == self.name or fnmatchcase(value.casefold(), self.name)
-            for value in self._values(stream)
+            for value in values[self.kind]
             if value
         )
-
-    def _values(self, stream: Stream) -> Iterator[str]:
-        if self.kind == "role":
-            yield stream.role
-        if self.kind in ("", "binary"):
-            yield stream.binary
-        if self.kind in ("", "application"):
-            yield stream.application
-            yield stream.properties.get("application.id", "")
 
 
 class AppRules:

@@ -46,8 +46,7 @@ class DropIn(Listener):
 
     A thread follows the user: another default sink becomes the target, and while the target is
     missing, another sink replaces it. Volume keys change the virtual sink and with it the
-    vibration, as its monitor comes after the volume. Any thread but the connection's may call the
-    methods and read the attributes.
+    vibration. Any thread but the connection's may use it.
 
     Parameters
     ----------
@@ -101,8 +100,7 @@ class DropIn(Listener):
         self._circular: set[str] = set()  # sinks that play to ours
         self._default = DefaultSinkClaim(connection, snapshot.default_sink)
         self._streams = MovedStreams(connection)
-        self._wake = threading.Event()
-        self._stop = threading.Event()
+        self._wake, self._stop = threading.Event(), threading.Event()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="drop-in", daemon=True)
         try:
@@ -118,9 +116,8 @@ class DropIn(Listener):
     def delay_s(self) -> float:
         """The requested delay, at least 0.02 s. Setting it takes effect soon.
 
-        A new loopback replaces the old one after its own delay. Sound is repeated or lost by the
-        difference, and silent or doubled for up to 20 ms; on PipeWire a delay of 0.15 s or more
-        may be doubled for that long. UsageError: out of range.
+        Sound is repeated or lost by the difference, and silent or doubled for up to 20 ms; on
+        PipeWire a delay of 0.15 s or more may be doubled for that long. UsageError: out of range.
         """
         return self._delay_ms / 1e3
 
@@ -140,10 +137,9 @@ class DropIn(Listener):
         self._wake.set()
 
     def close(self) -> None:
-        """Restore the user's sound without us. Further calls do nothing; it raises nothing.
+        """Restore the user's sound without us. May be repeated; raises nothing.
 
-        The default sink and the streams move back before the forwarding ends. Delayed sound that
-        was not played yet is lost.
+        The default sink and the streams move back before the forwarding ends.
         """
         if self._closed:
             return
@@ -261,8 +257,7 @@ class DropIn(Listener):
         self.target_name = target or ""
         for one in found:
             if one.module != keep:
-                with suppress(NotFoundError):
-                    self._connection.unload_module(one.module)
+                self._unload(one.module)
         return self._connection.latest
 
     def _load_loopback(self, snapshot: ServerSnapshot, route: Route, found: list[Loopback]) -> int:
@@ -275,8 +270,7 @@ class DropIn(Listener):
             return any(one.module == module and one.complete for one in loopbacks(seen))
 
         if not complete(self._await(complete)):
-            with suppress(NotFoundError):
-                self._connection.unload_module(module)
+            self._unload(module)
             raise NotFoundError(
                 f"the sound server does not forward to the sink {route.target!r}; check that it "
                 "can play sound, or choose another one"
@@ -296,13 +290,15 @@ class DropIn(Listener):
             snapshot = self._await(is_unused, TAKES_S)
             self._streams.restore(snapshot, back)
             snapshot = self._await(is_unused, TAKES_S)
+        for one in loopbacks(snapshot):
+            self._unload(one.module)
         sink = our_sink(snapshot)
-        modules = [one.module for one in loopbacks(snapshot)]
         if sink is not None and sink.module is not None:
-            modules.append(sink.module)
-        for module in modules:
-            with suppress(NotFoundError):
-                self._connection.unload_module(module)
+            self._unload(sink.module)
+
+    def _unload(self, module: int) -> None:
+        with suppress(NotFoundError):
+            self._connection.unload_module(module)
 
     # ---------------------------------------------------------------------------------- inside
 

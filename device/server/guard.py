@@ -41,10 +41,9 @@ class Hold(Enum):
 
     @property
     def misplaced(self) -> bool:
-        """Whether the stream is not on its device.
+        """Whether the stream is not on its device, which for a few ms is normal.
 
-        If that lasts, close it and open it again when the device is back. A few ms are normal:
-        after an underrun ALSA's plugin replaces the stream by another one.
+        After an underrun ALSA's plugin replaces the stream by another one.
         """
         return self in (Hold.NO_STREAM, Hold.NO_DEVICE, Hold.ELSEWHERE)
 
@@ -53,10 +52,9 @@ class Hold(Enum):
 class StreamPlacement:
     """What is known of one stream; a value that `after_...` changes and `hold` judges.
 
-    tag: of the stream. name: of the device where it belongs, a sink if it plays, else a source.
-    Only monitors count as sources unless any_source, for measurements. stream, device: their
-    indexes, and on: the index of the stream's present device, as last seen. unsettled: number of
-    the event that is not checked yet, or 0.
+    name: of the device where it belongs, a sink if it plays, else a source, which must be a monitor
+    unless any_source. stream, device: their indexes. on: index of the stream's present device.
+    unsettled: number of the event that is not checked yet, or 0.
     """
 
     tag: str
@@ -174,7 +172,7 @@ class StreamGuard(Listener):
         self._connection.snapshot()
 
     def release(self) -> None:
-        """End the guard and silence the stream. Further calls do nothing; it raises nothing."""
+        """End the guard and silence the stream. May be repeated; raises nothing."""
         with self._lock:
             self._released = True
             self._stream.audible = False
@@ -208,8 +206,8 @@ class StreamGuard(Listener):
 class FallbackSink:
     """The silent sink that PulseAudio moves our stream to if its own sink vanishes.
 
-    Make it before the playback stream and close it afterwards. One that an earlier process left
-    is taken over. PipeWire does not need it. Any thread but the connection's uses it.
+    Make it before the playback stream. One that an earlier process left is taken over. PipeWire
+    does not need it. Any thread but the connection's uses it.
 
     Parameters
     ----------
@@ -241,13 +239,11 @@ class FallbackSink:
         try:
             if "module-intended-roles" not in connection.modules().values():
                 self._modules.append(connection.load_module("module-intended-roles"))
-            sinks = {sink.name: sink for sink in snapshot.sinks}
-            left = sinks.get(FALLBACK_SINK)
-            self._modules.append(
-                left.module
-                if left is not None and left.module is not None
-                else connection.load_module("module-null-sink", _FALLBACK_ARGUMENTS)
-            )
+            modules = {sink.name: sink.module for sink in snapshot.sinks}
+            left = modules.get(FALLBACK_SINK)
+            if left is None:
+                left = connection.load_module("module-null-sink", _FALLBACK_ARGUMENTS)
+            self._modules.append(left)
             self.active = True
         except NotFoundError as error:
             self.reason = (
@@ -256,7 +252,7 @@ class FallbackSink:
             self.close()
 
     def close(self) -> None:
-        """Unload what was loaded. Further calls do nothing; it raises nothing."""
+        """Unload what was loaded. May be repeated; raises nothing."""
         self.active = False
         while self._modules:
             with suppress(LostError, NotFoundError):  # it is gone already

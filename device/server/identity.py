@@ -90,8 +90,7 @@ class DeviceIdentity:
     """What identifies a device whenever it is plugged in; "" where unknown.
 
     vendor_id, product_id: four hexadecimal digits of a USB device. serial: the server's, which is
-    udev's VENDOR_MODEL_SERIAL. bus_path: its socket. alsa_card: ALSA's number, which is not stable
-    but leads to /proc/asound.
+    udev's VENDOR_MODEL_SERIAL. bus_path: its socket. alsa_card: ALSA's number, which may change.
     """
 
     bus: str
@@ -101,13 +100,10 @@ class DeviceIdentity:
     bus_path: str
     alsa_card: str
 
-    def is_usb(self, vendor_id: str, product_id: str, serial: str = "") -> bool:
-        """Whether it is this USB device; ids are hexadecimal, the serial is the device's own."""
-        if self.bus != "usb" or not self.vendor_id:
-            return False
-        if (self.vendor_id, self.product_id) != (_usb_id(vendor_id), _usb_id(product_id)):
-            return False
-        return not serial or self.serial == serial or self.serial.endswith(f"_{serial}")
+    def is_usb(self, vendor_id: str, product_id: str) -> bool:
+        """Whether it is this USB device; ids are hexadecimal."""
+        wanted = ("usb", _usb_id(vendor_id), _usb_id(product_id))
+        return bool(self.vendor_id) and (self.bus, self.vendor_id, self.product_id) == wanted
 
 
 def identity_of(sink: Sink) -> DeviceIdentity:

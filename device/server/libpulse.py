@@ -1,7 +1,7 @@
 """The functions of libpulse that record a stream.
 
-pulsectl's few record functions read a single peak value, and declare sizes as 32 bits where
-libpulse writes 64.
+pulsectl declares the structures, but its few record functions read a single peak value, and take
+sizes of 32 bits where libpulse writes 64.
 
 Functions that return at once keep Python's lock, as releasing it costs more than the call. Those
 that may wait release it. One thread at a time uses libpulse, except for `mainloop_wakeup`.
@@ -13,13 +13,12 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from ctypes import POINTER, c_char_p, c_int, c_size_t, c_uint8, c_uint32, c_uint64, c_void_p
+from ctypes import c_char_p, c_int, c_uint32, c_void_p
 from functools import cache
 from typing import Any
 
 from device.errors import NotFoundError
 
-CHANNELS_MAX = 32
 FLOAT32_LE, FLOAT32_BE = 5, 6
 CONTEXT_NOAUTOSPAWN = 0x1
 CONTEXT_READY, CONTEXT_FAILED = 4, 5
@@ -29,67 +28,8 @@ STREAM_ADJUST_LATENCY = 0x2000
 STREAM_DONT_INHIBIT_AUTO_SUSPEND = 0x8000
 SUBSCRIBE_SINK_INPUTS = 0x0004
 EVENT_MASK, EVENT_SINK_INPUT_REMOVED = 0x003F, 0x0022
-ERROR_NO_ENTITY = 5
 DEFAULT_MAP = 0
 
-
-class SampleSpec(ctypes.Structure):
-    """Format, rate in Hz and channels of a stream."""
-
-    _fields_ = (("format", c_int), ("rate", c_uint32), ("channels", c_uint8))
-
-
-class ChannelMap(ctypes.Structure):
-    """The positions of a stream's channels."""
-
-    _fields_ = (("channels", c_uint8), ("positions", c_int * CHANNELS_MAX))
-
-
-class BufferAttributes(ctypes.Structure):
-    """Sizes in bytes; a recording stream uses maxlength and fragsize."""
-
-    _fields_ = (
-        ("maxlength", c_uint32),
-        ("tlength", c_uint32),
-        ("prebuf", c_uint32),
-        ("minreq", c_uint32),
-        ("fragsize", c_uint32),
-    )
-
-
-class Volumes(ctypes.Structure):
-    """The volume of each channel."""
-
-    _fields_ = (("channels", c_uint8), ("values", c_uint32 * CHANNELS_MAX))
-
-
-class SinkInputInfo(ctypes.Structure):
-    """The first fields of the description of a playing stream."""
-
-    _fields_ = (
-        ("index", c_uint32),
-        ("name", c_char_p),
-        ("owner_module", c_uint32),
-        ("client", c_uint32),
-        ("sink", c_uint32),
-        ("sample_spec", SampleSpec),
-        ("channel_map", ChannelMap),
-        ("volumes", Volumes),
-        ("buffer_us", c_uint64),
-        ("sink_us", c_uint64),
-        ("resample_method", c_char_p),
-        ("driver", c_char_p),
-        ("mute", c_int),
-        ("properties", c_void_p),
-        ("corked", c_int),
-    )
-
-
-SinkInputCallback = ctypes.CFUNCTYPE(None, c_void_p, POINTER(SinkInputInfo), c_int, c_void_p)
-"""Arguments: context, info, end (0: info is valid; 1: no more; below 0: none), number."""
-
-EventCallback = ctypes.CFUNCTYPE(None, c_void_p, c_int, c_uint32, c_void_p)
-"""Arguments: context, kind of event, index, unused."""
 
 _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "strerror": (c_char_p, c_int),
@@ -108,19 +48,19 @@ _AT_ONCE: dict[str, tuple[Any, ...]] = {  # name: result, arguments
     "context_disconnect": (None, c_void_p),
     "context_unref": (None, c_void_p),
     "context_subscribe": (c_void_p, c_void_p, c_int, c_void_p, c_void_p),
-    "context_set_subscribe_callback": (None, c_void_p, EventCallback, c_void_p),
-    "context_get_sink_input_info": (c_void_p, c_void_p, c_uint32, SinkInputCallback, c_void_p),
+    "context_set_subscribe_callback": (None, c_void_p, c_void_p, c_void_p),
+    "context_get_sink_input_info": (c_void_p, c_void_p, c_uint32, c_void_p, c_void_p),
     "operation_unref": (None, c_void_p),
-    "channel_map_init_extend": (c_void_p, POINTER(ChannelMap), c_uint32, c_int),
+    "channel_map_init_extend": (c_void_p, c_void_p, c_uint32, c_int),
     "stream_new_with_proplist": (
         c_void_p,
-        *(c_void_p, c_char_p, POINTER(SampleSpec), POINTER(ChannelMap), c_void_p),
+        *(c_void_p, c_char_p, c_void_p, c_void_p, c_void_p),
     ),
     "stream_set_monitor_stream": (c_int, c_void_p, c_uint32),
-    "stream_connect_record": (c_int, c_void_p, c_char_p, POINTER(BufferAttributes), c_int),
+    "stream_connect_record": (c_int, c_void_p, c_char_p, c_void_p, c_int),
     "stream_get_state": (c_int, c_void_p),
     "stream_get_device_name": (c_char_p, c_void_p),
-    "stream_peek": (c_int, c_void_p, POINTER(c_void_p), POINTER(c_size_t)),
+    "stream_peek": (c_int, c_void_p, c_void_p, c_void_p),
     "stream_drop": (c_int, c_void_p),
     "stream_disconnect": (c_int, c_void_p),
     "stream_unref": (None, c_void_p),
@@ -132,9 +72,12 @@ _WAITING: dict[str, tuple[Any, ...]] = {
 
 
 class LibPulse:
-    """The library's functions, without their prefix `pa_`. Use `load`."""
+    """The library's functions, without their prefix `pa_`. types: pulsectl's. Use `load`."""
 
     def __init__(self) -> None:
+        from pulsectl import _pulsectl
+
+        self.types: Any = _pulsectl
         for library, functions in (
             (ctypes.PyDLL("libpulse.so.0"), _AT_ONCE),
             (ctypes.CDLL("libpulse.so.0"), _WAITING),
@@ -165,7 +108,7 @@ def load() -> LibPulse:
     """Load the library once. Any thread may call it; NotFoundError: it is not installed."""
     try:
         return LibPulse()
-    except OSError as error:
+    except (ImportError, OSError) as error:
         raise NotFoundError(
             f"the library libpulse cannot be loaded ({error}); install it (libpulse0)"
         ) from None

@@ -64,8 +64,7 @@ class MovedStreams:
     def collect(self, snapshot: ServerSnapshot, target: str, now_s: float) -> None:
         """Move streams that play on the target and have not followed the default sink.
 
-        A stream that the user moved away from the virtual sink stays where it is. So does a stream
-        that carries the target's own sound.
+        What the user moved away from the virtual sink, or carries the target's own sound, stays.
         """
         loop = reachable_sinks(snapshot, target)
         astray: dict[int, float] = {}
@@ -124,9 +123,8 @@ class MovedStreams:
 class DefaultSinkClaim:
     """Makes the virtual sink the default and detects what the user chooses instead.
 
-    stable_name: the default sink that persisted, as reported by `Listener.on_default_sink`; any
-    thread may set it. settled: whether the default sink is ours, with nothing to do. contested:
-    another program claims the default sink, so that it is left alone.
+    stable_name: the default sink that persisted; any thread may set it. settled: whether the
+    default sink is ours. contested: another program claims it, so that it is left alone.
     """
 
     def __init__(self, connection: PulseConnection, stable_name: str) -> None:
@@ -158,10 +156,7 @@ class DefaultSinkClaim:
         return None
 
     def claim(self, snapshot: ServerSnapshot, now_s: float) -> None:
-        """Make the virtual sink the default, repeatedly until it is.
-
-        WirePlumber may not accept a new sink at once.
-        """
+        """Make the virtual sink the default, again if WirePlumber did not accept it at once."""
         if self.settled or self.contested or snapshot.default_sink == SINK:
             return
         if self._taken_s is None or now_s - self._taken_s >= TAKES_S:

@@ -42,7 +42,7 @@ _GATHER_S = 0.02
 class PulseConnection(ConnectionThread):
     """A connection from the moment it is made until it is lost or closed.
 
-    Any thread but the connection's own may call the methods.
+    Any thread but its own may call the methods. NotFoundError: what they name is gone.
 
     Parameters
     ----------
@@ -85,18 +85,17 @@ class PulseConnection(ConnectionThread):
         return self._ask(self._refresh)
 
     def move_source_output(self, index: int, source_index: int) -> None:
-        """Move a recording stream to another source. NotFoundError: one of them is gone."""
+        """Move a recording stream to another source."""
         self._ask(lambda: self._pulse.source_output_move(index, source_index))
 
     def move_sink_input(self, index: int, sink_index: int) -> None:
-        """Move a playing stream to another sink. NotFoundError: one of them is gone."""
+        """Move a playing stream to another sink."""
         self._ask(lambda: self._pulse.sink_input_move(index, sink_index))
 
     def set_sink_volume_db(self, name: str, wanted_db: float) -> None:
-        """Set all channels of a sink, 0 dB at most, and unmute it. NotFoundError: it is gone.
+        """Set all channels of a sink, 0 dB at most, and unmute it.
 
-        The server's scale is 60 log10 of its own number, with 1.0 at 0 dB (its
-        `pa_sw_volume_from_dB`). UsageError: wanted_db is NaN.
+        The server's scale is 60 log10 of its own number, with 1.0 at 0 dB.
         """
         volume = 10.0 ** (limit_volume_db(wanted_db, -math.inf, name) / 60.0)
 
@@ -108,10 +107,7 @@ class PulseConnection(ConnectionThread):
         self._ask(work)
 
     def set_default_sink(self, name: str) -> None:
-        """Make a sink the default, as a user would. NotFoundError: it does not exist.
-
-        PulseAudio moves the streams that follow the default at once, WirePlumber after 50 ms.
-        """
+        """Make a sink the default, as a user would; streams may follow it up to 50 ms later."""
         self._ask(lambda: self._pulse.sink_default_set(name))
 
     def load_module(self, name: str, arguments: Sequence[str] = ()) -> int:
@@ -125,14 +121,13 @@ class PulseConnection(ConnectionThread):
             ) from None
 
     def unload_module(self, index: int) -> None:
-        """Unload a module of the server. NotFoundError: it is gone."""
+        """Unload a module of the server."""
         self._ask(lambda: self._pulse.module_unload(index))
 
     def modules(self) -> dict[int, str]:
         """Return the names of the server's modules by index."""
-        return {
-            module.index: module.name for module in self._ask(lambda: self._pulse.module_list())
-        }
+        modules = self._ask(lambda: self._pulse.module_list())
+        return {module.index: module.name for module in modules}
 
     def add(self, listener: Listener) -> None:
         """Add a listener, which gets a snapshot at once."""

@@ -17,10 +17,10 @@ NOWHERE = 0xFFFF_FFFF
 
 @dataclass(frozen=True)
 class Sink:
-    """A device to play to. index: the server's, never reused. monitor: name of its monitor source.
+    """A device to play to. monitor: name of its monitor source.
 
-    properties: the server's, as text. module: index of the module that made it, or None.
-    samplerate: Hz. channel_map: such as "front-left,front-right".
+    index: the server's, never reused. module: index of the module that made it, or None.
+    channel_map: such as "front-left,front-right".
     """
 
     index: int
@@ -41,10 +41,7 @@ class Sink:
 
 @dataclass(frozen=True)
 class Source:
-    """A device to record from. monitor_of: name of the sink that it monitors, or None.
-
-    channel_map: as in `Sink`. volume: the server's number, 1.0 for 100 %.
-    """
+    """A device to record from. monitor_of: name of its sink, or None. volume: 1.0 for 100 %."""
 
     index: int
     name: str
@@ -60,11 +57,10 @@ class Source:
 
 @dataclass(frozen=True)
 class Stream:
-    """An application's stream: a sink input, which plays, or a source output, which records.
+    """A sink input, which plays, or a source output, which records. Unknown text is "".
 
-    device_index, device_name: of its sink or source; None and "" while it has none. application,
-    binary, role, media: "" if unknown. process_id: None if unknown. corked: paused by the
-    application. module: index of the module that made it; None for an application's.
+    device_index, device_name: of its sink or source; None and "" while it has none. corked: paused
+    by the application. module: index of the module that made it; None for an application's.
     """
 
     index: int
@@ -134,8 +130,7 @@ def take_snapshot(pulse: Any, events: int) -> ServerSnapshot:
     appears on a device that exists.
     """
     sink_inputs, source_outputs = pulse.sink_input_list(), pulse.source_output_list()
-    sinks, sources = pulse.sink_list(), pulse.source_list()
-    info = pulse.server_info()
+    sinks, sources, info = pulse.sink_list(), pulse.source_list(), pulse.server_info()
     kind, version = _kind(info.server_name or "", info.server_version or "")
     sink_names = {sink.index: sink.name for sink in sinks}
     source_names = {source.index: source.name for source in sources}
@@ -166,33 +161,29 @@ def default_name(name: str | None) -> str:
 
 
 def _sink(item: Any) -> Sink:
-    return Sink(
-        index=item.index,
-        name=item.name,
-        description=item.description or "",
-        monitor=item.monitor_source_name or "",
-        samplerate=item.samplerate,
-        channels=item.channel_count,
-        module=_known(item.owner_module),
-        properties=dict(item.proplist),
-        channel_map=",".join(item.channel_list),
-    )
+    module = _known(item.owner_module)
+    return Sink(monitor=item.monitor_source_name or "", module=module, **_device(item))
 
 
 def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
-    monitored = item.monitor_of_sink
     return Source(
-        index=item.index,
-        name=item.name,
-        description=item.description or "",
-        monitor_of=None if monitored == NOWHERE else sink_names.get(monitored),
-        samplerate=item.samplerate,
-        channels=item.channel_count,
-        properties=dict(item.proplist),
-        channel_map=",".join(item.channel_list),
+        monitor_of=sink_names.get(item.monitor_of_sink),
         volume=float(item.volume.value_flat),
         mute=bool(item.mute),
+        **_device(item),
     )
+
+
+def _device(item: Any) -> dict[str, Any]:
+    return {
+        "index": item.index,
+        "name": item.name,
+        "description": item.description or "",
+        "samplerate": item.samplerate,
+        "channels": item.channel_count,
+        "properties": dict(item.proplist),
+        "channel_map": ",".join(item.channel_list),
+    }
 
 
 def _stream(item: Any, device: int, names: Mapping[int, str]) -> Stream:
@@ -225,10 +216,10 @@ DEFAULT_SETTLES_S = 0.2
 
 @dataclass(frozen=True)
 class Event:
-    """A change on the server.
+    """A change on the server. number: counts this connection's events, from 1.
 
     facility: "sink", "source", "sink_input", "source_output", "server" or others. kind: "new",
-    "change" or "remove". index: of the object. number: counts this connection's events, from 1.
+    "change" or "remove".
     """
 
     facility: str
@@ -238,10 +229,9 @@ class Event:
 
 
 class Listener:
-    """Receives what a `PulseConnection` reports; the methods do nothing here.
+    """Receives what a `PulseConnection` reports, on its thread.
 
-    The connection's thread calls them: they must return at once, must not query the connection and
-    must not raise.
+    The methods must return at once, must not query the connection and must not raise.
     """
 
     def on_event(self, event: Event) -> bool:
@@ -259,11 +249,9 @@ class Listener:
 
 
 _BLOCKS = {"PulseAudio": (0.0, 1.0), "PipeWire": (1.0, 2.0)}
-"""Kind of server: blocks of latency in the tap and in the output.
+"""Kind of server: blocks of latency in the tap and in the output, as measured.
 
-The server's own numbers are unusable: PipeWire reports 0. These were measured by recording both
-monitors side by side; the sums are within 1 ms. PipeWire delivers what it mixed one cycle ago and
-takes from a queue of two blocks. PulseAudio mixes ahead and asks when one of two blocks is left.
+The server's own numbers are unusable: PipeWire reports 0.
 """
 
 

@@ -1,8 +1,7 @@
 """Keeps Python's state of a library's thread between callbacks.
 
-Python creates a thread state for every call from a thread that it does not know, and frees it
-afterwards. Each time it allocates memory from the kernel. At some hundred callbacks per second
-that costs as much as the callbacks.
+Python creates and frees a state for every call from a thread that it does not know. At some
+hundred callbacks per second that costs as much as the callbacks.
 """
 
 from __future__ import annotations

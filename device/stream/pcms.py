@@ -15,7 +15,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from device.errors import UsageError
 from device.stream.private_dir import PrivateDir
@@ -48,7 +47,7 @@ class Pcm:
     def __init__(self, config: PcmConfig, name: str) -> None:
         self.config = config
         self.name = name
-        self.target: Target = Nowhere()
+        self.target = Target()
 
 
 class PcmConfig:
@@ -145,33 +144,23 @@ def _properties(tag: str, output: bool) -> str:
     return f"application.id={APPLICATION_ID} media.role={ROLE} {TAG}={tag}{ending}"
 
 
-class Target(Protocol):
-    """The device that a PCM opens; `str()` gives its name for messages."""
+class Target:
+    """The device that a PCM opens, at first none; `str()` gives its name for messages."""
 
-    @property
-    def definition(self) -> str:
-        """The content of `pcm.NAME { }` in ALSA's configuration."""
-        ...
-
-    @property
-    def trouble(self) -> str:
-        """Why opening it may fail, and what to do."""
-        ...
-
-
-@dataclass(frozen=True)
-class Nowhere:
-    """A device that plays and records nothing."""
-
-    definition = "type null"
     trouble = "no device was set for this PCM"
+    """Why opening it may fail, and what to do."""
 
     def __str__(self) -> str:
         return "nowhere"
 
+    @property
+    def definition(self) -> str:
+        """The content of `pcm.NAME { }` in ALSA's configuration."""
+        return "type null"
+
 
 @dataclass(frozen=True)
-class ServerDevice:
+class ServerDevice(Target):
     """A sink or source, by the server's name for it. server: its address; None for the default."""
 
     device: str
@@ -193,7 +182,7 @@ class ServerDevice:
 
 
 @dataclass(frozen=True)
-class CardDevice:
+class CardDevice(Target):
     """A sound card without a server, by the numbers of card and device.
 
     Without a plugin in between, rate, format and channels must be the card's own.

@@ -10,6 +10,7 @@ import itertools
 import os
 import threading
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -59,31 +60,26 @@ class OpenStream:
     tag: str
 
 
-def open_stream(
-    pcm: Pcm,
-    *,
-    output: bool,
-    samplerate: int,
-    channels: int,
-    callback: Callback,
-    block_frames: int = BLOCK_FRAMES,
-    sample_format: SampleFormat = SampleFormat.FLOAT32,
-) -> OpenStream:
+@dataclass(frozen=True)
+class StreamSetup:
+    """What to open. sample_format: of the callback's bytes; PortAudio may convert them."""
+
+    output: bool
+    samplerate: int
+    channels: int
+    block_frames: int
+    sample_format: SampleFormat
+
+
+def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
     """Return a running stream of the PCM's target; a thread of PortAudio calls `callback`.
 
-    samplerate: Hz. block_frames: per callback. sample_format: of the callback's bytes; PortAudio
-    converts them, with dither, for a card that has only another format. Any thread but a callback's
-    may call this; openings are serialised.
-
-    Raises
-    ------
-    LostError
-        No server answers, the device is missing, ended or in use, or the time limit has passed.
-    NotFoundError
-        PyAudio or PortAudio is not installed.
+    Any thread but a callback's may call this; openings are serialised. LostError: no server
+    answers, the device is missing, ended or in use, or the time limit has passed. NotFoundError:
+    PyAudio or PortAudio is not installed.
     """
-    what = f"{pcm.target} for {'playback' if output else 'capture'}"
-    side = "output" if output else "input"
+    what = f"{pcm.target} for {'playback' if setup.output else 'capture'}"
+    side = "output" if setup.output else "input"
 
     def open_stopped() -> OpenStream:
         if not _lock.acquire(timeout=OPEN_LIMIT_S):
@@ -94,12 +90,12 @@ def open_stream(
         try:
             instance, index = _instance(pcm)
             tag = f"{os.getpid()}-{next(_numbers)}"
-            with pcm.config.opening(pcm, tag, output=output):
+            with pcm.config.opening(pcm, tag, output=setup.output):
                 stream = instance.open(
-                    rate=samplerate,
-                    channels=channels,
-                    format=_FORMATS[sample_format],
-                    frames_per_buffer=block_frames,
+                    rate=setup.samplerate,
+                    channels=setup.channels,
+                    format=_FORMATS[setup.sample_format],
+                    frames_per_buffer=setup.block_frames,
                     stream_callback=callback,
                     start=False,
                     **{side: True, f"{side}_device_index": index},
@@ -131,16 +127,17 @@ def open_stream(
     except (OSError, ValueError) as error:
         # PyAudio's text for an error, or its number
         reason = str(error.args[-1]) if error.args else type(error).__name__
-        in_format = "" if sample_format is SampleFormat.FLOAT32 else f" in {sample_format.value}"
+        name = setup.sample_format.value
+        in_format = "" if setup.sample_format is SampleFormat.FLOAT32 else f" in {name}"
         raise LostError(
-            f"cannot open {what} with {channels} channels at {samplerate} Hz{in_format} "
-            f"({reason}): {pcm.target.trouble}"
+            f"cannot open {what} with {setup.channels} channels at {setup.samplerate} Hz"
+            f"{in_format} ({reason}): {pcm.target.trouble}"
         ) from None
     raise InternalError("unreachable")
 
 
 def close_stream(opened: OpenStream) -> bool:
-    """Close the stream; whether that took less than CLOSE_LIMIT_S, else it continues in background.
+    """Close the stream; whether that was in time, else it continues in background.
 
     Any thread but a callback's may call this, once. It raises nothing.
     """
@@ -199,32 +196,26 @@ def _call_within(
 
     late: called on that thread with a result that comes too late.
     """
-    outcome: list[Result] = []
-    errors: list[BaseException] = []
-    claim = threading.Lock()
-    given_up = False
+    future: Future[Result] = Future()
 
     def run() -> None:
         try:
             result = work()
-        except BaseException as error:  # raised below, in the caller's thread
-            errors.append(error)
+        except BaseException as error:  # raised in the caller's thread
+            if future.set_running_or_notify_cancel():
+                future.set_exception(error)
             return
-        with claim:
-            outcome.append(result)
-            unwanted = given_up
-        if unwanted:
+        if future.set_running_or_notify_cancel():
+            future.set_result(result)
+        else:
             late(result)
 
-    thread = threading.Thread(target=run, name=what, daemon=True)
-    thread.start()
-    thread.join(limit_s)
-    with claim:
-        given_up = not outcome
-    if outcome:
-        return outcome[0]
-    if errors:
-        raise errors[0]
+    threading.Thread(target=run, name=what, daemon=True).start()
+    try:
+        return future.result(limit_s)
+    except TimeoutError:
+        if not future.cancel():  # it has just come
+            return future.result()
     raise LostError(
         f"cannot {what}: the sound server or the card has not answered for {limit_s:g} s; "
         "see whether it hangs, and restart it if so"

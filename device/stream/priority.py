@@ -44,8 +44,7 @@ class AudioPriority:
     wanted : bool
         As above; set by `set_wanted`, cleared by `revoke`.
     warning : str
-        One line on what is missing and how to get it; "" unless a thread was refused. Any thread
-        may read it.
+        What is missing and how to get it; "" unless a thread was refused.
     """
 
     def __init__(self, wanted: bool = True) -> None:

@@ -20,7 +20,13 @@ from device.blocks import emptied, peak
 from device.errors import UsageError
 from device.stream.gil_state import RELEASE_LIMIT_S, GilState
 from device.stream.pcms import Pcm, ServerDevice
-from device.stream.portaudio import BLOCK_FRAMES, OpenStream, close_stream, open_stream
+from device.stream.portaudio import (
+    BLOCK_FRAMES,
+    OpenStream,
+    StreamSetup,
+    close_stream,
+    open_stream,
+)
 from device.stream.priority import AudioPriority
 from device.stream.sample_format import Encoder, SampleFormat
 from device.units import Float32Array
@@ -62,17 +68,18 @@ class CallbackCounts:
 class _Stream(CallbackCounts):
     """The common part of both streams."""
 
+    _output: bool
+
     def __init__(
         self,
         pcm: Pcm,
         samplerate: int,
         channels: int,
-        *,
-        output: bool,
-        audible: bool,
         block_frames: int,
         priority: AudioPriority | None,
-        sample_format: SampleFormat = SampleFormat.FLOAT32,
+        sample_format: SampleFormat,
+        *,
+        audible: bool,
     ) -> None:
         check_format(samplerate, channels)
         super().__init__(audible)
@@ -83,24 +90,15 @@ class _Stream(CallbackCounts):
         self._gil_state = GilState()
         self._close_lock = threading.Lock()
         self._on_server = isinstance(pcm.target, ServerDevice)
-        self._output = output
         self._open: OpenStream | None = None
-        self._open = open_stream(
-            pcm,
-            output=output,
-            samplerate=samplerate,
-            channels=channels,
-            callback=self._callback,
-            block_frames=block_frames,
-            sample_format=sample_format,
-        )
+        setup = StreamSetup(self._output, samplerate, channels, block_frames, sample_format)
+        self._open = open_stream(pcm, setup, self._callback)
         self.tag = self._open.tag
 
     def is_lost(self, now_s: float | None = None) -> bool:
         """Whether no callback came for LOST_AFTER_S, or the stream was closed or ended.
 
-        A new stream on a server has BEGINS_WITHIN_S. now_s: time.monotonic(), if at hand. Any
-        thread may call it.
+        A new stream on a server has BEGINS_WITHIN_S. now_s: time.monotonic(). For any thread.
         """
         now = time.monotonic() if now_s is None else now_s
         young = self.last_callback_s - self.opened_s < BEGUN_AFTER_S
@@ -119,8 +117,7 @@ class _Stream(CallbackCounts):
     def close(self) -> bool:
         """End the stream; whether that was in time, else it ends in the background.
 
-        After True, no callback runs any more. Any thread but the callback's may call this, more
-        than once; it raises nothing.
+        After True, no callback runs any more. Any thread but the callback's; may be repeated.
         """
         self._closing = True
         with self._close_lock:
@@ -164,10 +161,8 @@ class CaptureStream(_Stream):
     ----------
     pcm : Pcm
         Its target is what the stream captures.
-    samplerate : int
-        Hz.
-    channels : int
-        Per frame.
+    samplerate, channels : int
+        In Hz, and per frame.
     on_frames : Callable
         Gets every block, read only, which it may keep, and the time. PortAudio's thread calls it:
         it must neither block nor close the stream.
@@ -204,6 +199,8 @@ class CaptureStream(_Stream):
         samplerate or channels is out of range.
     """
 
+    _output = False
+
     def __init__(
         self,
         pcm: Pcm,
@@ -216,14 +213,9 @@ class CaptureStream(_Stream):
         priority: AudioPriority | None = None,
     ) -> None:
         self._on_frames = on_frames
+        sample_format = SampleFormat.FLOAT32
         super().__init__(
-            pcm,
-            samplerate,
-            channels,
-            output=False,
-            audible=audible,
-            block_frames=block_frames,
-            priority=priority,
+            pcm, samplerate, channels, block_frames, priority, sample_format, audible=audible
         )
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:
@@ -243,10 +235,8 @@ class PlaybackStream(_Stream):
     ----------
     pcm : Pcm
         Its target is where the stream plays.
-    samplerate : int
-        Hz.
-    channels : int
-        Per frame.
+    samplerate, channels : int
+        In Hz, and per frame.
     fill : Callable
         Writes into every block, which is all 0, and must not keep it. If it raises, or leaves a
         sample that is not finite, the block becomes silence and counts in `errors`.
@@ -264,6 +254,8 @@ class PlaybackStream(_Stream):
     audible : bool
         Any thread may set it. While it is False, silence is played from the next block on.
     """
+
+    _output = True
 
     def __init__(
         self,
@@ -286,14 +278,7 @@ class PlaybackStream(_Stream):
         self._bytes_per_frame = channels * sample_format.bytes_per_sample
         self._sound: bytes | None = None
         super().__init__(
-            pcm,
-            samplerate,
-            channels,
-            output=True,
-            audible=False,
-            block_frames=block_frames,
-            priority=priority,
-            sample_format=sample_format,
+            pcm, samplerate, channels, block_frames, priority, sample_format, audible=False
         )
 
     def _exchange(self, data: bytes | None, frames: int, now_s: float) -> None:

@@ -13,7 +13,8 @@ import threading
 from array import array
 from queue import SimpleQueue
 
-from device.server.libpulse import BufferAttributes, SampleSpec
+from pulsectl._pulsectl import PA_BUFFER_ATTR as BufferAttributes
+from pulsectl._pulsectl import PA_SAMPLE_SPEC as SampleSpec
 
 RATE_HZ = 48_000
 FLOAT32_LE = 5

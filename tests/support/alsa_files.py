@@ -14,13 +14,13 @@ from pathlib import Path
 import pytest
 
 from device.stream import portaudio
-from device.stream.pcms import PcmConfig
+from device.stream.pcms import PcmConfig, Target
 
 BLOCK_S = 0.002
 
 
 @dataclass(frozen=True)
-class ToFile:
+class ToFile(Target):
     """A target like a card's: every byte that would go to the card goes to the file."""
 
     path: Path
