@@ -35,8 +35,7 @@ class DropInControl:
     def maintain(self, connection: PulseConnection, haptic_sink: str | None, now_s: float) -> None:
         """Make the sink if it is missing; raises nothing. haptic_sink: never forwarded to."""
         if self._drop_in is not None:
-            if self._drop_in.haptic_sink != haptic_sink:
-                self._drop_in.haptic_sink = haptic_sink
+            self._drop_in.spare(haptic_sink)
             self._target = self._drop_in.target_name or self._target
             return
         if self._backoff.wait_s(now_s) > 0.0:

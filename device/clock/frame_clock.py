@@ -42,10 +42,9 @@ _LEAST_NOISE_S = 5e-6
 class ClockReading(NamedTuple):
     """A straight line through a counter and time; immutable, for any thread.
 
-    time_s: the earliest time at which the counter can have reached `frames`. frames_per_s: its
-    rate. settled: enough callbacks were seen to rely on it. astray: the last one was an outlier,
-    perhaps of a new line. stepped_s: how far corrections have moved the line so far, later is
-    positive; measurements by two readings differ by this much without any change.
+    time_s: the earliest time at which the counter can have reached `frames`. settled: enough
+    callbacks were seen to rely on it. astray: the last one was an outlier, perhaps of a new line.
+    stepped_s: how far corrections have moved the line to later times so far.
     """
 
     time_s: float

@@ -26,8 +26,8 @@ class NewestFrames:
     One thread writes and one other reads, without locks. The writer sets `claimed` to announce
     what it overwrites, stores the frames, and then publishes the new count elsewhere. The reader
     uses frames from `oldest` up to the published count and reads `oldest` again afterwards: if
-    that is still behind what it used, all of it was intact. This needs atomic loads and stores of
-    one attribute, seen in order, which CPython has with and without a GIL.
+    that is still behind what it used, all of it was intact. This needs attributes that are loaded
+    and stored atomically and in order, as CPython's are.
 
     frames: float32 (capacity, channels); frame k is in row k % capacity. claimed: frames that
     were or are being stored since the start.
@@ -143,9 +143,8 @@ class CubicReader:
 class Joint:
     """Cross-fades from the previous signal to the next one over 5 ms, without a click.
 
-    The old signal may have ended, so its last value and slope are extrapolated. The slope decays
-    within 0.5 ms; both fall with a raised cosine while the new signal rises with the other half.
-    Value and slope have no step. Silence is a signal like any other. Called by the reading thread.
+    The old signal may have ended, so its last value and slope are extrapolated. They fall with a
+    raised cosine while the new signal rises, so neither has a step. Called by the reading thread.
     """
 
     def __init__(self, samplerate: float, channels: int) -> None:

@@ -54,8 +54,7 @@ class Written(NamedTuple):
     """What the writing side publishes for the reading one.
 
     frames: count written so far, as of `clock`. run_start: the first frame after the last stall;
-    earlier frames are not played after it. lateness_s: what to provide for late callbacks.
-    lateness_known: whether that was measured.
+    earlier ones are not played after it. lateness_s, lateness_known: see `Lateness`.
     """
 
     frames: int
@@ -123,10 +122,8 @@ class Lateness:
     limit_s: the most to provide for; later callbacks are left to cause an underflow. Called by
     the thread whose callbacks are measured.
 
-    The histogram's entries lose half their weight in 60 s; it is evaluated every 0.5 s. With fewer
-    than 1000 callbacks the estimate is the greatest lateness. All callbacks that one pause delays
-    count as one, the latest. They do not count at all if the pause turns out to be a jump of the
-    counter.
+    With fewer than 1000 callbacks it is the greatest lateness. All callbacks that one pause delays
+    count as one, the latest, or not at all if the pause turns out to be a jump of the counter.
 
     estimate_s: 0.5 ms to `limit_s`. It follows every rise, but a fall only if greater than 1 ms,
     so that it rests. known: whether it has been evaluated. Any thread may read both.
@@ -163,7 +160,7 @@ class Lateness:
             self._evaluate()
 
     def forget(self) -> None:
-        """Drop all entries, which were no lateness; the estimate is the least until evaluated."""
+        """Drop all entries, which were no lateness."""
         self._counts = [0.0] * len(self._counts)
         self._weight = 1.0
         self._paused_s = 0.0

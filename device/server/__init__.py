@@ -16,7 +16,7 @@
 | `connection_thread` | the thread that owns a connection and serves requests |
 | `libpulse` | the functions of libpulse that record a stream |
 
-pulsectl is loaded by the first connection: it needs a library of the system.
+pulsectl is loaded by the first connection.
 """
 
 from device.server.app_captures import AppCaptures

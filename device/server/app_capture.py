@@ -1,13 +1,11 @@
 """One application's sound, captured before the mix.
 
 A server records one playing stream (sink input) if the record stream asks for that when it is
-made; PortAudio and ALSA cannot. On PulseAudio 16.1 and PipeWire 0.3.65 the sound comes after the
-application's own volume and mute, and before the sink's. At 100 % and equal rates the samples are
-bit-identical.
+made; PortAudio and ALSA cannot. The sound comes after the application's own volume and mute, and
+before the sink's; at 100 % and equal rates the samples are bit-identical.
 
-The capture cannot be moved, and the server ends it with the application's stream. PulseAudio also
-ends it when that stream moves to another sink; PipeWire continues. While the application pauses,
-PulseAudio delivers silence and PipeWire nothing.
+The server ends the capture with the application's stream. PulseAudio also ends it when that stream
+moves to another sink. While the application pauses, it delivers silence, and PipeWire nothing.
 """
 
 from __future__ import annotations
@@ -66,10 +64,8 @@ class PlayingStream:
 class AppCapture(CallbackCounts):
     """Delivers the frames of one application's stream. Made by `AppCaptures.open`.
 
-    Any thread may read the attributes, those of a `CaptureStream` and these:
-
-    stream_index: of the sink input. ended: None while it runs, else the reason. Callbacks differ in
-    length. xruns: how often the server reported missing frames, which become silence.
+    Any thread may read the attributes, those of a `CaptureStream` and these: stream_index, of the
+    sink input; ended, None while it runs, else the reason. xruns counts holes, which are silence.
     """
 
     def __init__(
@@ -143,10 +139,7 @@ class AppCapture(CallbackCounts):
         return True
 
     def _read(self, library: libpulse.LibPulse) -> None:
-        """Deliver everything that has arrived as one buffer.
-
-        PulseAudio splits fragments where the application's buffers end, a few frames apart.
-        """
+        """Deliver everything that has arrived as one buffer: PulseAudio splits fragments."""
         handle, data, size = self._handle, self._data, self._size
         if handle is None or self._failed or (self._pending and not self._is_ready(library)):
             return

@@ -19,14 +19,9 @@ from device.server.connection_thread import ANSWER_LIMIT_S, ConnectionThread, no
 from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME
 from device.stream.streams import OnBlock
 
-ATTEMPTS = 3
-"""PipeWire occasionally refuses a stream on a busy machine, where links are made late."""
-
-START_LIMIT_S = 0.5
-"""How long an opening waits for the first sound of an application that plays."""
-
-_QUERY_AFTER_S = 1.0
-"""With open streams, a server that is silent for this long gets a query as a sign of life."""
+ATTEMPTS = 3  # PipeWire occasionally refuses a stream on a busy machine
+START_LIMIT_S = 0.5  # until the first sound of an application that plays
+_QUERY_AFTER_S = 1.0  # of silence from the server: does it still live?
 
 
 class AppCaptures(ConnectionThread):
@@ -67,8 +62,8 @@ class AppCaptures(ConnectionThread):
     ) -> AppCapture:
         """Return a running capture of the playing stream (sink input) with this index.
 
-        samplerate (Hz), channels: the server converts to them. The sink's rate avoids a second
-        conversion. A paused application is captured once it continues.
+        samplerate (Hz), channels: the server converts to them. A paused application is captured
+        once it continues.
 
         on_frames: called by the thread that all captures share, with read-only frames, which it may
         keep, and the time of arrival. It must neither block nor open or close captures.

@@ -1,12 +1,9 @@
 """Which applications are captured: the user's rules. Pure functions on a snapshot.
 
-A rule is one of
-
     NAME              the application's name, id or binary
     application:NAME  its name or id
     binary:NAME       the program's file name
-    role:NAME         the role of its sound: video, music, game, event, phone, animation,
-                      production, a11y, test
+    role:NAME         the role of its sound, such as video, music or game
 
 Case is ignored. NAME must match as a whole; `*`, `?` and `[...]` match as in a shell.
 """
@@ -21,11 +18,9 @@ from device.server.identity import is_ours
 from device.server.snapshot import ServerSnapshot, Stream
 
 _KINDS = ("application", "binary", "role")
+# Loopbacks and virtual sinks have these roles on PulseAudio, these properties on PipeWire.
 _SERVER_ROLES = ("abstract", "filter")
-"""Roles of PulseAudio's loopbacks and virtual sinks."""
-
 _SERVER_PROPERTIES = ("node.link-group", "pulse.module.id")
-"""Properties of PipeWire's loopbacks and virtual sinks, which no application has."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +91,8 @@ class AppRules:
     ) -> tuple[Stream, ...]:
         """Return the streams to capture, in the server's order, paused and muted ones included.
 
-        haptic_sink: the sink for vibration. Streams on it, or without a device, are left out. So
-        are our own, and the server's loopbacks and virtual sinks, whose sound is captured at its
-        origin.
+        Streams on the haptic sink, or without a device, are left out. So are our own, and the
+        server's loopbacks and virtual sinks.
         """
         return tuple(
             stream

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
@@ -17,7 +18,7 @@ ANSWER_LIMIT_S = 2.0
 Result = TypeVar("Result")
 
 
-class ConnectionThread:
+class ConnectionThread(ABC):
     """Connects on a new thread, then serves requests until the connection is lost or closed.
 
     The thread calls the methods that derived classes override, except `_wake_up`.
@@ -65,36 +66,32 @@ class ConnectionThread:
         except TimeoutError:
             raise self._no_answer() from None
 
-    # ---------------------------------------------------------------- for derived classes
-
+    @abstractmethod
     def _wake_up(self) -> None:
         """Interrupt the thread's waiting. Called with the gate closed, by any thread."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _open(self) -> None:
         """Connect to the server."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _serve(self) -> None:
         """Serve the connection until `_stopping`; an exception ends it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _disconnect(self) -> None:
         """End the connection, which may be lost."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _free(self) -> None:
         """Free what `_wake_up` needs. Called with the gate closed."""
-        raise NotImplementedError
 
-    def _report_loss(self, error: LostError) -> None:
+    def _report_loss(self, error: LostError) -> None:  # noqa: B027
         """Report that an open connection was lost."""
 
     def _fail(self, future: Future[Any], error: Exception) -> None:
         """Answer a request that raised."""
         future.set_exception(error)
-
-    # ------------------------------------------------------------------------------------ inside
 
     def _run(self, ready: Future[None]) -> None:
         error: CushionError | None = None
@@ -105,7 +102,7 @@ class ConnectionThread:
         except CushionError as known:
             error = known
         except Exception as unknown:  # pulsectl has many exceptions for a lost server
-            error = LostError(f"the sound server{where()} was lost ({reason_of(unknown)})")
+            error = LostError(f"the sound server{where()} was lost ({self._reason_of(unknown)})")
         if isinstance(error, LostError) and not self._stopping:
             self.lost = error
         self._disconnect()
@@ -128,6 +125,11 @@ class ConnectionThread:
             except Exception as error:
                 self._fail(future, error)
 
+    @staticmethod
+    def _reason_of(error: Exception) -> str:
+        """Return an exception's name and text."""
+        return ": ".join(filter(None, (type(error).__name__, str(error))))
+
     def _no_answer(self) -> LostError:
         return LostError(
             f"the sound server{where()} does not answer; see whether it hangs, and restart it if so"
@@ -146,9 +148,3 @@ def no_server() -> LostError:
         f"no sound server answers{where()}; start PulseAudio or pipewire-pulse, or set "
         "PULSE_SERVER to the address of one that runs"
     )
-
-
-def reason_of(error: Exception) -> str:
-    """Return an exception's name and text."""
-    text = str(error)
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -1,8 +1,7 @@
 """Detects a connection to PipeWire that reports outdated default devices.
 
 PipeWire's PulseAudio server keeps the default devices per connection. One connection in some
-hundreds is made while they change, and reports the old ones from then on. Only another connection
-shows that.
+hundreds is made while they change, and reports the old ones from then on.
 """
 
 from __future__ import annotations
@@ -41,8 +40,7 @@ class DefaultsCheck:
     """Compares a connection's defaults with those of new connections, if the server is PipeWire.
 
     disagreed: called on another thread with the connection's defaults if two new connections
-    report others. The connection's thread calls the methods. Times are seconds of
-    time.monotonic(). due_s: when to call `check_if_due`; None for never.
+    report others. due_s: when to call `check_if_due`, by time.monotonic(); None for never.
     """
 
     def __init__(self, disagreed: Callable[[Defaults], None]) -> None:

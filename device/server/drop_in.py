@@ -1,7 +1,6 @@
 """Drop-in mode: applications play to a virtual sink, and the server forwards it to the real one.
 
-So the sound can be delayed to match the vibration, and a tap on the virtual sink gets all of it.
-The sound continues if this process hangs, is killed or restarts, since the server forwards it.
+So the sound can be delayed to match the vibration, and continues if this process is killed.
 """
 
 from __future__ import annotations
@@ -29,11 +28,8 @@ from device.server.moved_streams import TAKES_S, DefaultSinkClaim, MovedStreams,
 from device.server.pulse import PulseConnection
 from device.server.snapshot import Listener, ServerSnapshot
 
-_APPEARS_S = 1.5
-"""How long a sink or loopback may take to appear; 20 ms is usual."""
-
-_AGAIN_S = 1.0
-"""Delay after the server refuses a request."""
+_APPEARS_S = 1.5  # at most until a sink or loopback appears; 20 ms are usual
+_AGAIN_S = 1.0  # after the server refuses a request
 
 _CONTESTED = (
     "another program keeps choosing another default sink; there is no vibration for sound there "
@@ -126,15 +122,11 @@ class DropIn(Listener):
         self._delay_ms = round_delay_ms(delay_s)
         self._wake.set()
 
-    @property
-    def haptic_sink(self) -> str | None:
-        """The name of the sink that is never a target. It may be set."""
-        return self._haptic_sink
-
-    @haptic_sink.setter
-    def haptic_sink(self, name: str | None) -> None:
-        self._haptic_sink = name
-        self._wake.set()
+    def spare(self, haptic_sink: str | None) -> None:
+        """Never forward to this sink from now on."""
+        if haptic_sink != self._haptic_sink:
+            self._haptic_sink = haptic_sink
+            self._wake.set()
 
     def close(self) -> None:
         """Restore the user's sound without us. May be repeated; raises nothing.
@@ -151,8 +143,6 @@ class DropIn(Listener):
         with suppress(LostError):
             self._restore_all()
         self.target_name = ""
-
-    # ------------------------------------------------------------- called by the connection
 
     def on_snapshot(self, snapshot: ServerSnapshot) -> None:
         """Wake the thread."""
@@ -299,8 +289,6 @@ class DropIn(Listener):
     def _unload(self, module: int) -> None:
         with suppress(NotFoundError):
             self._connection.unload_module(module)
-
-    # ---------------------------------------------------------------------------------- inside
 
     def _await(
         self, condition: Callable[[ServerSnapshot], bool], limit_s: float = _APPEARS_S

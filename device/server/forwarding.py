@@ -11,18 +11,13 @@ from dataclasses import dataclass
 from device.errors import UsageError
 from device.server.identity import identity_of, is_ours
 from device.server.snapshot import ServerSnapshot, Sink, Stream
-from device.stream.pcms import FALLBACK_SINK
+from device.stream.pcms import APPLICATION_NAME, FALLBACK_SINK
 
 SINK = "cushion"
 """Name of the virtual sink."""
 
-DESCRIPTION = "Haptic Cushion"
-"""Its name in sound settings."""
-
-MIN_DELAY_S = 0.02
-"""The least that both servers sustain without gaps; it includes the devices' latency."""
-
-MAX_DELAY_S = 0.5
+MIN_DELAY_S, MAX_DELAY_S = 0.02, 0.5
+"""The least is what both servers sustain without gaps; it includes the devices' latency."""
 
 _MARK = "cushion.drop_in"
 _TARGET = "cushion.target"
@@ -32,10 +27,7 @@ _DELAY = "cushion.delay_ms"
 
 @dataclass(frozen=True)
 class Route:
-    """Where a loopback goes. target: a sink's name. restore: name of the user's default sink.
-
-    delay_ms: from the virtual sink's monitor until the target plays it.
-    """
+    """Where a loopback goes. restore: the user's default sink. delay_ms: until the target plays."""
 
     target: str
     restore: str
@@ -61,21 +53,19 @@ def round_delay_ms(delay_s: float | None) -> int:
 
 def loopbacks(snapshot: ServerSnapshot) -> list[Loopback]:
     """Return our loopbacks, those of earlier processes included, the newest last."""
+    monitors = {source.index for source in snapshot.sources if source.monitor_of == SINK}
+    taps, outs = (
+        {one.module: one for one in streams if one.module is not None and _TARGET in one.properties}
+        for streams in (snapshot.source_outputs, snapshot.sink_inputs)
+    )
     found = []
-    taps = {tap.module: tap for tap in snapshot.source_outputs if _TARGET in tap.properties}
-    for stream in snapshot.sink_inputs:
-        target = stream.properties.get(_TARGET)
-        if target is None or stream.module is None:
-            continue
-        tap = taps.pop(stream.module, None)
-        complete = stream.device_name == target and tap is not None and _taps_us(snapshot, tap)
-        found.append(Loopback(stream.module, _route(stream.properties), complete))
-    found += [
-        Loopback(module, _route(tap.properties), False)
-        for module, tap in taps.items()
-        if module is not None
-    ]
-    return sorted(found, key=lambda loopback: loopback.module)
+    for module in sorted({*taps, *outs}):
+        tap, out = taps.get(module), outs.get(module)
+        route = _route((out or taps[module]).properties)
+        taps_us = tap is not None and tap.device_index in monitors
+        plays = out is not None and out.device_name == route.target
+        found.append(Loopback(module, route, taps_us and plays))
+    return found
 
 
 def our_sink(snapshot: ServerSnapshot) -> Sink | None:
@@ -129,7 +119,7 @@ def sink_arguments(snapshot: ServerSnapshot, target: Sink) -> list[str]:
     Without norewinds an idle PulseAudio renders 2 s ahead, and a tap would be that late.
     """
     own = ["format=float32le", "norewinds=1"] if snapshot.kind == "PulseAudio" else []
-    properties = f"device.description='{DESCRIPTION}' {_MARK}=1"
+    properties = f"device.description='{APPLICATION_NAME}' {_MARK}=1"
     return [f"sink_name={SINK}", *_format(target), *own, f'sink_properties="{properties}"']
 
 
@@ -149,7 +139,7 @@ def loopback_arguments(snapshot: ServerSnapshot, route: Route, sink: Sink) -> li
             )
     bounds = [f"max_latency_msec={route.delay_ms + 20}", "fast_adjust_threshold_msec=100"]
     properties = (
-        f"media.name='{DESCRIPTION}' {_TARGET}='{route.target}' {_RESTORE}='{route.restore}' "
+        f"media.name='{APPLICATION_NAME}' {_TARGET}='{route.target}' {_RESTORE}='{route.restore}' "
         f"{_DELAY}={route.delay_ms}"
     )
     return [
@@ -177,11 +167,6 @@ def _route(properties: Mapping[str, str]) -> Route:
         restore=properties.get(_RESTORE, ""),
         delay_ms=int(delay) if delay.isdecimal() else 0,
     )
-
-
-def _taps_us(snapshot: ServerSnapshot, tap: Stream) -> bool:
-    source = next((source for source in snapshot.sources if source.index == tap.device_index), None)
-    return source is not None and source.monitor_of == SINK
 
 
 def _belong_together(one: Sink | Stream, other: Stream) -> bool:

@@ -41,10 +41,7 @@ class Hold(Enum):
 
     @property
     def misplaced(self) -> bool:
-        """Whether the stream is not on its device, which for a few ms is normal.
-
-        After an underrun ALSA's plugin replaces the stream by another one.
-        """
+        """Whether the stream is not on its device, as for a few ms after any underrun."""
         return self in (Hold.NO_STREAM, Hold.NO_DEVICE, Hold.ELSEWHERE)
 
 

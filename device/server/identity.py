@@ -40,11 +40,7 @@ def monitor_of(snapshot: ServerSnapshot, sink_name: str) -> Source:
 
 
 def default_monitor(snapshot: ServerSnapshot, haptic_sink: str | None = None) -> Source:
-    """Return the default sink's monitor, which has all that the user hears.
-
-    haptic_sink: the sink for vibration, which is never tapped, since that would feed back.
-    NotFoundError: there is no default sink, or it is the haptic sink.
-    """
+    """Return the default sink's monitor; NotFoundError: there is none, or it is the haptic sink."""
     name = snapshot.default_sink
     if not name:
         raise NotFoundError(

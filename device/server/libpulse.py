@@ -3,9 +3,9 @@
 pulsectl declares the structures, but its few record functions read a single peak value, and take
 sizes of 32 bits where libpulse writes 64.
 
-Functions that return at once keep Python's lock, as releasing it costs more than the call. Those
-that may wait release it. One thread at a time uses libpulse, except for `mainloop_wakeup`.
-Callbacks run within `mainloop_dispatch` and must not raise.
+Functions that may wait release Python's lock; for the others that would cost more than the call.
+One thread at a time uses libpulse, except for `mainloop_wakeup`. Callbacks run within
+`mainloop_dispatch` and must not raise.
 """
 
 from __future__ import annotations
@@ -75,9 +75,7 @@ class LibPulse:
     """The library's functions, without their prefix `pa_`. types: pulsectl's. Use `load`."""
 
     def __init__(self) -> None:
-        from pulsectl import _pulsectl
-
-        self.types: Any = _pulsectl
+        self.types = load_pulsectl()._pulsectl
         for library, functions in (
             (ctypes.PyDLL("libpulse.so.0"), _AT_ONCE),
             (ctypes.CDLL("libpulse.so.0"), _WAITING),
@@ -106,9 +104,15 @@ class LibPulse:
 @cache
 def load() -> LibPulse:
     """Load the library once. Any thread may call it; NotFoundError: it is not installed."""
+    return LibPulse()
+
+
+def load_pulsectl() -> Any:
+    """Return the module pulsectl; NotFoundError: the library libpulse is not installed."""
     try:
-        return LibPulse()
+        import pulsectl
     except (ImportError, OSError) as error:
         raise NotFoundError(
             f"the library libpulse cannot be loaded ({error}); install it (libpulse0)"
         ) from None
+    return pulsectl

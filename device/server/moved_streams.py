@@ -1,8 +1,7 @@
-"""What drop-in mode moves: the default sink, and applications' streams.
+"""What drop-in mode moves: the default sink, and applications' streams. For one thread at a time.
 
 Most applications follow the default sink by themselves, in both directions. Only those that are
-bound to the real sink are moved. One thread at a time calls the methods. Times are seconds of
-time.monotonic(). LostError: the server is gone.
+bound to the real sink are moved. Times are seconds of time.monotonic().
 """
 
 from __future__ import annotations
@@ -53,10 +52,7 @@ class MovedStreams:
         self._homes.clear()
 
     def free_vibration(self, snapshot: ServerSnapshot, haptic_sink: str | None) -> None:
-        """Move vibration back to its sink.
-
-        PulseAudio moves it if the haptic sink was the default before the virtual one.
-        """
+        """Move vibration back to its sink, if it followed the default sink away from there."""
         for stream in snapshot.sink_inputs:
             if stream.device_name == SINK and stream.role == ROLE and haptic_sink is not None:
                 self._move(snapshot, stream, haptic_sink)
@@ -87,8 +83,7 @@ class MovedStreams:
     def break_loop(self, snapshot: ServerSnapshot, target: str, others: Sequence[str]) -> bool:
         """Move away streams that feed the target into the virtual sink; whether that worked.
 
-        They belong to other virtual sinks and loopbacks that follow the default sink. They return
-        to their last sink, or to the first of `others` outside the loop.
+        They return to their last sink, or to the first of `others` outside the loop.
         """
         loop = reachable_sinks(snapshot, target)
         free = [name for name in others if name not in loop]
@@ -140,7 +135,7 @@ class DefaultSinkClaim:
     ) -> str | None:
         """Return the sink that became the default instead of ours, once; else None.
 
-        fit: possible targets, which must persist as default; other sinks are returned at once.
+        fit: possible targets, which must persist as default; others are returned at once.
         """
         default = snapshot.default_sink
         if default == SINK:

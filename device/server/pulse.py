@@ -1,8 +1,7 @@
-"""A control connection to the sound server: snapshots, events and changes.
+"""A control connection to PulseAudio or PipeWire: snapshots, events and changes.
 
 pulsectl belongs to one thread, which waits for events, takes a snapshot after them and does what
 others ask for. No function of pulsectl is called inside its event callback or by another thread.
-PulseAudio and PipeWire (by pipewire-pulse) both speak this protocol.
 """
 
 from __future__ import annotations
@@ -17,14 +16,9 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from device.errors import CushionError, LostError, NotFoundError
-from device.server.connection_thread import (
-    ANSWER_LIMIT_S,
-    ConnectionThread,
-    Result,
-    no_server,
-    reason_of,
-)
+from device.server.connection_thread import ANSWER_LIMIT_S, ConnectionThread, Result, no_server
 from device.server.defaults_check import Defaults, DefaultsCheck
+from device.server.libpulse import load_pulsectl
 from device.server.snapshot import (
     DEFAULT_SETTLES_S,
     Event,
@@ -78,8 +72,6 @@ class PulseConnection(ConnectionThread):
         self._check = DefaultsCheck(self._on_outdated)
         super().__init__("pulse")
 
-    # ---------------------------------------------------------------------------------- requests
-
     def snapshot(self) -> ServerSnapshot:
         """Take a new snapshot; `latest` is known without a query."""
         return self._ask(self._refresh)
@@ -111,7 +103,7 @@ class PulseConnection(ConnectionThread):
         self._ask(lambda: self._pulse.sink_default_set(name))
 
     def load_module(self, name: str, arguments: Sequence[str] = ()) -> int:
-        """Load a module into the server; returns its index. NotFoundError: the server refuses."""
+        """Load a module into the server and return its index."""
         try:
             return int(self._ask(lambda: self._pulse.module_load(name, list(arguments))))
         except NotFoundError:
@@ -162,12 +154,7 @@ class PulseConnection(ConnectionThread):
         self._default_due_s = None
 
     def _connect(self) -> None:
-        try:
-            import pulsectl
-        except (ImportError, OSError) as error:
-            raise NotFoundError(
-                f"the library libpulse cannot be loaded ({error}); install it (libpulse0)"
-            ) from None
+        pulsectl = load_pulsectl()
         patch_samplerates(pulsectl)
         self._deadline_s = time.monotonic() + ANSWER_LIMIT_S
         try:
@@ -204,8 +191,8 @@ class PulseConnection(ConnectionThread):
             raise error
         if not isinstance(error, CushionError):
             error = NotFoundError(
-                f"the sound server refuses ({reason_of(error)}): the stream, device or module is "
-                "gone or not available"
+                f"the sound server refuses ({self._reason_of(error)}): the stream, device or "
+                "module is gone or not available"
             )
         future.set_exception(error)
 
@@ -252,11 +239,10 @@ class PulseConnection(ConnectionThread):
         for item in descriptors:
             poller.register(item.fd, item.events)
         poller.register(self._wake, select.POLLIN)
-        left_ms = timeout_s * 1000.0 if timeout_s >= 0.0 else -1.0
+        waits_s = [timeout_s] if timeout_s >= 0.0 else []
         if self._deadline_s is not None:
-            until_ms = max((self._deadline_s - time.monotonic()) * 1000.0, 0.0)
-            left_ms = until_ms if left_ms < 0.0 else min(left_ms, until_ms)
-        found = dict(poller.poll(left_ms if left_ms >= 0.0 else None))
+            waits_s.append(max(self._deadline_s - time.monotonic(), 0.0))
+        found = dict(poller.poll(1000.0 * min(waits_s) if waits_s else None))
         if found.pop(self._wake, 0):
             os.eventfd_read(self._wake)
             self._pulse.event_listen_stop()

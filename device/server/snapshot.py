@@ -111,10 +111,7 @@ class ServerSnapshot:
 
 
 def patch_samplerates(pulsectl: Any) -> None:
-    """Make pulsectl keep the sample rates of sinks and sources, once before the first snapshot.
-
-    Its own field for them points into memory that libpulse frees at once.
-    """
+    """Make pulsectl keep sample rates: its field for them points into memory that is freed."""
 
     def keep(item: Any, struct: Any) -> None:
         item.samplerate = int(struct.sample_spec.rate) if struct else 0
@@ -124,10 +121,9 @@ def patch_samplerates(pulsectl: Any) -> None:
 
 
 def take_snapshot(pulse: Any, events: int) -> ServerSnapshot:
-    """Query a connected pulsectl.Pulse for everything, which takes a few ms.
+    """Query a connected pulsectl.Pulse for everything, on its thread.
 
-    Called by the thread that owns it. Streams come first: a stream that moves in the meantime then
-    appears on a device that exists.
+    Streams come first: one that moves in the meantime then appears on a device that exists.
     """
     sink_inputs, source_outputs = pulse.sink_input_list(), pulse.source_output_list()
     sinks, sources, info = pulse.sink_list(), pulse.source_list(), pulse.server_info()

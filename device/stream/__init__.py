@@ -7,15 +7,14 @@
 | `pcms` | `PcmConfig`: named ALSA devices, and the sinks, monitors and cards they open |
 | `private_dir` | the directory of the private ALSA configuration |
 | `sample_format` | `SampleFormat`, and the encoder from float frames to integers |
-| `priority` | `AudioPriority`: real-time priority for callback threads |
-| `gil_state` | keeps Python's state of a callback thread between callbacks |
+| `callback_thread` | `AudioPriority`, and Python's state of a thread between callbacks |
 | `stderr_filter` | hides what C libraries print |
 
-PyAudio is loaded by the first opening: it needs a library of the system.
+PyAudio is loaded by the first opening.
 """
 
+from device.stream.callback_thread import AudioPriority
 from device.stream.pcms import PcmConfig
-from device.stream.priority import AudioPriority
 from device.stream.sample_format import SampleFormat
 from device.stream.stderr_filter import filter_stderr
 from device.stream.streams import CaptureStream, PlaybackStream

@@ -19,14 +19,8 @@ from pathlib import Path
 from device.errors import UsageError
 from device.stream.private_dir import PrivateDir
 
-ROLE = "haptic"
-"""media.role of all our streams; other programs do not use it."""
-
-APPLICATION_ID = "haptic-cushion"
-"""application.id of all our streams."""
-
-APPLICATION_NAME = "Haptic Cushion"
-"""The name of our streams in mixers."""
+# media.role (no other program's), application.id and application.name of all our streams
+ROLE, APPLICATION_ID, APPLICATION_NAME = "haptic", "haptic-cushion", "Haptic Cushion"
 
 FALLBACK_SINK = "cushion_refuge"
 """Name of the silent sink that catches our output: see `FallbackSink`."""
@@ -40,8 +34,7 @@ _REWRITTEN = ("ALSA_CONFIG_PATH", "PULSE_PROP", "PULSE_PROP_OVERRIDE")
 class Pcm:
     """One name that PortAudio knows, made by `PcmConfig`.
 
-    name: for PortAudio. target: the device that the next opening opens, set by the thread that
-    opens streams; its existence is not checked. Open streams stay where they are.
+    target: what the next opening opens, set by the thread that opens streams; it may be missing.
     """
 
     def __init__(self, config: PcmConfig, name: str) -> None:

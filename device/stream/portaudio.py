@@ -1,7 +1,7 @@
 """The process's one PyAudio instance: opens and closes streams within time limits.
 
-PyAudio is loaded by the first opening. Each call that may wait for a sound server runs on a thread
-of its own, so a server that hangs blocks that thread and not the caller.
+Each call that may wait for a sound server runs on a thread of its own, so a server that hangs
+blocks that thread and not the caller.
 """
 
 from __future__ import annotations
@@ -23,12 +23,9 @@ from device.stream.sample_format import SampleFormat
 BLOCK_FRAMES = 256
 """Default frames per callback. Fewer are unstable with ALSA's pulse plugin; more add 30 ms."""
 
-OPEN_LIMIT_S = 5.0
-START_LIMIT_S = 1.5
-"""PortAudio itself gives up after 1 s."""
-
+OPEN_LIMIT_S, CLOSE_LIMIT_S = 5.0, 2.0
+START_LIMIT_S = 1.5  # PortAudio itself gives up after 1 s
 ATTEMPTS = 3
-CLOSE_LIMIT_S = 2.0
 
 _FORMATS = {
     SampleFormat.FLOAT32: 0x01,

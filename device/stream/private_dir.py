@@ -50,12 +50,9 @@ class PrivateDir:
 
 
 def runtime_dir() -> Path | None:
-    """Return $XDG_RUNTIME_DIR/cushion, made if missing; None if other users may enter it.
-
-    ALSA splits the path of a configuration at blanks and colons, so a path with these is refused.
-    """
+    """Return $XDG_RUNTIME_DIR/cushion, made if missing; None if other users may enter it."""
     base = os.environ.get("XDG_RUNTIME_DIR", "")
-    if not base.startswith("/") or set(base) & set(" :"):
+    if not base.startswith("/") or set(base) & set(" :"):  # where ALSA splits a path
         return None
     folder = Path(base) / "cushion"
     try:
@@ -68,7 +65,7 @@ def runtime_dir() -> Path | None:
 
 
 def remove_stale(parent: Path) -> int:
-    """Remove this user's directories that no process holds; return how many. It raises nothing."""
+    """Remove this user's directories that no process holds, and count them; raises nothing."""
     with suppress(OSError):
         return sum(map(_remove_if_stale, list(parent.glob(f"{PREFIX}*"))))
     return 0

@@ -18,7 +18,7 @@ import numpy as np
 
 from device.blocks import emptied, peak
 from device.errors import UsageError
-from device.stream.gil_state import RELEASE_LIMIT_S, GilState
+from device.stream.callback_thread import RELEASE_LIMIT_S, AudioPriority, GilState
 from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import (
     BLOCK_FRAMES,
@@ -27,7 +27,6 @@ from device.stream.portaudio import (
     close_stream,
     open_stream,
 )
-from device.stream.priority import AudioPriority
 from device.stream.sample_format import Encoder, SampleFormat
 from device.units import Float32Array
 
@@ -193,8 +192,7 @@ class CaptureStream(_Stream):
     Raises
     ------
     LostError, NotFoundError
-        See `open_stream`. PipeWire may open a missing device and end the stream later: look the
-        name up first.
+        See `open_stream`. PipeWire may open a missing device and end the stream later.
     UsageError
         samplerate or channels is out of range.
     """

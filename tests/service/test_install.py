@@ -21,7 +21,7 @@ from audioflinger_hook.service.install import (
 )
 from audioflinger_hook.service.unit import MARK, UDEV_PATH, udev_command, udev_rule, unit_text
 from device.errors import UsageError, WriteError
-from device.stream.priority import PRIORITY
+from device.stream.callback_thread import PRIORITY
 
 STATE = Path("/home/me/.local/state/cushion")
 ANALYZE = shutil.which("systemd-analyze")

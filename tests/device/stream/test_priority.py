@@ -44,7 +44,7 @@ def told(program: str, *within: str) -> str:
 
 CLAIM = """
 import os, resource, threading
-from device.stream.priority import AudioPriority
+from device.stream.callback_thread import AudioPriority
 
 priority = AudioPriority({wanted})
 def audio():
@@ -118,7 +118,7 @@ SPIN = """
 import hashlib, os, sys, threading, time
 from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.daemon.wake import Wake
-from device.stream.priority import AudioPriority
+from device.stream.callback_thread import AudioPriority
 
 spinning, over = threading.Event(), False
 def audio():

@@ -1,13 +1,14 @@
-"""Real-time priority for audio threads, where the system grants it.
+"""A callback's thread: real-time priority, where the system grants it, and Python's state of it.
 
-Each thread asks for itself, since only PortAudio knows its threads. It gets a low real-time
-priority, which its children do not inherit, else a better nice level, else nothing. The kernel
+Each thread asks for priority itself, since only PortAudio knows its threads. It gets a low
+real-time one, which its children do not inherit, else a better nice level, else nothing. The kernel
 limits it: after SPIN_S of uninterrupted processor time the process gets SIGXCPU, upon which
 `revoke` must be called; after KILL_S it is killed.
 """
 
 from __future__ import annotations
 
+import ctypes
 import getpass
 import os
 import resource
@@ -16,19 +17,13 @@ from collections import deque
 from contextlib import suppress
 from pathlib import Path
 
-PRIORITY = 10
-"""Below sound servers (20 and above) and the kernel's threads (50)."""
+PRIORITY, NICE = 10, -11
+"""Below sound servers (20 and above) and the kernel's threads (50); their nice level."""
 
-NICE = -11
-"""The nice level of sound servers."""
+SPIN_S, KILL_S = 0.2, 2.0
+"""Limits of uninterrupted processor time. A callback takes a hundredth of the first."""
 
-SPIN_S = 0.2
-"""Limit of uninterrupted processor time. A callback takes a hundredth of it."""
-
-KILL_S = 2.0
-
-THREADS_MAX = 64
-"""The newest threads that asked are remembered; older ones belong to closed streams."""
+THREADS_MAX = 64  # that asked are remembered; older ones belong to closed streams
 
 
 class AudioPriority:
@@ -140,3 +135,50 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError):  # a container's user without a name
         return str(os.getuid())
+
+
+RELEASE_LIMIT_S = 0.05
+"""Several callbacks: if none comes in this time, the stream has stopped."""
+
+_LOCKED = 0
+"""PyGILState_LOCKED of Python's C API: the caller already holds the lock, as in a callback."""
+
+_ensure = ctypes.pythonapi.PyGILState_Ensure
+_ensure.restype = ctypes.c_int
+_release = ctypes.pythonapi.PyGILState_Release
+_release.argtypes = [ctypes.c_int]
+_release.restype = None
+
+
+class GilState:
+    """Python's state of the thread that calls one stream's callbacks.
+
+    Python creates and frees a state for every call from a thread that it does not know. At some
+    hundred callbacks per second that costs as much as the callbacks.
+
+    That thread calls `keep` and `release`, inside a callback. A stream that stops between two
+    callbacks leaks the state, about 20 kB; `wait_released` avoids that.
+    """
+
+    def __init__(self) -> None:
+        self._kept = False
+        self._released = threading.Event()
+        self._released.set()
+
+    def keep(self) -> None:
+        """Keep the state after this callback returns. Further calls do nothing."""
+        if not self._kept:
+            self._kept = True
+            self._released.clear()
+            _ensure()
+
+    def release(self) -> None:
+        """Let Python free the state after this callback and every later one."""
+        if self._kept:
+            self._kept = False
+            _release(_LOCKED)
+            self._released.set()
+
+    def wait_released(self) -> bool:
+        """Wait until released, RELEASE_LIMIT_S at most; whether it was. Any other thread."""
+        return self._released.wait(RELEASE_LIMIT_S)
