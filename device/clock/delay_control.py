@@ -14,8 +14,7 @@ _SMOOTHING = 20.0
 
 SLEW = 1_000e-6
 """Greatest speed of the target, in seconds per second: an imperceptible change of pitch."""
-NEAR_S = 1.0
-"""Time constant of the approach, which slows small steps down."""
+NEAR_S = 1.0  # time constant of the approach, which slows small steps down
 
 
 class RateLoop:

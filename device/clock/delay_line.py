@@ -14,8 +14,7 @@ from device.clock.stream_timing import LEAST_S, StreamTiming, WriteTiming, Writt
 from device.errors import UsageError
 from device.units import Float32Array, FloatArray, check_channels
 
-LATENESS_LIMIT_S = 0.03
-"""Per side; later callbacks are underflows."""
+LATENESS_LIMIT_S = 0.03  # per side; later callbacks are underflows
 RESYNC_FRAMES = 256
 FAR_OFF_S = 0.1
 """An error of the delay that is corrected at once, even before both clocks are settled."""

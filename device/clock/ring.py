@@ -9,10 +9,8 @@ import numpy as np
 from device import blocks
 from device.units import Float32Array, FloatArray
 
-LARGEST = 1e6
-"""Greater magnitudes are a mistake that arithmetic might turn into inf."""
-LOOKAHEAD = 2
-"""Frames that interpolation needs after the one at the position."""
+LARGEST = 1e6  # greater magnitudes are a mistake that arithmetic might turn into inf
+LOOKAHEAD = 2  # frames that interpolation needs after the one at the position
 FADE_S = 0.005
 STEEPEST_HZ = 250.0
 """Top of the vibration band: extrapolated slopes are limited to that of a full-scale sine here."""

@@ -27,8 +27,7 @@ from device.server import libpulse
 from device.stream.pcms import APPLICATION_ID, APPLICATION_NAME, ROLE, TAG
 from device.stream.streams import CallbackCounts, OnBlock
 
-FRAGMENT_FRAMES = 256
-"""Frames that the server gathers before it delivers: 5.3 ms at 48 kHz."""
+FRAGMENT_FRAMES = 256  # frames that the server gathers before it delivers: 5.3 ms at 48 kHz
 
 BACKLOG_S = 0.5
 """Sound that the server keeps while the capturing thread is delayed; older sound is dropped."""

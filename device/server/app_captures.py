@@ -88,7 +88,7 @@ class AppCaptures(ConnectionThread):
             return self._ended
         return True
 
-    # ------------------------------------------------------- captures, on the connection's thread
+    # ------------------------------------------------------------------ on the connection's thread
 
     def _start_capture(self, capture: AppCapture) -> None:
         if capture.ended:  # the caller has given up
@@ -152,8 +152,6 @@ class AppCaptures(ConnectionThread):
                 self._dropped.remove(handle)
                 self._library.stream_disconnect(handle)  # without effect if the server has ended it
                 self._library.stream_unref(handle)
-
-    # ------------------------------------------------------------- the connection, on its thread
 
     def _wake_up(self) -> None:
         if self._loop is not None:

@@ -12,8 +12,7 @@ from typing import Any, TypeVar
 
 from device.errors import CushionError, InternalError, LostError
 
-ANSWER_LIMIT_S = 2.0
-"""How long a server may take for one answer; after that it counts as lost."""
+ANSWER_LIMIT_S = 2.0  # how long a server may take for one answer; after that it counts as lost
 
 Result = TypeVar("Result")
 

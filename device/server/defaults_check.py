@@ -14,14 +14,11 @@ from typing import NamedTuple
 
 from device.server.snapshot import ServerSnapshot, default_name
 
-AFTER_S = 1.0
-"""The check comes this long after the last change."""
+AFTER_S = 1.0  # the check comes this long after the last change
 
-RENEW_AGAIN_S = 30.0
-"""Least time between two detections."""
+RENEW_AGAIN_S = 30.0  # least time between two detections
 
-AGAIN_S = 0.5
-"""Time between two queries: a change in progress has reached both by then."""
+AGAIN_S = 0.5  # time between two queries: a change in progress has reached both by then
 
 
 class Defaults(NamedTuple):

@@ -13,8 +13,7 @@ from device.server.identity import identity_of, is_ours
 from device.server.snapshot import ServerSnapshot, Sink, Stream
 from device.stream.pcms import APPLICATION_NAME, FALLBACK_SINK
 
-SINK = "cushion"
-"""Name of the virtual sink."""
+SINK = "cushion"  # name of the virtual sink
 
 MIN_DELAY_S, MAX_DELAY_S = 0.02, 0.5
 """The least is what both servers sustain without gaps; it includes the devices' latency."""

@@ -29,8 +29,7 @@ from device.server.snapshot import (
 )
 from device.volume_limit import limit_volume_db
 
-_GATHER_S = 0.02
-"""Events come in dozens: a snapshot is taken this long after the first of them."""
+_GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after the first of them
 
 
 class PulseConnection(ConnectionThread):

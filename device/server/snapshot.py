@@ -206,8 +206,7 @@ def _known(index: int) -> int | None:
     return None if index == NOWHERE else index
 
 
-DEFAULT_SETTLES_S = 0.2
-"""How long a new default sink must persist until it is reported."""
+DEFAULT_SETTLES_S = 0.2  # how long a new default sink must persist until it is reported
 
 
 @dataclass(frozen=True)

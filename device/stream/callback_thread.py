@@ -137,8 +137,7 @@ def _user() -> str:
         return str(os.getuid())
 
 
-RELEASE_LIMIT_S = 0.05
-"""Several callbacks: if none comes in this time, the stream has stopped."""
+RELEASE_LIMIT_S = 0.05  # several callbacks: if none comes in this time, the stream has stopped
 
 _LOCKED = 0
 """PyGILState_LOCKED of Python's C API: the caller already holds the lock, as in a callback."""

@@ -25,8 +25,7 @@ ROLE, APPLICATION_ID, APPLICATION_NAME = "haptic", "haptic-cushion", "Haptic Cus
 FALLBACK_SINK = "cushion_refuge"
 """Name of the silent sink that catches our output: see `FallbackSink`."""
 
-TAG = "cushion.stream"
-"""Property of a stream that identifies one opening of it."""
+TAG = "cushion.stream"  # property of a stream that identifies one opening of it
 
 _REWRITTEN = ("ALSA_CONFIG_PATH", "PULSE_PROP", "PULSE_PROP_OVERRIDE")
 

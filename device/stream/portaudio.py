@@ -107,7 +107,9 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
         return opened
 
     try:
-        for attempt in range(1, ATTEMPTS + 1):
+        attempt = 0
+        while True:
+            attempt += 1
             opened = _call_within(OPEN_LIMIT_S, f"open {what}", open_stopped, close_stream)
             try:
                 return _call_within(
@@ -130,7 +132,6 @@ def open_stream(pcm: Pcm, setup: StreamSetup, callback: Callback) -> OpenStream:
             f"cannot open {what} with {setup.channels} channels at {setup.samplerate} Hz"
             f"{in_format} ({reason}): {pcm.target.trouble}"
         ) from None
-    raise InternalError("unreachable")
 
 
 def close_stream(opened: OpenStream) -> bool:

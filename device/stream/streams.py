@@ -39,8 +39,7 @@ gets its first callbacks at once and the next after these 2 s; a capture stream 
 first."""
 
 _CONTINUE = 0
-_XRUNS = 0b1111
-"""PortAudio's flags for underflow and overflow of input and output."""
+_XRUNS = 0b1111  # PortAudio's flags for underflow and overflow of input and output
 _ERROR_NAMES = 16
 
 OnBlock = Callable[[Float32Array, float], None]
