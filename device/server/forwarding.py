@@ -35,7 +35,7 @@ class Route:
 
 @dataclass(frozen=True)
 class Loopback:
-    """A loopback of ours. module: its index. complete: both streams are on their devices."""
+    """Our loopback. module: its index. complete: both streams are on their devices."""
 
     module: int
     route: Route
@@ -78,7 +78,7 @@ def is_cushion_sink(sink: Sink) -> bool:
 
 
 def is_application(stream: Stream) -> bool:
-    """Whether a playing stream is neither vibration nor a loopback of ours."""
+    """Whether a playing stream is neither vibration nor one of our loopbacks."""
     return _TARGET not in stream.properties and not is_ours(stream)
 
 
