@@ -43,7 +43,7 @@ import math
 import re
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from device.errors import InternalError
@@ -100,19 +100,7 @@ class BufferRecord:
 
     def line(self) -> bytes:
         """The line, with its line break."""
-        fields = {
-            "stream": self.stream,
-            "buffer": self.buffer,
-            "segment": self.segment,
-            "first": self.first,
-            "frames": self.frames,
-            "samplerate": self.samplerate,
-            "channels": self.channels,
-            "time_s": self.time_s,
-            "discontinuity": self.discontinuity,
-            "samples_crc": f"{self.samples_crc:08x}",
-        }
-        return _line("buffer", fields)
+        return _line("buffer", {**asdict(self), "samples_crc": f"{self.samples_crc:08x}"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +113,7 @@ class DroppedRecord:
 
     def line(self) -> bytes:
         """The line, with its line break."""
-        fields = {"stream": self.stream, "buffers": self.buffers, "frames": self.frames}
-        return _line("dropped", fields)
+        return _line("dropped", asdict(self))
 
 
 @dataclass(frozen=True, slots=True)

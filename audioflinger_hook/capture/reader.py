@@ -92,11 +92,8 @@ class Capture:
     def buffers(self, stream: str = "tap") -> Buffers:
         """The stream's buffers in order. Several iterations at a time do not disturb one another.
 
-        Raises
-        ------
-        UsageError
-            There is no such stream, a file may not be read, or the index is missing and the order
-            of the segments is ambiguous.
+        UsageError: there is no such stream, a file may not be read, or the index is missing and the
+            order of the segments is ambiguous.
         """
         if stream not in self.streams:
             if not self.streams:

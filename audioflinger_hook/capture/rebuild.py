@@ -1,10 +1,4 @@
-"""Buffers of a capture that lost its index, made from its segments.
-
-The samples are all there, in order; how they were delivered is not. So they are cut into buffers
-of `REBUILT_FRAMES`, with times counted from 0 and no discontinuity, and the reader warns. Only
-what can be put in order without a guess is taken: segments numbered from 1 without a gap, each as
-a capture writes it. A kill may have torn the last.
-"""
+"""Buffers of a capture that lost its index, made from its segments, numbered without a gap."""
 
 from __future__ import annotations
 

@@ -1,16 +1,10 @@
-"""Capturing from the audio thread: buffers are handed over without waiting and written elsewhere.
-
-Each stream has a ring of samples, allocated and touched at the start. `offer` copies a buffer into
-it; the recorder's thread takes it out and writes it. Each position is moved by one side only, so
-neither waits. Without room a buffer is dropped and counted, and leaves a discontinuity.
-"""
+"""Capturing from the audio thread: buffers are handed over and written elsewhere."""
 
 from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
 from queue import SimpleQueue
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,12 +126,7 @@ class CaptureRecorder:
     def __enter__(self) -> CaptureRecorder:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
     def _run(self) -> None:

@@ -96,12 +96,8 @@ class SegmentWriter:
 class SegmentReader:
     """Samples of a segment, any buffer of it, also while it grows. One thread.
 
-    Raises
-    ------
-    FileNotFoundError
-        There is no such file.
-    UsageError
-        It may not be read, or is no file.
+    FileNotFoundError: there is no such file.
+    UsageError: it may not be read, or is no file.
     """
 
     def __init__(self, path: Path) -> None:

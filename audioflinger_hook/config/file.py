@@ -27,14 +27,10 @@ SHOWN_MAX = 200
 class Mistake:
     """One mistake of a config file.
 
-    Attributes
-    ----------
-    key : str
-        The key as `section.key`.
-    line : int
-        Its line, counted from 1; 0 if it has none.
-    value, problem, allowed, nearest : str
-        What stands there, what is wrong with it, what is allowed, and the known name most like it.
+    key: the key as `section.key`.
+    line: its line, counted from 1; 0 if it has none.
+    value, problem, allowed, nearest: what stands there, what is wrong with it, what is allowed, and
+        the known name most like it.
     """
 
     key: str
@@ -54,14 +50,9 @@ class Mistake:
 class Config:
     """What a config file says.
 
-    Attributes
-    ----------
-    settings : Settings
-        How vibration is made of sound.
-    live : LiveSettings
-        Where live sound comes from, and where the vibration goes.
-    warning : str
-        Which keys have old names, "" if none has.
+    settings: how vibration is made of sound.
+    live: where live sound comes from, and where the vibration goes.
+    warning: which keys have old names, "" if none has.
     """
 
     settings: Settings = field(default_factory=Settings)
@@ -78,10 +69,7 @@ def default_path() -> Path:
 def load(path: Path) -> Config:
     """Return what a config file says.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be read, or has mistakes; the message names the first and how many.
+    UsageError: the file cannot be read, or has mistakes; the message names the first and how many.
     """
     config, mistakes = check(path)
     if config is None:
@@ -93,10 +81,7 @@ def load(path: Path) -> Config:
 def check(path: Path) -> tuple[Config | None, list[Mistake]]:
     """Return what a file says and an empty list, or None and every mistake in order of lines.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be read, or is no text.
+    UsageError: the file cannot be read, or is no text.
     """
     text = _text_of(path)
     document, mistakes = _parse(text)

@@ -57,12 +57,8 @@ DEFAULT_PROFILE = "paper"
 def parameters_of(profile: str, said: Mapping[str, Any] | None = None) -> TransformParameters:
     """Return a profile's parameters, and over them what was said by name.
 
-    Raises
-    ------
-    UsageError
-        They are out of range or contradict one another; see `TransformParameters`.
-    KeyError
-        There is no such profile.
+    UsageError: they are out of range or contradict one another; see `TransformParameters`.
+    KeyError: there is no such profile.
     """
     return TransformParameters(**(values_of(profile) | dict(said or {})))
 

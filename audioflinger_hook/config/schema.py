@@ -70,18 +70,11 @@ _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
 class Key:
     """One key of the config file.
 
-    Attributes
-    ----------
-    section, name : str
-        Where it stands, "" for the top, and what it is called there.
-    owner, field : type, str
-        The class and its field that hold the value.
-    description : Description
-        What it means and may hold.
-    default : object
-        None where there is none.
-    change : str
-        What a change of it needs while the daemon runs, one of `CHANGES`.
+    section, name: where it stands, "" for the top, and what it is called there.
+    owner, field: the class and its field that hold the value.
+    description: what it means and may hold.
+    default: none where there is none.
+    change: what a change of it needs while the daemon runs, one of `CHANGES`.
     """
 
     section: str

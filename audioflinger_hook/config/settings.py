@@ -239,10 +239,7 @@ class Settings(Described):
 
         A profile brings its parameters, but for those that were said by name.
 
-        Raises
-        ------
-        UsageError
-            As upon making them.
+        UsageError: as upon making them.
         """
         if given.get("profile") in PROFILES and "parameters" not in given:
             kept = {name: getattr(self.parameters, name) for name in self.said}
@@ -272,10 +269,7 @@ class LiveSettings(Described):
 
     `device` is None where none is chosen, `device_volume_db` where the volume stays as it is.
 
-    Raises
-    ------
-    UsageError
-        Names every choice that is refused.
+    UsageError: names every choice that is refused.
     """
 
     tap: Annotated[

@@ -27,10 +27,7 @@ class Rendered:
 def targets_in(folder: Path, sources: Sequence[Path]) -> list[Path]:
     """Return the target of each file: its name in that folder, ending in .wav.
 
-    Raises
-    ------
-    UsageError
-        There is no such folder, two targets are the same, or one would replace a source.
+    UsageError: there is no such folder, two targets are the same, or one would replace a source.
     """
     if not folder.is_dir():
         what = "is not a folder" if folder.exists() else "does not exist"
@@ -66,16 +63,10 @@ def render_files(
     An error in one file does not affect the others. Ending the iteration early discards what is
     under way. Memory grows with the workers, not with the files.
 
-    Parameters
-    ----------
-    sources, targets : Sequence[Path]
-        The sound files, and where the vibration of each goes.
-    settings : Settings
-        Of all files.
-    workers : int
-        Processes at once; 1 for this process alone.
-    report_share : ReportShare | None
-        Takes the share of all files that is done.
+    sources, targets: the sound files, and where the vibration of each goes.
+    settings: of all files.
+    workers: processes at once; 1 for this process alone.
+    report_share: takes the share of all files that is done.
     """
 
     def work(item: int, report_share: ReportShare) -> Rendered:

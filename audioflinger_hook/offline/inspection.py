@@ -55,10 +55,7 @@ def inspect_file(
     The channels are mixed first. Memory does not depend on the length. `warn` takes, at the end,
     each warning about the file.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be used, or `at_s` lies outside it.
+    UsageError: the file cannot be used, or `at_s` lies outside it.
     """
     if at_s is not None and not 0.0 <= at_s < np.inf:
         raise UsageError(f"time {at_s:g} s is not in the sound; allowed: 0 s up to its end")

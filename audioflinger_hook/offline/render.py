@@ -111,32 +111,18 @@ def render(
     actuators were given. Files appear whole or not at all, and the client is closed. Memory does
     not depend on the length. Any one thread may call it.
 
-    Parameters
-    ----------
-    client : Client
-        Plays the sound.
-    target : Path
-        The vibration's file. It has the channels of the device up to the last one with an actuator;
-        without named actuators one, or with `channels` = "each" those of the mix.
-    settings : Settings | None
-        How vibration is made.
-    acceleration : Path | None
-        Also simulate the rig, and write here what its accelerometer records, full scale 100 m/s².
-    progress : Progress | None
-        Takes the progress after every buffer.
-    wait : Wait | None
-        Called before every buffer, to keep a pace.
-    warnings : Sequence[str]
-        Warnings about the source, complete when it has ended.
-
-    Raises
-    ------
-    UsageError
-        The source cannot be used, or a target cannot be written.
-    WriteError
-        The disk is full or failed.
-    InternalError
-        The haptic effect failed.
+    client: plays the sound.
+    target: the vibration's file. It has the channels of the device up to the last one with an
+        actuator; without named actuators one, or with `channels` = "each" those of the mix.
+    settings: how vibration is made.
+    acceleration: also simulate the rig, and write here what its accelerometer records, full scale
+        100 m/s².
+    progress: takes the progress after every buffer.
+    wait: called before every buffer, to keep a pace.
+    warnings: warnings about the source, complete when it has ended.
+    UsageError: the source cannot be used, or a target cannot be written.
+    WriteError: the disk is full or failed.
+    InternalError: the haptic effect failed.
     """
     settings = settings or Settings()
     outputs: list[VibrationOutput] = []

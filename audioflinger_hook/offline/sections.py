@@ -1,9 +1,7 @@
 """One long file in the reference form on several cores, cut into sections of whole units.
 
-Units are independent, but the band-pass in front of them has a state. A section therefore starts
-some seconds early: rounding lets two band-passes forget their different pasts within that time, to
-the last bit. Each section's state at its start is compared with the one in which the section before
-ended. A section with another state is rendered again from the right one.
+A section starts some seconds early, in which two band-passes forget their different pasts to the
+last bit. One whose state then differs from that at the end of the section before is rendered again.
 """
 
 from __future__ import annotations
@@ -52,18 +50,11 @@ class Plan:
 class Section:
     """A section's vibration, (frames, channels), aligned with its sound.
 
-    Attributes
-    ----------
-    vibration : NDArray[np.float32]
-        (frames, channels).
-    before, after : tuple[bytes, ...]
-        State of the transform at both ends.
-    replaced_samples : int
-        Unusable samples of the sound.
-    ended : bool
-        Whether the sound ended in this section.
-    warnings : tuple[str, ...]
-        What is wrong with the file, where that is known.
+    vibration: (frames, channels).
+    before, after: state of the transform at both ends.
+    replaced_samples: unusable samples of the sound.
+    ended: whether the sound ended in this section.
+    warnings: what is wrong with the file, where that is known.
     """
 
     vibration: NDArray[np.float32]
@@ -106,12 +97,8 @@ def sections_of(
 
     workers: processes at once, 2 or more; report_share: takes the share of the file that is done.
 
-    Raises
-    ------
-    CushionError
-        A worker raised it.
-    InternalError
-        A worker died.
+    CushionError: a worker raised it.
+    InternalError: a worker died.
     """
     past: tuple[bytes, ...] | None = None
     with Workers(partial(_try_section, plan), plan.sections, workers) as pool:

@@ -1,7 +1,6 @@
 """Work spread over processes: results in order, and a process that dies costs its own item only.
 
-`concurrent.futures` does not suffice. Its pool breaks as a whole when one process dies. It cannot
-end work that is under way, and does not report the signal that ended a process.
+The pool of `concurrent.futures` breaks as a whole when one process dies.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkProcess
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Generic, TypeVar
 
 Result = TypeVar("Result")
@@ -62,15 +61,10 @@ class Workers(Generic[Result]):
     Use it as a context manager, from one thread. Leaving it ends work that is under way, by
     KeyboardInterrupt in the process, and waits for it. The processes ignore SIGINT.
 
-    Parameters
-    ----------
-    work : Callable[[int, ReportShare], Result]
-        Any function whose result can be pickled. It runs in a fork of this process. An error that
+    work: any function whose result can be pickled. It runs in a fork of this process. An error that
         it raises counts as `WorkerLost`.
-    items : int
-        Items are numbered from 0.
-    count : int
-        The most processes at once.
+    items: items are numbered from 0.
+    count: the most processes at once.
     """
 
     def __init__(self, work: Callable[[int, ReportShare], Result], items: int, count: int) -> None:
@@ -103,12 +97,7 @@ class Workers(Generic[Result]):
     def __enter__(self) -> Workers[Result]:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         for worker in self._running:
             worker.process.terminate()
         for worker in self._running:

@@ -1,6 +1,4 @@
-"""The array types of the transform.
-
-Overlapping windows of a signal, without copying it."""
+"""The array types of the transform, and overlapping windows of a signal."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """A stream in NumPy: the input stage, then one transform for each channel of vibration.
 
-Hops begin with the sound: the first frame after silence is the first of a hop. So the same sound
-gives the same vibration however long the silence before it was.
+Hops begin with the sound, so that silence before it changes nothing.
 """
 
 from __future__ import annotations

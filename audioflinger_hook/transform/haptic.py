@@ -42,19 +42,10 @@ class KernelStream:
     any split gives the same bytes. All memory is allocated in the constructor. Held by one thread
     at a time.
 
-    Parameters
-    ----------
-    design : LiveDesign
-        All numbers and tables.
-    channels : int
-        Channels of the sound.
-    each : bool
-        Whether every channel is transformed by itself, instead of their mean.
-
-    Raises
-    ------
-    RuntimeError
-        The kernel is not there: see `kernel_warning`.
+    design: all numbers and tables.
+    channels: channels of the sound.
+    each: whether every channel is transformed by itself, instead of their mean.
+    RuntimeError: the kernel is not there: see `kernel_warning`.
     """
 
     def __init__(self, design: LiveDesign, channels: int, each: bool) -> None:
@@ -287,16 +278,9 @@ class HapticTransform:
     def process(self, frames: Frames) -> FloatArray:
         """Return the vibration due, (frames, channels_out) float64, full scale +-1.
 
-        Parameters
-        ----------
-        frames : ndarray
-            (frames, channels), or (frames,) for one channel; float32 or float64, 0 frames upwards.
-            Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
-
-        Raises
-        ------
-        UsageError
-            The block has another type or shape.
+        frames: (frames, channels), or (frames,) for one channel; float32 or float64, 0 frames
+            upwards. Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
+        UsageError: the block has another type or shape.
         """
         return self._stream.process(self._mixdown.process(frames) if self._mixdown else frames)
 

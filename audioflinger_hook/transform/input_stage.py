@@ -28,10 +28,7 @@ def fit_block(frames: Frames, channels: int) -> Frames:
 
     frames: (frames, channels) or, of one channel, (frames,); any floating-point type.
 
-    Raises
-    ------
-    UsageError
-        The block has another type or shape.
+    UsageError: the block has another type or shape.
     """
     if frames.dtype.kind != "f":
         raise UsageError(
@@ -117,10 +114,7 @@ def design_band_pass(
 ) -> tuple[FloatArray, FloatArray]:
     """Return b and a of a second-order Butterworth band-pass as one recursion.
 
-    Raises
-    ------
-    UsageError
-        The whole band lies above what the samplerate in Hz can hold.
+    UsageError: the whole band lies above what the samplerate in Hz can hold.
     """
     low, high = parameters.band_low_hz, parameters.band_high_hz
     if low >= NYQUIST_MARGIN * samplerate:

@@ -1,9 +1,4 @@
-"""Principal frequencies of amplitude spectra: candidates, half-power bandwidth, decision.
-
-Equations (2) and (3): a spectral peak is principal where r = A df > C_th, A its amplitude and df
-its half-power bandwidth. All rows of a batch are treated at once; each row's result depends on
-that row alone.
-"""
+"""Principal frequencies of amplitude spectra, equations (2) and (3): peaks with r = A df > C_th."""
 
 from __future__ import annotations
 

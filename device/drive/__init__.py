@@ -4,8 +4,7 @@
 | --------------------- | -------------------------------------------------------------------- |
 | drive.py              | `Drive`: vibration of the sources in, what each actuator plays out;  |
 |                       | `ChannelRouter`: that on the channels of a device                    |
-| actuator_feed.py      | one actuator's source, delay, level and polarity                     |
-| delay_buffer.py       | the last half second of vibration                                    |
+| actuator_feed.py      | the last half second; one actuator's source, delay, level, polarity  |
 | rig_processor.py      | damping, protection and exposure meter of one rig                    |
 | channel_map.py        | which actuator each channel of a device plays                        |
 | channel_positions.py  | the same for a sink of a sound server                                |

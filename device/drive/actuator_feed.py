@@ -6,11 +6,46 @@ from typing import NamedTuple
 
 import numpy as np
 
-from device.drive.delay_buffer import DelayBuffer
-from device.units import FloatArray
+from device.units import Float32Array, FloatArray
 
 FADE_S = 0.01
 """Duration of a change of gain, source or delay: too slow to click, too fast to notice."""
+
+
+class DelayBuffer:
+    """The last `delay_max` + `block_max` frames of vibration. One thread uses it.
+
+    sources: number of columns of a block.
+    delay_max: longest delay in frames.
+    block_max: longest block in frames.
+    """
+
+    def __init__(self, sources: int, delay_max: int, block_max: int) -> None:
+        self._ring = np.zeros((sources, delay_max + block_max), np.float32)
+        self._end = 0
+
+    def add(self, vibration: Float32Array | FloatArray) -> None:
+        """Store a block, (frames, sources), of up to `block_max` frames."""
+        frames, size = len(vibration), self._ring.shape[1]
+        first = min(frames, size - self._end)
+        self._ring[:, self._end : self._end + first] = vibration[:first].T
+        self._ring[:, : frames - first] = vibration[first:].T
+        self._end = (self._end + frames) % size
+
+    def read(self, source: int, delay: int, out: FloatArray) -> None:
+        """Fill `out`, as long as the last block, with that source `delay` frames earlier.
+
+        Frames before the first block are 0.
+        """
+        frames, size = len(out), self._ring.shape[1]
+        start = (self._end - frames - delay) % size
+        first = min(frames, size - start)
+        out[:first] = self._ring[source, start : start + first]
+        out[first:] = self._ring[source, : frames - first]
+
+    def reset(self) -> None:
+        """Set all stored frames to 0."""
+        self._ring[:] = 0.0
 
 
 class TapPoint(NamedTuple):
@@ -27,14 +62,9 @@ class ActuatorFeed:
     several that wait, the last one counts. The result does not depend on the lengths of blocks,
     only on the frame at which a change came.
 
-    Parameters
-    ----------
-    tap : TapPoint
-        Where it reads.
-    factor : float
-        What the source is multiplied by, -1 to 1.
-    fade_frames : int
-        Length of a fade.
+    tap: where it reads.
+    factor: what the source is multiplied by, -1 to 1.
+    fade_frames: length of a fade.
     """
 
     def __init__(self, tap: TapPoint, factor: float, fade_frames: int) -> None:

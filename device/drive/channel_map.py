@@ -48,22 +48,12 @@ class ChannelMap:
     ) -> ChannelMap:
         """Return the map of actuators by their channels; channels without actuator are silent.
 
-        Parameters
-        ----------
-        wiring : Sequence[Sequence[int | str]]
-            The channels of each actuator.
-        channels : int
-            Channels of the device.
-        positions : Sequence[str]
-            Names of the device's channels in their order; empty where they have none.
-        device : str
-            The device's name, for messages.
-
-        Raises
-        ------
-        UsageError
-            An actuator has no channel, a channel has two actuators, or the device has no such
-            channel.
+        wiring: the channels of each actuator.
+        channels: channels of the device.
+        positions: names of the device's channels in their order; empty where they have none.
+        device: the device's name, for messages.
+        UsageError: an actuator has no channel, a channel has two actuators, or the device has no
+            such channel.
         """
         numbered = [
             [_number(channel, channels, positions, device, actuator) for channel in its_channels]

@@ -26,10 +26,7 @@ def sink_channel_map(
 
     haptic_channels: of the vibration, which repeat over the sink's where no actuators are named.
 
-    Raises
-    ------
-    UsageError
-        The sink has no such channel, or a stream cannot reach its channels one by one.
+    UsageError: the sink has no such channel, or a stream cannot reach its channels one by one.
     """
     if not actuators:
         return ChannelMap.repeated(haptic_channels, sink.channels)

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from device.drive.actuator_feed import FADE_S, ActuatorFeed, TapPoint
+from device.drive.actuator_feed import FADE_S, ActuatorFeed, DelayBuffer, TapPoint
 from device.drive.channel_map import ChannelMap
-from device.drive.delay_buffer import DelayBuffer
 from device.drive.rig_processor import make_rig_processor
 from device.drive.settings import DELAY_MAX_MS, ActuatorSettings, sources_of
 from device.errors import InternalError
@@ -31,32 +30,15 @@ class Drive:
 
     One thread calls `process`, `drain` and `flush`; any thread may call the rest.
 
-    Parameters
-    ----------
-    actuators : Sequence[ActuatorSettings]
-        What each actuator plays; empty for one that plays all channels of the vibration.
-    samplerate : int
-        Rate in Hz.
-    channels : int
-        Channels of the vibration where no actuators are named; else their sources count.
-    rig, damping, protection, exposure_cap : str
-        Used for actuators whose settings leave them open.
-
-    Attributes
-    ----------
-    sources : tuple[str, ...]
-        Names of the input columns; empty where no actuators are named.
-    inputs, outputs : int
-        Columns of the blocks that come and leave.
-    processors : tuple[RigProcessor | None, ...]
-        Processing for each actuator's rig, None where nothing is asked for.
-    latency_frames : int
-        Delay of all actuators in frames, beside the delays asked for.
-
-    Raises
-    ------
-    UsageError
-        There is no such rig, or the sample rate is too low for its processing.
+    actuators: what each actuator plays; empty for one that plays all channels of the vibration.
+    samplerate: rate in Hz.
+    channels: channels of the vibration where no actuators are named; else their sources count.
+    rig, damping, protection, exposure_cap: used for actuators whose settings leave them open.
+    sources: names of the input columns; empty where no actuators are named.
+    inputs, outputs: columns of the blocks that come and leave.
+    processors: processing for each actuator's rig, None where nothing is asked for.
+    latency_frames: delay of all actuators in frames, beside the delays asked for.
+    UsageError: there is no such rig, or the sample rate is too low for its processing.
     """
 
     def __init__(
@@ -112,10 +94,7 @@ class Drive:
     def change(self, settings: Sequence[ActuatorSettings]) -> None:
         """Fade to other levels, polarities, delays and sources, from the next block on.
 
-        Raises
-        ------
-        InternalError
-            There are more or fewer actuators, or a source is new.
+        InternalError: there are more or fewer actuators, or a source is new.
         """
         if len(settings) != len(self._feeds) or not {*sources_of(settings)} <= {*self.sources}:
             raise InternalError("the number of actuators, or their sources, cannot change")
@@ -183,10 +162,7 @@ class ChannelRouter:
 
     For the supervising thread alone.
 
-    Parameters
-    ----------
-    actuators : Sequence[ActuatorSettings]
-        The named actuators; empty where the vibration's channels repeat over the device's.
+    actuators: the named actuators; empty where the vibration's channels repeat over the device's.
     """
 
     def __init__(self, actuators: Sequence[ActuatorSettings]) -> None:
@@ -220,14 +196,9 @@ class RoutedFill:
 
     The output's thread calls `fill`; any thread may call `change`.
 
-    Parameters
-    ----------
-    fill : Fill
-        Writes what the actuators play.
-    channel_map : ChannelMap
-        Which actuator each channel plays.
-    block_frames : int
-        Usual length of a block; another length takes new memory.
+    fill: writes what the actuators play.
+    channel_map: which actuator each channel plays.
+    block_frames: usual length of a block; another length takes new memory.
     """
 
     def __init__(self, fill: Fill, channel_map: ChannelMap, block_frames: int) -> None:

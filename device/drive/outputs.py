@@ -56,17 +56,9 @@ class AlignedOutput:
     Meant for files; a device that plays takes the delay line instead. The thread that delivers
     the vibration calls it.
 
-    Parameters
-    ----------
-    output : VibrationOutput
-        Gets all later frames.
-    latency_frames : int
-        Number of frames to drop.
-
-    Attributes
-    ----------
-    peak : float
-        Largest magnitude so far, of full scale.
+    output: gets all later frames.
+    latency_frames: number of frames to drop.
+    peak: largest magnitude so far, of full scale.
     """
 
     def __init__(self, output: VibrationOutput, latency_frames: int) -> None:
@@ -101,14 +93,9 @@ class DrivenOutput:
     still holds, but not what a `delay_ms` carries past the end. The thread that delivers the
     vibration calls it.
 
-    Parameters
-    ----------
-    output : VibrationOutput
-        Gets what the device's channels play.
-    drive : Driver
-        Processes the vibration.
-    channel_map : ChannelMap
-        Which of the drive's columns each channel of the output plays.
+    output: gets what the device's channels play.
+    drive: processes the vibration.
+    channel_map: which of the drive's columns each channel of the output plays.
     """
 
     def __init__(self, output: VibrationOutput, drive: Driver, channel_map: ChannelMap) -> None:

@@ -28,23 +28,12 @@ class RigProcessor:
     Protection is always on: a damped signal overshoots full scale, and must not be clipped. One
     thread calls `process`, `reset` and `drain`; any thread may call the rest.
 
-    Parameters
-    ----------
-    rig : Rig
-        What is driven, one actuator a channel.
-    samplerate : int
-        Rate in Hz, 6000 or more.
-    channels : int
-        Number of channels, 1 or more.
-    damped : bool
-        Whether to damp, with the damping that `choose_damping` finds for the rig's amplifier.
-    exposure_cap : str
-        One of `CAPS`. From half of that dose on the gain falls slowly.
-
-    Raises
-    ------
-    UsageError
-        The sample rate is too low.
+    rig: what is driven, one actuator a channel.
+    samplerate: rate in Hz, 6000 or more.
+    channels: number of channels, 1 or more.
+    damped: whether to damp, with the damping that `choose_damping` finds for the rig's amplifier.
+    exposure_cap: one of `CAPS`. From half of that dose on the gain falls slowly.
+    UsageError: the sample rate is too low.
     """
 
     def __init__(

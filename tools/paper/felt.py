@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,7 +70,7 @@ def chosen_damping(rig: Rig) -> Damping:
     """What the automatic choice takes for the rig, at the strength of undamped vibration."""
     source = rig.amplifier.source_impedance_ohm
     chosen = choose_damping(rig.actuator, source_impedances_ohm=(source,)).chosen
-    return chosen.damping.with_gain(chosen.makeup)
+    return replace(chosen.damping, gain=chosen.makeup)
 
 
 def felt(vibration: FloatArray, rig: Rig, samplerate: int, damping: Damping | None = None) -> Felt:

@@ -102,19 +102,11 @@ class LiveDesign:
     ) -> LiveDesign:
         """Return the design for parameters at a samplerate.
 
-        Parameters
-        ----------
-        parameters : TransformParameters
-            What shapes the vibration.
-        samplerate : int
-            Frames a second.
-        find_onsets : bool
-            False for the analysis of long windows alone, whose latency is that of sustained sound.
-
-        Raises
-        ------
-        UsageError
-            The band cannot be filtered at this samplerate.
+        parameters: what shapes the vibration.
+        samplerate: frames a second.
+        find_onsets: false for the analysis of long windows alone, whose latency is that of
+            sustained sound.
+        UsageError: the band cannot be filtered at this samplerate.
         """
         grid = LiveGrid.at(parameters, samplerate)
         spectrum = Spectrum.of(parameters, samplerate)
@@ -175,15 +167,8 @@ class LiveDesign:
     def from_bytes(cls, data: bytes) -> LiveDesign:
         """Return the design that `to_bytes` has written.
 
-        Parameters
-        ----------
-        data : bytes
-            All of it.
-
-        Raises
-        ------
-        UsageError
-            The bytes are cut, damaged, of another version, or hold something else.
+        data: all of it.
+        UsageError: the bytes are cut, damaged, of another version, or hold something else.
         """
         values = blob.unpack(bytes(data))
         sections = {name: _section(kind, values) for name, kind in SECTIONS.items()}

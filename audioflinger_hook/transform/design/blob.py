@@ -54,10 +54,7 @@ def pack(values: dict[str, Value]) -> bytes:
 def unpack(blob: bytes) -> dict[str, Value]:
     """Return the named values of `pack`; arrays are read-only views.
 
-    Raises
-    ------
-    UsageError
-        The bytes are cut, damaged, of another version or something else.
+    UsageError: the bytes are cut, damaged, of another version or something else.
     """
     if blob[: len(MAGIC)] != MAGIC:
         raise UsageError(f"not a design of the live form: does not begin with {MAGIC.decode()}")

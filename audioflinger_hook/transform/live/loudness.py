@@ -1,15 +1,7 @@
 """The loudness follower: how strong a hop vibrates by how loud it is in its programme.
 
-    loudness of the hop --+--> over the programme's level: 5.5 dB of vibration for 20 phon
-                          |        (programme's level: slow, so that the volume does not count)
-                          '--> over the noise floor: a soft gate
-
-Persons who match the strength of a seat's vibration to the loudness of a tone turn it up by 5 to
-6 dB for 20 phon (Altinsoy and Merchel, "Cross-Modality Matching of Loudness and Perceived Intensity
-of Whole-Body Vibrations", HAID 2010). A phon counts as a dB of K-weighted level. Vibration falls at
-once and rises by 7 dB a second at most, so a rhythm stays one, and no tail swells. The programme's
-level moves by 2 dB a second, and faster where it is far off. So the volume has no effect after
-some seconds; the vibration follows that by at most 1.7 dB a second.
+After Altinsoy and Merchel, "Cross-Modality Matching of Loudness and Perceived Intensity of
+Whole-Body Vibrations" (HAID 2010). A phon counts as a dB of K-weighted level.
 """
 
 from __future__ import annotations

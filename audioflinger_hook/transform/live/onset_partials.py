@@ -1,9 +1,4 @@
-"""Fresh partials: born of an onset, on their own until the analysis knows what has begun.
-
-The first of a sound is felt by them. When they are old enough they go over to the tracker at the
-end of a hop, in the middle of their vibration: the partial that the long window finds there glides
-on from where they are.
-"""
+"""Partials born of an onset, on their own until the analysis knows what has begun."""
 
 from __future__ import annotations
 

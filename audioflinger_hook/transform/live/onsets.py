@@ -1,10 +1,4 @@
-"""Onsets: a short window every two milliseconds finds what begins, and its frequencies roughly.
-
-The long window of the analysis knows a sound's frequencies, but only when the sound fills it. The
-short window of 5 ms, most of it before its own peak, is split into some ten bands. A band that
-rises well over its recent power is an onset. The estimate of its frequency and level gets better
-with each of the next windows.
-"""
+"""Onsets: a short window every two milliseconds finds what begins, and its frequencies roughly."""
 
 from __future__ import annotations
 

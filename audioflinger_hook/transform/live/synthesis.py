@@ -1,8 +1,6 @@
 """From partials to vibration: oscillators at the low rate, low-pass, interpolation and limiter.
 
-The amplitudes of the next hop are known before it is played, and their sum bounds the wave. So
-the limiter needs no look-ahead, changes gain as slowly as any amplitude, and makes no distortion.
-What little can still overshoot (the low-pass rings at a sudden start) meets a knee.
+The sum of a hop's amplitudes is known before it is played, so the limiter needs no look-ahead.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
 """Equations (5)-(7): cosines of a unit, added up. In float64, or as float32 at a tenth of the cost.
 
-A cosine a sample and partial is two thirds of what the reference form costs. By
-cos(a + b) = cos a cos b - sin a sin b, the unit as a grid of about sqrt(N) by sqrt(N) frames needs
-2 sqrt(N) angles a partial and a matrix product. That rounds otherwise than the sum that equation
-(7) says, by so little that rounded to float32 the two differ in one sample of a hundred thousand.
-Those few are known by their distance to the next rounding edge, and are computed as it says.
+By cos(a + b) = cos a cos b - sin a sin b a unit becomes a matrix product. Frames that this could
+round otherwise than the sum of equation (7) are computed as it says.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""The reference form: the paper's equations literally, unit by unit, in float64.
-
-It is what published figures mean and what the live form is measured against. Its flaws are the
-paper's and stay: steps at unit edges, a lag of one unit and more, a hard gate.
-"""
+"""The reference form: the paper's equations literally, unit by unit, in float64."""
 
 from __future__ import annotations
 

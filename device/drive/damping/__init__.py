@@ -6,12 +6,10 @@
 | damper.py       | `Damper`: the filter in the live path                                        |
 | residual.py     | what is left after a burst, for how long, and the volts that it took         |
 | choice.py       | `choose_damping`: the best filter for a rig and the volts that it has        |
-| flat_inverse.py | `FlatInverse`: makes a rig that stiffens move as the linear one would        |
 """
 
 from device.drive.damping.choice import choose_damping
 from device.drive.damping.damper import Damper
 from device.drive.damping.design import Damping
-from device.drive.damping.flat_inverse import FlatInverse
 
-__all__ = ["Damper", "Damping", "FlatInverse", "choose_damping"]
+__all__ = ["Damper", "Damping", "choose_damping"]

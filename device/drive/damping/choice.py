@@ -1,10 +1,8 @@
 """The automatic choice: the least residual in the worst case, within the available volts."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import get_args
-
-import numpy as np
 
 from device.drive.damping.design import (
     Damping,
@@ -19,55 +17,21 @@ from device.errors import UsageError
 from device.rig import ActuatorParameters
 
 HEADROOM_DB = 5.0
+UNCERTAINTY = 0.1
+"""Share of f0 that the rig may be off in either direction: sitters alone shift it by about 10 %."""
 WANTED_Q = (0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0)
 CAUTION = (1.0, 0.9, 0.8, 0.65, 0.5)
 SHIFT = (1.0, 1.02, 1.04, 1.06)
 
 
 @dataclass(frozen=True)
-class Uncertainty:
-    """How far the rig may be from what was identified.
-
-    Attributes
-    ----------
-    resonance : float
-        Share of f0 in either direction, 0 to 0.5; sitters alone shift it by about 10 %.
-    q_mechanical : tuple[float, float] | None
-        Lowest and highest value; None if the rig's is exact.
-    """
-
-    resonance: float = 0.1
-    q_mechanical: tuple[float, float] | None = None
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.resonance <= 0.5:
-            raise UsageError(
-                f"resonance={self.resonance!r} of the uncertainty must be 0 to 0.5 (a share of "
-                "f0, not %); correct it"
-            )
-        if self.q_mechanical and not 0.0 < self.q_mechanical[0] <= self.q_mechanical[1]:
-            raise UsageError(
-                f"q_mechanical={self.q_mechanical!r} must be two values above 0, the lower one "
-                "first; correct it"
-            )
-
-
-@dataclass(frozen=True)
 class Candidate:
     """A damping and its residual, against undamped current drive.
 
-    Attributes
-    ----------
-    damping : Damping
-        The filter.
-    as_believed : Residual
-        For the rig as identified.
-    worst_db : float
-        Largest residual of all possible rigs.
-    affordable : bool
-        Whether its peak volts for the believed rig are within the headroom.
-    makeup : float
-        Factor on the drive that makes a burst as strong as without damping.
+    as_believed: for the rig as identified.
+    worst_db: largest residual of all possible rigs.
+    affordable: whether its peak volts for the believed rig are within the headroom.
+    makeup: factor on the drive that makes a burst as strong as without damping.
     """
 
     damping: Damping
@@ -93,7 +57,7 @@ class DampingChoice:
 def choose_damping(
     p: ActuatorParameters,
     *,
-    uncertainty: Uncertainty | None = None,
+    uncertainty: float = UNCERTAINTY,
     headroom_db: float = HEADROOM_DB,
     source_impedances_ohm: Sequence[float] = (0.0,),
     latency_s: float = 0.0,
@@ -107,8 +71,8 @@ def choose_damping(
     ----------
     p : ActuatorParameters
         The actuator as identified.
-    uncertainty : Uncertainty | None
-        How far it may be from that; None for the default.
+    uncertainty : float
+        Share of f0 that it may be off in either direction, 0 to 0.5.
     headroom_db : float
         Peak volts beyond those of undamped current drive for the same vibration.
     source_impedances_ohm : Sequence[float]
@@ -119,14 +83,12 @@ def choose_damping(
     Raises
     ------
     UsageError
-        headroom_db is not a number, or there is no source impedance.
+        There is no source impedance.
     """
-    if not np.isfinite(headroom_db):
-        raise UsageError(f"headroom_db={headroom_db!r} must be a number; correct it")
     if not source_impedances_ohm:
         raise UsageError("no source impedance to choose from; name at least that of the amplifier")
-    possible = _possible_rigs(p, uncertainty or Uncertainty())
-    references = [undamped(q_rig, detuning=d) for q_rig, d in possible]
+    detunings = sorted({0.0, -uncertainty, uncertainty})
+    references = [undamped(p, detuning=d) for d in detunings]
     reference = undamped(p)
     candidates = []
     for source in source_impedances_ohm:
@@ -137,8 +99,8 @@ def choose_damping(
             believed = burst_response(p, damping)
             shown = believed.against(reference)
             worst_db = max(
-                burst_response(rig, damping, detuning=d).against(other).residual_db
-                for (rig, d), other in zip(possible, references, strict=True)
+                burst_response(p, damping, detuning=d).against(other).residual_db
+                for d, other in zip(detunings, references, strict=True)
             )
             candidates.append(
                 Candidate(
@@ -158,17 +120,6 @@ def _rank(candidate: Candidate) -> tuple[bool, float]:
     if candidate.affordable:
         return False, candidate.worst_db
     return True, candidate.as_believed.peak_volts_db
-
-
-def _possible_rigs(
-    p: ActuatorParameters, uncertainty: Uncertainty
-) -> list[tuple[ActuatorParameters, float]]:
-    """Return all corners of the uncertainty: rigs, and the share of f0 by which each is detuned."""
-    low, high = uncertainty.q_mechanical or (p.q_mechanical, p.q_mechanical)
-    shares = {0.0, -uncertainty.resonance, uncertainty.resonance}
-    return [
-        (replace(p, q_mechanical=q), share) for q in sorted({low, high}) for share in sorted(shares)
-    ]
 
 
 def _dampings(p: ActuatorParameters, source_impedance_ohm: float) -> list[Damping]:

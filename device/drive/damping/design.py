@@ -1,14 +1,8 @@
 """Damping filters as numbers that do not depend on the sample rate: resonance inverse, shapers.
 
-The resonance inverse puts zeros on the poles of the actuator and a well damped pair in their place.
-The poles are those of the electro-mechanical system, not f0 and Qts: with a coil of 1 mH the
-`paper` rig rings at 91.8 Hz. Zeros at 90 Hz would leave 1 dB more at +10 % of f0.
-
-An input shaper adds delayed copies of the signal, so that their free vibrations cancel (Singer and
-Seering, "Preshaping command inputs to reduce system vibration", 1990). An impulse makes a resonance
-with frequency f and Q swing. Half a damped period later the swing is opposite, and smaller by
-K = exp(-pi / sqrt(4 Q^2 - 1)). ZV adds a copy there. ZVD does so twice, which tolerates an
-inexact f.
+The inverse puts zeros on the poles of the actuator and a well damped pair in their place. A shaper
+adds delayed copies, whose free vibrations cancel (Singer and Seering, "Preshaping command inputs to
+reduce system vibration", 1990).
 """
 
 from __future__ import annotations
@@ -160,10 +154,6 @@ class Damping:
     def taps(self, samplerate: float) -> FloatArray:
         """Return the taps of the shaper, (frames,); one tap of 1 without a shaper."""
         return self.impulses.taps(samplerate) if self.impulses else np.ones(1)
-
-    def with_gain(self, gain: float) -> Damping:
-        """Return the same filter with another gain, above 0."""
-        return replace(self, gain=gain)
 
 
 def no_damping(source_impedance_ohm: float = 0.0) -> Damping:

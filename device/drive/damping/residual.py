@@ -36,16 +36,10 @@ _DECAYS = 12.0
 class BurstResponse:
     """The response to one burst.
 
-    Attributes
-    ----------
-    residual : float
-        Energy after the burst as a share of that within it.
-    settling_s : float
-        Settling time.
-    peak_v : float
-        Peak volts for 1 m/s² r.m.s. within the burst.
-    rms_m_s2 : float
-        Within the burst, for a drive of 1 V (with a current source, about 1 A).
+    residual: energy after the burst as a share of that within it.
+    settling_s: settling time.
+    peak_v: peak volts for 1 m/s² r.m.s. within the burst.
+    rms_m_s2: within the burst, for a drive of 1 V (with a current source, about 1 A).
     """
 
     residual: float

@@ -32,8 +32,8 @@ class Exposure:
     ----------
     time_s : float
         Duration.
-    running_m_s2, most_running_m_s2 : float
-        R.m.s. of about the last second, and its largest value (MTVV).
+    running_m_s2 : float
+        R.m.s. of about the last second.
     rms_m_s2 : float
         R.m.s. of all the time.
     a8_m_s2 : float
@@ -46,7 +46,6 @@ class Exposure:
 
     time_s: float
     running_m_s2: float
-    most_running_m_s2: float
     rms_m_s2: float
     a8_m_s2: float
     vdv: float
@@ -62,12 +61,6 @@ class Exposure:
         """Whether a limit value of 2002/44/EC is reached: 1.15 m/s² A(8), or 21 VDV."""
         return self.a8_m_s2 >= LIMIT_A8_M_S2 or self.vdv >= LIMIT_VDV
 
-    @property
-    def time_to_action_s(self) -> float:
-        """Time at the running level until A(8) reaches its action value; inf in silence."""
-        left = DAY_S * (ACTION_A8_M_S2**2 - self.a8_m_s2**2)
-        return max(0.0, left) / self.running_m_s2**2 if self.running_m_s2 else math.inf
-
     def __str__(self) -> str:
         """One line for display."""
         return (
@@ -80,12 +73,8 @@ class Exposure:
 class Dose:
     """Accumulates weighted acceleration. One thread calls `add`; any may call `exposure`.
 
-    Parameters
-    ----------
-    samplerate : float
-        Rate in Hz.
-    channels : int
-        Number of channels, each with a dose.
+    samplerate: rate in Hz.
+    channels: number of channels, each with a dose.
     """
 
     def __init__(self, samplerate: float, channels: int) -> None:
@@ -101,7 +90,7 @@ class Dose:
         channels = self._channels
         self._frames = 0
         self._squares, self._fourths, self._high = (np.zeros(channels) for _ in range(3))
-        self._now, self._most = np.zeros(channels), np.zeros(channels)
+        self._now = np.zeros(channels)
         self._past = np.zeros((1, channels))
         self._above_past = np.zeros((len(self._above), 2, channels))
 
@@ -120,7 +109,6 @@ class Dose:
         self._fourths = self._fourths + (squares**2).sum(axis=0)
         self._high = self._high + (high**2).sum(axis=0)
         self._now = running[-1]
-        self._most = np.maximum(self._most, running.max(axis=0))
 
     def exposure(self) -> Exposure:
         """Return the readings of the channel with the largest A(8)."""
@@ -131,7 +119,6 @@ class Dose:
         return Exposure(
             time_s=time_s,
             running_m_s2=math.sqrt(max(0.0, float(self._now[worst]))),
-            most_running_m_s2=math.sqrt(float(self._most[worst])),
             rms_m_s2=math.sqrt(energy / time_s) if time_s else 0.0,
             a8_m_s2=math.sqrt(energy / DAY_S),
             vdv=float(self._fourths[worst] * self._period_s) ** 0.25,

@@ -38,32 +38,24 @@ class ExposureMeter:
         Rate in Hz, 6000 or more.
     channels : int
         Number of channels, 1 or more. Each has a dose; the worst is shown.
-    transmission : float | None
-        Acceleration of the seat over that of the moving mass. None for the rig's own seat, or for
-        1, the cautious assumption, if the rig describes none.
 
     Attributes
     ----------
     knows_seat : bool
-        Whether the rig's own seat is used.
+        Whether the rig describes its seat; otherwise the seat is taken to move as the mass does.
 
     Raises
     ------
     UsageError
-        The rate is too low, or the transmission is not a number of 0 or more.
+        The rate is too low.
     """
 
-    def __init__(
-        self, rig: Rig, samplerate: int, channels: int, *, transmission: float | None = None
-    ) -> None:
+    def __init__(self, rig: Rig, samplerate: int, channels: int) -> None:
         if samplerate < _LOWEST_HZ:
             raise UsageError(
                 f"samplerate={samplerate} Hz is too low; choose {_LOWEST_HZ} Hz or more"
             )
-        self.knows_seat = transmission is None and rig.seat is not None
-        transmission = 1.0 if transmission is None else transmission
-        if not (np.isfinite(transmission) and transmission >= 0.0):
-            raise UsageError(f"transmission={transmission!r} must be 0 or more; correct it")
+        self.knows_seat = rig.seat is not None
         if channels < 1:
             raise InternalError(f"channels={channels} must be 1 or more")
         self.samplerate = samplerate
@@ -74,12 +66,12 @@ class ExposureMeter:
         source = rig.amplifier.source_impedance_ohm
         self._actuators: list[LinearActuator] = []
         self._seat: SeatMotion | None = None
-        if self.knows_seat and rig.seat:
+        if rig.seat:
             self._seat = SeatMotion(rig.actuator, rig.seat, rate, source, channels)
         else:
             self._actuators = [LinearActuator(rig.actuator, rate, source) for _ in range(channels)]
         self._sections = wk_sections(rate)
-        self._m_s2_v = transmission * rig.dac.full_scale_v * rig.amplifier.gain
+        self._m_s2_v = rig.dac.full_scale_v * rig.amplifier.gain
         self._dose = Dose(rate, channels)
         self._part: FloatArray = np.zeros((factor * round(_PART_S * rate), channels))
         self.reset()
@@ -149,12 +141,8 @@ class Decimator:
 
     Up to a twentieth of the new rate the error is at most 1e-3, and aliases are 80 dB down.
 
-    Parameters
-    ----------
-    factor : int
-        1 or more; 1 changes nothing.
-    channels : int
-        Number of channels, 1 or more.
+    factor: 1 or more; 1 changes nothing.
+    channels: number of channels, 1 or more.
     """
 
     def __init__(self, factor: int, channels: int) -> None:

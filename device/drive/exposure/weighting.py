@@ -7,7 +7,6 @@ acceleration to velocity at 12.5 Hz, and the step up between 2.37 and 3.35 Hz.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import bilinear
 
 from device.errors import UsageError
@@ -31,7 +30,7 @@ def _second(frequency_hz: float, q: float) -> tuple[float, float, float]:
 
 
 _BAND_Q = math.sqrt(0.5)
-_PARTS: tuple[_Part, ...] = (
+PARTS: tuple[_Part, ...] = (
     ((1.0 / _w(0.4) ** 2, 0.0, 0.0), _second(0.4, _BAND_Q), 0.4),
     ((0.0, 0.0, 1.0), _second(100.0, _BAND_Q), 100.0),
     ((0.0, 1.0 / _w(12.5), 1.0), _second(12.5, 0.63), 12.5),
@@ -44,15 +43,6 @@ _PARTS: tuple[_Part, ...] = (
 """Numerator, denominator (powers of s, highest first) and the frequency that stays exact."""
 
 
-def wk_response(frequency_hz: FloatArray) -> NDArray[np.complex128]:
-    """Return the complex factor of Wk at each frequency in Hz, any shape: 0.636 at 20 Hz."""
-    s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
-    response = np.ones_like(s)
-    for numerator, denominator, _ in _PARTS:
-        response *= np.polyval(numerator, s) / np.polyval(denominator, s)
-    return response
-
-
 def wk_sections(samplerate: float) -> FloatArray:
     """Return Wk as second-order sections for `scipy.signal.sosfilt`, (4, 6), in float64.
 
@@ -60,10 +50,7 @@ def wk_sections(samplerate: float) -> FloatArray:
     at its frequency. Lower precision, or one polynomial, would lose poles as close to 1 as those of
     0.4 Hz.
 
-    Raises
-    ------
-    UsageError
-        The sample rate is too low.
+    UsageError: the sample rate is too low.
     """
     if not samplerate >= LOWEST_SAMPLERATE:
         raise UsageError(
@@ -71,7 +58,7 @@ def wk_sections(samplerate: float) -> FloatArray:
             "or more"
         )
     sections = []
-    for numerator, denominator, exact_hz in _PARTS:
+    for numerator, denominator, exact_hz in PARTS:
         # s / tan(...) instead of s T / 2: the bilinear transform at this rate, exact at exact_hz.
         rate = math.pi * exact_hz / math.tan(math.pi * exact_hz / samplerate)
         b, a = bilinear(numerator, denominator, fs=rate)

@@ -1,8 +1,4 @@
-"""The amplifier's band and one actuator behind it, as one step from sample to sample.
-
-The high-pass of an amplifier shifts the phase of low vibration, distorts sudden onsets and swings
-back for 0.1 s at the end. The model therefore includes its state (see rig/band.py).
-"""
+"""The amplifier's band and one actuator behind it, as one step from sample to sample."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -41,27 +37,13 @@ class DriveModel:
 
     Exact for a voltage that is straight between samples. Any thread may use it.
 
-    Parameters
-    ----------
-    model : ActuatorParameters
-        The actuator.
-    samplerate : float
-        Rate in Hz.
-    source_impedance_ohm : float
-        Of the amplifier.
-    sections : FloatArray
-        Of the amplifier's band, (n, 6).
-    volts : float
-        At the actuator for full scale.
-
-    Attributes
-    ----------
-    step, drive : FloatArray
-        (states, states) and (states,), for a drive of full scale 1.
-    x_row, i_row : FloatArray
-        (states,): excursion in m and current in A of a state.
-    last_kick : float
-        Norm of the actuator's state after a last output of 1: the root of twice its energy.
+    samplerate: rate in Hz.
+    source_impedance_ohm: of the amplifier.
+    sections: of the amplifier's band, (n, 6).
+    volts: at the actuator for full scale.
+    step, drive: (states, states) and (states,), for a drive of full scale 1.
+    x_row, i_row: (states,): excursion in m and current in A of a state.
+    last_kick: norm of the actuator's state after a last output of 1: the root of twice its energy.
     """
 
     def __init__(

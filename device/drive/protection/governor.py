@@ -3,19 +3,9 @@
 A scalar governor (Gilbert, Kolmanovsky and Tan, "Discrete-time reference governors and the
 nonlinear control of systems with state and control constraints", 1995) on several linear models.
 The drive of block k is u (g' (1 - r) + g r): r is a ramp from 0 to 1, g' the last gain, g the new
-one. The largest g is wanted for which every model stays inside the limits in three phases:
-
-- during block k,
-- during block k + 1, whose drive is known, while the gain falls to 0,
-- in the free swing after that.
-
-All of it is a + g b with known a and b, so every sample and every model bounds g. The gain 0 for
-the next block has then just been tested, and all smaller gains are possible too. Only an outside
-cause can make a block without a possible gain.
-
-Alone, this would push to the last moment and then stop in every period. The same models therefore
-also run without any gain. What they exceed the limits by is held for a while and gives the demanded
-gain. A steady signal gets that gain and never meets the bound, which is left for onsets.
+one. Every model must stay inside the limits during block k, during block k + 1 while the gain falls
+to 0, and in the free swing after that. All of it is a + g b, so every sample bounds g. The same
+models also run without any gain: what they exceed the limits by is the demand.
 """
 
 from dataclasses import dataclass
@@ -36,17 +26,11 @@ _TOGETHER = 1e-9
 class Verdict:
     """The gain that a block may have.
 
-    Attributes
-    ----------
-    gain : FloatArray
-        (channels,), 0 to 1.
-    demand : FloatArray
-        (channels,): what would be reached without any gain, as a share of the limits.
-    infeasible : int
-        Channels without a gain that keeps all limits.
-    power_a2 : FloatArray
-        (4, channels): mean square of the believed model's current, as the coefficients of 1, g
-        and g², and without any gain.
+    gain: (channels,), 0 to 1.
+    demand: (channels,): what would be reached without any gain, as a share of the limits.
+    infeasible: channels without a gain that keeps all limits.
+    power_a2: (4, channels): mean square of the believed model's current, as the coefficients of 1,
+        g and g², and without any gain.
     """
 
     gain: FloatArray
@@ -67,21 +51,10 @@ class _Block:
 class Governor:
     """The models of the actuators, and their gains. One thread calls it.
 
-    Parameters
-    ----------
-    prediction : Prediction
-        For one length of block.
-    channels : int
-        Number of actuators.
-    level : float
-        Limit of |drive|.
-    current_a : float | None
-        Limit of the current, None for none.
-
-    Attributes
-    ----------
-    gain : FloatArray
-        (channels,), at the end of the last block.
+    prediction: for one length of block.
+    level: limit of |drive|.
+    current_a: limit of the current, None for none.
+    gain: (channels,), at the end of the last block.
     """
 
     def __init__(

@@ -1,9 +1,6 @@
 """What a block of drive does to several linear models of one actuator, as matrices.
 
-Each model is the amplifier's band and equations (8)-(10) with a force linear in the current,
-stepped exactly for a voltage that is straight between samples (drive_model.py). Half the square of
-the first three states is the actuator's stored energy. Every result for a block is linear in the
-state before it and in its drive, so that one matrix for each is made beforehand.
+Half the square of the first three states is the actuator's stored energy.
 """
 
 import math
@@ -32,41 +29,22 @@ class Prediction:
     Rows of `moved_*`: excursion at some frames of the block, the last among them, then the state at
     its end.
 
-    Parameters
-    ----------
-    models : Sequence[ActuatorParameters]
-        Rigs that the actuator may be; the believed one first.
-    samplerate : float
-        Rate in Hz.
-    block_frames : int
-        Length of a block, 1 or more.
-    volts : float
-        At the actuator for full scale.
-    source_impedance_ohm : float
-        Of the amplifier.
-    sections : FloatArray
-        Of the amplifier's band, (n, 6).
-    excursion_m : float
-        The limit.
-    current_models : int
-        Number of models whose current is needed.
-
-    Attributes
-    ----------
-    moved_by_drive, moved_freely : FloatArray
-        (models * rows, block_frames) and (models, rows, states).
-    current_by_drive, current_freely : FloatArray
-        (current_models * block_frames, block_frames) and (current_models, block_frames, states).
-    tail : FloatArray
-        (models, points, states): excursion after a state without drive.
-    reach : FloatArray
-        (models, 1): largest excursion from rest that a drive within ±1 can cause.
-    swing, swing_m : FloatArray, float
-        (models, 1): amplitude of a swing over the root of twice its energy; the believed in m.
-    last_kick : FloatArray
-        (models, 1): such a root for a last output of 1.
-    ring : FloatArray
-        (models, 1): largest excursion that a state of length 1 of the amplifier can cause.
+    models: rigs that the actuator may be; the believed one first.
+    samplerate: rate in Hz.
+    block_frames: length of a block, 1 or more.
+    volts: at the actuator for full scale.
+    source_impedance_ohm: of the amplifier.
+    sections: of the amplifier's band, (n, 6).
+    current_models: number of models whose current is needed.
+    moved_by_drive, moved_freely: (models * rows, block_frames) and (models, rows, states).
+    current_by_drive, current_freely: (current_models * block_frames, block_frames) and
+        (current_models, block_frames, states).
+    tail: (models, points, states): excursion after a state without drive.
+    reach: (models, 1): largest excursion from rest that a drive within ±1 can cause.
+    swing, swing_m: (models, 1): amplitude of a swing over the root of twice its energy; the
+        believed in m.
+    last_kick: (models, 1): such a root for a last output of 1.
+    ring: (models, 1): largest excursion that a state of length 1 of the amplifier can cause.
     """
 
     def __init__(

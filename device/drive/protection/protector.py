@@ -95,8 +95,6 @@ class Protector:
         Number of channels, 1 or more; each has its gain.
     limits : Limits | None
         None for those of the rig.
-    block_s : float
-        Length of a block, 0.001 to 0.005, rounded to frames.
 
     Attributes
     ----------
@@ -106,8 +104,8 @@ class Protector:
     Raises
     ------
     UsageError
-        The rate or the length of a block is out of range; or the coil's temperature is limited and
-        the rig does not say how it warms up.
+        The rate is too low, or the coil's temperature is limited and the rig does not say how it
+        warms up.
     """
 
     def __init__(
@@ -117,12 +115,9 @@ class Protector:
         channels: int,
         *,
         limits: Limits | None = None,
-        block_s: float = BLOCK_S,
     ) -> None:
         if samplerate < 1_000:
             raise UsageError(f"samplerate={samplerate} Hz is too low; choose 1000 Hz or more")
-        if not 0.001 <= block_s <= 0.005:
-            raise UsageError(f"block_s={block_s!r} must be 0.001 to 0.005 s; choose another one")
         if channels < 1:
             raise InternalError(f"channels={channels} must be 1 or more")
         self.rig = rig
@@ -135,7 +130,7 @@ class Protector:
         self.samplerate = samplerate
         self.channels = channels
         self.most = 1.0
-        self._frames = round(block_s * samplerate)
+        self._frames = round(BLOCK_S * samplerate)
         self._period_s = self._frames / samplerate
         volts = rig.dac.full_scale_v * rig.amplifier.gain
         models = _models(rig.actuator, self.limits)

@@ -12,14 +12,9 @@ _APPROACH_S = 2.0
 class CoilTemperature:
     """Coil and magnet of one actuator, which start at room temperature. One thread calls it.
 
-    Parameters
-    ----------
-    parameters : ThermalParameters
-        How they warm up.
-    resistance_ohm : float
-        Of the coil at room temperature.
-    period_s : float
-        Length of a step.
+    parameters: how they warm up.
+    resistance_ohm: of the coil at room temperature.
+    period_s: length of a step.
     """
 
     def __init__(

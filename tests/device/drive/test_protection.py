@@ -440,7 +440,6 @@ def test_the_delay_is_two_blocks_and_declared():
     protector = Protector(PAPER, 48_000, 1)
     assert protector.latency_frames == 192
     assert protector.status().latency_s == pytest.approx(0.004)
-    assert Protector(PAPER, 48_000, 1, block_s=0.001).latency_frames == 96
 
 
 # ------------------------------------------------------------------------- level, current, heat
@@ -615,8 +614,6 @@ def test_after_reset_it_is_as_new():
 def test_what_is_out_of_range_is_refused_by_name():
     with pytest.raises(UsageError, match="samplerate="):
         Protector(PAPER, 500, 1)
-    with pytest.raises(UsageError, match="block_s="):
-        Protector(PAPER, RATE, 1, block_s=0.5)
     with pytest.raises(InternalError, match="channels="):
         Protector(PAPER, RATE, 0)
     with pytest.raises(InternalError, match="shape"):

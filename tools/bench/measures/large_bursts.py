@@ -11,7 +11,6 @@ import numpy as np
 
 from device.drive.damping.damper import Damper
 from device.drive.damping.design import Damping, no_damping
-from device.drive.damping.flat_inverse import FlatInverse
 from device.drive.damping.residual import (
     BURST_S,
     SAMPLERATE,
@@ -25,6 +24,7 @@ from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
 from device.rig.parameters import DriveMode, detune
+from tools.bench.measures.flat_inverse import FlatInverse
 
 CURRENT_DRIVE_OHM = 1e4
 """Lower than in residual.py: a shorter L / R would cost twenty times as much. The actuator's

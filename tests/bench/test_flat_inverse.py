@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from device.drive.damping import FlatInverse, choose_damping
+from device.drive.damping import choose_damping
 from device.drive.damping.residual import undamped
 from device.errors import UsageError
 from device.rig import CONSUMER, PAPER, Rig
 from device.rig.actuator import LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.model_levels import ModelLevel
+from tools.bench.measures.flat_inverse import FlatInverse
 from tools.bench.measures.large_bursts import large_burst_response, undamped_large
 
 RATE = 48_000
