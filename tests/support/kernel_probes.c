@@ -89,7 +89,7 @@ static PyObject *find(PyObject *Py_UNUSED(module), PyObject *arguments)
     Py_buffer views[ARRAYS];
     int open = 0;
     while (open < ARRAYS &&
-           array_opened(arrays[open], ARRAY[open].name, ARRAY[open].expected, &views[open]))
+           open_array(arrays[open], ARRAY[open].name, ARRAY[open].expected, &views[open]))
         open++;
     Py_ssize_t count = -1;
     if (open == ARRAYS) {
@@ -129,9 +129,9 @@ static PyObject *spectrum(PyObject *Py_UNUSED(module), PyObject *arguments)
     if (!PyArg_ParseTuple(arguments, "OnO:spectrum", &given[0], &length, &given[1]))
         return NULL;
     Py_buffer samples, bins;
-    if (!array_opened(given[0], "samples", (Expected){"d", 1, 1, 0, 0}, &samples))
+    if (!open_array(given[0], "samples", (Expected){"d", 1, 1, 0, 0}, &samples))
         return NULL;
-    if (!array_opened(given[1], "bins", (Expected){"d", 2, 2, 1, 0}, &bins)) {
+    if (!open_array(given[1], "bins", (Expected){"d", 2, 2, 1, 0}, &bins)) {
         PyBuffer_Release(&samples);
         return NULL;
     }
@@ -178,7 +178,7 @@ WIDE static void cosines_of(double *numbers, Py_ssize_t count)
 static PyObject *in_place(PyObject *array, void (*function)(double *, Py_ssize_t))
 {
     Py_buffer numbers;
-    if (!array_opened(array, "numbers", (Expected){"d", 1, 1, 1, 0}, &numbers))
+    if (!open_array(array, "numbers", (Expected){"d", 1, 1, 1, 0}, &numbers))
         return NULL;
     function(numbers.buf, numbers.shape[0]);
     PyBuffer_Release(&numbers);

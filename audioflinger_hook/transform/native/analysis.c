@@ -142,7 +142,7 @@ WIDE static void bound(const Rule *rule, Peaks *peaks)
 }
 
 /* Measure a peak's r, unless that is done; return whether it is principal. */
-static int measured(const Rule *rule, Peaks *peaks, int32_t one)
+static int measure_peak(const Rule *rule, Peaks *peaks, int32_t one)
 {
     if (peaks->r[one] < 0.0) {
         const double level = peaks->level[one];
@@ -172,7 +172,7 @@ static void choose_no_side_lobes(const Rule *rule, Peaks *peaks, Chosen *chosen)
             }
         if (which < 0)
             break;
-        if (measured(rule, peaks, which))
+        if (measure_peak(rule, peaks, which))
             highest = height;
         else
             peaks->r[which] = 0.0;
@@ -237,7 +237,7 @@ static void rule_out(const Rule *rule, Work *work)
     int32_t known = 0;
     for (int32_t one = 0; one < chosen->count; one++) {
         const int32_t place = chosen->place[one];
-        if (peaks->bound[place] >= likely && measured(rule, peaks, place))
+        if (peaks->bound[place] >= likely && measure_peak(rule, peaks, place))
             work->sorting[known++] = peaks->rank[place];
     }
     /* What is not principal may stay for now. */
@@ -261,7 +261,7 @@ static void choose_strongest(const Rule *rule, Work *work)
         rule_out(rule, work);
     int32_t count = 0;
     for (int32_t one = 0; one < chosen->count; one++)
-        if (measured(rule, peaks, chosen->place[one])) {
+        if (measure_peak(rule, peaks, chosen->place[one])) {
             work->sorting[count] = peaks->rank[chosen->place[one]];
             chosen->place[count++] = chosen->place[one];
         }

@@ -12,7 +12,7 @@ static int is_one_of(const char *types, const char *format)
     return *format && !format[1] && strchr(types, *format);
 }
 
-int array_opened(PyObject *array, const char *name, Expected expected, Py_buffer *view)
+int open_array(PyObject *array, const char *name, Expected expected, Py_buffer *view)
 {
     const int flags = PyBUF_FORMAT | (expected.strided ? PyBUF_STRIDES : PyBUF_ND) |
                       (expected.writable ? PyBUF_WRITABLE : 0);
@@ -64,7 +64,7 @@ static int table_from(PyObject *settings, const char *name, Table *table)
         return 0;
     }
     Py_buffer view;
-    if (!array_opened(value, name, (Expected){"d", 1, 2, 0, 0}, &view))
+    if (!open_array(value, name, (Expected){"d", 1, 2, 0, 0}, &view))
         return 0;
     table->at = PyMem_RawMalloc(view.len ? (size_t)view.len : 1);
     if (table->at) {
@@ -86,7 +86,7 @@ void settings_close(Settings *settings)
 #undef ENTRY
 }
 
-int settings_opened(PyObject *given, Settings *settings)
+int open_settings(PyObject *given, Settings *settings)
 {
     memset(settings, 0, sizeof *settings);
     int read = 1;

@@ -225,7 +225,7 @@ INLINED void exchanged_two(const Fft *fft, Complexes from, Complexes to)
     }
 }
 
-WIDE static void exchanged(const Fft *fft, Complexes from, Complexes to)
+WIDE static void exchange(const Fft *fft, Complexes from, Complexes to)
 {
     if (fft->lanes == 2)
         exchanged_two(fft, from, to);
@@ -242,7 +242,7 @@ WIDE_FOR_FEW static void exchanged_12_10(const Fft *fft, Complexes from, Complex
 /* ------------------------------------------------------------------------------ real to complex */
 
 /* Take samples for complex numbers, those of the second lane turned. */
-WIDE static void paired(const Fft *fft, const double *restrict samples, Complexes to)
+WIDE static void pair_samples(const Fft *fft, const double *restrict samples, Complexes to)
 {
     double *restrict re = to.re, *restrict im = to.im;
     if (fft->lanes == 1) {
@@ -265,7 +265,7 @@ WIDE static void paired(const Fft *fft, const double *restrict samples, Complexe
 }
 
 /* Take the spectrum of pairs apart into that of the even and of the odd samples, and join them. */
-WIDE static void joined(const Fft *fft, Complexes from, size_t bins, double *restrict real,
+WIDE static void join_halves(const Fft *fft, Complexes from, size_t bins, double *restrict real,
                         double *restrict imaginary)
 {
     const size_t half = fft->halved;
@@ -293,7 +293,7 @@ void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *re
     const size_t size = fft->points * fft->lanes + FREE;
     Complexes one = {work, work + size}, other = {work + 2 * size, work + 3 * size};
     const int few = fft->points == 120 && fft->lanes == 1;
-    paired(fft, samples, one);
+    pair_samples(fft, samples, one);
     if (few)
         pass_through_columns_of_10(&fft->columns, &one, &other);
     else
@@ -301,13 +301,13 @@ void fft_spectrum(const Fft *fft, const double *samples, size_t bins, double *re
     if (few)
         exchanged_12_10(fft, one, other);
     else
-        exchanged(fft, one, other);
+        exchange(fft, one, other);
     if (few)
         pass_through_rows_of_12(&fft->rows, &other, &one);
     else
         pass_through(&fft->rows, &other, &one);
     if (fft->halved)
-        joined(fft, other, bins, real, imaginary);
+        join_halves(fft, other, bins, real, imaginary);
     else
         for (size_t bin = 0; bin < bins; bin++) {
             real[bin] = other.re[bin];

@@ -31,7 +31,7 @@ static double *write_turns(double *table, size_t count, size_t step, size_t whol
 }
 
 /* Divide size into factors of 5, 3, 4 and 2; return whether that leaves nothing. */
-static int factorised(Passes *passes, size_t size)
+static int factorise(Passes *passes, size_t size)
 {
     static const size_t PRIMES[] = {5, 3, 4, 2};
     passes->size = size;
@@ -68,17 +68,17 @@ static double *write_passes(Passes *passes, double *table)
 }
 
 /* Divide so many points into a grid that is as square as can be; return whether it can be done. */
-static int gridded(Fft *fft)
+static int make_grid(Fft *fft)
 {
     Passes all;
-    if (!factorised(&all, fft->points))
+    if (!factorise(&all, fft->points))
         return 0;
     size_t best = 1;
     for (size_t columns = 1; columns <= fft->points; columns++)
         if (fft->points % columns == 0 && columns * columns <= fft->points)
             best = columns;
-    factorised(&fft->columns, fft->points / best);
-    factorised(&fft->rows, best);
+    factorise(&fft->columns, fft->points / best);
+    factorise(&fft->rows, best);
     fft->columns.run = best * fft->lanes;
     fft->rows.run = fft->points / best * fft->lanes;
     return 1;
@@ -92,7 +92,7 @@ int fft_open(Fft *fft, size_t length, int padded)
     fft->lanes = padded && length % 4 == 0 ? 2 : 1;
     fft->points = fft->halved ? fft->halved / fft->lanes : length;
     fft->frames = fft->lanes == 2 ? length / 2 : length;
-    if (length == 0 || !gridded(fft))
+    if (length == 0 || !make_grid(fft))
         return -2;
     const size_t lane_turns = fft->lanes == 2 ? 2 * fft->points : 0;
     const size_t bins = fft->halved ? fft->halved + 1 : 0;

@@ -144,7 +144,7 @@ size_t input_mono(const Settings *settings, Sound sound, size_t frames, double *
     return mean(sound.at, frame, channel, sound.channels, 0, limit, frames, mono);
 }
 
-INLINED double band_passed(const Settings *settings, double *state, size_t order, double *mono,
+INLINED double filter_band(const Settings *settings, double *state, size_t order, double *mono,
                            size_t frames)
 {
     double b[ORDER_MAX + 1], a[ORDER_MAX + 1], held[ORDER_MAX], loudest = 0.0;
@@ -163,10 +163,10 @@ double input_band_pass(const Settings *settings, double *state, double *mono, si
 {
     const size_t order = settings->band_b.length - 1;
     if (order == 4)
-        return band_passed(settings, state, 4, mono, frames);
+        return filter_band(settings, state, 4, mono, frames);
     if (order == 2)
-        return band_passed(settings, state, 2, mono, frames);
-    return band_passed(settings, state, order, mono, frames);
+        return filter_band(settings, state, 2, mono, frames);
+    return filter_band(settings, state, order, mono, frames);
 }
 
 double input_band_pass_silence(const Settings *settings, double *state, double *mono,

@@ -14,7 +14,7 @@
 /* ------------------------------------------------------------------------------------- analysis */
 
 /* Put the window in order, the oldest frame first, and take it through the window function. */
-WIDE static void windowed(const Live *live, const Voice *voice, double *restrict samples)
+WIDE static void apply_window(const Live *live, const Voice *voice, double *restrict samples)
 {
     const size_t frames = live->settings.window_frames, first = frames - live->oldest;
     const double *restrict window = live->settings.window.at;
@@ -30,7 +30,7 @@ WIDE static void windowed(const Live *live, const Voice *voice, double *restrict
 
 /* Find what is principal in the window; return how many, 0 where it is not to be felt. strength: how
  * strong it vibrates, where loudness is followed. */
-static size_t analysed(Live *live, Voice *voice, double *strength)
+static size_t analyse_window(Live *live, Voice *voice, double *strength)
 {
     const Settings *s = &live->settings;
     const Rule rule = {
@@ -55,7 +55,7 @@ static size_t analysed(Live *live, Voice *voice, double *strength)
         .weakest_share = s->weakest_share,
     };
     const Spectrum spectrum = {live->real, live->imaginary, 1};
-    windowed(live, voice, live->windowed);
+    apply_window(live, voice, live->windowed);
     fft_spectrum(&live->fft, live->windowed, s->bins, live->real, live->imaginary, live->fft_space);
     if (loudness_is_on(s)) {
         const double loudness_db = loudness_loudness_db(s, live->real, live->imaginary);
@@ -95,7 +95,7 @@ static void lower_speech(Live *live, const Voice *voice, size_t count)
 
 /* Set the amplitudes of what was found, scaled down where their sum would pass the ceiling; return
  * whether it would. */
-static int levelled(Live *live, Voice *voice, double strength, size_t count)
+static int set_levels(Live *live, Voice *voice, double strength, size_t count)
 {
     const Settings *s = &live->settings;
     double total = 0.0;
@@ -137,7 +137,7 @@ static void follow(Live *live, Voice *voice, double strength, size_t count)
 {
     const Settings *s = &live->settings;
     const double left = tracking_holds(s, &voice->slots) ? left_by_law(live, count) : 1.0;
-    if (levelled(live, voice, strength, count))
+    if (set_levels(live, voice, strength, count))
         live->limited += s->hop_frames;
     double total = 0.0;
     for (size_t one = 0; one < count; one++) {
@@ -163,12 +163,12 @@ static void end_hop(Live *live, Voice *voice)
     onset_partials_hand_over(s, voice->fresh, &voice->onsets, &voice->slots);
     size_t count = 0;
     double strength = 1.0;
-    const int heard = loudest >= s->silence;
-    if (heard)
-        count = analysed(live, voice, &strength);
+    const int audible = loudest >= s->silence;
+    if (audible)
+        count = analyse_window(live, voice, &strength);
     else
         loudness_rest(s, &voice->follower);
-    if (s->speech_db > 0.0 && heard)
+    if (s->speech_db > 0.0 && audible)
         speech_hear(s, voice->speech, live->real, live->imaginary, live->speech_space);
     else if (s->speech_db > 0.0)
         speech_pause(s, voice->speech);
@@ -189,7 +189,7 @@ static void end_hop(Live *live, Voice *voice)
 /* -------------------------------------------------------------------------------------- one tick */
 
 /* Look for an onset in the tick that is full. */
-static int heard(Live *live, const Voice *voice)
+static int find_onset(Live *live, const Voice *voice)
 {
     const Settings *s = &live->settings;
     const size_t count = s->short_frames;
@@ -208,8 +208,8 @@ static int heard(Live *live, const Voice *voice)
 static void advance(Live *live, Voice *voice)
 {
     const Settings *s = &live->settings;
-    const int onset = s->find_onsets && heard(live, voice);
-    const Heard told = {&voice->onsets, &voice->follower, voice->speech};
+    const int onset = s->find_onsets && find_onset(live, voice);
+    const OnsetSources told = {&voice->onsets, &voice->follower, voice->speech};
     const int full = live->tick + 1 == s->ticks;
     if (full)
         end_hop(live, voice);
@@ -279,7 +279,7 @@ static int note_silence(Live *live, Sound sound, size_t frames)
     return silent == frames;
 }
 
-/* Whether nothing is played, and what was heard has no effect any more. */
+/* Whether nothing is played, and earlier sound has no effect any more. */
 static int asleep(const Live *live)
 {
     for (size_t which = 0; which < live->voices_count; which++) {
@@ -330,13 +330,13 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
         const size_t room = s->tick_frames - live->filled, part = same < room ? same : room;
         const int silent = note_silence(live, sound, part);
         for (size_t which = 0; which < live->voices_count; which++) {
-            Sound heard = sound;
+            Sound input = sound;
             if (live->each) {
-                heard.at += (ptrdiff_t)which * sound.channel_bytes;
-                heard.channels = 1;
+                input.at += (ptrdiff_t)which * sound.channel_bytes;
+                input.channels = 1;
             }
             Voice *voice = &live->voices[which];
-            collect(live, voice, heard, part, silent);
+            collect(live, voice, input, part, silent);
             deliver(voice, live->filled, part, vibration + which, live->voices_count);
         }
         sound.at += (ptrdiff_t)part * sound.frame_bytes;

@@ -13,7 +13,7 @@
 #define FOUND_NUMBERS 4
 
 /* The state of all voices is one piece, so that it can be kept and returned to. */
-static double *placed(double **next, size_t count)
+static double *allot(double **next, size_t count)
 {
     double *here = *next;
     *next += count;
@@ -38,20 +38,20 @@ static size_t voice_numbers(const Settings *s)
 static void lay_out_voice(const Settings *s, Voice *voice, double **next)
 {
     const size_t slots = tracking_slots(s), bands = onsets_bands(s);
-    voice->band = placed(next, s->band_b.length - 1);
-    voice->past = placed(next, s->window_frames);
-    voice->peaks = placed(next, s->hops_in_window);
-    voice->played = placed(next, s->tick_frames);
-    voice->hop = placed(next, s->steps);
-    voice->onsets.peaks = placed(next, s->short_ticks);
-    voice->onsets.past = placed(next, s->back_ticks * bands);
-    voice->onsets.highest = placed(next, bands);
-    voice->onsets.rising = placed(next, bands);
-    voice->onsets.power = placed(next, s->short_bins);
-    voice->onsets.since = placed(next, 1);
-    voice->onsets.newest = placed(next, 1);
-    voice->onsets.peak = placed(next, 1);
-    voice->fresh = (OnsetPartial *)placed(next, FRESH_NUMBERS * s->fresh_max);
+    voice->band = allot(next, s->band_b.length - 1);
+    voice->past = allot(next, s->window_frames);
+    voice->peaks = allot(next, s->hops_in_window);
+    voice->played = allot(next, s->tick_frames);
+    voice->hop = allot(next, s->steps);
+    voice->onsets.peaks = allot(next, s->short_ticks);
+    voice->onsets.past = allot(next, s->back_ticks * bands);
+    voice->onsets.highest = allot(next, bands);
+    voice->onsets.rising = allot(next, bands);
+    voice->onsets.power = allot(next, s->short_bins);
+    voice->onsets.since = allot(next, 1);
+    voice->onsets.newest = allot(next, 1);
+    voice->onsets.peak = allot(next, 1);
+    voice->fresh = (OnsetPartial *)allot(next, FRESH_NUMBERS * s->fresh_max);
     double **of_slots[SLOT_NUMBERS] = {
         &voice->slots.hz,            &voice->slots.amplitude,  &voice->slots.phase,
         &voice->slots.alive,         &voice->slots.held_first, &voice->slots.held_last,
@@ -59,16 +59,16 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
         &voice->slots.held_weight,   &voice->slots.lacking,
     };
     for (size_t which = 0; which < SLOT_NUMBERS; which++)
-        *of_slots[which] = placed(next, slots);
-    voice->slots.start_sum = placed(next, 1);
-    voice->follower.programme = placed(next, 1);
-    voice->follower.floor = placed(next, 1);
-    voice->follower.loud = placed(next, 1);
-    voice->follower.gain = placed(next, 1);
-    voice->smoothing.state = placed(next, smoothing_states(s));
-    voice->smoothing.tail = placed(next, smoothing_tail(s));
-    voice->ringing = placed(next, 1);
-    voice->speech = (Speech *)placed(next, SPEECH_STATES);
+        *of_slots[which] = allot(next, slots);
+    voice->slots.start_sum = allot(next, 1);
+    voice->follower.programme = allot(next, 1);
+    voice->follower.floor = allot(next, 1);
+    voice->follower.loud = allot(next, 1);
+    voice->follower.gain = allot(next, 1);
+    voice->smoothing.state = allot(next, smoothing_states(s));
+    voice->smoothing.tail = allot(next, smoothing_tail(s));
+    voice->ringing = allot(next, 1);
+    voice->speech = (Speech *)allot(next, SPEECH_STATES);
 }
 
 /* Give every part its place in the work space, or count how much that is where there is none. */

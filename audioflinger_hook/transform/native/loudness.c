@@ -22,7 +22,7 @@ void loudness_rest(const Settings *settings, Loudness *follower)
     *follower->floor = *follower->loud = settings->floor_min;
 }
 
-WIDE static double weighed(const double *restrict weights, const double *restrict real,
+WIDE static double weigh(const double *restrict weights, const double *restrict real,
                            const double *restrict imaginary, size_t bins)
 {
     double lanes[LANES] = {0.0};
@@ -43,7 +43,7 @@ WIDE static double weighed(const double *restrict weights, const double *restric
 double loudness_loudness_db(const Settings *settings, const double *real, const double *imaginary)
 {
     const Table weights = settings->loudness_weights;
-    const double energy = weighed(weights.at, real, imaginary, weights.length);
+    const double energy = weigh(weights.at, real, imaginary, weights.length);
     return 10.0 * log10(larger(energy, settings->nothing));
 }
 
@@ -53,7 +53,7 @@ static double within(double number, double low, double high)
 }
 
 /* How far the soft gate is open, 0 to 1. */
-static double opened(const Settings *s, const Loudness *follower, double loudness_db)
+static double open_gate(const Settings *s, const Loudness *follower, double loudness_db)
 {
     const double under = smaller(*follower->floor, *follower->programme - s->floor_under);
     const double over = smaller(1.0, (loudness_db - larger(s->floor_min, under)) / s->gate);
@@ -73,7 +73,7 @@ double loudness_strength(const Settings *s, Loudness *follower, double loudness_
     const double loud = larger(*follower->loud - s->release, loudness_db);
     *follower->loud = larger(s->floor_min, loud);
     const double programme = *follower->programme;
-    const double gate = opened(s, follower, loudness_db);
+    const double gate = open_gate(s, follower, loudness_db);
     if (!(gate > 0.0))
         return 0.0;
     const double above = *follower->loud - programme;
@@ -92,7 +92,7 @@ double loudness_onset_gain(const Settings *s, const Loudness *follower, double l
     const double loudness_db = 20.0 * log10(level);
     const double loud = larger(*follower->loud, loudness_db);
     const double strength = felt(s, loud - *follower->programme, loudness_db - loud);
-    return smaller(s->gain_max, opened(s, follower, loudness_db) * strength / level);
+    return smaller(s->gain_max, open_gate(s, follower, loudness_db) * strength / level);
 }
 
 double loudness_gain(const Settings *s, Loudness *follower, double strength,

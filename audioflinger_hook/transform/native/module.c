@@ -29,7 +29,7 @@ static PyObject *kernel_new(PyTypeObject *type, PyObject *arguments, PyObject *k
         return NULL;
     }
     Settings settings;
-    if (!settings_opened(given, &settings))
+    if (!open_settings(given, &settings))
         return NULL;
     LiveKernel *self = (LiveKernel *)type->tp_alloc(type, 0);
     const int failed = self ? live_open(&self->live, &settings, (size_t)channels, each) : -1;
@@ -66,9 +66,9 @@ static PyObject *kernel_process(LiveKernel *self, PyObject *const *arguments, Py
     }
     Live *live = &self->live;
     Py_buffer frames, vibration;
-    if (!array_opened(arguments[0], "frames", (Expected){"fd", 1, 2, 0, 1}, &frames))
+    if (!open_array(arguments[0], "frames", (Expected){"fd", 1, 2, 0, 1}, &frames))
         return NULL;
-    if (!array_opened(arguments[1], "vibration", (Expected){"d", 2, 2, 1, 0}, &vibration)) {
+    if (!open_array(arguments[1], "vibration", (Expected){"d", 2, 2, 1, 0}, &vibration)) {
         PyBuffer_Release(&frames);
         return NULL;
     }
@@ -226,7 +226,7 @@ static PyType_Spec KERNEL_SPEC = {
 
 /* ----------------------------------------------------------------------------------- the module */
 
-static int filled(PyObject *module)
+static int fill_module(PyObject *module)
 {
     PyObject *type = PyType_FromModuleAndSpec(module, &KERNEL_SPEC, NULL);
     if (!type)
@@ -240,7 +240,7 @@ static int filled(PyObject *module)
 }
 
 static PyModuleDef_Slot SLOTS[] = {
-    {Py_mod_exec, filled},
+    {Py_mod_exec, fill_module},
     {0, NULL},
 };
 

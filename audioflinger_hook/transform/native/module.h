@@ -17,10 +17,10 @@ typedef struct {
 } Expected;
 
 /* Open an array; 0 and an exception where it is not what is expected. */
-int array_opened(PyObject *array, const char *name, Expected expected, Py_buffer *view);
+int open_array(PyObject *array, const char *name, Expected expected, Py_buffer *view);
 
 /* Copy all settings from a dict; 0 and an exception where one is missing or does not fit. */
-int settings_opened(PyObject *given, Settings *settings);
+int open_settings(PyObject *given, Settings *settings);
 
 void settings_close(Settings *settings);
 

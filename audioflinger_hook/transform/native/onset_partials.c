@@ -1,5 +1,5 @@
-/* OnsetPartial partials: born of an onset, on their own until the analysis knows what has begun. The
- * operations are those of `fresh.py`, in the same order. */
+/* Onset partials: they are born of an onset and play until the analysis knows what has begun. The
+ * operations are those of `live/onset_partials.py`, in the same order. */
 
 #include "onset_partials.h"
 
@@ -21,22 +21,22 @@ static Group group_of(const OnsetPartial *one)
     return group;
 }
 
-/* What begins, and its amplitude. */
+/* The frequency, weight and amplitude of what begins. */
 typedef struct {
     double hz, weight, amplitude;
-} Begun;
+} Estimate;
 
-static Begun begun(const Settings *settings, Heard heard, Group group)
+static Estimate estimate(const Settings *settings, OnsetSources sources, Group group)
 {
-    const Told told = onsets_told(settings, heard.onsets, group);
-    const double level = onsets_level(heard.onsets);
+    const OnsetTone told = onsets_estimate(settings, sources.onsets, group);
+    const double level = onsets_level(sources.onsets);
     double gain = 1.0;
     if (loudness_is_on(settings))
-        gain = loudness_onset_gain(settings, heard.follower, level);
+        gain = loudness_onset_gain(settings, sources.follower, level);
     if (settings->speech_db > 0.0)
-        gain *= speech_coarse_gain(settings, heard.speech, heard_hz(settings, told.hz));
+        gain *= speech_coarse_gain(settings, sources.speech, heard_hz(settings, told.hz));
     const double amplitude = told.weight * level * gain * smoothing_gain(settings, told.hz);
-    return (Begun){told.hz, told.weight, amplitude};
+    return (Estimate){told.hz, told.weight, amplitude};
 }
 
 /* What all sums of amplitudes leave under the ceiling. */
@@ -75,18 +75,18 @@ static size_t free_one(const Settings *s, const OnsetPartial *fresh)
     return slot;
 }
 
-void onset_partials_bear(const Settings *s, OnsetPartial *fresh, Heard heard, const Slots *slots)
+void onset_partials_bear(const Settings *s, OnsetPartial *fresh, OnsetSources sources, const Slots *slots)
 {
     Group groups[FRESH_MAX];
     int young[FRESH_MAX];
-    const size_t count = onsets_groups(s, heard.onsets, groups);
+    const size_t count = onsets_groups(s, sources.onsets, groups);
     for (size_t slot = 0; slot < s->fresh_max; slot++) {
         young[slot] = fresh[slot].sounds != 0.0 && fresh[slot].age < (double)s->heard_ticks;
         if (young[slot])
             fresh[slot].goal = 0.0;
     }
     for (size_t which = 0; which < count; which++) {
-        const Begun found = begun(s, heard, groups[which]);
+        const Estimate found = estimate(s, sources, groups[which]);
         const double base = tracking_sounding_near(s, slots, found.hz) +
                             sounding_near(s, fresh, found.hz);
         const double lacking = smaller(found.amplitude - base, room(s, fresh, slots));
@@ -113,7 +113,7 @@ void onset_partials_bear(const Settings *s, OnsetPartial *fresh, Heard heard, co
             fresh[slot].age = (double)s->heard_ticks;
 }
 
-void onset_partials_play(const Settings *s, OnsetPartial *fresh, Heard heard, const Slots *slots,
+void onset_partials_play(const Settings *s, OnsetPartial *fresh, OnsetSources sources, const Slots *slots,
                 Glides *glides)
 {
     for (size_t slot = 0; slot < s->fresh_max; slot++) {
@@ -123,8 +123,8 @@ void onset_partials_play(const Settings *s, OnsetPartial *fresh, Heard heard, co
             continue;
         }
         double hz = one->hz;
-        if (one->age > 0.0 && one->age < (double)s->heard_ticks && onsets_still_told(s, heard.onsets)) {
-            const Begun found = begun(s, heard, group_of(one));
+        if (one->age > 0.0 && one->age < (double)s->heard_ticks && onsets_are_measured(s, sources.onsets)) {
+            const Estimate found = estimate(s, sources, group_of(one));
             /* Of a sound that is there already rounding leaves nothing, or next to nothing. */
             const double lacking = found.amplitude - one->base;
             const int little = lacking < s->worth_holding * found.amplitude || lacking < 0.0;

@@ -1,4 +1,4 @@
-/* OnsetPartial partials: born of an onset, on their own until the analysis knows what has begun. */
+/* Onset partials: they are born of an onset and play until the analysis knows what has begun. */
 
 #ifndef CUSHION_ONSET_PARTIALS_H
 #define CUSHION_ONSET_PARTIALS_H
@@ -14,27 +14,27 @@ typedef struct {
     double sounds; /* 1 or 0 */
     double first_band, last_band;
     double hz, phase, amplitude;
-    double goal; /* amplitude that it grows to */
-    double base; /* amplitude that sounds there without it */
-    double weight; /* what the law was taken to leave it of the level */
-    double age;    /* ticks */
+    double goal; /* It grows to this amplitude. */
+    double base; /* This amplitude sounds there without it. */
+    double weight; /* The amplitude mapping leaves it this share of the level. */
+    double age; /* It counts ticks. */
 } OnsetPartial;
 
-/* By what they are told. */
+/* What their frequencies and amplitudes are estimated from. */
 typedef struct {
     const Onsets *onsets;
     const Loudness *follower;
     const Speech *speech;
-} Heard;
+} OnsetSources;
 
 /* Whether any sounds. */
 int onset_partials_sounds(const Settings *settings, const OnsetPartial *fresh);
 
-/* Let what was heard begin begin. */
-void onset_partials_bear(const Settings *settings, OnsetPartial *fresh, Heard heard, const Slots *slots);
+/* Start partials for the onset that was found. */
+void onset_partials_bear(const Settings *settings, OnsetPartial *fresh, OnsetSources sources, const Slots *slots);
 
 /* Write one tick of glides, fresh_max slots; while more is told of the onset, follow that. */
-void onset_partials_play(const Settings *settings, OnsetPartial *fresh, Heard heard, const Slots *slots,
+void onset_partials_play(const Settings *settings, OnsetPartial *fresh, OnsetSources sources, const Slots *slots,
                 Glides *glides);
 
 /* Let those that are told as well as they can be go over to the tracker. */

@@ -42,7 +42,7 @@ static double loudest_of(const Settings *s, const Onsets *onsets)
     return loudest;
 }
 
-WIDE static void windowed(const double *restrict samples, const double *restrict window,
+WIDE static void apply_window(const double *restrict samples, const double *restrict window,
                           size_t count, double *restrict out)
 {
     for (size_t one = 0; one < count; one++)
@@ -76,7 +76,7 @@ static void see(const Settings *s, const Fft *fft, double loudest, const double 
     }
     double *out = work, *real = out + fft->frames, *imaginary = real + s->short_bins;
     memset(out + s->short_frames, 0, (fft->frames - s->short_frames) * sizeof(double));
-    windowed(samples, s->short_window.at, s->short_frames, out);
+    apply_window(samples, s->short_window.at, s->short_frames, out);
     fft_spectrum(fft, out, s->short_bins, real, imaginary, imaginary + s->short_bins);
     powers(real, imaginary, s->short_scale, s->short_bins, power);
     for (size_t band = 0; band < count; band++)
@@ -139,7 +139,7 @@ int onsets_hear(const Settings *s, const Fft *fft, const Onsets *onsets, const d
         memset(onsets->power, 0, s->short_bins * sizeof(double));
         memcpy(onsets->rising, rising, count * sizeof(double));
     }
-    if (onsets_still_told(s, onsets)) {
+    if (onsets_are_measured(s, onsets)) {
         const double *tick = samples + (s->short_frames - s->tick_frames);
         const double *half = samples + (s->short_frames - s->newest_frames);
         for (size_t bin = 0; bin < s->short_bins; bin++)
@@ -152,7 +152,7 @@ int onsets_hear(const Settings *s, const Fft *fft, const Onsets *onsets, const d
     return onset;
 }
 
-int onsets_still_told(const Settings *settings, const Onsets *onsets)
+int onsets_are_measured(const Settings *settings, const Onsets *onsets)
 {
     return *onsets->since < (double)settings->heard_ticks;
 }
@@ -215,7 +215,7 @@ double onsets_level(const Onsets *onsets)
     return smaller(sqrt(2.0 * *onsets->newest), *onsets->peak);
 }
 
-Told onsets_told(const Settings *s, const Onsets *onsets, Group group)
+OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
 {
     double weighted = 0.0, squares = 0.0, power = 0.0;
     for (size_t band = group.first; band < group.last; band++) {
@@ -235,7 +235,7 @@ Told onsets_told(const Settings *s, const Onsets *onsets, Group group)
     const double level = onsets_level(onsets), by_energy = sqrt(share * purity);
     const double weight = s->by_energy ? by_energy : share * sqrt(share) * purity;
     const int weak = by_energy * level < s->weakest;
-    const Told found = {weighted / larger(squares, TINY), weak ? 0.0 : weight};
+    const OnsetTone found = {weighted / larger(squares, TINY), weak ? 0.0 : weight};
     return found;
 }
 

@@ -28,7 +28,7 @@ typedef struct {
 /* Vibration frequency in Hz, and what the law would leave of the level. */
 typedef struct {
     double hz, weight;
-} Told;
+} OnsetTone;
 
 size_t onsets_bands(const Settings *settings);
 
@@ -44,7 +44,7 @@ int onsets_hear(const Settings *settings, const Fft *fft, const Onsets *onsets,
                 const double *samples, double *work);
 
 /* Whether the last onset's sound is told better by this tick than by the one before. */
-int onsets_still_told(const Settings *settings, const Onsets *onsets);
+int onsets_are_measured(const Settings *settings, const Onsets *onsets);
 
 /* Write the bands of each thing that begins, by frequency; return how many, `groups_max` at most. */
 size_t onsets_groups(const Settings *settings, const Onsets *onsets, Group *groups);
@@ -53,7 +53,7 @@ size_t onsets_groups(const Settings *settings, const Onsets *onsets, Group *grou
 double onsets_level(const Onsets *onsets);
 
 /* Tell what begins in a group of bands; with weight 0 what is too weak to be principal. */
-Told onsets_told(const Settings *settings, const Onsets *onsets, Group group);
+OnsetTone onsets_estimate(const Settings *settings, const Onsets *onsets, Group group);
 
 /* Return the power that a group of bands has had of late. */
 double onsets_loudness(const Settings *settings, const Onsets *onsets, Group group);

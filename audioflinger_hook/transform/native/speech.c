@@ -22,7 +22,7 @@
 /* In the order in which speech_ramps has them. */
 enum { VOICED, QUIET, VOICING, SWING, BALANCE, RESTING, SPARED, EXCESS, BACKGROUND, BETWEEN, RAMPS };
 
-static double clipped(double value, double low, double high)
+static double clip(double value, double low, double high)
 {
     return larger(low, smaller(high, value));
 }
@@ -30,7 +30,7 @@ static double clipped(double value, double low, double high)
 static double ramp(const Settings *s, int which, double value)
 {
     const double *ends = s->speech_ramps.at + 2 * which;
-    return clipped((value - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0);
+    return clip((value - ends[0]) / (ends[1] - ends[0]), 0.0, 1.0);
 }
 
 static size_t pitches(const Settings *s) { return s->speech_log_pitches.length; }
@@ -65,7 +65,7 @@ size_t speech_work(const Settings *s) { return s->bins + pitches(s); }
 /* ----------------------------------------------------------------------------------------- pitch */
 
 /* What stands at a comb's teeth, on lines between bins. */
-static double combed(const double *roots, const double *tooth, size_t count)
+static double sum_comb(const double *roots, const double *tooth, size_t count)
 {
     double sum = 0.0;
     for (size_t one = 0; one < count; one++) {
@@ -82,8 +82,8 @@ static double contrast(const Settings *s, const double *roots, size_t pitch)
 {
     const size_t count = teeth(s);
     const double *harmonics = s->speech_teeth.at + pitch * count;
-    const double on = combed(roots, harmonics, count);
-    const double between = combed(roots, harmonics + pitches(s) * count, count);
+    const double on = sum_comb(roots, harmonics, count);
+    const double between = sum_comb(roots, harmonics + pitches(s) * count, count);
     return (on - between) / (on + between + s->speech_silent_power);
 }
 
@@ -111,7 +111,7 @@ static double found_pitch(const Settings *s, double *power, double *contrasts, d
     if (best > 0 && best + 1 < pitches(s)) {
         const double below = contrasts[best - 1], above = contrasts[best + 1];
         const double curved = smaller(below - 2.0 * top + above, -s->speech_flat);
-        *log_pitch += clipped((below - above) / (2.0 * curved), -0.5, 0.5) * (logs[1] - logs[0]);
+        *log_pitch += clip((below - above) / (2.0 * curved), -0.5, 0.5) * (logs[1] - logs[0]);
     }
     return top;
 }
@@ -124,7 +124,7 @@ static void note_swing(const Settings *s, Speech *speech, const double *levels, 
     for (size_t one = 0; one < OCTAVES; one++) {
         speech->fast[one] += s->speech_fast * (levels[one] - speech->fast[one]);
         speech->slow[one] += s->speech_slow * (levels[one] - speech->slow[one]);
-        swing[one] = clipped(speech->fast[one] - speech->slow[one], -s->speech_swing_max_db,
+        swing[one] = clip(speech->fast[one] - speech->slow[one], -s->speech_swing_max_db,
                              s->speech_swing_max_db);
     }
     for (size_t one = 0; one < OCTAVES - 1; one++)
@@ -153,9 +153,9 @@ static void believe(const Settings *s, Speech *speech)
         ramp(s, BALANCE, sqrt(speech->balance)) * (1.0 - ramp(s, RESTING, resting));
     const double threshold =
         s->speech_likely + (s->speech_likely_still - s->speech_likely) * speech->belief;
-    const double speed = clipped((likely - threshold) / s->speech_sure, -1.0, 1.0);
+    const double speed = clip((likely - threshold) / s->speech_sure, -1.0, 1.0);
     const double step = speed * (speed > 0.0 ? s->speech_attack : s->speech_release);
-    speech->belief = clipped(speech->belief + step, 0.0, 1.0);
+    speech->belief = clip(speech->belief + step, 0.0, 1.0);
 }
 
 /* Learn how loud the voice and what is behind it are. */
@@ -270,14 +270,14 @@ static double spoken_share(const Settings *s, const Speech *speech, double audio
     return share * ramp(s, SPARED, audio_hz);
 }
 
-static double lowered(const Settings *s, const Speech *speech, double share)
+static double lower_gain(const Settings *s, const Speech *speech, double share)
 {
     return pow(10.0, -s->speech_db / 20.0 * speech->belief * share);
 }
 
 double speech_coarse_gain(const Settings *s, const Speech *speech, double audio_hz)
 {
-    return lowered(s, speech, spoken_share(s, speech, audio_hz));
+    return lower_gain(s, speech, spoken_share(s, speech, audio_hz));
 }
 
 double speech_gain(const Settings *s, const Speech *speech, double audio_hz)
@@ -285,5 +285,5 @@ double speech_gain(const Settings *s, const Speech *speech, double audio_hz)
     const double harmonic = audio_hz / exp(speech->log_pitch);
     const double apart = fabs(harmonic - rint(harmonic)) - s->speech_apart * harmonic;
     const double on_harmonic = 1.0 - speech->voiced * ramp(s, BETWEEN, apart);
-    return lowered(s, speech, spoken_share(s, speech, audio_hz) * on_harmonic);
+    return lower_gain(s, speech, spoken_share(s, speech, audio_hz) * on_harmonic);
 }

@@ -98,7 +98,7 @@ static void add_fresh(const Settings *settings, const Glides *glides, double *lo
 
 /* ------------------------------------------------------------------------------------ smoothing */
 
-INLINED void low_passed(Table b, Table a, double *state, size_t order, double *samples,
+INLINED void filter_low(Table b, Table a, double *state, size_t order, double *samples,
                         size_t count)
 {
     double held[ORDER_MAX];
@@ -110,7 +110,7 @@ INLINED void low_passed(Table b, Table a, double *state, size_t order, double *s
 
 /* Each step of the low rate becomes `decimation` frames: a matrix, by which the last `taps` samples
  * are multiplied. */
-INLINED void multiplied(const double *restrict low_rate, size_t steps, const double *restrict phases,
+INLINED void multiply(const double *restrict low_rate, size_t steps, const double *restrict phases,
                         size_t taps, size_t decimation, double *restrict vibration)
 {
     for (size_t step = 0; step < steps; step++, low_rate++, vibration += decimation)
@@ -122,14 +122,14 @@ INLINED void multiplied(const double *restrict low_rate, size_t steps, const dou
         }
 }
 
-WIDE static void interpolated(const double *low_rate, size_t steps, Table phases, size_t decimation,
+WIDE static void interpolate(const double *low_rate, size_t steps, Table phases, size_t decimation,
                               double *vibration)
 {
     const size_t taps = phases.length / decimation;
     if (taps == 4)
-        multiplied(low_rate, steps, phases.at, 4, decimation, vibration);
+        multiply(low_rate, steps, phases.at, 4, decimation, vibration);
     else
-        multiplied(low_rate, steps, phases.at, taps, decimation, vibration);
+        multiply(low_rate, steps, phases.at, taps, decimation, vibration);
 }
 
 void synthesis_play(const Settings *settings, const double *hop, const Glides *fresh,
@@ -144,11 +144,11 @@ void synthesis_play(const Settings *settings, const double *hop, const Glides *f
     for (size_t step = 0; step < steps; step++)
         low_rate[step] += hop[step];
     if (order == 6)
-        low_passed(settings->low_b, settings->low_a, smoothing->state, 6, low_rate, steps);
+        filter_low(settings->low_b, settings->low_a, smoothing->state, 6, low_rate, steps);
     else
-        low_passed(settings->low_b, settings->low_a, smoothing->state, order, low_rate, steps);
+        filter_low(settings->low_b, settings->low_a, smoothing->state, order, low_rate, steps);
     memcpy(work, smoothing->tail, tail * sizeof(double));
-    interpolated(work, steps, settings->phases, settings->decimation, vibration);
+    interpolate(work, steps, settings->phases, settings->decimation, vibration);
     memcpy(smoothing->tail, work + steps, tail * sizeof(double));
 }
 

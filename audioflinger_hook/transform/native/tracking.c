@@ -121,7 +121,7 @@ void tracking_adopt(const Settings *settings, Slots *slots, double hz, double ph
 }
 
 /* The share of a change that is followed: all of a clear one, little of a jitter. */
-static double followed(const Settings *settings, double relative_change)
+static double weigh_change(const Settings *settings, double relative_change)
 {
     return smaller(1.0, settings->steady_gain + relative_change * relative_change);
 }
@@ -240,7 +240,7 @@ WIDE static void finish_hop(const Settings *settings, Slots *slots, Glides *glid
 }
 
 /* What a partial that is held is to have now, by what its bands have of late. */
-static double still_heard(const Settings *settings, const Slots *slots, size_t slot,
+static double hold_amplitude(const Settings *settings, const Slots *slots, size_t slot,
                           const Onsets *onsets)
 {
     if (!(slots->held_loudness[slot] > 0.0))
@@ -269,7 +269,7 @@ static void hold(const Settings *s, Slots *slots, double room, double left, cons
         slots->lacking[slot] = 0.0;
         if (slots->held_hops[slot] == 0.0)
             continue;
-        const double wanted = still_heard(s, slots, slot, onsets);
+        const double wanted = hold_amplitude(s, slots, slot, onsets);
         const int full = slots->alive[slot] == 0.0 && living(s, slots) >= most_alive(s);
         slots->held_hops[slot] -= 1.0;
         if (full || slots->held_hops[slot] == 0.0 ||
@@ -299,11 +299,11 @@ void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Par
     for (size_t one = 0; one < partials.count; one++) {
         const size_t slot = matches[one].slot;
         const double hz = slots->hz[slot], change_hz = partials.hz[one] - hz;
-        slots->hz[slot] = hz + change_hz * followed(settings, change_hz / settings->steady_hz);
+        slots->hz[slot] = hz + change_hz * weigh_change(settings, change_hz / settings->steady_hz);
         const double level = glides->start_amplitude[slot];
         const double change = partials.amplitude[one] - level;
         const double steady = settings->steady_ratio * partials.amplitude[one];
-        slots->amplitude[slot] = level + change * followed(settings, change / steady);
+        slots->amplitude[slot] = level + change * weigh_change(settings, change / steady);
         slots->alive[slot] = 1.0;
     }
     hold(settings, slots, room, left, onsets);
