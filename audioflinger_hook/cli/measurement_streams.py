@@ -45,33 +45,25 @@ class StreamEndpoint:
         return isinstance(self.target, ServerDevice)
 
 
+@dataclass
 class MeasurementStreams:
-    """A `Transport` of real devices. One thread uses it.
+    """A `Transport` of real devices. One thread uses it."""
 
-    The PCMs are OUTPUT and INPUT; the connection is None if neither stream is on a server.
-    """
-
-    def __init__(
-        self,
-        pcms: PcmConfig,
-        output: StreamEndpoint,
-        source: StreamEndpoint,
-        samplerate: int,
-        connection: PulseConnection | None,
-    ) -> None:
-        self._pcms, self._connection = pcms, connection
-        self._output, self._source = output, source
-        self.samplerate = samplerate
+    pcms: PcmConfig  # OUTPUT and INPUT
+    output: StreamEndpoint
+    source: StreamEndpoint
+    samplerate: int
+    connection: PulseConnection | None  # None if neither stream is on a server
 
     def run(self, exchange: Exchange) -> None:
         """Run both streams until the measurement ends; it keeps the reason."""
         with ExitStack() as stack:
+            rate, out, source = self.samplerate, self.output, self.source
             # closed last: every exit leaves silence, also Ctrl+C
-            if self._output.guarded and self._connection is not None:
-                stack.callback(FallbackSink(self._connection).close)
-            outward = self._pcms.pcms[OUTPUT]
-            outward.target = self._output.target
-            rate, out, source = self.samplerate, self._output, self._source
+            if out.guarded and self.connection is not None:
+                stack.callback(FallbackSink(self.connection).close)
+            outward, inward = self.pcms.pcms[OUTPUT], self.pcms.pcms[INPUT]
+            outward.target, inward.target = out.target, source.target
             playback = PlaybackStream(
                 outward,
                 rate,
@@ -81,16 +73,14 @@ class MeasurementStreams:
                 sample_format=out.sample_format,
             )
             stack.callback(playback.close)
-            inward = self._pcms.pcms[INPUT]
-            inward.target = source.target
             capture = CaptureStream(
                 inward, rate, source.channels, exchange.on_frames, block_frames=BLOCK_FRAMES
             )
             stack.callback(capture.close)
             guards = []
             for stream, endpoint in ((playback, out), (capture, source)):
-                if endpoint.guarded and self._connection is not None:
-                    guard = StreamGuard(self._connection, stream, endpoint.name, any_source=True)
+                if endpoint.guarded and self.connection is not None:
+                    guard = StreamGuard(self.connection, stream, endpoint.name, any_source=True)
                     stack.callback(guard.release)
                     guards.append(guard)
                 else:
@@ -103,28 +93,25 @@ class MeasurementStreams:
                     exchange.abort(error)
 
 
+@dataclass
 class _Watch:
     """Watches both streams for the waiting thread."""
 
-    def __init__(
-        self,
-        streams: tuple[PlaybackStream, CaptureStream],
-        guards: list[StreamGuard],
-        names: tuple[str, str],
-    ) -> None:
-        self._streams, self._guards, self._names = streams, guards, names
+    streams: tuple[PlaybackStream, CaptureStream]
+    guards: list[StreamGuard]
+    names: tuple[str, str]
 
     def settle(self, exchange: Exchange) -> None:
         """Start the measurement when both run; LostError if that takes too long."""
         limit_s = time.monotonic() + SETTLE_S
         while not (
-            all(guard.hold.audible for guard in self._guards)
-            and all(stream.callbacks > 3 for stream in self._streams)
+            all(guard.hold.audible for guard in self.guards)
+            and all(stream.callbacks > 3 for stream in self.streams)
         ):
             if time.monotonic() > limit_s:
-                held = [guard.hold.value for guard in self._guards if not guard.hold.audible]
+                held = [guard.hold.value for guard in self.guards if not guard.hold.audible]
                 raise LostError(
-                    f"{' and '.join(self._names)} do not run after {SETTLE_S:g} s "
+                    f"{' and '.join(self.names)} do not run after {SETTLE_S:g} s "
                     f"({', '.join(held) or 'a device delivers nothing'}); check both, and try again"
                 )
             exchange.ended.wait(_POLL_S)
@@ -132,18 +119,18 @@ class _Watch:
         exchange.begin()
 
     def _counts(self) -> list[tuple[int, int, int]]:
-        return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self._streams]
+        return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self.streams]
 
     def problem(self, now_s: float) -> CushionError | None:
         """Return what ends the measurement, if anything."""
-        for guard in self._guards:
+        for guard in self.guards:
             if not guard.hold.audible:
                 return LostError(
                     f"the measurement has ended: {guard.hold.value}; plug it in again, and repeat"
                 )
         counts = self._counts()
         for stream, name, before, now in zip(
-            self._streams, self._names, self._before, counts, strict=True
+            self.streams, self.names, self._before, counts, strict=True
         ):
             if stream.is_lost(now_s):
                 return LostError(f"{name} went away during the sweep; plug it in again, and repeat")

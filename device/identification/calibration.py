@@ -50,10 +50,7 @@ def play_steps(
     *,
     scaled: bool,
 ) -> list[Recording]:
-    """Return the recordings of the last of STEPS; `tell` is called before each level.
-
-    With `scaled`, accelerations are in m/s^2, so the next step's excursion is known in advance.
-    """
+    """Return the recordings of the last of STEPS, each of which predicts the next excursion."""
     recordings: list[Recording] = []
     for step, after in zip(STEPS, (*STEPS[1:], STEPS[-1]), strict=True):
         louder = replace(sweep, level=step * sweep.level)
@@ -126,22 +123,9 @@ def calibrate(
 ) -> Calibration:
     """Play the sweep at a quarter, half and all of its level, and identify the rig.
 
-    Parameters
-    ----------
-    tell : Callable[[float], None]
-        Called with each level before it is played.
-    pairs : Sequence[tuple[str, str]]
-        What the laboratory can measure: of ALL_PAIRS and ("drive", "acceleration").
-    scaled : bool
-        Accelerations are in m/s^2.
-    weighed : Estimate | None
-        The moving mass, kg, if it was weighed.
-
-    Raises
-    ------
-    IdentificationError
-        Something clips or is unexpected, and nothing louder was played; or a value is not
-        identified.
+    `tell` is called with each level before it is played. The laboratory can measure the pairs, of
+    ALL_PAIRS and ("drive", "acceleration"); with `scaled`, accelerations are in m/s^2. `weighed` is
+    the moving mass, kg, if it was weighed. What is unexpected ends it: nothing louder is played.
     """
     recordings = play_steps(laboratory, rig, sweep, pairs, tell, scaled=scaled)
     there = {recording.names: recording for recording in recordings}

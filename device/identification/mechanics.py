@@ -1,10 +1,7 @@
 """Moving mass, Bl, f0 and Qms, from several measurements or with what the rig's file states.
 
 Under voltage drive the mode's poles solve (s^2 + s w0 / Qms + w0^2) (R + s L) + s Bl^2 / m = 0.
-With R, L, Bl and m of the rig, this is one complex equation for w0^2 and w0 / Qms, both real.
-
-The impedance alone gives Bl^2 / m only (Thiele, Small). A known mass or Bl / m from an
-accelerometer gives the rest.
+The impedance alone gives Bl^2 / m only (Thiele, Small).
 """
 
 import math

@@ -1,9 +1,8 @@
 """Output-error fits: the model's answer to the measured drive against the measured response.
 
 Ljung, "System Identification", 2nd ed. 1999, chapter 7: for noise on the response alone, weighted
-by its spectrum, this is the maximum-likelihood estimate, and its covariance follows from the
-Jacobian. In the frequency domain of a whole recording, silence to silence, the bins of stationary
-noise are independent and no transient is missing.
+by its spectrum, this is the maximum-likelihood estimate. The bins of a whole recording, silence to
+silence, are independent.
 """
 
 import math

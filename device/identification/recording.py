@@ -21,13 +21,7 @@ class IdentificationError(UsageError):
 
 @dataclass(frozen=True)
 class Recording:
-    """One reference and one response, (frames,) each, at the sweep's rate and length.
-
-    Raises
-    ------
-    IdentificationError
-        Lengths differ, or samples are not finite.
-    """
+    """One reference and one response, (frames,) each, at the sweep's rate and length."""
 
     sweep: Sweep
     reference: FloatArray  # what drove the rig, V or A

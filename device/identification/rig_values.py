@@ -3,26 +3,19 @@
 import json
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 from device.atomic_file import write_bytes_atomically
-from device.errors import UsageError
 from device.identification.output_error import Estimate
 from device.rig.rig import Rig, Source
 
 Values = dict[str, Estimate]
-"""By parameter, such as "actuator.resonance_hz"."""
+"""By parameter of the actuator, such as "actuator.resonance_hz"."""
 
 
 def add_values(rig: Rig, values: Values, words: str, *, assumed: bool = False) -> Rig:
     """Return the rig with identified values; the words name the sweep and its level.
 
     Values that rely on assumed ones stay "assumed" and have no interval.
-
-    Raises
-    ------
-    UsageError
-        The rig lacks a parameter, or the values contradict the rig.
     """
     known = tuple(
         Source(name, "assumed", words)
@@ -30,18 +23,9 @@ def add_values(rig: Rig, values: Values, words: str, *, assumed: bool = False) -
         else Source(name, "identified", words, estimate.interval)
         for name, estimate in values.items()
     )
-    stages = rig.stages()
-    changed: dict[str, dict[str, float]] = {}
-    for parameter, estimate in values.items():
-        stage, _, name = parameter.partition(".")
-        if stage not in stages or not hasattr(stages[stage], name):
-            raise UsageError(f"rig {rig.name!r} has no {parameter}; add [{stage}] to its file")
-        changed.setdefault(stage, {})[name] = estimate.value
     others = tuple(source for source in rig.sources if source.parameter not in values)
-    replaced: dict[str, Any] = {
-        stage: replace(stages[stage], **named) for stage, named in changed.items()
-    }
-    return replace(rig, **replaced, sources=others + known)
+    found = {name.removeprefix("actuator."): estimate.value for name, estimate in values.items()}
+    return replace(rig, actuator=replace(rig.actuator, **found), sources=others + known)
 
 
 def format_rig(rig: Rig) -> str:

@@ -16,13 +16,7 @@ from device.units import FloatArray
 
 @dataclass(frozen=True)
 class Sweep:
-    """A sweep between two silences; full scale is 1.0.
-
-    Raises
-    ------
-    UsageError
-        A value is out of range; the message names all of them.
-    """
+    """A sweep between two silences; full scale is 1.0."""
 
     low_hz: float = 20.0
     high_hz: float = 400.0

@@ -2,11 +2,9 @@
 
     W'(x, i) = Phi(x) i + L(x) i^2 / 2            V(x) = k x^2 / 2 + ...
 
-W' is the magnetic co-energy (equation 9): the first term is the coil in the magnet's field, the
-second the reluctance. Its derivatives describe the whole transducer: force dW'/dx, flux linkage
-dW'/di, incremental inductance d^2W'/di^2. The mixed derivatives are equal, so the force gives the
-motion exactly the energy that it takes from the electrical side. V is the energy in spring and
-stops.
+W' is the magnetic co-energy (equation 9): the coil in the magnet's field, and the reluctance. Its
+derivatives describe the whole transducer: force dW'/dx, flux linkage dW'/di, incremental inductance
+d^2W'/di^2. V is the energy in spring and stops.
 """
 
 import math

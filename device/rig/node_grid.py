@@ -1,8 +1,7 @@
 """The nodes of the non-linear models between samples, and interpolation back to samples.
 
-Nodes come at about 6 kHz at any sample rate. Nodes and the middles between them lie on samples,
-also at double that rate for the end stops. If samples are too far apart for that, the voltage is
-upsampled along its straight lines, which changes nothing.
+Nodes, and middles between them, lie on samples at any sample rate. If samples are too far apart,
+the voltage is upsampled along its straight lines, which changes nothing.
 """
 
 from functools import cache

@@ -39,13 +39,9 @@ def _one_of(*words: str) -> Limit:
     return Limit(lambda value: value in words, " or ".join(repr(word) for word in words))
 
 
-Positive = Annotated[float, Limit(lambda value: math.isfinite(value) and value > 0, "above 0")]
-NotNegative = Annotated[
-    float, Limit(lambda value: math.isfinite(value) and value >= 0, "0 or more")
-]
-NotPositive = Annotated[
-    float, Limit(lambda value: math.isfinite(value) and value <= 0, "0 or less")
-]
+Positive = Annotated[float, Limit(lambda x: math.isfinite(x) and x > 0, "above 0")]
+NotNegative = Annotated[float, Limit(lambda x: math.isfinite(x) and x >= 0, "0 or more")]
+NotPositive = Annotated[float, Limit(lambda x: math.isfinite(x) and x <= 0, "0 or less")]
 UpToInfinity = Annotated[float, Limit(lambda value: value > 0, "above 0, or inf")]
 Share = Annotated[float, Limit(lambda value: 0 <= value < 1, "from 0 to below 1")]
 Celsius = Annotated[float, Limit(lambda t: -50 <= t <= 150, "from -50 to 150")]
@@ -159,9 +155,8 @@ class ActuatorParameters(Stage):
     def q_electrical(self, source_impedance_ohm: float = 0.0) -> float:
         """Return Qes = m w0 (R + Rs) / Bl^2: damping by the current that the motion induces."""
         resistance = self.resistance_ohm + source_impedance_ohm
-        return (
-            self.moving_mass_kg * self.resonance_rad_s * resistance / self.force_factor_n_per_a**2
-        )
+        inertia = self.moving_mass_kg * self.resonance_rad_s
+        return inertia * resistance / self.force_factor_n_per_a**2
 
     def q_total(self, source_impedance_ohm: float = 0.0) -> float:
         """Return Qts = 1 / (1 / Qms + 1 / Qes); inductance is neglected as usual."""

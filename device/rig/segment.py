@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -79,14 +80,12 @@ class Correction:
 def join_corrections(pieces: list[Correction]) -> Correction:
     """Return consecutive corrections as one."""
 
-    def joined(name: str) -> Callable[[], FloatArray]:
-        return lambda: np.concatenate([piece.samples(name) for piece in pieces])
+    def joined(name: str) -> FloatArray:
+        return np.concatenate([piece.samples(name) for piece in pieces])
 
-    return Correction(
-        pieces[-1].end,
-        {name: joined(name) for name in (*QUANTITIES, SEAT_ACCELERATION)},
-        np.concatenate([piece.excursions_m for piece in pieces]),
-    )
+    samples = {name: partial(joined, name) for name in (*QUANTITIES, SEAT_ACCELERATION)}
+    excursions_m = np.concatenate([piece.excursions_m for piece in pieces])
+    return Correction(pieces[-1].end, samples, excursions_m)
 
 
 def crossfade(

@@ -1,7 +1,7 @@
 """Many small matrices at once: each entry is a number or an array over all points.
 
-A matrix is a dict from (row, column) to its entry; an absent entry is 0 and costs nothing. With
-three to five states this is several times faster than NumPy's stacks of matrices.
+A matrix is a dict from (row, column) to its entry. With three to five states and many zeros this is
+several times faster than NumPy's stacks of matrices.
 """
 
 from device.units import FloatArray

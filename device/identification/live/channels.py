@@ -16,14 +16,7 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True)
 class Inputs:
-    """The input's channels in order, each of QUANTITIES or "-", and their scales.
-
-    Raises
-    ------
-    UsageError
-        A name is unknown or given twice, the channels identify nothing, or a scale is missing or
-        out of range.
-    """
+    """The input's channels in order, each of QUANTITIES or "-", and their scales."""
 
     names: tuple[str, ...]
     full_scale_v: float | None = None  # peak volts at the input for a sample of 1.0

@@ -6,7 +6,6 @@ from typing import Protocol
 
 import numpy as np
 
-from device.errors import UsageError
 from device.identification.live.channels import DRIVE, Inputs
 from device.identification.live.exchange import Exchange
 from device.identification.live.two_clocks import (
@@ -87,11 +86,6 @@ class LiveLaboratory:
         "drive" is the loop-back or the played signal. In the latter case the unknown delay is
         fitted as well (`Recording.delayed`).
         """
-        if sweep.samplerate != self._transport.samplerate:
-            raise UsageError(
-                f"samplerate={sweep.samplerate!r} Hz of the sweep must be that of the streams, "
-                f"{self._transport.samplerate} Hz"
-            )
         for _ in range(MOST_TRIES - 1):
             try:
                 return self._measure_once(sweep, pairs)
@@ -121,9 +115,8 @@ class LiveLaboratory:
         read = {}
         for index in self._inputs.used:
             samples = resample_to_played(recorded[:, index], first, drift.value, sweep.frames)
-            read[self._inputs.names[index]] = samples * self._inputs.scale(
-                self._inputs.names[index]
-            )
+            what = self._inputs.names[index]
+            read[what] = samples * self._inputs.scale(what)
         if {"voltage", "current"} <= set(read):
             self.current_turned = float(np.mean(read["voltage"] * read["current"])) < 0.0
             if self.current_turned:
