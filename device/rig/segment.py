@@ -11,8 +11,7 @@ from device.units import FloatArray
 
 _MIN_FADE_FRAMES = 16
 """A crossfade of fewer frames is not shortened any further."""
-_JUMP_MARGIN = 1.25
-"""The jump at the edge exists anyway; the old model may deviate by this multiple of it."""
+_JUMP_MARGIN = 1.25  # the old model may deviate by this multiple of the jump at the edge
 
 
 @dataclass(frozen=True)
