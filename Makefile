@@ -68,7 +68,7 @@ soak:
 bench:
 	@sh tools/setup.sh run
 	@sh tools/fetch_recordings.sh
-	.venv/bin/python -m tools.bench $$(.venv/bin/python -c 'import matplotlib' 2>/dev/null && echo --plots docs/images)
+	.venv/bin/python -m tools.bench --out docs/benchmarks.md $$(.venv/bin/python -c 'import matplotlib' 2>/dev/null && echo --plots docs/images)
 
 clean:
 	rm -f audioflinger_hook/transform/*.so device/*.so

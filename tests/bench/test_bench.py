@@ -110,17 +110,9 @@ def principals(*row_hz):
 def test_agreement_counts_hits_within_reach_in_the_same_unit_only():
     found = principals((0, 100.0), (0, 500.0), (1, 300.0))
     wanted = principals((0, 103.0), (1, 500.0), (1, 306.0), (2, 100.0))
-    agreed = measures.agreement(found, wanted, 5.0)
-    assert (agreed.found_hits, agreed.found) == (1, 3)
-    assert (agreed.wanted_hits, agreed.wanted) == (1, 4)
-    assert (agreed + agreed).precision == pytest.approx(1 / 3)
-    assert agreed.recall == pytest.approx(1 / 4)
-
-
-def test_nothing_found_gives_no_precision():
-    nothing = measures.agreement(principals(), principals((0, 100.0)), 5.0)
-    assert math.isnan(nothing.precision)
-    assert nothing.recall == 0.0
+    assert measures.agreement(found, wanted, 5.0).tolist() == [1, 3, 1, 4]
+    nothing = measures.agreement(principals(), wanted, 5.0)
+    assert nothing.tolist() == [0, 0, 0, 4]
 
 
 def test_the_exponent_is_one_for_linear_and_two_for_quadratic_cost():
@@ -398,8 +390,6 @@ def test_the_mixer_s_rows_agree_with_one_another(report):
     us = [by_name[f"{tracks} of 48 kHz", mixing.TIME] for tracks in ("1 track", "8 tracks")]
     us.append(by_name["32 tracks of 48 kHz", mixing.TIME])
     assert us == sorted(us)
-    # 20 000 us of sound a cycle
-    assert by_name["8 tracks of 48 kHz", mixing.SHARE] == pytest.approx(us[1] / 200.0)
     (growth,) = (row for row in section.rows if row.must)
     assert growth.value == pytest.approx((us[2] - us[1]) / 24 / ((us[1] - us[0]) / 7))
 

@@ -55,8 +55,6 @@ def test_tones_apart_share_nothing_and_what_is_not_felt_is_not_other():
     assert similarity.spectral_distance(low, high, SAMPLERATE) == pytest.approx(1.0, abs=0.01)
     assert similarity.spectral_distance(low, 0.1 * low, SAMPLERATE) == pytest.approx(0.0, abs=1e-9)
     assert similarity.spectral_distance(low, heard, SAMPLERATE) is None
-    assert similarity.dominant_hz(heard, SAMPLERATE) is None
-    assert similarity.dominant_hz(high, SAMPLERATE) == pytest.approx(180.0, abs=1.0)
 
 
 # ----------------------------------------------------------------------------------- the section
@@ -70,7 +68,7 @@ def test_a_baseline_wins_exactly_where_its_row_is_better():
         Row(comparison.CORRELATION, 0.5, "", LIVE),
         Row(comparison.CORRELATION, 0.4, "", "band-pass"),
         Row(comparison.LAG_P95, 9.0, "ms", LIVE),
-        Row(comparison.LAG_P95, None, "ms", "band-pass", note="none felt"),
+        Row(comparison.LAG_P95, None, "ms", "band-pass", note="none perceived"),
     ]
     verdict = comparison.where_baselines_win(rows)
     assert verdict.startswith("A baseline beats the live form in: ")

@@ -8,7 +8,7 @@ import pytest
 from audioflinger_hook.transform.design import synthesis
 from audioflinger_hook.transform.design.synthesis import LiveGrid
 from tools.bench.sections import frontier
-from tools.bench.sections.frontier import COST, LAG, LEAK, PURITY
+from tools.bench.sections.frontier import COST, LAG, LEAK
 from tools.bench.sections.frontier_settings import (
     DEFAULT,
     SETTINGS,
@@ -87,8 +87,7 @@ def test_a_setting_dominates_only_if_it_is_better_in_something_and_worse_in_noth
     cheaper = a_measured() | {COST: 0.5}
     traded = cheaper | {LAG: 3.0}
     blurred = cheaper | {COST: 0.95, LEAK: 1.2}
-    incomparable = traded | {PURITY: None}
-    others = {"traded": traded, "blurred": blurred, "incomparable": incomparable}
+    others = {"traded": traded, "blurred": blurred}
     verdict = frontier._verdict({DEFAULT: default} | others)
     assert "The defaults lie on the frontier: no other setting" in verdict
     assert "- traded: better in cost 0.500 ms; worse in lag, p95 3 ms" in verdict

@@ -15,9 +15,9 @@ from tools.bench.machine import machine_facts
 from tools.bench.report import Row, Section
 from tools.bench.sections import comparison, kept_records, speed
 from tools.bench.sounds.signals import (
-    COST_SCENES,
     KNOWN,
     RECORDINGS_VARIABLE,
+    cost_scenes,
     examine_recordings,
 )
 from tools.bench.workbench import LIVE, NUMPY, QUICK
@@ -39,8 +39,13 @@ def a_report(*sections):
 @pytest.fixture
 def short_scenes(monkeypatch):
     """Only scenes of the length that is asked for: the demo scene is always whole."""
-    scenes = tuple(each for each in COST_SCENES if each.name != "demo scene")
-    monkeypatch.setattr(speed, "COST_SCENES", scenes)
+
+    def short(duration_s, recordings):
+        scenes = cost_scenes(duration_s, recordings)
+        del scenes["demo scene"]
+        return scenes
+
+    monkeypatch.setattr(speed, "cost_scenes", short)
 
 
 def ran(monkeypatch, tmp_path, *benches, options=()):

@@ -7,7 +7,7 @@
 | --- | --- |
 | sounds | signals by formula, and recordings |
 | baselines | other methods from sound to vibration |
-| measures | error, similarity and lag of a vibration; random rigs |
+| measures | error, similarity and lag of a vibration; bursts at any level |
 | sections | one function a section of the report |
 | figures | the pictures of a report |
 
@@ -101,7 +101,7 @@ def run_bench(
     Parameters
     ----------
     quick : bool
-        The same rows from less material, in under a minute instead of about five.
+        The same rows from less material, in under a minute.
     progress : Progress or None
         Called before each section, by the calling thread.
     effort : Effort or None

@@ -1,8 +1,8 @@
 """Measure speed and error on this machine: python -m tools.bench [--quick] [--json] [--out FILE]
 
-Prints the report as Markdown and writes it to docs/benchmarks.md. With --json it prints one JSON
-document and writes no file. Exit codes: 0 done; 2 wrong usage, something could
-not be measured, or a file could not be written; 130 interrupted.
+Prints the report as Markdown, or with --json as one JSON document. It writes no file unless --out
+or --plots names one. Exit codes: 0 done; 2 wrong usage, something could not be measured, or a file
+could not be written; 130 interrupted.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from device.errors import CushionError, UsageError
 from tools.bench import run_bench
 from tools.bench.figures.pictures import draw_all, need_matplotlib, shown_in
 
-REPORT = Path("docs/benchmarks.md")
 EXIT_INTERRUPTED = 130
 
 
@@ -45,18 +44,18 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--quick", action="store_true", help="the same rows from less material, in a minute"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON and write no file")
+    parser.add_argument("--json", action="store_true", help="print JSON; no --out, no --plots")
     parser.add_argument(
         "--plots", type=Path, metavar="DIR", help="draw the pictures into this folder"
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help=f"default: {REPORT}")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the report into this file")
     return parser
 
 
 def _run(options: argparse.Namespace) -> int:
     if options.json and (options.out or options.plots):
         raise UsageError("--json writes no files; leave out --out and --plots")
-    target: Path | None = None if options.json else _writable(options.out or REPORT)
+    target: Path | None = _writable(options.out) if options.out else None
     if options.plots:
         need_matplotlib()
         _make_folder(options.plots)

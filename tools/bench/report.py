@@ -116,13 +116,6 @@ class Section:
     series: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     footnote: str = ""
 
-    def met_in_ffts(self, row: Row) -> bool:
-        """Return whether the same limit in FFTs is met."""
-        return any(
-            other.met is True and (other.name, other.column) == (row.name, row.ffts_column)
-            for other in self.rows
-        )
-
 
 @dataclass(frozen=True)
 class BenchReport:
@@ -156,7 +149,11 @@ class BenchReport:
             _full_name(section, row)
             for section in self.sections
             for row in section.rows
-            if row.met is False and section.met_in_ffts(row)
+            if row.met is False
+            and any(
+                other.met and (other.name, other.column) == (row.name, row.ffts_column)
+                for other in section.rows
+            )
         )
 
     @property
@@ -208,8 +205,8 @@ class BenchReport:
         lines = [
             "# Speed and error, measured",
             "",
-            f"`{command}` writes this file. Every number and every verdict is measured or computed "
-            "by that command.",
+            f"`{command} --out FILE` writes this page. Every number and verdict is measured or "
+            "computed by that command.",
             "",
             f"- **Run**: {self.date}, {size}, {self.duration_s:.0f} s.",
             f"- **Machine**: {machine.cpu}, {machine.cores} cores, {machine.system}, "

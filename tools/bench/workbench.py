@@ -113,7 +113,7 @@ def live_subjects() -> tuple[Subject, ...]:
 
 
 def not_compiled(name: str) -> tuple[Missing, ...]:
-    """Return the missing rows where the compiled live form is not there."""
+    """Return the missing rows where the compiled live form is missing."""
     why = kernel_warning()
     return () if why is None else (Missing(f"{name}, {LIVE}, compiled", why, BUILD_COMMAND),)
 
@@ -126,32 +126,32 @@ class Effort:
     are tried on; rig_timed_s: of the drives on which the rig is timed.
     """
 
-    tones: int = 6
-    low_tones: int = 3
-    tone_s: float = 3.0
-    bursts: int = 25
-    onsets_a_burst: int = 4
-    noisy_tones: int = 100
+    tones: int = 4
+    low_tones: int = 2
+    tone_s: float = 2.0
+    bursts: int = 20
+    onsets_a_burst: int = 3
+    noisy_tones: int = 80
     frontier_sounds: int = 2
     compared_bursts: int = 9
     compared_recordings: int = 3
-    settled_s: float = 3.0
+    settled_s: float = 2.0
     cost_repeats: int = 3
     slow_repeats: int = 1
     cost_s: float = 0.5
     cold_s: float = 0.4
     saving_repeats: int = 1
-    saving_s: float = 1.0
-    mix_rounds: int = 15
-    scaling_s: float = 8.0
+    saving_s: float = 0.5
+    mix_rounds: int = 10
+    scaling_s: float = 4.0
     channels_s: float = 1.0
-    hops_timed: int = 3_000
+    hops_timed: int = 2_000
     hops_timed_in_numpy: int = 1_000
     render_s: tuple[float, ...] = (60.0,)
-    rig_s: float = 4.0
+    rig_s: float = 3.0
     rig_timed_s: float = 0.5
     model_repeats: int = 3
-    integrator_repeats: int = 2
+    integrator_repeats: int = 1
 
     def repeats_of(self, subject: Subject) -> int:
         """Return how often a subject is timed."""

@@ -19,8 +19,8 @@ from tools.bench.workbench import LIVE, REFERENCE
 
 FIELDS = {
     COST_FFTS: "cost of a second,\nrfft(2048); log scale",
-    LAG_P95: "onset lag, 95 %,\nof bursts felt, ms",
-    BURSTS_FELT: "bursts felt {played},\n80 to 5000 Hz",
+    LAG_P95: "onset lag, 95 %,\nof bursts perceived, ms",
+    BURSTS_FELT: "bursts perceived {played},\n80 to 5000 Hz",
     LEAK_MEDIAN: "energy above 250 Hz,\nmedian recording, dB",
     CORRELATION: "envelope correlation,\nmedian recording",
 }
@@ -37,7 +37,7 @@ def baselines(report: BenchReport) -> Figure:
     fields = {name: title for name, title in FIELDS.items() if (name, LIVE) in rows}
     figure = sheet(
         "Other methods on the same sounds",
-        "Implementations of our own, not tuned. Lags are of the bursts felt, over "
+        "Plain implementations, not tuned. Lags are of the bursts perceived, over "
         f"{FELT_DB:g} dB; a method that stays silent has none",
         4.6,
     )

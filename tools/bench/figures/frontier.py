@@ -36,28 +36,26 @@ def frontier(report: BenchReport) -> Figure:
         points: dict[str, tuple[float, float]] = {}
         for setting in SETTINGS:
             cost, error = (values[setting.name, f"{c}, {UNITS[c]}"] for c in (COST, column))
-            if cost is not None and error is not None:
-                points[setting.name] = cost, error
-        hops = [points[s.name] for s in SETTINGS if s.knob in ("", "hop") and s.name in points]
+            points[setting.name] = cost or 0.0, error or 0.0
+        hops = [points[s.name] for s in SETTINGS if s.knob in ("", "hop")]
         axis.set_xscale("log")
         frame(axis, f"{title}, {UNITS[column]}", grid=True)
         axis.plot(*zip(*sorted(hops), strict=True), color=palette.HEARD, lw=1.4, zorder=3)
         for setting in SETTINGS:
-            if setting.name in points:
-                colour = palette.HEARD if setting.knob == "hop" else palette.GREY
-                default = setting.name == DEFAULT
-                axis.plot(
-                    *([place] for place in points[setting.name]), "o", ms=9 if default else 4.5,
-                    color=palette.FELT if default else colour, zorder=5 if default else 4,
-                )  # fmt: skip
-        axis.margins(0.09, 0.2)
+            colour = palette.HEARD if setting.knob == "hop" else palette.GREY
+            default = setting.name == DEFAULT
+            axis.plot(
+                *([place] for place in points[setting.name]), "o", ms=9 if default else 4.5,
+                color=palette.FELT if default else colour, zorder=5 if default else 4,
+            )  # fmt: skip
+        axis.margins(0.16, 0.2)
         ticks_at(axis, TICKS_MS, *axis.get_xlim())
         named = [
             (name.replace("low-pass of ", ""), place)
             for name, place in points.items()
             if abs(place[1] - points[DEFAULT][1]) > BLUR[column]
         ]
-        name_points(axis, list(points.values()), named)
+        name_points(axis, named)
     axes[-1].tick_params(axis="x", which="minor", length=0)
     frame(axes[-1], unit="ms", grid=True)
     return figure

@@ -16,7 +16,7 @@ TEXT_PT, TITLE_PT, SMALL_PT = 10.0, 14.0, 9.0
 LINE_IN = 0.25
 DASHES: Any = (0, (4, 3))
 LETTER_PT, LINE_PT = 4.4, 10.0
-"""Width of a letter and height of a line of the small names in a field."""
+"""Width of a letter and height of a line of small names in a field."""
 
 Point = tuple[float, float]
 
@@ -96,41 +96,21 @@ def name_ends(axis: Axes, ends: Sequence[tuple[float, str, str]], x: float, apar
         )  # fmt: skip
 
 
-def name_points(axis: Axes, points: Sequence[Point], names: Sequence[tuple[str, Point]]) -> None:
-    """Write names near their points, each where it covers the least of points and other names."""
+def name_points(axis: Axes, names: Sequence[tuple[str, Point]]) -> None:
+    """Write names right of their points, moved up where they would cover one another."""
     to_points = 72.0 / axis.figure.dpi
-    corners = axis.get_window_extent().get_points() * to_points
-
-    def placed(point: Point) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        return np.asarray(axis.transData.transform(point)) * to_points
-
-    taken = [np.concatenate((placed(point) - 3.0, placed(point) + 3.0)) for point in points]
-    for name, point in names:
-        x, y = placed(point)
-        size = np.array([LETTER_PT * len(name), LINE_PT])
-        best, best_cost = taken[0], np.inf
-        for rise in (0, 6, -6, 12, -12, 18, -18, 26, -26, 34, -34):
-            for left in (x + 6.0, x - 6.0 - size[0], x - 0.5 * size[0]):
-                low = np.array([left, y + rise - 0.5 * LINE_PT])
-                box = np.concatenate((low, low + size))
-                outside = (low < corners[0]).any() or (low + size > corners[1] + [4.0, 0.0]).any()
-                cost = 1e6 * outside + abs(rise) + sum(_overlap(box, other) for other in taken)
-                if cost < best_cost:
-                    best, best_cost = box, cost
-        taken.append(best)
-        rise = best[1] + 0.5 * LINE_PT - y
+    taken: list[tuple[float, float, float]] = []
+    for name, point in sorted(names, key=lambda each: each[1][1]):
+        x, y = np.asarray(axis.transData.transform(point)) * to_points
+        end = x + 6.0 + LETTER_PT * len(name)
+        height = y
+        for left, right, other in taken:
+            if left < end and x < right and abs(other - height) < LINE_PT:
+                height = other + LINE_PT
+        taken.append((x, end, height))
         line = {"arrowstyle": "-", "color": palette.GREY, "lw": 0.6, "shrinkB": 2.0}
         axis.annotate(
-            name, point, xytext=(best[0] - x, rise), textcoords="offset points", va="center",
+            name, point, xytext=(6.0, height - y), textcoords="offset points", va="center",
             fontsize=7.5, color=palette.GREY, zorder=6,
-            arrowprops=line if abs(rise) >= LINE_PT else None,
+            arrowprops=line if height - y >= LINE_PT else None,
         )  # fmt: skip
-
-
-def _overlap(
-    one: np.ndarray[tuple[int], np.dtype[np.float64]],
-    other: np.ndarray[tuple[int], np.dtype[np.float64]],
-) -> float:
-    """Return the area that two boxes (left, bottom, right, top) share."""
-    shared = np.minimum(one[2:], other[2:]) - np.maximum(one[:2], other[:2])
-    return float(np.prod(np.maximum(0.0, shared)))

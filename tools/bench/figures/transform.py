@@ -1,4 +1,4 @@
-"""Pictures of the transform: what it costs, how soon it is felt, how exact its frequencies are."""
+"""Pictures of the transform: its cost, its onset lag, the errors of its frequencies."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def lag(report: BenchReport) -> Figure:
     """Draw the share of bursts that are felt by a time, for both forms, with the limit."""
     series = report.section("Onset lag").series
     figure = sheet(
-        "How soon a sound is felt",
+        "How soon the vibration follows a sound",
         f"Share of {len(next(iter(series.values())))} tone bursts, 80 to 5000 Hz, whose vibration "
         "has passed half of its level, by the time since the sound began",
         4.4,

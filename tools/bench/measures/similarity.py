@@ -1,7 +1,7 @@
-"""Similarity of a vibration to its sound or to another vibration: pure functions.
+"""Similarity of a vibration to its sound, and what is felt of it: pure functions.
 
 Signals are mono, (frames,) float64. The delay of a baseline is not always known, so the similarity
-is the greatest one at a delay of 0 to 0.1 s. It is NaN for silence.
+is the greatest one at a delay of 0 to 0.1 s.
 """
 
 from __future__ import annotations
@@ -46,12 +46,6 @@ def felt_spectrum(vibration: FloatArray, samplerate: int) -> tuple[FloatArray, F
     hz: FloatArray = np.arange(power.size, dtype=np.float64) * (samplerate / vibration.size)
     felt = (hz >= FELT_HZ[0]) & (hz <= FELT_HZ[1])
     return hz[felt], power[felt]
-
-
-def dominant_hz(vibration: FloatArray, samplerate: int) -> float | None:
-    """Return where a steady vibration is strongest from 15 to 250 Hz; None for no vibration."""
-    hz, power = felt_spectrum(vibration, samplerate)
-    return float(hz[power.argmax()]) if level_db(power.sum()) > NOTHING_DB else None
 
 
 def spectral_distance(one: FloatArray, other: FloatArray, samplerate: int) -> float | None:

@@ -113,42 +113,13 @@ def energy_above_db(vibration: FloatArray, samplerate: int, corner_hz: float = 2
     return _ratio_db(float(power[above].sum()), float(power.sum()))
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """How far two sets of frequencies are the same: hits among those found and those wanted."""
+def agreement(found: Principals, wanted: Principals, reach_hz: float) -> FloatArray:
+    """Return hits among the found, all found, hits among the wanted, and all wanted frequencies.
 
-    found: int
-    wanted: int
-    found_hits: int
-    wanted_hits: int
-
-    @property
-    def precision(self) -> float:
-        """Share of the found ones that are wanted; NaN where nothing was found."""
-        return self.found_hits / self.found if self.found else float("nan")
-
-    @property
-    def recall(self) -> float:
-        """Share of the wanted ones that were found; NaN where nothing was wanted."""
-        return self.wanted_hits / self.wanted if self.wanted else float("nan")
-
-    def __add__(self, other: Agreement) -> Agreement:
-        return Agreement(
-            self.found + other.found,
-            self.wanted + other.wanted,
-            self.found_hits + other.found_hits,
-            self.wanted_hits + other.wanted_hits,
-        )
-
-
-def agreement(found: Principals, wanted: Principals, reach_hz: float) -> Agreement:
-    """Return how many frequencies of each set have one of the other in reach, in the same row."""
-    return Agreement(
-        len(found),
-        len(wanted),
-        _in_reach(found, wanted, reach_hz),
-        _in_reach(wanted, found, reach_hz),
-    )
+    A hit has one of the other set in reach, in the same row.
+    """
+    hits, wanted_hits = _in_reach(found, wanted, reach_hz), _in_reach(wanted, found, reach_hz)
+    return np.array([hits, len(found), wanted_hits, len(wanted)], dtype=np.float64)
 
 
 def _in_reach(these: Principals, others: Principals, reach_hz: float) -> int:

@@ -83,16 +83,16 @@ def residual_vibration(_bench: Workbench) -> Section:
     rows: list[Row] = []
     for drive in drives():
         at = {detuning: _residual(drive, detuning) for detuning in DETUNINGS}
-        rows += _rows(drive.name, at, limited=drive.asked, note=_note(drive.damping))
+        rows += _rows(drive.name, at, limited=drive.asked)
     return Section(
         TITLE,
         "Energy of the seat's acceleration after a burst of 50 ms at 90 Hz, against undamped "
-        "current drive of the same rig at the same vibration during the burst; and the peak volts "
+        "current drive of the same rig at the same vibration during the burst. Peak volts are "
         "against the same. Columns: the true f0 against the assumed one (only the stiffness "
         "differs). Still after: time from the end of the burst until the acceleration stays under "
         "10 % of its peak. The first rows are of the linear model. The last are of the non-linear "
-        "`paper` rig, which stiffens, loses force and changes its inductance as it swings; their "
-        "level is the largest excursion of the linear model, the one reached is in the note. The "
+        "`paper` rig, which stiffens, loses force and changes its inductance as it swings. Their "
+        "level is the largest excursion of the linear model; the note has the one reached. The "
         "flat inverse is that of the assumed rig.",
         (*rows, *_rows_by_level()),
         series={
@@ -127,7 +127,7 @@ def _rows_by_level() -> Iterator[Row]:
             yield from _rows(f"{level:g} Xmax, {name}", at, limited=limited, note=note)
 
 
-def _rows(name: str, at: dict[float, Residual], *, limited: bool, note: str) -> Iterator[Row]:
+def _rows(name: str, at: dict[float, Residual], *, limited: bool, note: str = "") -> Iterator[Row]:
     """Yield the rows of one drive: residual by detuning, settling, and peak volts."""
     for detuning, residual in at.items():
         asked = limited and abs(detuning) <= LIMITED_DETUNING
@@ -137,12 +137,3 @@ def _rows(name: str, at: dict[float, Residual], *, limited: bool, note: str) -> 
     yield Row(name, 1e3 * at[0.0].settling_s, "ms", "still after")
     must = VOLTS_DB if limited else None
     yield Row(name, at[0.0].peak_volts_db, "dB", "peak volts", must, note=note)
-
-
-def _note(damping: Damping) -> str:
-    if damping.impulses:
-        return f"latency {1e3 * damping.latency_s:.1f} ms"
-    if damping.ringing is None or damping.wanted is None:
-        return ""
-    at_hz = damping.ringing.frequency_hz
-    return f"Q {damping.ringing.q:.2f} to {damping.wanted.q:.2f} at {at_hz:.1f} Hz"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from statistics import median
 
 import numpy as np
@@ -14,7 +13,6 @@ from audioflinger_hook.transform.principal import PrincipalFinder
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tools.bench.measures.vibration import (
-    Agreement,
     agreement,
     energy_above_db,
     onset_lag_s,
@@ -75,7 +73,7 @@ def burst_lag_s(subject: Subject, audio_hz: float, place: float, stream_s: float
 
 
 def onset_lag(bench: Workbench) -> Section:
-    """How long after the start of a tone burst it is felt."""
+    """Time from the start of a tone burst to its vibration."""
     effort = bench.effort
     # Onsets at every place of the window: how a burst meets the grid decides its lag.
     places = np.random.default_rng(0).uniform(size=(effort.bursts, effort.onsets_a_burst))
@@ -141,7 +139,7 @@ def energy_above(bench: Workbench) -> Section:
         missing = (bench.missing_recordings("energy above 250 Hz, worst recording"),)
     return Section(
         f"Energy above {AUDIBLE_FROM_HZ:g} Hz",
-        "Vibration should be felt, not heard. This is the share of its energy above "
+        "A vibration should not be heard. This is the share of its energy above "
         f"{AUDIBLE_FROM_HZ:g} Hz, over {len(bench.recordings)} recordings.",
         tuple(rows),
         missing,
@@ -165,37 +163,33 @@ def principal_frequencies(bench: Workbench) -> Section:
     )
     if not bench.recordings:
         return Section(title, explanation, (), (bench.missing_recordings("precision and recall"),))
-    by_name = [(item.name, _recording_agreement(item)) for item in bench.recordings]
-    total = sum((one for _, one in by_name), Agreement(0, 0, 0, 0))
-    telling = [(name, one) for name, one in by_name if one.wanted >= FEWEST_FOR_A_RATIO]
-    rows = [
-        Row(f"{kind}, all recordings", getattr(total, kind), must=AGREEMENT, lead=AGREEMENT_LEAD)
-        for kind in ("precision", "recall")
-    ]
-    for kind in ("precision", "recall") if telling else ():
-        value, name = min((getattr(one, kind), name) for name, one in telling)
-        rows.append(Row(f"{kind}, worst recording", value, note=name))
-    spurious, missed = total.found - total.found_hits, total.wanted - total.wanted_hits
-    rows.append(Row("found by the live form alone", float(spurious), f"of {total.found}"))
-    rows.append(Row("found by the reference form alone", float(missed), f"of {total.wanted}"))
+    counts = {item.name: _recording_agreement(item) for item in bench.recordings}
+    total = np.sum(list(counts.values()), axis=0)
+    telling = {name: one for name, one in counts.items() if one[3] >= FEWEST_FOR_A_RATIO}
+    rows = []
+    for kind, alone, place in (("precision", "live", 0), ("recall", "reference", 2)):
+        hits, of = total[place : place + 2].tolist()
+        rows += [
+            Row(f"{kind}, all recordings", hits / of, must=AGREEMENT, lead=AGREEMENT_LEAD),
+            Row(f"found by the {alone} form alone", of - hits, f"of {of:.0f}"),
+        ]
+        if telling:
+            shares = {name: one[place] / one[place + 1] for name, one in telling.items()}
+            worst = min(shares, key=lambda name: shares[name])
+            rows.append(Row(f"{kind}, worst recording", float(shares[worst]), note=worst))
     return Section(title, explanation, tuple(rows))
 
 
-def _recording_agreement(recording: Recording) -> Agreement:
+def _recording_agreement(recording: Recording) -> FloatArray:
     parameters = TransformParameters()
     live = LiveTransform(LiveDesign.of(parameters, recording.samplerate))
     spectrum = Spectrum.of(parameters, recording.samplerate)
     finder = PrincipalFinder(parameters, spectrum.bin_hz, spectrum.bins)
-    total = Agreement(0, 0, 0, 0)
-    for units in _unit_batches(recording):
+    total: FloatArray = np.zeros(4)
+    reference = ReferenceTransform(parameters, recording.samplerate)
+    whole = reference.cut(recording.frames.astype(np.float64).mean(axis=1))
+    for first in range(0, len(whole), UNITS_AT_ONCE):
+        units = whole[first : first + UNITS_AT_ONCE]
         wanted = finder.all_principal(magnitude(spectrum.transform(units)))
         total += agreement(live.analyse(units), wanted, spectrum.bin_hz / 2.0)
     return total
-
-
-def _unit_batches(recording: Recording) -> Iterator[FloatArray]:
-    """Yield the reference form's band-passed unit sequences, (units, N) at a time."""
-    reference = ReferenceTransform(TransformParameters(), recording.samplerate)
-    units = reference.cut(recording.frames.astype(np.float64).mean(axis=1))
-    for first in range(0, len(units), UNITS_AT_ONCE):
-        yield units[first : first + UNITS_AT_ONCE]

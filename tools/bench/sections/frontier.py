@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 import numpy as np
 from scipy.signal import hilbert
@@ -53,7 +52,6 @@ BLUR = {
     LAG: 0.7, LEAK: 0.7, MISSED: 0.3, SPURIOUS: 0.3,
 }  # fmt: skip
 """Differences within the spread of repeats count as none; that of cost is a share."""
-NOT_COMPILED = "not compiled"
 
 
 def frontier(bench: Workbench) -> Section:
@@ -61,18 +59,22 @@ def frontier(bench: Workbench) -> Section:
     setups = [Setup(setting) for setting in SETTINGS]
     first = round(SCENE_FROM_S * SAMPLERATE)
     scene = demo_sound()[first : first + round(SCENE_S * SAMPLERATE)]
-    costs_ms = _costs_ms(setups, scene, bench.effort.cost_repeats)
+    timings = timed(
+        [Playback(setup.subject, scene, BLOCKSIZE) for setup in setups], bench.effort.cost_repeats
+    )
     count = bench.effort.frontier_sounds
     measured = {
-        setup.setting.name: {COST: cost_ms, **_errors(setup, scene, count)}
-        for setup, cost_ms in zip(setups, costs_ms, strict=True)
+        setup.setting.name: {
+            COST: 1e3 * min(timing.seconds) / SCENE_S,
+            **_errors(setup, scene, count),
+        }
+        for setup, timing in zip(setups, timings, strict=True)
     }
     rows = [
-        Row(name, value, UNITS[column], f"{column}, {UNITS[column]}",
-            note="" if value is not None else NOT_COMPILED)
+        Row(name, value, UNITS[column], f"{column}, {UNITS[column]}")
         for name, values in measured.items()
         for column, value in values.items()
-    ]  # fmt: skip
+    ]
     return Section(
         TITLE,
         f"The live form ({'compiled' if kernel_warning() is None else 'in NumPy'}) with one "
@@ -87,19 +89,8 @@ def frontier(bench: Workbench) -> Section:
     )  # fmt: skip
 
 
-def _costs_ms(setups: list[Setup], scene: Stereo, repeats: int) -> list[float | None]:
-    """Return the least cost of each setting; None for one that is not compiled."""
-    alike = [setup for setup in setups if setup.compiled == setups[0].compiled]
-    timings = timed([Playback(setup.subject, scene, BLOCKSIZE) for setup in alike], repeats)
-    costs = {
-        setup.setting.name: 1e3 * min(timing.seconds) / SCENE_S
-        for setup, timing in zip(alike, timings, strict=True)
-    }
-    return [costs.get(setup.setting.name) for setup in setups]
-
-
-def _errors(setup: Setup, scene: Stereo, count: int) -> dict[str, float | None]:
-    """Return every error of a setting by its column; None where it cannot be compared."""
+def _errors(setup: Setup, scene: Stereo, count: int) -> dict[str, float]:
+    """Return every error of a setting by its column."""
     tone_hz, tone_db, purity_db = _tone_errors(setup, count)
     missed, spurious = _notes(setup)
     rest = np.zeros((round(REST_S * SAMPLERATE), 2), scene.dtype)
@@ -203,41 +194,26 @@ def _rms(errors: FloatArray | list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def _compared(
-    one: Mapping[str, float | None], other: Mapping[str, float | None]
-) -> dict[str, Literal["better", "worse"]]:
-    """Return in which columns one setting differs from another by more than BLUR."""
-    found: dict[str, Literal["better", "worse"]] = {}
-    for column, blur in BLUR.items():
-        mine, theirs = one[column], other[column]
-        if mine is None or theirs is None:
-            continue
-        apart = blur * theirs if column == COST else blur
-        if abs(mine - theirs) > apart:
-            found[column] = "better" if mine < theirs else "worse"
-    return found
-
-
-def _verdict(measured: Mapping[str, Mapping[str, float | None]]) -> str:
+def _verdict(measured: Mapping[str, Mapping[str, float]]) -> str:
     """Return what every other setting costs and gains, and which dominate the defaults."""
     default = measured[DEFAULT]
     dominating = []
     lines = []
     for name, values in measured.items():
-        if name == DEFAULT:
-            continue
-        compared = _compared(values, default)
-        better, worse = (
-            ", ".join(
-                f"{column} {number(values[column] or 0.0)} {UNITS[column]}"
-                for column, side in compared.items()
-                if side == wanted
-            )
-            for wanted in ("better", "worse")
-        )
+        better: list[str] = []
+        worse: list[str] = []
+        for column, blur in BLUR.items():
+            apart = blur * default[column] if column == COST else blur
+            if abs(values[column] - default[column]) > apart:
+                side = better if values[column] < default[column] else worse
+                side.append(f"{column} {number(values[column])} {UNITS[column]}")
         if better and not worse:
             dominating.append(name)
-        lines.append(f"- {name}: better in {better or 'nothing'}; worse in {worse or 'nothing'}")
+        if name != DEFAULT:
+            lines.append(
+                f"- {name}: better in {', '.join(better) or 'nothing'}; "
+                f"worse in {', '.join(worse) or 'nothing'}"
+            )
     said = (
         f"Better in something and worse in nothing than the defaults: {', '.join(dominating)}."
         if dominating

@@ -21,8 +21,6 @@ from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import Subject
 
 DEFAULT = "as it is"
-KERNEL_PADDING = 2.0
-"""Least NFFT of the kernel, in windows; a smaller one runs in NumPy."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ def _filter(order: int, ripple_db: float, stop_db: float) -> Setting:
 SETTINGS: tuple[Setting, ...] = (
     Setting("", DEFAULT),
     *(hop(hops_a_window) for hops_a_window in (1.0, 1.9, 4.0, 5.5, 11.0)),
-    *(Setting("NFFT", f"NFFT {times:g} windows", padding=times) for times in (1.0, 3.0, 4.0)),
+    *(Setting("NFFT", f"NFFT {times:g} windows", padding=times) for times in (3.0, 4.0)),
     *(
         Setting("window", f"window {1e3 * window_s:.0f} ms", {"window_s": window_s})
         for window_s in (0.0232, 0.0929)
@@ -86,7 +84,6 @@ class Setup:
         window_s = setting.parameters.get("window_s", TransformParameters().window_s)
         partials_max = setting.parameters.get("partials_max", TransformParameters().partials_max)
         self.parameters = Padded(window_s=window_s, partials_max=int(partials_max))
-        self.compiled = kernel_warning() is None and setting.padding >= KERNEL_PADDING
         with constants_changed(setting.constants):
             self.made = LiveDesign.of(self.parameters, SAMPLERATE, find_onsets=setting.onsets)
         self.tonal_latency_frames = self.made.tonal_latency_frames
@@ -97,7 +94,7 @@ class Setup:
         return LiveTransform(self.made)
 
     def _stream(self, channels: int) -> Stream:
-        if self.compiled:
+        if kernel_warning() is None:
             return KernelStream(self.made, channels, each=False)
         return ChannelBank([self.form()], channels)
 

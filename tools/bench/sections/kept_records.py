@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -70,43 +71,13 @@ _IDENTIFICATION_COLUMNS: Columns = (
 def live_latency(_bench: Workbench) -> Section:
     """The last live measurements."""
     explanation = (
-        "Delay of the vibration of `cushion run` after its sound, transform included, from the "
-        "monitor of the audible sink to that of the vibration sink, by server and by block size."
+        "Delay of the vibration of `cushion run` after its sound, transform included, by server "
+        "and by block size. It is measured between the monitors of both sinks."
     )
     return _section(
         "Live latency", explanation, live_record.RECORD, live_record.COMMAND,
         live_record.read_records, _live_rows, _live_footnote,
     )  # fmt: skip
-
-
-def transform_soak(_bench: Workbench) -> Section:
-    """The transform's last soak."""
-    what = f"The live form over {number(soak_record.HOPS)} hops, more than four hours of sound."
-    return _soak("Soak", what, _SOAK_COLUMNS)
-
-
-def rig_soak(_bench: Workbench) -> Section:
-    """The rig's last soak."""
-    what = (
-        f"Each model of the rig over {number(soak_record.SAMPLES / MILLION)} million samples of a "
-        "bounded random drive, ten seconds in a loop; the step by step model, which is slow, over "
-        f"{number(soak_record.STEPPED_SAMPLES / MILLION)} million. The largest energy of each loop "
-        "is compared with the first. Then the drive stops, and the energy may only fall. All "
-        "errors are shares of the stored energy."
-    )
-    return _soak("Soak of the rig", what, _ENERGY_COLUMNS)
-
-
-def identification_soak(_bench: Workbench) -> Section:
-    """The identification's last soak."""
-    what = (
-        f"f0 and Q of {soak_record.RIGS} random rigs, from one sweep each of 5 s from 15 to 400 Hz "
-        "on the simulated non-linear rig. The instruments have noise at "
-        f"-{soak_record.SNR_DB:g} dB; every other rig is on an occupied seat. The rows say how "
-        "much of Xmax the sweep moves. The truth is computed from the eigenvalues of the linear "
-        "equations. The intervals are of 95 %."
-    )
-    return _soak("Soak of the identification", what, _IDENTIFICATION_COLUMNS)
 
 
 def _section(
@@ -131,7 +102,8 @@ def _section(
     return Section(title, explanation, tuple(shown), footnote=footnote(kept))
 
 
-def _soak(title: str, what: str, columns: Columns) -> Section:
+def _soak(title: str, what: str, columns: Columns, _bench: Workbench) -> Section:
+    """Return the section of the last soak of one kind."""
     command = soak_record.COMMAND
     explanation = f"{what} `{command}` runs it and keeps its last result here."
 
@@ -147,6 +119,34 @@ def _soak(title: str, what: str, columns: Columns) -> Section:
                 yield Row(record.what, shown, unit, column, must, note="" if index else when)
 
     return _section(title, explanation, soak_record.RECORD, command, soak_record.read_records, rows)
+
+
+transform_soak = partial(
+    _soak,
+    "Soak",
+    f"The live form over {number(soak_record.HOPS)} hops, more than four hours of sound.",
+    _SOAK_COLUMNS,
+)
+rig_soak = partial(
+    _soak,
+    "Soak of the rig",
+    f"Each model of the rig over {number(soak_record.SAMPLES / MILLION)} million samples of a "
+    "bounded random drive, ten seconds in a loop; the step by step model, which is slow, over "
+    f"{number(soak_record.STEPPED_SAMPLES / MILLION)} million. The largest energy of each loop "
+    "is compared with the first. Then the drive stops, and the energy may only fall. All "
+    "errors are shares of the stored energy.",
+    _ENERGY_COLUMNS,
+)
+identification_soak = partial(
+    _soak,
+    "Soak of the identification",
+    f"f0 and Q of {soak_record.RIGS} random rigs, from one sweep each of 5 s from 15 to 400 Hz "
+    "on the simulated non-linear rig. The instruments have noise at "
+    f"-{soak_record.SNR_DB:g} dB; every other rig is on an occupied seat. The rows say how "
+    "much of Xmax the sweep moves. The truth is computed from the eigenvalues of the linear "
+    "equations. The intervals are of 95 %.",
+    _IDENTIFICATION_COLUMNS,
+)
 
 
 def _live_rows(record: LiveRecord) -> Iterator[Row]:

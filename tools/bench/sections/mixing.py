@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from audioflinger_hook.mixer import Mixer, PcmFormat
-from tools.bench.cost import Timings, interleaved
+from tools.bench.cost import interleaved
 from tools.bench.report import Must, Row, Section
 from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import Workbench
@@ -19,7 +19,7 @@ OTHER_RATE = 44_100
 CYCLES_AT_ONCE = 10
 """Cycles in one timing, from rings filled before it."""
 
-TIME, SHARE, UNITS = "µs a cycle", "part of its length", "FFTs"
+TIME, UNITS = "µs a cycle", "FFTs"
 LINEAR = Must("<=", 1.25)
 
 
@@ -65,10 +65,12 @@ def mixing(bench: Workbench) -> Section:
     timings = interleaved(
         [bank.run for bank in works], bench.effort.mix_rounds, before=[bank.fill for bank in works]
     )
-    length_s = CYCLES_AT_ONCE * works[0].frames / SAMPLERATE
     rows: list[Row] = []
     for name, timing in zip(banks, timings, strict=True):
-        rows += _cost_rows(name, timing, length_s)
+        spread = (1e6 * end(timing.seconds) / CYCLES_AT_ONCE for end in (np.median, min, max))
+        middle, low, high = map(float, spread)
+        rows.append(Row(name, middle, "µs", TIME, low=low, high=high))
+        rows.append(Row(name, timing.median_units / CYCLES_AT_ONCE, "FFTs", UNITS))
     one, eight, many = (1e6 * timing.median_s / CYCLES_AT_ONCE for timing in timings[:3])
     first_us = (eight - one) / (TRACKS[1] - TRACKS[0])
     later_us = (many - eight) / (TRACKS[2] - TRACKS[1])
@@ -79,22 +81,6 @@ def mixing(bench: Workbench) -> Section:
         "The mixer",
         "CPU time of the mixer's thread for a cycle of 20 ms, 48 kHz stereo, from float tracks "
         "that their clients have filled, without effects and sinks. Each track should cost the "
-        "same: one more track among 8 to 32 is compared with one more among 1 to 8. Shares are "
-        "of the cycle's length.",
+        "same: one more track among 8 to 32 is compared with one more among 1 to 8.",
         tuple(rows),
     )
-
-
-def _cost_rows(name: str, timings: Timings, length_s: float) -> list[Row]:
-    """Return a cost by the cycle, as a share of the length of all cycles, and in FFTs."""
-    low_s, high_s = min(timings.seconds), max(timings.seconds)
-
-    def row(factor: float, unit: str, column: str) -> Row:
-        spread = factor * low_s, factor * high_s
-        return Row(name, factor * timings.median_s, unit, column, low=spread[0], high=spread[1])
-
-    return [
-        row(1e6 / CYCLES_AT_ONCE, "µs", TIME),
-        row(100.0 / length_s, "%", SHARE),
-        Row(name, timings.median_units / CYCLES_AT_ONCE, "FFTs", UNITS),
-    ]

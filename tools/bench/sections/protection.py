@@ -58,7 +58,7 @@ def protection(_bench: Workbench) -> Section:
     return Section(
         "Protection ahead of time",
         "The largest excursion of the linear model over f0 and ±2.5, ±5, ±7.5, ±10 % of it, as a "
-        "share of Xmax, for drives from an amplifier of 20 V. Non-linear model: the largest over "
+        "share of Xmax. The amplifier gives 20 V. Non-linear model: the largest over "
         "f0 and ±10 % for the same governed drive, on a rig that stiffens. Drive kept: r.m.s. "
         "against the largest fixed gain that is safe for the whole drive.",
         tuple(rows),
@@ -93,7 +93,6 @@ def live_cost(bench: Workbench) -> Section:
         rows += [
             Row(name, took_us, "µs", f"{of}, µs {block}", us, ffts_column=ffts_column),
             Row(name, timing.median_units / blocks, "FFTs", ffts_column, ffts),
-            Row(name, 100.0 * timing.median_s / duration_s, "%", f"{of}, % of a core"),
         ]
     return Section(
         "Damping, protection and exposure live",

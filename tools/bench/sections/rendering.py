@@ -69,11 +69,11 @@ def render_speed(bench: Workbench) -> Section:
                 rows += measure(source, f"{duration_s / 60:g} min", duration_s)
     return Section(
         "Rendering a file",
-        "`cushion render` of the looped demo scene, 48 kHz stereo, live form: wall time of the "
-        "whole command with the start of Python, and its peak memory, which must not depend on "
-        "the length. A core: CPU time without the start, the best of "
-        f"{REPEATS} runs, and in FFTs the cost of a second of sound. Several files: one for each "
-        "core at once, by wall time. Limits other than memory apply to ten minutes (full run).",
+        "`cushion render` of the looped demo scene, 48 kHz stereo, live form. Wall time is that of "
+        "the whole command with the start of Python. Peak memory must not depend on the length. "
+        f"A core: CPU time without the start, the best of {REPEATS} runs, and the cost of a second "
+        "in FFTs. Several files: one for each core at once, by wall time. Limits other than "
+        "memory apply to ten minutes (full run).",
         tuple(rows),
         not_compiled("rendering"),
     )
@@ -153,10 +153,8 @@ def _environment() -> dict[str, str]:
 
 def _write_sound(path: Path, duration_s: float) -> None:
     """Write the looped demo scene, 16 bit, piece by piece."""
-    demo = demo_sound()
-    demo = np.clip(demo, -1.0, 1.0)
+    demo = np.clip(demo_sound(), -1.0, 1.0)
     left = round(duration_s * SAMPLERATE)
     with soundfile.SoundFile(path, "w", SAMPLERATE, demo.shape[1], "PCM_16") as file:
-        while left > 0:
-            file.write(demo[:left])
-            left -= len(demo)
+        for first in range(0, left, len(demo)):
+            file.write(demo[: left - first])

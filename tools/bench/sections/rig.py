@@ -71,8 +71,8 @@ def linear_model(bench: Workbench) -> Section:
         )
     return Section(
         "The simulated rig",
-        "Seconds of signal that the linear model of the actuator computes in a second of CPU time "
-        "at 48 kHz, and the cost of a second of signal in FFTs. The whole rig has DAC, amplifier, "
+        "Seconds of signal at 48 kHz that the linear model computes in a second of CPU time, and "
+        "the cost of a second in FFTs. The whole rig has DAC, amplifier, "
         f"actuator and peak meters. The drive is {len(DRIVE_HZ)} sinusoids over the vibration "
         "band, from rest.",
         tuple(rows),
@@ -110,8 +110,8 @@ def drive(duration_s: float, level_v: float = DRIVE_V) -> FloatArray:
 class Method:
     """One way to solve the non-linear equations.
 
-    curve: methods that share a line of the picture; solve: returns the displacement in m at 48 kHz,
-    or at every COMPARED-th sample if `thinned`; duration_s: of the signal that it solves.
+    curve: methods that share a line of the picture. solve: returns the displacement in m at 48 kHz.
+    duration_s: of that signal. thinned: whether it has every COMPARED-th sample only.
     """
 
     curve: str

@@ -6,7 +6,7 @@ Each saving is switched off from outside, so the transform itself carries no swi
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -44,9 +44,6 @@ PARTIALS_MAX = TransformParameters().partials_max
 TIED = 0.06
 """Bound where two peaks tie for the last place: twice 0.03, the strongest partials of white noise.
  The smallest change then decides which peak, and which phase, is kept."""
-
-INAUDIBLE = 1e-300
-"""Replaces an amplitude of 0 where a rule looks for 0; adding it changes nothing."""
 
 
 @dataclass(frozen=True)
@@ -93,15 +90,8 @@ class _EverySlot(OscillatorBank):
     """The oscillator bank with no slot left out: amplitudes of 0 become inaudible ones."""
 
     def render(self, glides: Glides) -> FloatArray:
-        return super().render(
-            Glides(
-                glides.start_hz,
-                glides.end_hz,
-                np.where(glides.start_amplitude == 0.0, INAUDIBLE, glides.start_amplitude),
-                glides.end_amplitude,
-                glides.start_phase,
-            )
-        )
+        start = np.where(glides.start_amplitude == 0.0, 1e-300, glides.start_amplitude)
+        return super().render(replace(glides, start_amplitude=start))
 
 
 def _sound_every_slot(transform: LiveTransform) -> None:
@@ -117,12 +107,8 @@ SAVINGS: tuple[Saving, ...] = (
     Saving("empty slots are played", _sound_every_slot),
     Saving("small peaks are refined", _setting("_analysis", "_peak_span_min", -1.0)),
     Saving("bins above the band are kept", _keep_every_bin, 0.02),
-    Saving(
-        "images of weak peaks are cleared",
-        _setting("_analysis", "_weakest_image", 0.0),
-        0.02,
-    ),
-    Saving("images of high peaks are cleared", _clear_high_images, TIED),
+    Saving("weak peaks lose their image", _setting("_analysis", "_weakest_image", 0.0), 0.02),
+    Saving("high peaks lose their image", _clear_high_images, TIED),
 )
 
 
@@ -130,6 +116,8 @@ def _scenes(duration_s: float, recordings: tuple[Recording, ...]) -> dict[str, F
     """Return the scenes that savings are tried on, mono float64."""
     cut_short = chord(duration_s)
     cut_short[SAMPLERATE // 2 :] = 0.0
+    clicks = np.zeros(round(duration_s * SAMPLERATE))
+    clicks[:: SAMPLERATE // 40] = 1.0  # as wide in frequency as the band
     spoken = speech(recordings)
     from_s = max(DEMO_FROM_S, DEMO_TO_S - DEMO_TIMES * duration_s)
     demo = demo_sound()[round(from_s * SAMPLERATE) : round(DEMO_TO_S * SAMPLERATE)]
@@ -138,19 +126,12 @@ def _scenes(duration_s: float, recordings: tuple[Recording, ...]) -> dict[str, F
         "demo scene": demo,
         "speech": None if spoken is None else looped(spoken, duration_s),
         "white noise": white_noise(duration_s),
-        "clicks": stereo(_clicks(duration_s)),
+        "clicks": stereo(clicks),
     }
     return {
         name: None if sound is None else sound.astype(np.float64).mean(axis=1)
         for name, sound in scenes.items()
     }
-
-
-def _clicks(duration_s: float) -> FloatArray:
-    """Return a full-scale sample forty times a second: its peaks are as wide as the band."""
-    clicks = np.zeros(round(duration_s * SAMPLERATE))
-    clicks[:: SAMPLERATE // 40] = 1.0
-    return clicks
 
 
 def savings(bench: Workbench) -> Section:

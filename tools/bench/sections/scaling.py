@@ -56,7 +56,7 @@ def cost_scaling(bench: Workbench) -> Section:
         1.0,
     )
     rows += _rows(
-        "channels, each by itself",
+        "separate channels",
         [(f"{count} of them, {effort.channels_s:g} s", float(count)) for count in CHANNELS],
         [(each, np.repeat(voice, count, axis=1)) for count in CHANNELS],
         effort.channels_s,

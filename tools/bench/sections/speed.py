@@ -11,10 +11,10 @@ from audioflinger_hook.transform.design.synthesis import LiveGrid
 from tools.bench.cost import LIMITS_RFFT_S, Timings, call_times_s, rfft_unit_s
 from tools.bench.report import Missing, Must, Row, Section, line
 from tools.bench.sounds.signals import (
-    COST_SCENES,
     SAMPLERATE,
     TINY,
     Stereo,
+    cost_scenes,
     demo_sound,
     white_noise,
 )
@@ -54,14 +54,13 @@ def cost_of_a_second(bench: Workbench) -> Section:
     cases: list[tuple[str, Subject, float]] = []
     playbacks: list[Playback] = []
     missing: list[Missing] = [*not_compiled("cost of a second")]
-    for scene in COST_SCENES:
-        sound = scene.make(effort.cost_s, bench.recordings)
+    for scene, sound in cost_scenes(effort.cost_s, bench.recordings).items():
         if sound is None:
-            missing.append(bench.missing_recordings(f"cost of a second, {scene.name}"))
+            missing.append(bench.missing_recordings(f"cost of a second, {scene}"))
             continue
         for blocksize in BLOCKSIZES:
             for subject in speed_subjects():
-                name = f"{scene.name}, blocks of {blocksize}"
+                name = f"{scene}, blocks of {blocksize}"
                 cases.append((name, subject, len(sound) / SAMPLERATE))
                 playbacks.append(Playback(subject, sound, blocksize))
     timings = timed(playbacks, [effort.repeats_of(subject) for _, subject, _ in cases])

@@ -1,4 +1,4 @@
-"""Section on steady tones: error and purity of what comes out."""
+"""Section on steady tones: errors and purity of the vibration."""
 
 from __future__ import annotations
 

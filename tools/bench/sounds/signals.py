@@ -6,7 +6,6 @@ Signals are float32 or float64 with full scale +-1, (frames,) or (frames, 2), eq
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -168,22 +167,6 @@ def speech(recordings: tuple[Recording, ...]) -> Stereo | None:
     return stereo(np.concatenate(spoken)) if spoken else None
 
 
-@dataclass(frozen=True)
-class CostScene:
-    """A kind of sound whose cost is measured.
-
-    make: (seconds, recordings) to sound of about that length, None without the recordings.
-    """
-
-    name: str
-    make: Callable[[float, tuple[Recording, ...]], Stereo | FloatArray | None]
-
-
-def _speech_scene(duration_s: float, recordings: tuple[Recording, ...]) -> Stereo | None:
-    spoken = speech(recordings)
-    return None if spoken is None else looped(spoken, duration_s)
-
-
 @cache
 def demo_sound() -> Stereo:
     """Return the mix of the demo scene, read-only and made once."""
@@ -192,7 +175,7 @@ def demo_sound() -> Stereo:
     return sound
 
 
-def _demo_scene(duration_s: float, _recordings: tuple[Recording, ...]) -> Stereo:
+def _demo_part(duration_s: float) -> Stereo:
     """Return the whole scene, or two seconds of it where the scene is three times too long."""
     whole = demo_sound()
     if len(whole) <= DEMO_TIMES * duration_s * SAMPLERATE:
@@ -201,18 +184,23 @@ def _demo_scene(duration_s: float, _recordings: tuple[Recording, ...]) -> Stereo
     return whole[first:last]
 
 
-def _constant(value: float, duration_s: float) -> FloatArray:
-    return np.full((round(duration_s * SAMPLERATE), 2), value)
-
-
-COST_SCENES: tuple[CostScene, ...] = (
-    CostScene("demo scene", _demo_scene),
-    CostScene("chord, 10 modulated partials", lambda s, _: chord(s)),
-    CostScene("speech recordings", _speech_scene),
-    CostScene("white noise, 0 dBFS", lambda s, _: white_noise(s)),
-    CostScene("silence", lambda s, _: _constant(0.0, s).astype(np.float32)),
-    CostScene("tiny normal floats", lambda s, _: _constant(TINY, s).astype(np.float32)),
-    CostScene("denormal floats", lambda s, _: _constant(DENORMAL, s).astype(np.float32)),
-    CostScene("tiny normal floats, float64", lambda s, _: _constant(TINY, s)),
-    CostScene("denormal floats, float64", lambda s, _: _constant(DENORMAL_FLOAT64, s)),
-)
+def cost_scenes(
+    duration_s: float, recordings: tuple[Recording, ...]
+) -> dict[str, Stereo | FloatArray | None]:
+    """Return the sounds whose cost is measured, by name; None where there are no recordings."""
+    spoken = speech(recordings)
+    constants = {
+        "silence": np.float32(0.0),
+        "tiny normal floats": np.float32(TINY),
+        "denormal floats": np.float32(DENORMAL),
+        "tiny normal floats, float64": np.float64(TINY),
+        "denormal floats, float64": np.float64(DENORMAL_FLOAT64),
+    }
+    shape = round(duration_s * SAMPLERATE), 2
+    return {
+        "demo scene": _demo_part(duration_s),
+        "chord, 10 modulated partials": chord(duration_s),
+        "speech recordings": None if spoken is None else looped(spoken, duration_s),
+        "white noise, 0 dBFS": white_noise(duration_s),
+        **{name: np.full(shape, value) for name, value in constants.items()},
+    }

@@ -109,16 +109,6 @@ def no_speech(duration_s: float) -> dict[str, dict[str, FloatArray]]:
     }
 
 
-def effects(duration_s: float) -> dict[str, dict[str, FloatArray]]:
-    """Return effects that speech is mixed into, by half and name."""
-    sounds = no_speech(duration_s)
-    names = {
-        CHOSEN_ON: ("engine", "footsteps", "explosion"),
-        OTHER_HALF: ("shots", "motor", "notes on a string"),
-    }
-    return {half: {name: sounds[half][name] for name in names[half]} for half in HALVES}
-
-
 def _time_s(duration_s: float) -> FloatArray:
     return np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
 
