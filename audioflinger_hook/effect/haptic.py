@@ -8,7 +8,6 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.effect.commands import CommandCheck
 from audioflinger_hook.effect.haptic_parameters import (
     DRAIN,
     HAPTIC_CUSHION,
@@ -28,7 +27,7 @@ from audioflinger_hook.effect.interface import (
     EffectConfig,
     EffectLibrary,
 )
-from audioflinger_hook.effect.parameters import ParameterValues, Value
+from audioflinger_hook.effect.parameters import Value
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from audioflinger_hook.transform import FloatArray, Frames, HapticTransform
 from device.blocks import peak
@@ -175,8 +174,12 @@ class HapticEffect:
     descriptor = HAPTIC_CUSHION
 
     def __init__(self) -> None:
-        self._values = ParameterValues(HAPTIC_PARAMETERS)
-        self._check = CommandCheck(HAPTIC_CUSHION)
+        self._values: dict[str, Value] = {
+            parameter.name: parameter.default
+            for parameter in HAPTIC_PARAMETERS
+            if parameter.default is not None
+        }
+        self._deferred: dict[str, Value] = {}
         self._config: EffectConfig | None = None
         self._vibration: Vibration | None = None
         self._enabled = False
@@ -219,10 +222,7 @@ class HapticEffect:
         return OK
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
-        """Carry out a command; see `HAPTIC_PARAMETERS` and `DRAIN` for what there is."""
-        status = self._check.status(code, data)
-        if status != OK:
-            return status, None
+        """Carry out a command that the framework has checked; see `HAPTIC_PARAMETERS`, `DRAIN`."""
         carry_out = self._carry_out.get(code)
         return carry_out(data) if carry_out else (ENOSYS, None)
 
@@ -240,11 +240,11 @@ class HapticEffect:
             config.channels,
         )
         if vibration is None or not same_sound:
-            transform = transform_for(config, self._values.all())
+            transform = transform_for(config, self._values)
             if transform is None:
                 return EINVAL, None
             if vibration is None:
-                vibration = Vibration(transform, amplitude(self._values.all()), config.frames)
+                vibration = Vibration(transform, amplitude(self._values), config.frames)
                 self._vibration = vibration
             else:
                 vibration.restart(transform)
@@ -272,18 +272,21 @@ class HapticEffect:
         return OK, None
 
     def _set_param(self, pair: object) -> tuple[int, object]:
-        return self._take(self._values.proposed(*cast(tuple[str, Value], pair)))
+        name, value = cast(tuple[str, Value], pair)
+        return self._take(self._values | {name: value})
 
     def _set_param_deferred(self, pair: object) -> tuple[int, object]:
-        taken = self._values.stage(*cast(tuple[str, Value], pair))
-        return (OK if taken else EINVAL), None
+        name, value = cast(tuple[str, Value], pair)
+        self._deferred[name] = value
+        return OK, None
 
     def _set_param_commit(self, _: object) -> tuple[int, object]:
-        return self._take(self._values.proposed_together())
+        deferred, self._deferred = self._deferred, {}
+        return self._take(self._values | deferred)
 
-    def _take(self, values: dict[str, Value] | None) -> tuple[int, object]:
+    def _take(self, values: dict[str, Value]) -> tuple[int, object]:
         """Apply a set of values, or change nothing if they are not possible together."""
-        if values is None or not is_possible(values):
+        if not is_possible(values):
             return EINVAL, None
         transform = None
         restarting = any(values[name] != self._values[name] for name in RESTARTING)
@@ -291,7 +294,7 @@ class HapticEffect:
             transform = transform_for(self._config, values)
             if transform is None:
                 return EINVAL, None
-        self._values.take(values)
+        self._values = values
         if self._vibration is not None:
             self._vibration.gain = amplitude(values)
             self._vibration.clip = values["clip"] is True
