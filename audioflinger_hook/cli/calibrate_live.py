@@ -17,7 +17,7 @@ from audioflinger_hook.cli.terminal import warn
 from device.address import DeviceAddress
 from device.alsa import choose_setup, find_capture, find_playback
 from device.alsa.negotiation import CardSetup, list_offers
-from device.alsa.usb_stream import read_usb_capture_stream, read_usb_stream
+from device.alsa.usb_stream import read_usb_stream
 from device.alsa.use import why_blocked
 from device.errors import NotFoundError, UsageError
 from device.identification.calibration import Calibration, calibrate
@@ -224,7 +224,7 @@ def _input(
     capture = find_capture(name)
     if refused := why_blocked(capture):
         raise NotFoundError(refused)
-    choice = choose_setup(list_offers(read_usb_capture_stream(capture)), rate, needed, needed)
+    choice = choose_setup(list_offers(read_usb_stream(capture)), rate, needed, needed)
     if choice.samplerate != rate and not output.guarded:
         raise UsageError(
             f"{output.name} plays at {rate} Hz and {capture} records at {choice.samplerate} Hz; "

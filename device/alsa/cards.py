@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import zip_longest
 from pathlib import Path
 from typing import TypeVar
 
@@ -29,14 +28,13 @@ class Card:
     """One sound card.
 
     number: ALSA's, which another card may get later. id: one word, stable unless several cards
-    have the same. driver, name, long_name: as the card reports them. root: the directory read.
+    have the same. driver, name: as the card reports them. root: the directory read.
     """
 
     number: int
     id: str
     driver: str
     name: str
-    long_name: str
     root: Path = field(repr=False)
 
     def __str__(self) -> str:
@@ -46,11 +44,6 @@ class Card:
     def folder(self) -> Path:
         """Directory of the kernel's files about this card."""
         return self.root / f"card{self.number}"
-
-    @property
-    def usb_id(self) -> str | None:
-        """VID:PID in hexadecimal digits; None for cards that are not USB."""
-        return read_text(self.folder / "usbid").strip().lower() or None
 
 
 @dataclass(frozen=True)
@@ -89,11 +82,10 @@ def list_cards(root: Path = PROC) -> tuple[Card, ...]:
         Of the kernel's files; no cards if it is missing.
     """
     found = []
-    lines = read_text(root / "cards").splitlines()
-    for line, after in zip_longest(lines, lines[1:], fillvalue=""):
+    for line in read_text(root / "cards").splitlines():
         if match := _CARD.match(line):
             number, card_id, driver, name = match.groups()
-            found.append(Card(int(number), card_id, driver, name.strip(), after.strip(), root))
+            found.append(Card(int(number), card_id, driver, name.strip(), root))
     return tuple(sorted(found, key=lambda card: card.number))
 
 

@@ -1,4 +1,4 @@
-"""The formats that a USB card offers, and its own clock while it plays.
+"""The formats that a USB card offers.
 
 Read from /proc/asound/cardN/streamM. Unknown lines are skipped, and interfaces without channels or
 rates are left out.
@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from device.alsa.cards import CaptureDevice, PlaybackDevice, read_text
 
 _NUMBER = re.compile(r"\d+")
-_FIXED_POINT = re.compile(r"\(0x([0-9a-f]+)\.([0-9a-f]{4})\)")
 
 
 @dataclass(frozen=True)
@@ -55,30 +54,16 @@ class UsbFormat:
 
 @dataclass(frozen=True)
 class UsbStream:
-    """What a USB card offers in one direction, and its present state.
-
-    running: whether the stream runs. altsetting: in use; None while it does not run.
-    momentary_hz: the rate by the device's own feedback, in steps of 0.12 Hz (full speed: 0.02 Hz);
-    0.0 if unknown. feedback_format: of that feedback, such as "16.16"; "" if unknown.
-    """
+    """What a USB card offers in one direction."""
 
     formats: tuple[UsbFormat, ...]
-    running: bool = False
-    altsetting: int | None = None
-    momentary_hz: float = 0.0
-    feedback_format: str = ""
 
 
-def read_usb_stream(playback: PlaybackDevice) -> UsbStream | None:
-    """Return what a USB playback device offers; None for other cards."""
-    text = read_text(playback.card.folder / f"stream{playback.device}")
-    return parse_usb_stream(text) if text else None
-
-
-def read_usb_capture_stream(capture: CaptureDevice) -> UsbStream | None:
-    """Return what a USB capture device offers; None for other cards."""
-    text = read_text(capture.card.folder / f"stream{capture.device}")
-    return parse_usb_stream(text, "Capture:") if text else None
+def read_usb_stream(device: PlaybackDevice) -> UsbStream | None:
+    """Return what a USB playback or capture device offers; None for other cards."""
+    text = read_text(device.card.folder / f"stream{device.device}")
+    side = "Capture:" if isinstance(device, CaptureDevice) else "Playback:"
+    return parse_usb_stream(text, side) if text else None
 
 
 def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:
@@ -86,24 +71,18 @@ def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:
 
     side: "Playback:" or "Capture:".
     """
-    status: dict[str, str] = {}
     blocks: list[dict[str, str]] = []
     for line in _lines_of(text, side):
         if line.startswith("Interface ") and "=" not in line:
             blocks.append({"Interface": line.removeprefix("Interface ")})
+        elif not blocks:
+            continue  # the present state of the stream
         elif line.startswith("Altset ") and "=" not in line:
-            if blocks:
-                blocks[-1]["Altset"] = line.removeprefix("Altset ")
+            blocks[-1]["Altset"] = line.removeprefix("Altset ")
         else:
             name, _, value = line.replace("=", ":", 1).partition(":")
-            (blocks[-1] if blocks else status)[name.strip()] = value.strip()
-    return UsbStream(
-        formats=tuple(found for block in blocks if (found := _format(block))),
-        running=status.get("Status") == "Running",
-        altsetting=_first(status["Altset"]) if "Altset" in status else None,
-        momentary_hz=_momentary_hz(status.get("Momentary freq", "")),
-        feedback_format=status.get("Feedback Format", ""),
-    )
+            blocks[-1][name.strip()] = value.strip()
+    return UsbStream(tuple(found for block in blocks if (found := _format(block))))
 
 
 def _lines_of(text: str, side: str) -> Iterator[str]:
@@ -137,16 +116,6 @@ def _rates(text: str) -> Rates:
     if numbers and "continuous" in text:
         return Rates(least=numbers[0], most=numbers[-1])
     return Rates(tuple(numbers))
-
-
-def _momentary_hz(text: str) -> float:
-    """Parse "48000 Hz (0x6.0000)": the fixed-point number is more precise than the whole Hz."""
-    hz = float(_first(text))
-    match = _FIXED_POINT.search(text)
-    if match is None:
-        return hz
-    frames = int(match[1], 16) + int(match[2], 16) / 65_536
-    return min((frames * 1000.0, frames * 8000.0), key=lambda exact: abs(exact - hz))
 
 
 def _first(text: str) -> int:

@@ -15,14 +15,11 @@ from typing import Any
 from device.usb import requests
 from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
 from device.usb.descriptors.entities import FeatureControl
-from device.usb.errors import NoUsbDeviceError, UsbAccessError
-from device.usb.pyusb_access import open_device, read_descriptors
+from device.usb.errors import UsbAccessError
+from device.usb.pyusb_access import TIMEOUT_MS, open_device, read_descriptors, refusal
 from device.usb.requests import Request, VolumeRange
 from device.usb.sysfs import UsbAudioDevice
 from device.volume_limit import MAX_VOLUME_DB
-
-TIMEOUT_MS = 500
-"""Of one request: devices answer within some ms, or never."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +185,12 @@ class UsbControl:
                 TIMEOUT_MS,
             )
         except usb.core.USBError as error:
-            raise _refusal(self._device, error) from None
+            if error.errno == errno.EPIPE:
+                raise UsbAccessError(
+                    f"{self._device.label!r} at {self._device.node} refuses the request (it "
+                    "stalls); it has no such control"
+                ) from None
+            raise refusal(self._device, error) from None
         return b"" if isinstance(answer, int) else bytes(answer)
 
 
@@ -216,21 +218,3 @@ def held_by(device: UsbAudioDevice) -> tuple[str, ...]:
     """Return the drivers of the kernel that hold audio interfaces of a device."""
     drivers: Iterable[str] = (interface.driver for interface in device.interfaces)
     return tuple(dict.fromkeys(name for name in drivers if name not in ("", "usbfs")))
-
-
-def _refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:
-    what = f"{device.label!r} at {device.node}"
-    if error.errno in (errno.ENODEV, errno.ENOENT):
-        return NoUsbDeviceError(f"{what} was pulled out; plug it in again")
-    if error.errno in (errno.EACCES, errno.EPERM):
-        return UsbAccessError(
-            f"no permission to ask {what} (errno {error.errno}); `cushion install-service --udev` "
-            "prints a udev rule that gives it"
-        )
-    if error.errno == errno.EBUSY:
-        return UsbAccessError(f"{what} is held by a driver or another program (errno EBUSY)")
-    if error.errno == errno.EPIPE:
-        return UsbAccessError(f"{what} refuses the request (it stalls); it has no such control")
-    if error.errno == errno.ETIMEDOUT:
-        return UsbAccessError(f"{what} does not answer within {TIMEOUT_MS} ms; plug it in again")
-    return UsbAccessError(f"{what} does not answer as it should ({error}); plug it in again")

@@ -13,6 +13,9 @@ from typing import Any
 from device.usb.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
 from device.usb.sysfs import UsbAudioDevice
 
+TIMEOUT_MS = 500
+"""Of one request: devices answer within some ms, or never."""
+
 _DEVICE, _CONFIGURATION = 1, 2
 _DEVICE_LENGTH, _CONFIGURATION_LENGTH = 18, 9
 _TOTAL_LENGTH = slice(2, 4)
@@ -62,7 +65,7 @@ def open_device(device: UsbAudioDevice) -> Any:
     try:
         handle = usb.core.find(backend=backend, bus=device.bus, address=device.address)
     except usb.core.USBError as error:
-        raise _refusal(device, error) from None
+        raise refusal(device, error) from None
     ids = (int(device.vendor_id, 16), int(device.product_id, 16))
     if handle is None or (handle.idVendor, handle.idProduct) != ids:
         raise NoUsbDeviceError(
@@ -95,22 +98,25 @@ def read_descriptors(device: UsbAudioDevice) -> bytes:
             length = int.from_bytes(head[_TOTAL_LENGTH], "little")
             blocks.append(bytes(get_descriptor(handle, length, _CONFIGURATION, index)))
     except usb.core.USBError as error:
-        raise _refusal(device, error) from None
+        raise refusal(device, error) from None
     finally:
         usb.util.dispose_resources(handle)
     return b"".join(blocks)
 
 
-def _refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:
+def refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:
+    """Return what PyUSB's error means for a device."""
     what = f"{device.label!r} at {device.node}"
+    if error.errno in (errno.ENODEV, errno.ENOENT):
+        return NoUsbDeviceError(f"{what} was pulled out; plug it in again")
     if error.errno in (errno.EACCES, errno.EPERM):
         return UsbAccessError(
             f"no permission to open {what} (errno {error.errno}); `cushion install-service --udev` "
             'prints a udev rule that gives USB audio devices TAG+="uaccess", so that whoever sits '
             "at the machine may; install it and plug the device in again"
         )
-    if error.errno == errno.ENODEV:
-        return NoUsbDeviceError(f"{what} was pulled out while it was asked; plug it in again")
-    return UsbAccessError(
-        f"{what} does not answer as it should ({error}); plug it in again, or into another port"
-    )
+    if error.errno == errno.EBUSY:
+        return UsbAccessError(f"{what} is held by a driver or another program (errno EBUSY)")
+    if error.errno == errno.ETIMEDOUT:
+        return UsbAccessError(f"{what} does not answer within {TIMEOUT_MS} ms; plug it in again")
+    return UsbAccessError(f"{what} does not answer as it should ({error}); plug it in again")

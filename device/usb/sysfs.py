@@ -138,11 +138,6 @@ class Found:
     devices: tuple[UsbAudioDevice, ...]
     reason: NotFoundError | None = None
 
-    @property
-    def outputs(self) -> tuple[UsbAudioDevice, ...]:
-        """The devices that play."""
-        return tuple(device for device in self.devices if device.plays)
-
 
 def find_devices(root: Path = ROOT) -> Found:
     """Return every USB device with an audio interface; unreadable ones are left out.

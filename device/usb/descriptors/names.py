@@ -155,8 +155,6 @@ _POSITIONS = (
 )
 """By bit. USB Audio 1.0 has the first 12, by other names for the same places."""
 
-RAW_DATA_BIT = 31
-
 
 def type_name(number: int) -> str:
     """The name of a descriptor type, "type 0x41" of an unknown one."""
@@ -191,12 +189,6 @@ def position_names(channel_config: int) -> tuple[str, ...]:
 
     channel_config: wChannelConfig or bmChannelConfig. Bits without a position are "bit 29".
     """
-    return tuple(
-        "raw data"
-        if bit == RAW_DATA_BIT
-        else _POSITIONS[bit]
-        if bit < len(_POSITIONS)
-        else f"bit {bit}"
-        for bit in range(channel_config.bit_length())
-        if channel_config >> bit & 1
-    )
+    names = {**dict(enumerate(_POSITIONS)), 31: "raw data"}
+    bits = (bit for bit in range(channel_config.bit_length()) if channel_config >> bit & 1)
+    return tuple(names.get(bit) or f"bit {bit}" for bit in bits)

@@ -6,6 +6,7 @@ have more: USB Audio 1.0, 4.6.1.1. Lengths are the least; more bytes are kept in
 
 from __future__ import annotations
 
+import struct
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar
@@ -176,23 +177,7 @@ def parse_device(raw: bytes) -> DeviceDescriptor:
         block.note(f"bLength is {length} of {len(raw)} bytes", f"{DEVICE_BYTES} bytes or more")
     if block.type != DEVICE:
         block.note(f"bDescriptorType is 0x{block.type:02x}", f"0x{DEVICE:02x}")
-    fields = block.raw
-    return DeviceDescriptor(
-        offset=0,
-        raw=fields,
-        usb=block.u16(2),
-        device_class=fields[4],
-        subclass=fields[5],
-        protocol=fields[6],
-        control_packet_bytes=fields[7],
-        vendor_id=block.u16(8),
-        product_id=block.u16(10),
-        release=block.u16(12),
-        manufacturer_string=fields[14],
-        product_string=fields[15],
-        serial_string=fields[16],
-        configurations=fields[17],
-    )
+    return DeviceDescriptor(0, block.raw, *struct.unpack_from("<H4B3H4B", block.raw, 2))
 
 
 def read_header(raw: bytes) -> ConfigurationHeader:

@@ -7,6 +7,7 @@ Source: 1.0: 4.5.2, 4.6.1.2 and Data Formats 1.0, 2.2.5; 2.0: 4.9.2, 4.10.1.2 an
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from device.usb.descriptors.blocks import Block, Descriptor, Reader
@@ -136,54 +137,28 @@ class AudioEndpoint(Descriptor):
         return self.uac == 1 and bool(self.attributes & 1)
 
 
-def read_endpoint_1(block: Block) -> AudioEndpoint | None:
-    """The endpoint of 1.0."""
-    if not block.holds(7):
+def _endpoint(block: Block, uac: int) -> AudioEndpoint | None:
+    if not block.holds(6 + uac):
         return None
-    return AudioEndpoint(
-        block.offset, block.raw, 1, block.raw[3], 0, block.raw[4], lock_delay=block.u16(5)
-    )
-
-
-def read_endpoint_2(block: Block) -> AudioEndpoint | None:
-    """The endpoint of 2.0."""
-    if not block.holds(8):
-        return None
-    fields = block.raw
-    return AudioEndpoint(
-        block.offset, fields, 2, fields[3], fields[4], fields[5], lock_delay=block.u16(6)
-    )
+    controls = block.raw[4] if uac == 2 else 0
+    unit, delay = block.raw[3 + uac], block.u16(4 + uac)
+    return AudioEndpoint(block.offset, block.raw, uac, block.raw[3], controls, unit, delay)
 
 
 def _general_1(block: Block) -> StreamGeneral | None:
     if not block.holds(7):
         return None
-    return StreamGeneral(
-        offset=block.offset,
-        raw=block.raw,
-        uac=1,
-        terminal_link=block.raw[3],
-        formats=block.u16(5),
-        delay_frames=block.raw[4],
-        format_type=None,
-        channels=None,
-        channel_config=None,
-    )
+    link, delay = block.raw[3:5]
+    return StreamGeneral(block.offset, block.raw, 1, link, block.u16(5), delay, None, None, None)
 
 
 def _general_2(block: Block) -> StreamGeneral | None:
     if not block.holds(16):
         return None
+    link, _, format_type = block.raw[3:6]
+    formats, channels, channel_config = block.u32(6), block.raw[10], block.u32(11)
     return StreamGeneral(
-        offset=block.offset,
-        raw=block.raw,
-        uac=2,
-        terminal_link=block.raw[3],
-        formats=block.u32(6),
-        delay_frames=None,
-        format_type=block.raw[5],
-        channels=block.raw[10],
-        channel_config=block.u32(11),
+        block.offset, block.raw, 2, link, formats, None, format_type, channels, channel_config
     )
 
 
@@ -199,13 +174,7 @@ def _format_1(block: Block) -> Descriptor | None:
         block.note("bNrChannels is 0", "1 to 255")
     _check_sample(block, "bSubframeSize", subslot_bytes, bits)
     return StreamFormat(
-        offset=block.offset,
-        raw=block.raw,
-        format_type=TYPE_I,
-        subslot_bytes=subslot_bytes,
-        bits=bits,
-        channels=channels,
-        samplerates=_samplerates(block),
+        block.offset, block.raw, TYPE_I, subslot_bytes, bits, channels, _samplerates(block)
     )
 
 
@@ -234,16 +203,9 @@ def _format_2(block: Block) -> Descriptor | None:
         return OtherFormat(block.offset, block.raw, block.raw[3])
     if not block.holds(6):
         return None
-    _check_sample(block, "bSubslotSize", block.raw[4], block.raw[5])
-    return StreamFormat(
-        offset=block.offset,
-        raw=block.raw,
-        format_type=block.raw[3],
-        subslot_bytes=block.raw[4],
-        bits=block.raw[5],
-        channels=None,
-        samplerates=None,
-    )
+    format_type, subslot_bytes, bits = block.raw[3:6]
+    _check_sample(block, "bSubslotSize", subslot_bytes, bits)
+    return StreamFormat(block.offset, block.raw, format_type, subslot_bytes, bits, None, None)
 
 
 def _check_sample(block: Block, field: str, subslot_bytes: int, bits: int) -> None:
@@ -261,5 +223,5 @@ STREAMING_READERS: dict[int, dict[int, tuple[str, Reader]]] = {
 }
 """By version and bDescriptorSubtype; others (format-specific, encoder, decoder) are only named."""
 
-ENDPOINT_READERS: dict[int, Reader] = {1: read_endpoint_1, 2: read_endpoint_2}
+ENDPOINT_READERS: dict[int, Reader] = {uac: partial(_endpoint, uac=uac) for uac in (1, 2)}
 """By version."""

@@ -8,7 +8,7 @@ import pytest
 
 from device.alsa import choose_setup, find_capture
 from device.alsa.negotiation import list_offers
-from device.alsa.usb_stream import read_usb_capture_stream
+from device.alsa.usb_stream import read_usb_stream
 from device.alsa.use import why_blocked
 from device.errors import NotFoundError, UsageError
 from tests.support.sound_cards import Cards
@@ -52,7 +52,7 @@ def test_an_input_is_found_by_its_cards_name_and_opened_as_it_offers(cards: Card
     assert str(capture) == "hw:Interface,0"
     assert capture.folder.name == "pcm0c"
     assert why_blocked(capture) is None
-    stream = read_usb_capture_stream(capture)
+    stream = read_usb_stream(capture)
     assert stream is not None
     choice = choose_setup(list_offers(stream), 48_000, 3, 3)
     assert (choice.channels, choice.samplerate) == (4, 48_000)

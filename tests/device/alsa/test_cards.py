@@ -26,9 +26,9 @@ def cards(tmp_path: Path) -> Cards:
 
 def test_every_card_is_listed_with_what_it_is(cards: Cards) -> None:
     first, second = list_cards(cards.root)
-    assert (first.number, first.id, first.driver, first.usb_id) == (0, "PCH", "HDA-Intel", None)
-    assert (second.number, second.id, second.usb_id) == (31, "DAC", "1234:00ab")
-    assert (second.name, second.long_name) == ("DAC card", "Maker DAC at somewhere")
+    assert (first.number, first.id, first.driver) == (0, "PCH", "HDA-Intel")
+    assert (second.number, second.id) == (31, "DAC")
+    assert second.name == "DAC card"
     assert [str(one) for one in list_playbacks(first)] == ["hw:PCH,0", "hw:PCH,3"]
     assert list_playbacks(first)[1].name == "output 3"
 
@@ -88,7 +88,6 @@ def test_a_usb_card_tells_its_formats_and_only_those_of_playback() -> None:
     )
     assert stream.formats[2].formats == ("SPECIAL", "DSD_U32_BE")
     assert len(stream.formats) == 3
-    assert (stream.running, stream.altsetting, stream.momentary_hz) == (False, None, 0.0)
 
 
 def test_a_range_of_rates_is_one() -> None:
@@ -100,15 +99,8 @@ def test_a_range_of_rates_is_one() -> None:
     assert 96_001 not in found.rates
 
 
-def test_a_card_that_plays_tells_its_own_clock() -> None:
-    stream = parse_usb_stream(RUNNING)
-    assert stream.running
-    assert stream.altsetting == 2
-    assert stream.momentary_hz == (6 + 16 / 65_536) * 8000
-    assert stream.feedback_format == "16.16"
-    assert stream.formats == parse_usb_stream(ASYNC).formats
-    slow = RUNNING.replace("48000 Hz (0x6.0010)", "48000 Hz (0x30.0010)")
-    assert parse_usb_stream(slow).momentary_hz == (48 + 16 / 65_536) * 1000
+def test_a_card_that_plays_tells_the_same_formats() -> None:
+    assert parse_usb_stream(RUNNING) == parse_usb_stream(ASYNC)
 
 
 def test_only_usb_cards_have_such_a_stream(cards: Cards) -> None:

@@ -71,7 +71,8 @@ def test_of_a_composite_device_only_the_audio_interfaces_are_told(tree):
 
 def test_a_device_without_a_driver_still_plays_as_far_as_its_interfaces_tell(tree):
     tree.plug(driver=None)
-    (device,) = find_devices(tree.root).outputs
+    (device,) = find_devices(tree.root).devices
+    assert device.plays
     assert [interface.driver for interface in device.interfaces] == ["", ""]
     assert device.cards == ()
 
@@ -81,14 +82,14 @@ def test_a_device_only_for_midi_is_found_but_is_no_output(tree, card):
     tree.plug(interfaces=[CONTROL, MIDI], card=card, playback=(), product="Keys")
     found = find_devices(tree.root)
     assert len(found.devices) == 1
-    assert found.outputs == ()
+    assert not found.devices[0].plays
     assert isinstance(found.reason, NoUsbDeviceError)
     assert "'C-Media Keys' in port 1-2" in str(found.reason)
 
 
 def test_a_microphone_is_no_output_once_it_is_a_card(tree):
     tree.plug(card=1, playback=())
-    assert find_devices(tree.root).outputs == ()
+    assert not find_devices(tree.root).devices[0].plays
 
 
 def test_a_container_without_a_bus_is_told_from_an_empty_socket(tmp_path):

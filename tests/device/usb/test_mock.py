@@ -83,7 +83,7 @@ def cushion(scene: list[dict[str, Any]], *arguments: str, log: Path | None = Non
     return within(scene, sys.executable, "-m", "audioflinger_hook", *arguments, log=log)
 
 
-versions = pytest.mark.parametrize("uac", [1, 2])
+versions = pytest.mark.parametrize("uac", [pytest.param(1, marks=pytest.mark.exhaustive), 2])
 
 
 @pytest.mark.sweep
