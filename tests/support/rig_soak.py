@@ -1,4 +1,4 @@
-"""The rig's soak: 10^8 samples of a steady drive on each rung, and whether energy creeps up."""
+"""The rig's soak: 10^8 samples of a steady drive on each model, and whether energy creeps up."""
 
 from __future__ import annotations
 
@@ -43,24 +43,24 @@ Energy = Callable[[FloatArray], FloatArray]
 """Moves on by some volts, (frames,), and gives the stored energy at each sample, J."""
 
 
-def soak_energy(rung: ModelLevel, samples: int | None = None) -> SoakRecord:
-    """What becomes of the energy of one rung over so many samples; None: as the soak asks for.
+def soak_energy(level: ModelLevel, samples: int | None = None) -> SoakRecord:
+    """What becomes of the energy of one model over so many samples; None: as the soak asks for.
 
     A bounded random drive of ten seconds in a loop, again and again: after the first loop each
     must reach the same largest energy. Then the drive stops, and the energy only falls.
     """
-    wanted = samples or (STEPPED_SAMPLES if rung is ModelLevel.STEPPED else SAMPLES)
+    wanted = samples or (STEPPED_SAMPLES if level is ModelLevel.STEPPED else SAMPLES)
     volts = steady_drive(min(LOOP_S, wanted / SAMPLERATE))
     errors: list[float] = []
-    moved = _by_steps(_stepper(), errors) if rung is ModelLevel.STEPPED else _by_ladder(rung)
+    moved = _by_steps(_stepper(), errors) if level is ModelLevel.STEPPED else _by_adaptive(level)
     start_s = time.process_time()
     loops = SETTLED_LOOPS + -(-wanted // len(volts))
     peaks_j = np.array([moved(volts).max() for _ in range(loops)])[SETTLED_LOOPS:]
     creep = float(np.abs(peaks_j / peaks_j[0] - 1.0).max())
-    rise = _largest_rise(moved(np.zeros(round(STILL_S * SAMPLERATE))), rung)
+    rise = _largest_rise(moved(np.zeros(round(STILL_S * SAMPLERATE))), level)
     worst = max(errors, default=None)
     return SoakRecord(
-        what=f"{rung} rung",
+        what=f"{level} model",
         date=now(),
         cpu=cpu_model(),
         stream_s=loops * len(volts) / SAMPLERATE,
@@ -85,25 +85,25 @@ def steady_drive(duration_s: float) -> FloatArray:
     return np.asarray(LEVEL_V * noise / np.sqrt(np.mean(noise * noise)))
 
 
-def _largest_rise(stored_j: FloatArray, rung: ModelLevel) -> float:
+def _largest_rise(stored_j: FloatArray, level: ModelLevel) -> float:
     """After a drive's end, from node to node: the largest rise, of the energy before it.
 
-    Between its nodes the non-linear rung gives curves through them, which have no energy to keep.
+    Between its nodes the non-linear model gives curves through them, which have no energy to keep.
     Until the first node the voltage still falls to 0.
     """
-    spacing = NodeGrid(SAMPLERATE).spacing if rung is ModelLevel.NONLINEAR else 1
+    spacing = NodeGrid(SAMPLERATE).spacing if level is ModelLevel.NONLINEAR else 1
     nodes_j = stored_j[spacing - 1 :: spacing]
     before, after = nodes_j[:-1], nodes_j[1:]
     moving = before > STILL * nodes_j[0]
     return max(0.0, float((after[moving] / before[moving]).max() - 1.0))
 
 
-def _by_ladder(rung: ModelLevel) -> Energy:
-    e = _energies(rung)
-    ladder = AdaptiveActuator(PAPER, SAMPLERATE, level=rung)
+def _by_adaptive(level: ModelLevel) -> Energy:
+    e = _energies(level)
+    adaptive = AdaptiveActuator(PAPER, SAMPLERATE, level=level)
 
     def moved(volts: FloatArray) -> FloatArray:
-        motion = ladder.move(volts, ("displacement_m", "velocity_m_s", "current_a"))
+        motion = adaptive.move(volts, ("displacement_m", "velocity_m_s", "current_a"))
         stored_j = stored_energy_j(e, motion.displacement_m, motion.current_a)
         return stored_j + _kinetic_j(motion.velocity_m_s)
 
@@ -133,9 +133,9 @@ def _stepper() -> PassiveStepper:
     )
 
 
-def _energies(rung: ModelLevel) -> Energies:
+def _energies(level: ModelLevel) -> Energies:
     p = PAPER.actuator
-    return linear_energies(p) if rung is ModelLevel.LINEAR else energies(p, PAPER.large_signal)
+    return linear_energies(p) if level is ModelLevel.LINEAR else energies(p, PAPER.large_signal)
 
 
 def _kinetic_j(speed_m_s: FloatArray) -> FloatArray:

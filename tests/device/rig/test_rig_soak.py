@@ -54,8 +54,8 @@ def test_a_model_that_gains_a_millionth_in_each_loop_is_found_out(monkeypatch):
 
         return louder
 
-    by_ladder = rig_soak._by_ladder
-    monkeypatch.setattr(rig_soak, "_by_ladder", creeping)
+    by_ladder = rig_soak._by_adaptive
+    monkeypatch.setattr(rig_soak, "_by_adaptive", creeping)
     record = soak_energy(ModelLevel.LINEAR, 3_000_000)
     assert record.energy_creep is not None
     assert record.energy_creep > 1e-6
