@@ -62,18 +62,10 @@ class Engine:
     ----------
     client : Client
         Plays into the mix, which has its sample rate and channels.
-    output_samplerate : int
-        Of the device, Hz.
-    settings : Settings, optional
-        How vibration is made of sound.
-    clocks : Clocks
-        Sources of time.
     offset_s : float
         The user's addition to the delay.
     block_frames : int
         Of the streams on both sides.
-    now_s : float
-        When the engine is made.
     bypass_late : bool
         Whether to bypass an effect that takes too long; for sound that is also played elsewhere.
     on_step : callable, optional
@@ -83,29 +75,16 @@ class Engine:
 
     Attributes
     ----------
-    buffers, frames : int
-        Counts since the start.
-    frames_max : int
-        Most frames of one cycle.
     last_sound_s : float
         When the latest frames that were not silent arrived.
     faded : bool
         Whether the latest measured vibration is below FADED.
     sound, vibration : BufferedLevelMeter
         Levels of the mix, and of the vibration before the drive.
-    drive : Drive
-        From the vibration to what the actuators play.
     driven : list of BufferedLevelMeter
         Level of each named actuator.
     before_fill : callable
         Called by `fill` before it reads; set it before the first `fill`.
-    filled_s : float
-        When `fill` was called last.
-
-    Raises
-    ------
-    UsageError
-        The settings do not fit this mix.
     """
 
     def __init__(

@@ -54,38 +54,12 @@ class EffectControl:
 
     `enable` and `disable` only set the state. `update_state` sends it to the engine at the end of
     the next cycle, so it takes effect with the buffer after that cycle. An engine that refuses its
-    configuration is bypassed until it accepts one. An engine with a fault is bypassed until it is
-    enabled again, after a new INIT and SET_CONFIG.
+    configuration (`refusal`) is bypassed until it accepts one. An engine with a `fault` is bypassed
+    until it is enabled again, after a new INIT and SET_CONFIG. `complaint` is the last of either;
+    `readings` are the lines of its own state when it was last asked.
 
     All calls come from the thread that steps the mixer, between buffers. None raises, except
     KeyboardInterrupt, which is the user's. Any thread may read the attributes.
-
-    Parameters
-    ----------
-    engine : EffectEngine
-        The effect's implementation.
-    session : int
-        Whose sound it treats.
-    access : Access
-        Whether it writes over the buffer or adds to another one.
-
-    Attributes
-    ----------
-    fault : str
-        Why it is bypassed after a failure, "" while it is not.
-    refusal : str
-        Why it is bypassed without a failure, "" while it is not.
-    complaint : str
-        The last failure or refusal.
-    faults, refusals : int
-        Numbers so far.
-    readings : tuple of str
-        The effect's own state when it was last asked, as lines.
-
-    Raises
-    ------
-    Exception
-        The engine raises when asked for its descriptor.
     """
 
     def __init__(self, engine: EffectEngine, session: int, access: Access) -> None:

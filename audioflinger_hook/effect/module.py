@@ -34,29 +34,8 @@ class EffectModule(EffectControl):
 
     An engine never touches the mixer's buffers. It works on copies, which are taken only if they
     are valid. One that raises, answers nonsense, spoils arrays or overruns its time is bypassed
-    and counted, and the sound passes unchanged.
-
-    Parameters
-    ----------
-    engine : EffectEngine
-        The effect's implementation.
-    session : int
-        Whose sound it treats.
-    access : Access
-        Whether it writes over the buffer or adds to another one.
-    clock : callable
-        Seconds.
-    budget_s : float
-        Seconds that a whole buffer may take, a shorter one its share; inf for offline work.
-
-    Attributes
-    ----------
-    misfits : int
-        Buffers of another layout than the configuration's, which passed unchanged.
-    buffers, overruns : int
-        Buffers so far, and those that took longer than allowed.
-    worst_s : float
-        Longest time that a buffer took.
+    and counted, and the sound passes unchanged. `misfits` counts buffers of another layout than
+    the configuration's. budget_s: time that a whole buffer may take by `clock`; inf offline.
     """
 
     def __init__(

@@ -27,16 +27,10 @@ class Step(NamedTuple):
 
 
 class HapticSink:
-    """Splits off the haptic region of a mix and sends it to the device; the clip comes last.
+    """Splits off the haptic region of a mix and sends it to the outputs; the clip comes last.
 
-    Samples that are not a number are sent as 0. Held by the thread that steps the mixer.
-
-    Parameters
-    ----------
-    *outputs : VibrationOutput
-        Each takes the vibration; its channels are the haptic channels of the mix.
-    clip : bool
-        Whether samples are limited to ±1; False is for files only.
+    Samples that are not a number are sent as 0. clip: whether samples are limited to ±1, as for
+    every device. Held by the thread that steps the mixer.
     """
 
     def __init__(self, *outputs: VibrationOutput, clip: bool = True) -> None:
@@ -66,15 +60,7 @@ class HapticSink:
 
 
 class RealTimePace:
-    """Due times of frames that are played in real time, for sound without a clock.
-
-    Parameters
-    ----------
-    samplerate : int
-        Rate in Hz.
-    start_s : float
-        When the first frame is due, in seconds of the caller's clock.
-    """
+    """Due times of frames played in real time from `start_s` of the caller's clock on."""
 
     def __init__(self, samplerate: int, start_s: float) -> None:
         self._samplerate = samplerate
@@ -89,15 +75,6 @@ class Pipeline:
     """Moves sound from a client through mixer and effect to every output, from one thread.
 
     Live sound, a replay and a rendering differ only in who calls `step` and when.
-
-    Parameters
-    ----------
-    client : Client
-        Plays the sound.
-    framework : Framework
-        Mixes it and makes the vibration.
-    outputs : Sequence[VibrationOutput]
-        Each takes the vibration.
     """
 
     def __init__(

@@ -33,21 +33,8 @@ _OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLO
 class RuntimeFolder:
     """The open folder `$XDG_RUNTIME_DIR/cushion`; renaming its path does not redirect it.
 
-    Any thread may use it until whoever opened it closes it.
-
-    Parameters
-    ----------
-    environ : Mapping of str to str
-        The environment variables.
-    create : bool
-        Whether to create a missing folder.
-
-    Attributes
-    ----------
-    path : Path
-        For messages.
-    fd : int
-        For calls that take a folder's descriptor.
+    Any thread may use it until whoever opened it closes it. create: whether to create a missing
+    folder. path: for messages. fd: for calls that take a folder's descriptor.
 
     Raises
     ------
@@ -136,14 +123,8 @@ class Holder:
 class DaemonLock:
     """The lock, held until `release` or the end of the process, `kill -9` included.
 
-    Programs that the daemon starts do not inherit it. One thread makes and releases it.
-
-    Parameters
-    ----------
-    folder : RuntimeFolder
-        Where the lock file lies.
-    holder : Holder
-        What a second daemon is told.
+    Programs that the daemon starts do not inherit it. One thread makes and releases it. holder:
+    what a second daemon is told.
 
     Raises
     ------

@@ -22,16 +22,7 @@ NO_DAEMON = "no daemon is running; start one with `cushion run`"
 def ask_status(
     timeout_s: float, clock: Callable[[], float], environ: Mapping[str, str] = os.environ
 ) -> Status:
-    """Return the status of this user's daemon. Waits, so it is not for an audio thread.
-
-    Parameters
-    ----------
-    timeout_s : float
-        Longest time until the whole answer is there.
-    clock : callable
-        Returns seconds.
-    environ : Mapping of str to str
-        The environment variables.
+    """Return the status of this user's daemon, within a time; not for an audio thread.
 
     Raises
     ------

@@ -67,20 +67,8 @@ class StatusServer:
 
     No client can raise an error, or keep others waiting. One thread makes, starts and stops it.
     Hold the `DaemonLock` before: the lock, not the socket, ensures that there is one daemon.
-
-    Parameters
-    ----------
-    folder : RuntimeFolder
-        Where the socket lies.
-    read : callable
-        Returns the status; called on the server's thread. If it raises, the client is told.
-    clock : callable
-        Returns seconds that never go backwards.
-
-    Attributes
-    ----------
-    faults : int
-        Errors of the program itself on the server's thread.
+    `read` is called on the server's thread; if it raises, the client is told. `faults` counts
+    errors of the program itself.
 
     Raises
     ------
