@@ -32,7 +32,7 @@ from tools.bench.sections import (
 from tools.bench.sounds.signals import (
     RECORDINGS_COMMAND,
     RECORDINGS_VARIABLE,
-    load_recordings,
+    examine_recordings,
     tone,
 )
 from tools.bench.workbench import SUBJECTS, Workbench
@@ -402,7 +402,7 @@ def test_without_recordings_their_rows_are_named_with_the_command_that_fetches_t
     monkeypatch, tmp_path
 ):
     monkeypatch.setenv(RECORDINGS_VARIABLE, str(tmp_path))
-    assert load_recordings() == ()
+    assert examine_recordings()[0] == ()
     empty = Workbench(LEAST, SUBJECTS, ())
     missing = [
         gone

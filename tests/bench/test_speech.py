@@ -6,7 +6,7 @@ import pytest
 from tests.support.recordings import require_recordings
 from tests.support.signals import joined, silence, tone, white_noise
 from tools.bench.sections import speech_suppression
-from tools.bench.sounds.signals import RECORDINGS_COMMAND, SAMPLERATE, load_recordings
+from tools.bench.sounds.signals import RECORDINGS_COMMAND, SAMPLERATE, examine_recordings
 from tools.bench.sounds.speech_sounds import (
     HALVES,
     LOUDNESS_DB,
@@ -22,7 +22,7 @@ from tools.bench.workbench import QUICK, SUBJECTS, Workbench
 @pytest.mark.exhaustive
 def test_no_sound_is_in_both_halves():
     require_recordings()
-    recordings = load_recordings()
+    recordings = examine_recordings()[0]
     one, other = ({item.name for item in desktop(recordings)[half]} for half in HALVES)
     assert one
     assert other

@@ -96,17 +96,7 @@ def run_bench(
     *,
     effort: Effort | None = None,
 ) -> BenchReport:
-    """Return the report of everything, measured on this machine.
-
-    Parameters
-    ----------
-    quick : bool
-        The same rows from less material, in under a minute.
-    progress : Progress or None
-        Called before each section, by the calling thread.
-    effort : Effort or None
-        Other counts than those two.
-    """
+    """Return the report of everything, measured on this machine; `effort` overrides quick."""
     start_s = time.monotonic()
     machine = machine_facts()
     date = now()

@@ -58,8 +58,6 @@ PICTURES = (
     Picture("cost", "CPU time of a second of each scene", "Cost of a second of sound",
             "transform.cost"),
     Picture("lag", "Share of bursts that vibrate by a time", "Onset lag", "transform.lag", True),
-    Picture("frequency", "Frequency error over the signal-to-noise ratio, with the bound",
-            "Frequency error", "transform.frequency", True),
     Picture("frontier", "Four errors over cost, by setting", "Cost against error",
             "frontier.frontier"),
     Picture("baselines", "Cost, lag and similarity of each baseline", "Baselines",

@@ -7,26 +7,17 @@ from matplotlib.figure import Figure
 
 from audioflinger_hook.figures import palette
 from tools.bench.figures.sheet import (
-    DASHES,
     SMALL_PT,
     TEXT_PT,
     frame,
     legend,
     limit,
-    note,
     number_beside,
     sheet,
     ticks_at,
 )
 from tools.bench.report import BenchReport
 from tools.bench.sections.fidelity import LAG_P95
-from tools.bench.sections.frequency_error import (
-    BOUND,
-    FORMS,
-    LIMITED_SNRS_DB,
-    RANGES_HZ,
-    TIMES_BOUND,
-)
 from tools.bench.sections.speed import BLOCKSIZES, SECOND_MS
 from tools.bench.workbench import LIVE, NUMPY, REFERENCE
 
@@ -106,39 +97,4 @@ def lag(report: BenchReport) -> Figure:
     axis.set_xlim(0.0, 5.0 * np.ceil((latest + 3.0) / 5.0))
     axis.set_ylim(0.0, 102.0)
     axis.set_yticks([0, 25, 50, 75, 95, 100], ["0", "25", "50", "75", "95", "100 %"])
-    return figure
-
-
-def frequency(report: BenchReport) -> Figure:
-    """Draw errors in Hz over the signal-to-noise ratio, a field for each range, with the bound."""
-    series = report.section("Frequency error").series
-    snr_db, bound = np.array(series["SNR"]), np.array(series[BOUND])
-    figure = sheet(
-        "How exact a frequency is",
-        "Root mean square error in Hz of one tone in white noise at 48 kHz over the "
-        "signal-to-noise ratio, with the Cramer-Rao bound",
-        4.6,
-    )
-    axes = figure.subplots(1, len(RANGES_HZ), sharex=True, sharey=True)
-    figure.subplots_adjust(left=0.07, right=0.885, top=0.81, bottom=0.125, wspace=0.08)
-    limited = snr_db <= LIMITED_SNRS_DB[-1]
-    for axis, (low_hz, high_hz) in zip(axes, RANGES_HZ, strict=True):
-        span = f"{low_hz:g} to {high_hz:g} Hz"
-        axis.set_yscale("log")
-        frame(axis, span, grid=True)
-        axis.plot(snr_db, bound, color=palette.INK, lw=1.2, ls=DASHES)
-        for form in FORMS:
-            axis.plot(snr_db, series[f"{form}, {span}"], "o-", ms=4, lw=2.0, color=COLOURS[form])
-        if low_hz >= RANGES_HZ[1][0]:
-            limits = TIMES_BOUND.bound * bound[limited]
-            axis.plot(snr_db[limited], limits, color=palette.GREY, lw=4.0, alpha=0.35)
-    ends = {form: series[f"{form}, {span}"][-1] for form in FORMS} | {BOUND: bound[-1]}
-    for name, end in ends.items():
-        axes[-1].annotate(
-            name, (snr_db[-1], end), xytext=(8, 0), textcoords="offset points", va="center",
-            fontsize=SMALL_PT, color=COLOURS.get(name, palette.INK), annotation_clip=False,
-        )  # fmt: skip
-    note(axes[1], f"grey: the limit,\n{TIMES_BOUND.bound:g} times the bound", (0.03, 0.05))
-    frame(axes[-1], unit="dB", grid=True)
-    axes[0].set_ylabel("Hz", rotation=0, fontsize=TEXT_PT, color=palette.GREY, loc="top")
     return figure

@@ -7,9 +7,7 @@ equations of motion, without integration or look-ahead,
     F = m x'' + c x' + V'(x),    dW'/dx (x, i) = F,    v = R i + d/dt dW'/di (x, i)
 
 and W' (rig/co_energy.py) is quadratic in i, so that the current has a closed form. The wanted
-motion is that of the linear model with the same drive, whose state gives the derivatives exactly.
-A damping for the linear actuator then holds at any level without distortion, if the rig is as
-described.
+motion is that of the linear model, whose state gives the derivatives exactly.
 """
 
 from dataclasses import replace
@@ -25,33 +23,15 @@ from device.units import FloatArray, finite_or_zero
 _ABSURD_V = 1e6
 
 _WEAKEST = 0.25
-"""Least value of the root in the current, as a share of Bl. No current gives a force far beyond the
-stops; the nearest one is used there."""
+"""Least value of the root in the current, as a share of Bl; beyond it no current gives it."""
 
 
 class FlatInverse:
     """Turns the drive of a linear actuator into that of the rig's actuator, without delay.
 
     Both drives are the amplifier's open-circuit volts, (frames,). It needs up to three times the
-    volts at Xmax and does not know the amplifier's limits. Stops are ignored, since no drive helps
-    against them. One thread calls it.
-
-    Parameters
-    ----------
-    rig : Rig
-        With its [large_signal].
-    samplerate : float
-        Rate in Hz, as for `LinearActuator`.
-
-    Attributes
-    ----------
-    beyond_samples : int
-        Samples so far whose wanted excursion is beyond the stops.
-
-    Raises
-    ------
-    UsageError
-        The rig describes no large-signal behaviour, or the sample rate is out of range.
+    volts at Xmax and ignores the amplifier's limits and the stops. `beyond_samples` counts wanted
+    excursions beyond those. Raises UsageError where the rig has no [large_signal].
     """
 
     def __init__(self, rig: Rig, samplerate: float) -> None:
@@ -73,11 +53,6 @@ class FlatInverse:
         """Come to rest; the count becomes 0."""
         self._linear.reset()
         self.beyond_samples = 0
-
-    @property
-    def latency_frames(self) -> int:
-        """0: it needs no look-ahead."""
-        return 0
 
     def process(self, volts: FloatArray) -> FloatArray:
         """Return the finite volts, (frames,), that move the rig as `volts` would move a linear one.

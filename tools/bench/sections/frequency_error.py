@@ -18,7 +18,6 @@ from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.principal import PrincipalFinder, Principals
 from audioflinger_hook.transform.spectrum import Spectrum, magnitude
 from tools.bench.report import Must, Row, Section, line
-from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import LIVE, REFERENCE, Workbench
 
 TITLE = "Frequency error"
@@ -27,14 +26,12 @@ RANGES_HZ = ((50.0, 150.0), (150.0, 600.0), (600.0, 12_000.0))
 """Below about 600 Hz the image of a tone, at negative frequency, matters more than weak noise."""
 HIGHEST_SHARE = 0.45
 """Highest tone as a share of the samplerate."""
-SNRS_DB = (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 LIMITED_SNRS_DB = (0.0, 10.0, 20.0)
 TIMES_BOUND = Must("<=", 1.5)
 AMPLITUDE = 0.05
 """Of the tone: at 0 dB the noise stays under C_th, so only the tone is refined."""
 WINDOWS_AT_ONCE = 64
 
-BOUND = "bound"
 FORMS = (LIVE, REFERENCE)
 
 Analysis = Callable[[FloatArray], Principals]
@@ -115,7 +112,7 @@ def frequency_error(bench: Workbench) -> Section:
     """The error of a tone's frequency in noise over the bound."""
     count = bench.effort.noisy_tones
     grids = {samplerate: _Grid.at(samplerate) for samplerate in SAMPLERATES}
-    rows, series = _over_snr(grids[SAMPLERATE], count)
+    rows: list[Row] = []
     for samplerate, grid in grids.items():
         rows += _at_samplerate(samplerate, grid, count)
     spread = 100.0 / np.sqrt(2.0 * count * len(LIMITED_SNRS_DB))
@@ -126,7 +123,6 @@ def frequency_error(bench: Workbench) -> Section:
         "evenly spread by octave, in multiples of the Cramer-Rao bound. No unbiased method is "
         "better than the bound. With little noise the bias of the method remains.",
         tuple(rows),
-        series=series,
         footnote=f"{count} tones for each samplerate, range and signal-to-noise ratio; a value "
         f"over {limited} is uncertain by {spread:.1f} %. The limit applies to the live form from "
         f"{RANGES_HZ[1][0]:g} Hz up, at {limited}. The reference form's larger error is the pull "
@@ -137,22 +133,6 @@ def frequency_error(bench: Workbench) -> Section:
 
 def _name(span_hz: tuple[float, float]) -> str:
     return f"{span_hz[0]:g} to {span_hz[1]:g} Hz"
-
-
-def _over_snr(grid: _Grid, count: int) -> tuple[list[Row], dict[str, tuple[float, ...]]]:
-    """Return rows and curves of the error in Hz by signal-to-noise ratio."""
-    rows: list[Row] = []
-    bounds = tuple(bound_hz(grid.samplerate, grid.frames, snr_db) for snr_db in SNRS_DB)
-    series: dict[str, tuple[float, ...]] = {"SNR": SNRS_DB, BOUND: bounds}
-    for span_hz in RANGES_HZ:
-        by_form = _errors_hz(grid, span_hz, SNRS_DB, count)
-        rms = {form: tuple(_rms(each) for each in errors) for form, errors in by_form.items()}
-        for place, (snr_db, least) in enumerate(zip(SNRS_DB, bounds, strict=True)):
-            name = f"{_name(span_hz)}, {snr_db:g} dB"
-            rows += line(name, {form: rms[form][place] / least for form in FORMS}, "times")
-            rows.append(Row(name, least, "Hz", BOUND))
-        series |= {f"{form}, {_name(span_hz)}": curve for form, curve in rms.items()}
-    return rows, series
 
 
 def _at_samplerate(samplerate: int, grid: _Grid, count: int) -> list[Row]:

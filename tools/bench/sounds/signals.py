@@ -132,11 +132,6 @@ def recordings_folder() -> Path | None:
     return None
 
 
-def load_recordings() -> tuple[Recording, ...]:
-    """Return the folder's recordings longer than 0.3 s, by name."""
-    return examine_recordings()[0]
-
-
 def examine_recordings() -> tuple[tuple[Recording, ...], dict[str, str]]:
     """Return the folder's recordings longer than 0.3 s, and why others are missing, by KIND/FILE.
 
