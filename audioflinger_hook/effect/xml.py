@@ -39,11 +39,7 @@ CHILDREN: dict[str, tuple[str, ...]] = {
     "postprocess": ("stream",),
     "stream": ("apply",),
 }
-NOT_EMULATED = {
-    "preprocess": "effects on recordings",
-    "deviceEffects": "effects on devices",
-    "effectProxy": "an effect with a second form in hardware",
-}
+NOT_EMULATED = ("preprocess", "deviceEffects", "effectProxy")
 """Elements of Android's that are passed over, with all that is in them."""
 
 
@@ -63,13 +59,12 @@ class DeclaredEffects:
     """What a file declares and can be had.
 
     effects: UUID by name; postprocess: UUIDs by stream, in order. problems: what was left out
-    and why; its length is the count. notes: what is right on Android but not emulated.
+    and why; its length is the count.
     """
 
     effects: dict[str, UUID] = field(default_factory=dict)
     postprocess: dict[str, list[UUID]] = field(default_factory=dict)
     problems: list[Finding] = field(default_factory=list)
-    notes: list[Finding] = field(default_factory=list)
 
 
 def bundled_effects(registry: EffectRegistry) -> DeclaredEffects:
@@ -168,9 +163,6 @@ class _Elements:
             self._problem(line, f"<{name}> does not belong {place}; left out")
             self._passed_over = 1
         elif name in NOT_EMULATED:
-            self._declared.notes.append(
-                Finding(line, f"<{name}>, {NOT_EMULATED[name]}, is not emulated; passed over")
-            )
             self._passed_over = 1
         else:
             self._open.append(name)

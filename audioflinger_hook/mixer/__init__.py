@@ -3,9 +3,9 @@
 `Mixer` makes tracks and steps; `dump` shows it as text.
 
     pcm, states, track             what a client writes into
-    channels, kaiser, resampler    steps from a track into the mix
+    layouts, kaiser, resampler     steps from a track into the mix
     track_mixer                    one track on the mixer's side, with its volume
-    buffer_size, session, mixer    the cycle
+    session, mixer                 the cycle
     mix_buffer, effects_port       the buffer, the sinks and effects that it passes
 """
 

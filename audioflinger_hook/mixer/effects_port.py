@@ -1,4 +1,4 @@
-"""What the mixer asks of the effects: the one face of all their chains."""
+"""What the mixer asks of the effects, by session: the one face of all their chains."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from collections.abc import Collection
 from typing import Protocol
 
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
+
+OUTPUT_MIX, OUTPUT_STAGE, DEVICE = 0, -1, -2
+"""The sessions of no single player, in running order: the mix of all players, the stage after it,
+and the device. A player's session is a number from 1 up."""
 
 
 class EffectsPort(Protocol):

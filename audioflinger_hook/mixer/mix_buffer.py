@@ -1,4 +1,4 @@
-"""The buffer that travels through mix, effects and sinks, and what a sink is."""
+"""The buffer that travels through mix, effects and sinks, its length, and what a sink is."""
 
 from __future__ import annotations
 
@@ -6,6 +6,31 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+NORMAL_MIN_MS = 20
+NORMAL_MAX_MS = 24
+ALIGNMENT = 16
+"""The bounds and the grid in frames of AudioFlinger's normal mix buffer."""
+
+
+def normal_buffer_frames(samplerate: int, hal_frames: int) -> int:
+    """The frames of a normal mix buffer: whole HAL buffers of 20 to 24 ms where there are any.
+
+    samplerate: Hz; hal_frames: of the buffer that the hardware takes at once. The result is a
+    multiple of 16; a HAL buffer above 20 ms stays unchanged.
+    """
+    shortest = _round_up(NORMAL_MIN_MS * samplerate // 1000)
+    longest = max(NORMAL_MAX_MS * samplerate // 1000 // ALIGNMENT * ALIGNMENT, shortest)
+    if shortest <= hal_frames:
+        return _round_up(hal_frames)
+    if shortest <= 2 * hal_frames:
+        # two HAL buffers, or where those are too long as much as is allowed
+        return _round_up(min(2 * hal_frames, longest))
+    return _round_up(shortest // hal_frames * hal_frames)
+
+
+def _round_up(frames: int) -> int:
+    return -(-frames // ALIGNMENT) * ALIGNMENT
 
 
 class MixBuffer:

@@ -11,13 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from audioflinger_hook.mixer.buffer_size import normal_buffer_frames
-from audioflinger_hook.mixer.effects_port import EffectsPort, NoEffects
+from audioflinger_hook.mixer.effects_port import (
+    DEVICE,
+    OUTPUT_MIX,
+    OUTPUT_STAGE,
+    EffectsPort,
+    NoEffects,
+)
 from audioflinger_hook.mixer.layouts import CHANNELS_MAX
-from audioflinger_hook.mixer.mix_buffer import MixBuffer, Sink
+from audioflinger_hook.mixer.mix_buffer import MixBuffer, Sink, normal_buffer_frames
 from audioflinger_hook.mixer.pcm import PcmFormat
 from audioflinger_hook.mixer.session import SessionMix
-from audioflinger_hook.mixer.sessions import DEVICE, OUTPUT_MIX, OUTPUT_STAGE
 from audioflinger_hook.mixer.states import Request
 from audioflinger_hook.mixer.track import SAMPLERATE_MAX, SAMPLERATE_MIN, Track, out_of_range
 from audioflinger_hook.mixer.track_mixer import Lane, Readiness

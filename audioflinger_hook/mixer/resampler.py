@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.kaiser import BlockMatrices, Ratio, block_matrices, phase_table
-from device.errors import InternalError
 
 OUTPUTS_AT_ONCE = 64
 WINDOW_FLOATS_AT_ONCE = 1 << 16
@@ -75,24 +74,13 @@ class Resampler:
         if not finite.all():
             room[~finite] = 0.0
 
-    def feed_silence(self, count: int) -> None:
-        """Take `count` frames of zeros: what follows a stream that has ended."""
-        self._reserve(count)[...] = 0.0
-
     def produce(self, frames: NDArray[np.float32]) -> None:
         """Fill `frames`, (n, channels) float32, with the next n output frames.
 
-        Raises InternalError where fewer than `frames_needed(n)` frames have been fed.
+        `frames_needed(n)` frames must have been fed.
         """
-        count = len(frames)
-        missing = self.frames_needed(count)
-        if missing:
-            raise InternalError(
-                f"{count} resampled frames asked for with {missing} input frames missing; feed "
-                "frames_needed() first"
-            )
         self._kernel.render(self._inputs, self._base, self._next, frames)
-        self._next += count
+        self._next += len(frames)
 
     def _reserve(self, count: int) -> NDArray[np.float32]:
         """Return the place of the next `count` input frames, after making room for them."""

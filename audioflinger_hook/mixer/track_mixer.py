@@ -9,8 +9,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.mixer.channels import ChannelMap
-from audioflinger_hook.mixer.layouts import sides
+from audioflinger_hook.mixer.layouts import ChannelMap, sides
 from audioflinger_hook.mixer.resampler import Resampler
 from audioflinger_hook.mixer.states import PLAYING, Request, TrackState, after
 from audioflinger_hook.mixer.track import Track, period_frames

@@ -17,7 +17,7 @@ from audioflinger_hook.effect.parameters import Values
 from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
 from audioflinger_hook.mixer import Mixer, Sink, dump
-from audioflinger_hook.mixer.sessions import OUTPUT_MIX
+from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
 from audioflinger_hook.transform import HapticTransform, kernel_warning
 from device.errors import CushionError, InternalError, UsageError
 
@@ -77,7 +77,7 @@ class Framework:
         self.warnings: list[str] = []
         each = self.settings.channels == "each"
         self._chains = EffectChains(
-            clock or _no_time, budget_share=BUDGET_SHARE if clock else float("inf")
+            clock or (lambda: 0.0), budget_share=BUDGET_SHARE if clock else float("inf")
         )
         self.haptic = self._add_effects()
         self._wanted = self._taken = self._parameters(self.settings)
@@ -237,7 +237,3 @@ class Framework:
     def _reading(self, name: str) -> int:
         status, value = self.haptic.command(Command.GET_PARAM, name)
         return value if status == OK and isinstance(value, int) else 0
-
-
-def _no_time() -> float:
-    return 0.0

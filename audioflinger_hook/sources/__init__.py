@@ -1,8 +1,8 @@
 """Where sound comes from: taps deliver buffers, clients write them into the mixer's tracks.
 
 address         the grammar of `--tap`
-tap, client     the two interfaces
-file, capture, frames, push    taps
+tap             the interfaces of taps and clients
+file, capture, frames    taps
 tap_client      one tap on one track
 scene           one track for each sound of a scene
 applications    one track for each application
@@ -11,11 +11,10 @@ applications    one track for each application
 from audioflinger_hook.sources.address import TapAddress, open_client, open_tap, parse_tap
 from audioflinger_hook.sources.applications import VoicesClient
 from audioflinger_hook.sources.capture import CaptureTap
-from audioflinger_hook.sources.client import Client
 from audioflinger_hook.sources.file import FileTap
 from audioflinger_hook.sources.frames import FramesTap
 from audioflinger_hook.sources.scene import SceneClient, mixdown
-from audioflinger_hook.sources.tap import Tap
+from audioflinger_hook.sources.tap import Client, Tap
 from audioflinger_hook.sources.tap_client import PushTap, TapClient
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""The interface of every tap."""
+"""The interfaces of taps, which deliver sound, and of clients, which play it into the mixer."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from audioflinger_hook.mixer import Mixer
 
 
 class Tap(Protocol):
@@ -31,6 +33,31 @@ class Tap(Protocol):
 
         Called by the thread that steps the chain.
         """
+        ...
+
+    def close(self) -> None:
+        """Let go of the source. May be called more than once."""
+        ...
+
+
+class Client(Protocol):
+    """Fills tracks of one mixer and paces its cycles. Held by the thread that steps the chain."""
+
+    samplerate: int
+    channels: int
+    """Format of a mix that suits its sound, Hz and channels."""
+
+    @property
+    def frames_expected(self) -> int | None:
+        """Frames of the mix in all, where that is known; for progress only."""
+        ...
+
+    def connect(self, mixer: Mixer) -> None:
+        """Make its tracks. Called once, before the first `play`."""
+        ...
+
+    def play(self) -> int | None:
+        """Write the sound of the next cycle and return its frames; 0: not yet, None: the end."""
         ...
 
     def close(self) -> None:

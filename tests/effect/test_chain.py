@@ -21,7 +21,7 @@ from audioflinger_hook.effect.interface import (
     EffectFlag,
 )
 from audioflinger_hook.effect.parameters import Parameter
-from audioflinger_hook.mixer.sessions import DEVICE, OUTPUT_MIX, OUTPUT_STAGE
+from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_MIX, OUTPUT_STAGE
 from audioflinger_hook.transform import HapticTransform
 from device.errors import UsageError
 from tests.effect.test_engines import FRAMES, RATE, FakeClock, Probe, descriptor, noise, running

