@@ -87,18 +87,6 @@ class AtomicFile:
         """Bytes in the file, as the filesystem counts them."""
         return os.fstat(self._file_fd).st_size
 
-    def refuse_without_room_for(self, size: int) -> None:
-        """Raise WriteError now if `size` bytes more cannot fit on the disk."""
-        disk = os.fstatvfs(self._file_fd)
-        free = disk.f_bavail * disk.f_frsize
-        # Some network filesystems tell nothing: all zero.
-        if disk.f_blocks and size > free:
-            self.abort()
-            raise WriteError(
-                f"cannot write {self.path}: it needs {size / 1e6:.1f} MB and {free / 1e6:.1f} MB "
-                "are free; free some space or name another folder"
-            )
-
     def commit(self) -> None:
         """Give the file its name: content on disk first, then an exchange in one step."""
         if self._file_fd < 0:

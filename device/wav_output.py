@@ -33,8 +33,6 @@ class WavOutput:
         Rate in Hz.
     channels : int
         1 to 16383.
-    frames_expected : int, optional
-        If known, a disk without room for them is refused at once.
     comment : str, optional
         Stored as the file's comment (RIFF INFO, UTF-8).
 
@@ -52,7 +50,6 @@ class WavOutput:
         samplerate: int,
         channels: int,
         *,
-        frames_expected: int | None = None,
         comment: str | None = None,
     ) -> None:
         self._samplerate = samplerate
@@ -62,8 +59,6 @@ class WavOutput:
         # The real header takes this one's place at the end; it has the same length.
         placeholder = wav_header(samplerate, channels, 0, comment)
         file = AtomicFile(path)
-        if frames_expected is not None:
-            file.refuse_without_room_for(self._size(frames_expected, placeholder))
         file.write(placeholder)
         self._file: AtomicFile | None = file
 

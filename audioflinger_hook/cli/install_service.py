@@ -8,7 +8,7 @@ import sys
 from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.config import file as config
 from audioflinger_hook.service.install import install, remove, systemd_version
-from audioflinger_hook.service.unit import udev_command, udev_rule
+from audioflinger_hook.service.unit import UDEV_COMMAND
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.errors import UsageError
@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"    {command}")
     if options.udev:
         print("so that this user may control USB sound devices, as root:")
-        print(udev_command(udev_rule()))
+        print(UDEV_COMMAND)
     sys.stdout.flush()
     return 0
 

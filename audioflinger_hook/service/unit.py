@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import string
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,8 +15,6 @@ MARK = "# Written by `cushion install-service`."
 
 UDEV_PATH = "/etc/udev/rules.d/70-cushion.rules"
 """The number is below that of 73-seat-late.rules, which reads the tag."""
-
-_USB_ID = re.compile(r"[0-9a-fA-F]{4}")
 
 _TEMPLATE = string.Template("""\
 $mark Changes belong into a drop-in: systemctl --user edit cushion
@@ -148,37 +145,16 @@ def _is_utf8(text: str) -> bool:
     return True
 
 
-def udev_rule(vendor: str | None = None, product: str | None = None) -> str:
-    """Return the rule for all USB audio devices, or for one by its ids of four hex digits.
+UDEV_RULE = """\
+# Haptic Cushion: whoever sits at the machine may drive USB audio devices directly.
+ACTION!="remove", SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", \
+ENV{ID_USB_INTERFACES}=="*:0101??:*", TAG+="uaccess"
+"""
+"""For devices of the audio class, by its control interface."""
 
-    Raises
-    ------
-    UsageError
-        An id is invalid, or only one is given.
-    """
-    match = 'ENV{ID_USB_INTERFACES}=="*:0101??:*"'  # audio class, its control interface
-    what = "USB audio devices"
-    if vendor is not None or product is not None:
-        for text in (vendor, product):
-            if text is None or not _USB_ID.fullmatch(text):
-                raise UsageError(
-                    f"a USB id is {text!r}; allowed: vendor and product, four hex digits each, "
-                    "as lsusb shows them"
-                )
-        low, high = str(vendor).lower(), str(product).lower()  # as sysfs has them
-        match = f'ATTR{{idVendor}}=="{low}", ATTR{{idProduct}}=="{high}"'
-        what = f"the USB device {low}:{high}"
-    return (
-        f"# Haptic Cushion: whoever sits at the machine may drive {what} directly.\n"
-        f'ACTION!="remove", SUBSYSTEM=="usb", ENV{{DEVTYPE}}=="usb_device", {match}, '
-        'TAG+="uaccess"\n'
-    )
-
-
-def udev_command(rule: str) -> str:
-    """Return the shell command that installs a rule as root."""
-    return (
-        f"sudo tee {UDEV_PATH} >/dev/null <<'END'\n{rule}END\n"
-        "sudo udevadm control --reload && "
-        "sudo udevadm trigger --subsystem-match=usb --action=change\n"
-    )
+UDEV_COMMAND = (
+    f"sudo tee {UDEV_PATH} >/dev/null <<'END'\n{UDEV_RULE}END\n"
+    "sudo udevadm control --reload && "
+    "sudo udevadm trigger --subsystem-match=usb --action=change\n"
+)
+"""The shell command that installs the rule as root."""

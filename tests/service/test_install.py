@@ -19,7 +19,7 @@ from audioflinger_hook.service.install import (
     remove,
     systemd_version,
 )
-from audioflinger_hook.service.unit import MARK, UDEV_PATH, udev_command, udev_rule, unit_text
+from audioflinger_hook.service.unit import MARK, UDEV_COMMAND, UDEV_PATH, UDEV_RULE, unit_text
 from device.errors import UsageError, WriteError
 from device.stream.callback_thread import PRIORITY
 
@@ -241,7 +241,7 @@ def test_the_program_that_runs_is_the_one_that_is_installed(tmp_path):
 
 
 def test_the_rule_gives_usb_audio_devices_to_who_sits_there():
-    (rule,) = [line for line in udev_rule().splitlines() if not line.startswith("#")]
+    (rule,) = [line for line in UDEV_RULE.splitlines() if not line.startswith("#")]
     assert rule == (
         'ACTION!="remove", SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", '
         'ENV{ID_USB_INTERFACES}=="*:0101??:*", TAG+="uaccess"'
@@ -249,29 +249,15 @@ def test_the_rule_gives_usb_audio_devices_to_who_sits_there():
     assert int(Path(UDEV_PATH).name[:2]) < 73
 
 
-def test_a_rule_for_one_device_names_it_in_lower_case():
-    rule = udev_rule("0D8C", "0014")
-    assert 'ATTR{idVendor}=="0d8c", ATTR{idProduct}=="0014"' in rule
-    assert "the USB device 0d8c:0014" in rule
-
-
-@pytest.mark.parametrize(
-    "ids", [("0d8c", None), (None, "0014"), ("d8c", "0014"), ("0d8c", '0014"'), ("0d8c\n", "0014")]
-)
-def test_an_id_that_is_none_is_refused(ids):
-    with pytest.raises(UsageError, match="four hex digits"):
-        udev_rule(*ids)
-
-
 def test_the_command_installs_the_rule_as_it_is(tmp_path):
     """The command runs here with a `sudo` that only does the writing, elsewhere."""
     target = tmp_path / "70-cushion.rules"
     sudo = f'sudo() {{ if [ "$1" = tee ]; then cat > "{target}"; else echo "$*"; fi; }}\n'
     done = subprocess.run(
-        ["sh", "-c", sudo + udev_command(udev_rule())], capture_output=True, text=True, timeout=10
+        ["sh", "-c", sudo + UDEV_COMMAND], capture_output=True, text=True, timeout=10
     )
     assert done.stderr == ""
-    assert target.read_text() == udev_rule()
+    assert target.read_text() == UDEV_RULE
     assert done.stdout.splitlines() == [
         "udevadm control --reload",
         "udevadm trigger --subsystem-match=usb --action=change",
