@@ -138,15 +138,11 @@ class EffectChains:
             for module in self._chains[session]:
                 module.update_state()
         if not 0.0 <= now_s - self._read_s < READINGS_EVERY_S:
-            self.take_readings(now_s)
-
-    def take_readings(self, now_s: float) -> None:
-        """Ask every effect for its parameters and its own dump, for `dump` to show."""
-        self._read_s = now_s
-        for session in self._sessions:
-            for module in self._chains[session]:
-                if not module.fault:
-                    module.readings = asked_lines(module)
+            self._read_s = now_s
+            for session in self._sessions:
+                for module in self._chains[session]:
+                    if not module.fault:
+                        module.readings = asked_lines(module)
 
     def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
         """Configure every effect: rate in Hz, channels of sound and vibration, frames a buffer."""

@@ -62,10 +62,10 @@ class EffectControl:
     KeyboardInterrupt, which is the user's. Any thread may read the attributes.
     """
 
-    def __init__(self, engine: EffectEngine, session: int, access: Access) -> None:
+    def __init__(self, engine: EffectEngine, session: int) -> None:
         self.descriptor = engine.descriptor
         self.session = session
-        self.access = access
+        self.access = Access.WRITE
         self.state = EffectState.IDLE
         self.fault = self.refusal = self.complaint = ""
         self.faults = self.refusals = 0

@@ -43,7 +43,6 @@ class EffectModule(EffectControl):
         engine: EffectEngine,
         *,
         session: int,
-        access: Access = Access.WRITE,
         clock: Callable[[], float],
         budget_s: float,
     ) -> None:
@@ -53,7 +52,7 @@ class EffectModule(EffectControl):
         self._clock = clock
         self._late = 0
         self._lent = self._mixed = Loan(0)
-        super().__init__(engine, session, access)
+        super().__init__(engine, session)
 
     def process(self, source: MixBuffer, target: MixBuffer) -> None:
         """Treat one buffer: in place where both are the same, else `target` is added to.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from importlib.metadata import Distribution, EntryPoint, distributions
+from importlib.metadata import EntryPoint, distributions
 from uuid import UUID
 
 from audioflinger_hook.effect.control import error_text
@@ -155,20 +155,15 @@ def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
                 continue
             owner = distribution.name
         except Exception as error:
+            place = getattr(distribution, "_path", "an unknown place")
             problems.append(
-                f"package at {place(distribution)} cannot be searched for effects: "
-                f"{error_text(error)}"
+                f"package at {place} cannot be searched for effects: {error_text(error)}"
             )
             continue
         if owner not in seen:
             seen.add(owner)
             found += [(owner, entry) for entry in entries]
     return found
-
-
-def place(distribution: Distribution) -> str:
-    """Return where a package's metadata is, where that is known."""
-    return str(getattr(distribution, "_path", "an unknown place"))
 
 
 def descriptor_problem(descriptor: object) -> str:

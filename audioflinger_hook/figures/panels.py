@@ -28,6 +28,7 @@ MAX_EVENT_LANES = 3
 
 # Dots closer than a cell of this grid would hide one another: only the strongest is drawn.
 DOT_GRID = (460, 150)
+LARGEST_DOT_PT = 5.0  # the diameter at strength 1
 
 
 def style_axes(axes: Axes) -> None:
@@ -188,13 +189,10 @@ def draw_principals(
     times_s: NDArray[np.float64],
     frequencies_hz: NDArray[np.float64],
     strengths: NDArray[np.float64],
-    *,
-    largest_pt: float,
 ) -> None:
     """Marks principal frequencies as dots whose area grows with strength (0 to 1).
 
-    `largest_pt` is the diameter at strength 1. Of dots that would hide one another only the
-    strongest is drawn.
+    Of dots that would hide one another only the strongest is drawn.
     """
     order = np.argsort(-strengths, kind="stable")
     places = axes.transData.transform(np.column_stack([times_s, frequencies_hz])[order])
@@ -205,5 +203,5 @@ def draw_principals(
     # Floors of area and opacity: the weakest principal frequency is one all the same.
     colours = np.tile(to_rgba(FELT), (strength.size, 1))
     colours[:, 3] = 0.5 + 0.5 * np.sqrt(strength)
-    area = largest_pt**2 * (0.04 + 0.96 * strength)
+    area = LARGEST_DOT_PT**2 * (0.04 + 0.96 * strength)
     axes.scatter(times_s[chosen], frequencies_hz[chosen], s=area, color=colours, linewidths=0.0)

@@ -17,7 +17,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.font_manager import findfont, get_font
-from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 
 from audioflinger_hook.figures import palette, panels
@@ -166,15 +165,10 @@ def _draw_audio_spectrum(
 ) -> None:
     """Panel 2: the audio's spectrum, with the principal frequencies as dots."""
     rows_hz = np.geomspace(*AUDIO_LIMITS_HZ, AUDIO_ROWS)
-    level_db = spectrogram_db(
-        mono, samplerate, window_s=AUDIO_WINDOW_S, columns=SPECTRUM_COLUMNS, rows_hz=rows_hz
-    )
     panels.use_audio_frequency_axis(axes, AUDIO_LIMITS_HZ)
-    image = panels.draw_spectrogram(axes, level_db, mono.size / samplerate, range_db=AUDIO_RANGE_DB)
-    _draw_colour_bar(figure, axes, image)
+    _draw_spectrum(figure, axes, mono, samplerate, rows_hz, AUDIO_WINDOW_S, AUDIO_RANGE_DB)
     if found.size:
-        panels.draw_principals(axes, found[:, 0], found[:, 1], found[:, 3], largest_pt=5.0)
-    panels.label_values(axes, "frequency (Hz)")
+        panels.draw_principals(axes, found[:, 0], found[:, 1], found[:, 3])
     panels.draw_heading(axes, "Audio spectrum", "dots: principal frequencies, larger is stronger")
 
 
@@ -193,27 +187,15 @@ def _draw_vibration_spectrum(
 ) -> None:
     """Panel 4: the vibration's spectrum and the band it is meant to stay in."""
     rows_hz = np.linspace(*VIBRATION_LIMITS_HZ, VIBRATION_ROWS)
-    level_db = spectrogram_db(
-        vibration,
-        samplerate,
-        window_s=VIBRATION_WINDOW_S,
-        columns=SPECTRUM_COLUMNS,
-        rows_hz=rows_hz,
-    )
     axes.set_ylim(*VIBRATION_LIMITS_HZ)
-    image = panels.draw_spectrogram(
-        axes, level_db, vibration.size / samplerate, range_db=VIBRATION_RANGE_DB
-    )
-    _draw_colour_bar(figure, axes, image)
+    window_s, range_db = VIBRATION_WINDOW_S, VIBRATION_RANGE_DB
+    _draw_spectrum(figure, axes, vibration, samplerate, rows_hz, window_s, range_db)
     if found.size:
         strongest = _strongest_of_each_moment(found)
-        panels.draw_principals(
-            axes, strongest[:, 0], strongest[:, 2], strongest[:, 3], largest_pt=5.0
-        )
+        panels.draw_principals(axes, strongest[:, 0], strongest[:, 2], strongest[:, 3])
     for edge_hz in VIBRATION_BAND_HZ:
         axes.axhline(edge_hz, color=palette.FELT, linewidth=0.9)
     axes.set_yticks([20.0, 60.0, 100.0, 140.0, 180.0, 220.0, 260.0])
-    panels.label_values(axes, "frequency (Hz)")
     low_hz, high_hz = VIBRATION_BAND_HZ
     panels.draw_heading(
         axes,
@@ -247,8 +229,21 @@ def _strongest_of_each_moment(found: NDArray[np.float64]) -> NDArray[np.float64]
     return ordered[np.unique(ordered[:, 0], return_index=True)[1]]
 
 
-def _draw_colour_bar(figure: Figure, axes: Axes, image: AxesImage) -> None:
-    """A slim colour bar in the right margin, so that all panels keep the same width."""
+def _draw_spectrum(
+    figure: Figure,
+    axes: Axes,
+    signal: Samples,
+    samplerate: int,
+    rows_hz: NDArray[np.float64],
+    window_s: float,
+    range_db: float,
+) -> None:
+    """A spectrogram on a prepared frequency axis, with a slim colour bar in the right margin."""
+    level_db = spectrogram_db(
+        signal, samplerate, window_s=window_s, columns=SPECTRUM_COLUMNS, rows_hz=rows_hz
+    )
+    panels.label_values(axes, "frequency (Hz)")
+    image = panels.draw_spectrogram(axes, level_db, signal.size / samplerate, range_db=range_db)
     bar_axes = axes.inset_axes((1.008, 0.0, 0.0075, 1.0))
     figure.colorbar(image, cax=bar_axes)
     for line in bar_axes.spines.values():

@@ -81,7 +81,9 @@ class _Voice:
         period = period_frames(rate, mixer.samplerate, mixer.frames)
         start = round(sound.start_s * mixer.samplerate)
         # silence up to the sound's own frame in the cycle it starts in comes from the client
-        pause_s, resume_s = sound.pause_s or (np.inf, np.inf)
+        pause, resume = -1, -1  # no frame of the mix
+        if sound.pause_s:
+            pause, resume = (round(at_s * mixer.samplerate) for at_s in sound.pause_s)
         track = mixer.create_track(
             sound.name, sound.pcm_format, rate, channels, ring_frames=4 * period, start_threshold=1
         )
@@ -90,8 +92,8 @@ class _Voice:
             encode(sound.frames, sound.pcm_format),
             channels * sound.pcm_format.bytes_per_sample,
             start,
-            _frame(pause_s, mixer.samplerate),
-            _frame(resume_s, mixer.samplerate),
+            pause,
+            resume,
         )
 
     def play(self, first: int, last: int) -> None:
@@ -119,10 +121,6 @@ class _Voice:
         most = self.track.room * self.frame_bytes
         taken = self.track.write(self.stored[:most]) * self.frame_bytes
         self.stored = self.stored[taken:]
-
-
-def _frame(time_s: float, samplerate: int) -> int:
-    return -1 if np.isinf(time_s) else round(time_s * samplerate)
 
 
 def mixdown(scene: Scene) -> NDArray[np.float32]:
