@@ -1,10 +1,4 @@
-"""The resampler: one stream from one rate to another, whatever the split, to the bit.
-
-Why none of the libraries: soxr keeps the split, too, and costs a fifth of this, but it works in
-whole FFT blocks. 44.1 to 48 kHz gives nothing until about 1 800 frames have gone in, then bursts;
-a mixer that needs exactly n frames a cycle would add 20 to 40 ms of delay. SciPy's resample_poly
-has no state: the edges of each block would be filtered against zeros.
-"""
+"""The resampler: one stream from one rate to another, whatever the split, to the bit."""
 
 from __future__ import annotations
 
@@ -29,7 +23,6 @@ class Resampler:
     One cycle: `frames_needed(n)` says how many frames to `feed`, in any pieces; `produce` then
     fills exactly n. Output frame j lies at input frame j rate_in/rate_out - `latency_frames`.
 
-    Cost at 48 kHz stereo: 0.3 % of real time on one core (44.1 to 48 kHz), 1.6 % interpolated.
     max_frames: the most that will be produced at once; memory is allocated for that and grows
     only if more is fed than needed. Held by one thread.
     """
