@@ -13,7 +13,6 @@ from device.drive.damping.design import (
     shaper_damping,
 )
 from device.drive.damping.residual import Residual, burst_response, undamped
-from device.errors import UsageError
 from device.rig import ActuatorParameters
 
 HEADROOM_DB = 5.0
@@ -76,17 +75,10 @@ def choose_damping(
     headroom_db : float
         Peak volts beyond those of undamped current drive for the same vibration.
     source_impedances_ohm : Sequence[float]
-        Of the amplifier's drive modes.
+        Of the amplifier's drive modes, one or more.
     latency_s : float
         Delay that a damping may add; 0 excludes shapers.
-
-    Raises
-    ------
-    UsageError
-        There is no source impedance.
     """
-    if not source_impedances_ohm:
-        raise UsageError("no source impedance to choose from; name at least that of the amplifier")
     detunings = sorted({0.0, -uncertainty, uncertainty})
     references = [undamped(p, detuning=d) for d in detunings]
     reference = undamped(p)

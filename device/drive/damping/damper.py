@@ -4,7 +4,6 @@ import numpy as np
 from scipy.signal import sosfilt
 
 from device.drive.damping.design import Damping
-from device.errors import InternalError, UsageError
 from device.units import Block, Float32Array, FloatArray, check_channels, finite_or_zero
 
 _ABSURD = 1e30
@@ -24,7 +23,7 @@ class Damper:
     samplerate : float
         Rate in Hz.
     channels : int
-        Number of channels, 1 or more, all with the same filter.
+        Number of channels, all with the same filter.
 
     Attributes
     ----------
@@ -38,10 +37,6 @@ class Damper:
     """
 
     def __init__(self, damping: Damping, samplerate: float, channels: int) -> None:
-        if not (np.isfinite(samplerate) and samplerate > 0):
-            raise UsageError(f"samplerate={samplerate!r} Hz must be above 0; choose another rate")
-        if channels < 1:
-            raise InternalError(f"channels={channels} must be 1 or more")
         self.damping = damping
         self.samplerate = samplerate
         self.channels = channels

@@ -28,12 +28,6 @@ class Resonance:
     frequency_hz: float
     q: float
 
-    def __post_init__(self) -> None:
-        for name in ("frequency_hz", "q"):
-            number = getattr(self, name)
-            if not (math.isfinite(number) and number > 0.0):
-                raise UsageError(f"{name}={number!r} of a resonance must be above 0; correct it")
-
     def polynomial(self, samplerate: float) -> FloatArray:
         """Return (z - e^(pT)) (z - e^(p'T)) for the poles p and p', highest power first, (3,).
 
@@ -95,9 +89,7 @@ class Impulses:
 
 
 def input_shaper(ringing: Resonance, kind: ShaperKind) -> Impulses:
-    """Return the shaper of that kind. UsageError: the resonance does not ring (Q up to 0.5)."""
-    if ringing.q <= 0.5:
-        raise UsageError(f"a resonance with Q {ringing.q:.2f} does not ring: no shaper is needed")
+    """Return the shaper of that kind, for a resonance that rings: Q above 0.5."""
     root = math.sqrt(4.0 * ringing.q**2 - 1.0)
     half_s = ringing.q / (ringing.frequency_hz * root)  # half a damped period
     swing = math.exp(-math.pi / root)
@@ -134,12 +126,6 @@ class Damping:
     impulses: Impulses | None = None
     gain: float = 1.0
 
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.gain) and self.gain > 0.0):
-            raise UsageError(f"gain={self.gain!r} of the damping must be above 0; correct it")
-        if (self.ringing is None) != (self.wanted is None):
-            raise UsageError("a resonance inverse needs both resonances, ringing and wanted")
-
     @property
     def latency_s(self) -> float:
         """Delay of the vibration, s; 0 without a shaper, since the inverse has minimum phase."""
@@ -174,8 +160,6 @@ def inverse_damping(
     to 1. A lower value makes the dip in the drive shallower: it needs fewer volts and tolerates
     another resonance better, but damps less.
     """
-    if not 0.0 < caution <= 1.0:
-        raise UsageError(f"caution={caution!r} must be above 0 and at most 1; correct it")
     ringing = resonance_of(p, source_impedance_ohm)
     return Damping(
         "inverse",
@@ -192,7 +176,7 @@ def shaper_damping(
     *,
     shift: float = 1.0,
 ) -> Damping:
-    """Return an input shaper for the actuator. UsageError: the actuator does not ring.
+    """Return an input shaper for an actuator that rings.
 
     shift: factor on the frequency. A few percent improve the worst case, since the residual is not
     symmetric around the resonance.

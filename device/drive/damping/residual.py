@@ -70,19 +70,15 @@ def burst_response(
     damping: Damping,
     *,
     detuning: float = 0.0,
-    burst_s: float = BURST_S,
-    frequency_hz: float | None = None,
 ) -> BurstResponse:
     """Return the response of the linear model; see the definitions above.
 
-    p: the believed actuator; detuning: share by which the true f0 differs. frequency_hz: of the
-    burst; default: the believed f0.
+    p: the believed actuator; detuning: share by which the true f0 differs.
     """
     true = detune(p, detuning)
-    frequency_hz = frequency_hz or p.resonance_hz
     longest_s = decay_s(true, damping.source_impedance_ohm)
-    frames = round((burst_s + max(longest_s, burst_s) + damping.latency_s) * SAMPLERATE)
-    burst = sine_burst(frames, burst_s, frequency_hz)
+    frames = round((BURST_S + max(longest_s, BURST_S) + damping.latency_s) * SAMPLERATE)
+    burst = sine_burst(frames, BURST_S, p.resonance_hz)
     source = damping.source_impedance_ohm
     # Scaled so that a current source gives about the same volts.
     drive = Damper(damping, SAMPLERATE, 1).process(burst[:, None])[:, 0] * (1.0 + source)
@@ -90,16 +86,14 @@ def burst_response(
         drive.astype(np.float64), ("acceleration_m_s2", "current_a")
     )
     volts = drive - source * motion.current_a
-    return measured(motion.acceleration_m_s2, volts, burst_s, damping.latency_s)
+    return measured(motion.acceleration_m_s2, volts, damping.latency_s)
 
 
-def measured(
-    acceleration_m_s2: FloatArray, volts: FloatArray, burst_s: float, latency_s: float
-) -> BurstResponse:
+def measured(acceleration_m_s2: FloatArray, volts: FloatArray, latency_s: float) -> BurstResponse:
     """Return the response to a burst from 0 on. Acceleration, terminal volts: (frames,)."""
-    end = round((burst_s + latency_s) * SAMPLERATE)
+    end = round((BURST_S + latency_s) * SAMPLERATE)
     within, after = acceleration_m_s2[:end], acceleration_m_s2[end:]
-    rms_m_s2 = math.sqrt(np.sum(within**2) / (burst_s * SAMPLERATE))
+    rms_m_s2 = math.sqrt(np.sum(within**2) / (BURST_S * SAMPLERATE))
     loud = np.flatnonzero(np.abs(after) > SETTLED * np.abs(within).max())
     return BurstResponse(
         residual=float(np.sum(after**2) / np.sum(within**2)),

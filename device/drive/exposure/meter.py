@@ -6,7 +6,7 @@ from scipy.signal import firwin, sosfilt
 
 from device.drive.exposure.dose import Dose, Exposure
 from device.drive.exposure.weighting import wk_sections
-from device.errors import InternalError, UsageError
+from device.errors import UsageError
 from device.rig import Rig
 from device.rig.actuator import LinearActuator
 from device.rig.seat import SeatMotion
@@ -56,8 +56,6 @@ class ExposureMeter:
                 f"samplerate={samplerate} Hz is too low; choose {_LOWEST_HZ} Hz or more"
             )
         self.knows_seat = rig.seat is not None
-        if channels < 1:
-            raise InternalError(f"channels={channels} must be 1 or more")
         self.samplerate = samplerate
         self.channels = channels
         factor = samplerate // _LOWEST_HZ

@@ -9,13 +9,11 @@ import math
 import numpy as np
 from scipy.signal import bilinear
 
-from device.errors import UsageError
 from device.units import FloatArray
 
 HIGHEST_HZ = 80.0
 """End of the standard's weighting; above it the same formula is an extrapolation."""
 
-LOWEST_SAMPLERATE = 2_000.0
 
 _Part = tuple[tuple[float, float, float], tuple[float, float, float], float]
 
@@ -49,14 +47,7 @@ def wk_sections(samplerate: float) -> FloatArray:
     samplerate: Hz, 2000 or more. The bilinear transform is pre-warped, so that each part is exact
     at its frequency. Lower precision, or one polynomial, would lose poles as close to 1 as those of
     0.4 Hz.
-
-    UsageError: the sample rate is too low.
     """
-    if not samplerate >= LOWEST_SAMPLERATE:
-        raise UsageError(
-            f"samplerate={samplerate!r} Hz is too low for Wk; choose {LOWEST_SAMPLERATE:.0f} Hz "
-            "or more"
-        )
     sections = []
     for numerator, denominator, exact_hz in PARTS:
         # s / tan(...) instead of s T / 2: the bilinear transform at this rate, exact at exact_hz.

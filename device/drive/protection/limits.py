@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 
-from device.errors import UsageError
 from device.rig import Rig
 from device.rig.parameters import LargeSignalParameters
 
@@ -26,11 +25,6 @@ class Limits:
         Share of f0 by which the rig may differ, 0 to 0.5.
     stiffness_rise, force_factor_loss : float
         See `LargeSignalParameters`. A large swing raises the resonance.
-
-    Raises
-    ------
-    UsageError
-        Names every value that is out of range.
     """
 
     excursion_m: float
@@ -40,21 +34,6 @@ class Limits:
     detuning: float = 0.1
     stiffness_rise: float = LargeSignalParameters.stiffness_rise
     force_factor_loss: float = LargeSignalParameters.force_factor_loss
-
-    def __post_init__(self) -> None:
-        wrong = [
-            f"{name}={number!r} must be above 0"
-            for name in ("excursion_m", "current_a", "coil_temperature_c", "level")
-            if (number := getattr(self, name)) is not None and not number > 0.0
-        ]
-        if not 0.0 <= self.detuning <= 0.5:
-            wrong.append(f"detuning={self.detuning!r} must be 0 to 0.5, a share of f0")
-        if not 0.0 <= self.stiffness_rise < math.inf:
-            wrong.append(f"stiffness_rise={self.stiffness_rise!r} must be 0 or more")
-        if not 0.0 <= self.force_factor_loss < 1.0:
-            wrong.append(f"force_factor_loss={self.force_factor_loss!r} must be 0 to below 1")
-        if wrong:
-            raise UsageError(f"limits of the rig: {'; '.join(wrong)}; correct the rig")
 
 
 def limits_of(rig: Rig) -> Limits:

@@ -10,7 +10,7 @@ from device.drive.protection.governor import Governor
 from device.drive.protection.limits import Limits, limits_of
 from device.drive.protection.prediction import Prediction, most_current_a
 from device.drive.protection.thermal import CoilTemperature, gain_for_power
-from device.errors import InternalError, UsageError
+from device.errors import UsageError
 from device.rig import ActuatorParameters, Rig
 from device.rig.parameters import detune, stiffen
 from device.units import Block, FloatArray, check_channels, finite_or_zero
@@ -118,8 +118,6 @@ class Protector:
     ) -> None:
         if samplerate < 1_000:
             raise UsageError(f"samplerate={samplerate} Hz is too low; choose 1000 Hz or more")
-        if channels < 1:
-            raise InternalError(f"channels={channels} must be 1 or more")
         self.rig = rig
         self.limits = limits or limits_of(rig)
         if self.limits.coil_temperature_c is not None and rig.thermal is None:

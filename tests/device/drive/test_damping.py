@@ -327,20 +327,6 @@ def test_a_rate_too_low_for_the_resonance_is_refused_with_what_to_do():
         Damper(EVERY[1], 150, 1)
 
 
-def test_what_is_out_of_range_is_refused():
-    with pytest.raises(UsageError, match="does not ring"):
-        shaper_damping(replace(ACTUATOR, force_factor_n_per_a=60.0, inductance_h=1e-4), "zv")
-    with pytest.raises(UsageError, match="frequency_hz="):
-        Resonance(0.0, 1.0)
-    with pytest.raises(UsageError, match="q="):
-        inverse_damping(ACTUATOR, math.nan)
-    with pytest.raises(UsageError, match="caution="):
-        inverse_damping(ACTUATOR, 0.5, caution=1.5)
-    with pytest.raises(UsageError, match="source impedance"):
-        choose_damping(ACTUATOR, source_impedances_ohm=())
-    with pytest.raises(UsageError, match="both resonances"):
-        Damping("inverse", 0.0, ringing=Resonance(90.0, 3.0))
-    with pytest.raises(UsageError, match="gain="):
-        replace(no_damping(), gain=0.0)
+def test_a_block_of_another_shape_is_refused():
     with pytest.raises(InternalError, match="shape"):
         Damper(EVERY[0], 48_000, 2).process(np.zeros((10, 1)))

@@ -614,14 +614,8 @@ def test_after_reset_it_is_as_new():
 def test_what_is_out_of_range_is_refused_by_name():
     with pytest.raises(UsageError, match="samplerate="):
         Protector(PAPER, 500, 1)
-    with pytest.raises(InternalError, match="channels="):
-        Protector(PAPER, RATE, 0)
     with pytest.raises(InternalError, match="shape"):
         Protector(PAPER, RATE, 1).process(np.zeros((10, 2)))
-    with pytest.raises(UsageError, match=r"excursion_m=-1.*detuning=10"):
-        Limits(excursion_m=-1, detuning=10)
-    with pytest.raises(UsageError, match="level=nan"):
-        Limits(excursion_m=1e-3, level=math.nan)
     with pytest.raises(UsageError, match="coil_j_per_k=0"):
         ThermalParameters(4.0, 0, 3.0, 400.0)
 

@@ -65,7 +65,7 @@ def large_burst_response(
     )
     volts = drive - source * motion.current_a
     return LargeBurst(
-        measured(motion.acceleration_m_s2, volts, BURST_S, damping.latency_s),
+        measured(motion.acceleration_m_s2, volts, damping.latency_s),
         float(np.abs(motion.displacement_m).max()),
     )
 
