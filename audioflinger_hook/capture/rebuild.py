@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 from audioflinger_hook.capture.buffer import CaptureBuffer
@@ -21,8 +22,7 @@ def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
     """
     time_s = 0.0
     for path, segment in ordered_segments(folder, stream):
-        reader = SegmentReader(path)
-        try:
+        with closing(SegmentReader(path)) as reader:
             for first in range(0, segment.frames, REBUILT_FRAMES):
                 count = min(REBUILT_FRAMES, segment.frames - first)
                 samples = reader.read(first, count, segment.channels)
@@ -30,8 +30,6 @@ def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
                     return
                 at_s = time_s + first / segment.samplerate
                 yield CaptureBuffer(samples, segment.samplerate, at_s, discontinuity=False)
-        finally:
-            reader.close()
         time_s += segment.frames / segment.samplerate
 
 

@@ -162,11 +162,8 @@ class SegmentReader:
 
 def segment_format(path: Path) -> SegmentFormat | None:
     """`SegmentReader.format` of the file; raises what `SegmentReader` raises."""
-    reader = SegmentReader(path)
-    try:
+    with contextlib.closing(SegmentReader(path)) as reader:
         return reader.format()
-    finally:
-        reader.close()
 
 
 def write_at(fd: int, content: bytes | memoryview, position: int) -> None:

@@ -6,7 +6,7 @@ import contextlib
 import errno
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -122,9 +122,8 @@ class CaptureWriter:
         of channels than the last buffer's starts a new segment.
         """
         _check_buffer(frames, time_s)
-        before, index_bytes = self._state_of(stream), self._index_bytes
-        here = self._streams[stream]
-        try:
+        before, here = self._state_of(stream), self._streams[stream]
+        with self._all_or_nothing(stream, before):
             segment = self._segment_for(stream, samplerate, frames.shape[1])
             samples_crc = segment.append(frames)
             record = BufferRecord(
@@ -144,11 +143,6 @@ class CaptureWriter:
             here.buffers += 1
             here.frames += len(frames)
             here.segment_frames += len(frames)
-        except BaseException as error:  # an interruption too must not leave half a buffer
-            self._go_back(stream, before, index_bytes)
-            if isinstance(error, OSError):
-                raise self._fail(error) from error
-            raise
         if before.segment is not None and before.segment is not segment:
             before.segment.close()
 
@@ -158,14 +152,8 @@ class CaptureWriter:
         A reader reports that one as a discontinuity.
         """
         self._state_of(stream)
-        index_bytes = self._index_bytes
-        try:
+        with self._all_or_nothing():
             self._append_line(DroppedRecord(stream, buffers, frames).line())
-        except BaseException as error:
-            self._cut_index(index_bytes)
-            if isinstance(error, OSError):
-                raise self._fail(error) from error
-            raise
 
     def close(self) -> None:
         """Bring everything to the disk and mark the capture as complete.
@@ -174,21 +162,16 @@ class CaptureWriter:
         """
         if self._index_fd < 0:
             return
-        index_bytes = self._index_bytes
         try:
-            for stream in self._streams:
-                for path in segment_paths(self.folder, stream).values():
-                    _fsync(path)
-            counts = {stream: state.buffers for stream, state in self._streams.items()}
-            self._append_line(EndRecord(counts).line())
-            os.fsync(self._index_fd)
-            with contextlib.suppress(OSError):  # not every file system can do it for folders
-                _fsync(self.folder)
-        except BaseException as error:
-            self._cut_index(index_bytes)
-            if isinstance(error, OSError):
-                raise self._fail(error) from error
-            raise
+            with self._all_or_nothing():
+                for stream in self._streams:
+                    for path in segment_paths(self.folder, stream).values():
+                        _fsync(path)
+                counts = {stream: state.buffers for stream, state in self._streams.items()}
+                self._append_line(EndRecord(counts).line())
+                os.fsync(self._index_fd)
+                with contextlib.suppress(OSError):  # not every file system can do it for folders
+                    _fsync(self.folder)
         finally:
             self._release()
 
@@ -222,20 +205,30 @@ class CaptureWriter:
         write_at(self._index_fd, line, self._index_bytes)
         self._index_bytes += len(line)
 
-    def _go_back(self, stream: str, before: _Stream, index_bytes: int) -> None:
+    @contextlib.contextmanager
+    def _all_or_nothing(self, stream: str = "", before: _Stream | None = None) -> Iterator[None]:
+        """Undo what was written if it fails: the lines, and the stream as far as it was before."""
+        index_bytes = self._index_bytes
+        try:
+            yield
+        except BaseException as error:  # an interruption too must not leave half a buffer
+            self._index_bytes = index_bytes
+            with contextlib.suppress(OSError):  # a reader finds half a line by its CRC
+                os.ftruncate(self._index_fd, index_bytes)
+            if before:
+                self._go_back(stream, before)
+            if isinstance(error, OSError):
+                raise self._fail(error) from error
+            raise
+
+    def _go_back(self, stream: str, before: _Stream) -> None:
         """Undo a buffer that was not written whole."""
-        self._cut_index(index_bytes)
         started = self._streams[stream].segment
         if started is not None and started is not before.segment:
             started.discard()
         if before.segment is not None:
             before.segment.cut(before.segment_frames)
         self._streams[stream] = before
-
-    def _cut_index(self, index_bytes: int) -> None:
-        self._index_bytes = index_bytes
-        with contextlib.suppress(OSError):  # a reader finds half a line by its CRC
-            os.ftruncate(self._index_fd, index_bytes)
 
     def _fail(self, error: OSError) -> WriteError:
         self._failure = WriteError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,14 +60,11 @@ def inspect_file(
     """
     if at_s is not None and not 0.0 <= at_s < np.inf:
         raise UsageError(f"time {at_s:g} s is not in the sound; allowed: 0 s up to its end")
-    tap = FileTap(path)
-    try:
+    with closing(FileTap(path)) as tap:
         yield from inspect_tap(tap, parameters or TransformParameters(), at_s=at_s)
         if warn:
             for warning in tap.warnings:
                 warn(warning)
-    finally:
-        tap.close()
 
 
 def inspect_tap(

@@ -7,6 +7,7 @@ last bit. One whose state then differs from that at the end of the section befor
 from __future__ import annotations
 
 from collections.abc import Generator
+from contextlib import closing
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -130,11 +131,8 @@ def render_section(plan: Plan, index: int, past: tuple[bytes, ...] | None = None
     first = index * plan.frames
     begin = first if past is not None else max(0, first - plan.early_frames)
     end = None if index == plan.sections - 1 else first + plan.frames
-    tap = FileTap(plan.source, first=begin)
-    try:
+    with closing(FileTap(plan.source, first=begin)) as tap:
         return _render_section(plan, tap, begin, first, end, past)
-    finally:
-        tap.close()
 
 
 def _render_section(

@@ -10,11 +10,6 @@
 | protector.py  | the above, block by block, in the live path                                    |
 """
 
-from device.drive.protection.limits import Limits
 from device.drive.protection.protector import ProtectionStatus, Protector
 
-__all__ = [
-    "Limits",
-    "ProtectionStatus",
-    "Protector",
-]
+__all__ = ["ProtectionStatus", "Protector"]

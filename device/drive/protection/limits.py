@@ -11,20 +11,9 @@ from device.rig.parameters import LargeSignalParameters
 class Limits:
     """Limits of a rig, each above 0 or None for no limit.
 
-    Attributes
-    ----------
-    excursion_m : float
-        In either direction.
-    current_a : float | None
-        Peak.
-    coil_temperature_c : float | None
-        In °C.
-    level : float
-        Of the vibration, 1.0 for full scale.
-    detuning : float
-        Share of f0 by which the rig may differ, 0 to 0.5.
-    stiffness_rise, force_factor_loss : float
-        See `LargeSignalParameters`. A large swing raises the resonance.
+    excursion_m: in either direction; current_a: peak; level: of the vibration, 1.0 for full scale.
+    detuning: share of f0 by which the rig may differ, 0 to 0.5.
+    stiffness_rise, force_factor_loss: see `LargeSignalParameters`.
     """
 
     excursion_m: float

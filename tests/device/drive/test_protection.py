@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import differential_evolution
 
-from device.drive.protection import Limits, Protector
-from device.drive.protection.limits import limits_of
+from device.drive.protection import Protector
+from device.drive.protection.limits import Limits, limits_of
 from device.drive.protection.thermal import CoilTemperature
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER, Rig
