@@ -17,17 +17,20 @@ from audioflinger_hook.transform.principal import Principals
 from device.errors import UsageError
 from tests.support import soak
 from tests.support.bench_runs import LEAST
-from tools import bench, soak_record
+from tools import soak_record
+from tools.bench import run as bench
 from tools.bench.cost import in_ffts, interleaved, rfft_unit_s
 from tools.bench.figures import pictures
 from tools.bench.machine import MachineFacts
 from tools.bench.measures import vibration as measures
 from tools.bench.report import BenchReport, Missing, Must, Row, Section, number
 from tools.bench.sections import (
+    fidelity,
     kept_records,
     mixing,
     savings,
     scaling,
+    speed,
 )
 from tools.bench.sounds.signals import (
     RECORDINGS_COMMAND,
@@ -407,10 +410,10 @@ def test_without_recordings_their_rows_are_named_with_the_command_that_fetches_t
     missing = [
         gone
         for measure in (
-            bench.fidelity.energy_above,
-            bench.fidelity.principal_frequencies,
-            bench.speed.cost_of_a_second,
-            bench.savings.savings,
+            fidelity.energy_above,
+            fidelity.principal_frequencies,
+            speed.cost_of_a_second,
+            savings.savings,
         )
         for gone in measure(empty).missing
     ]

@@ -9,11 +9,11 @@ from audioflinger_hook.transform import haptic as kernel
 from tests.support.bench_runs import a_bench, bench_command
 from tests.support.commands import noise, sound
 from tests.support.recordings import require_recordings
-from tools import bench
-from tools.bench import BenchReport, workbench
+from tools.bench import run as bench
+from tools.bench import workbench
 from tools.bench.machine import machine_facts
-from tools.bench.report import Row, Section
-from tools.bench.sections import comparison, kept_records, speed
+from tools.bench.report import BenchReport, Missing, Must, Row, Section
+from tools.bench.sections import comparison, fidelity, kept_records, speed
 from tools.bench.sounds.signals import (
     KNOWN,
     RECORDINGS_VARIABLE,
@@ -139,8 +139,8 @@ def test_json_with_something_missing_is_still_one_document_by_the_schema(monkeyp
 
 def test_what_is_missing_is_a_line_of_its_table(monkeypatch, tmp_path):
     def partly(_):
-        gone = bench.Missing("two", "it is gone", "fetch it")
-        row = Row("one", 1.0, must=bench.Must("<=", 2.0))
+        gone = Missing("two", "it is gone", "fetch it")
+        row = Row("one", 1.0, must=Must("<=", 2.0))
         return Section("Partly", "Some of it.", (row,), (gone,))
 
     done = ran(monkeypatch, tmp_path, ("part", partly))
@@ -168,7 +168,7 @@ def folder(monkeypatch, tmp_path):
 def test_with_every_recording_nothing_is_missing(folder):
     found, absent = examine_recordings()
     assert (len(found), absent) == (len(KNOWN), {})
-    section = bench.fidelity.recordings(a_bench(found, absent))
+    section = fidelity.recordings(a_bench(found, absent))
     assert section.missing == ()
     assert section.rows[0].value == len(KNOWN)
 
@@ -185,7 +185,7 @@ def test_a_recording_that_is_gone_or_no_sound_is_named(folder):
     found, absent = examine_recordings()
     assert len(found) == len(KNOWN) - 2
     assert set(absent) == {KNOWN[0], KNOWN[-1]}
-    section = bench.fidelity.recordings(a_bench(found, absent))
+    section = fidelity.recordings(a_bench(found, absent))
     by_name = {gone.name: gone for gone in section.missing}
     assert "it is not in" in by_name[f"recording {KNOWN[0]}"].reason
     assert "it cannot be read" in by_name[f"recording {KNOWN[-1]}"].reason
@@ -194,7 +194,7 @@ def test_a_recording_that_is_gone_or_no_sound_is_named(folder):
 
 def test_the_command_tells_of_a_recording_that_is_gone(folder, monkeypatch, tmp_path):
     (folder / KNOWN[3]).unlink()
-    done = ran(monkeypatch, tmp_path, ("recordings", bench.fidelity.recordings))
+    done = ran(monkeypatch, tmp_path, ("recordings", fidelity.recordings))
     assert done.code == 2
     assert f"recording {KNOWN[3]}: it is not in" in done.stderr
     assert f"| recording {KNOWN[3]} | **missing** |" in done.stdout
@@ -205,9 +205,9 @@ def test_without_a_folder_every_section_on_recordings_says_so(monkeypatch, tmp_p
     found, absent = examine_recordings()
     assert (found, absent) == ((), {})
     for each in (
-        bench.fidelity.recordings,
-        bench.fidelity.energy_above,
-        bench.fidelity.principal_frequencies,
+        fidelity.recordings,
+        fidelity.energy_above,
+        fidelity.principal_frequencies,
         comparison.compared,
     ):
         missing = each(a_bench()).missing

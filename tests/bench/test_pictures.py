@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from tests.support.bench_runs import bench_command
-from tools import bench
+from tools.bench import run as bench
 from tools.bench.figures.pictures import PICTURES, shown_in
 from tools.bench.report import Row, Section
 

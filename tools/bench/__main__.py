@@ -16,8 +16,8 @@ from pathlib import Path
 from audioflinger_hook.cli.terminal import progress_bar
 from device.atomic_file import AtomicFile, write_bytes_atomically
 from device.errors import CushionError, UsageError
-from tools.bench import run_bench
 from tools.bench.figures.pictures import draw_all, need_matplotlib, shown_in
+from tools.bench.run import run_bench
 
 EXIT_INTERRUPTED = 130
 

@@ -1,0 +1,101 @@
+"""Every section of the bench, measured one after another."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from tools.bench.machine import machine_facts
+from tools.bench.report import COMMAND, BenchReport, Missing, Section
+from tools.bench.sections import (
+    comparison,
+    damping,
+    fidelity,
+    frequency_error,
+    frontier,
+    kept_records,
+    mixing,
+    model_selection,
+    profiles,
+    protection,
+    rendering,
+    rig,
+    savings,
+    scaling,
+    speech_suppression,
+    speed,
+    tones,
+)
+from tools.bench.sounds.signals import examine_recordings
+from tools.bench.workbench import FULL, QUICK, SUBJECTS, Bench, Effort, Workbench
+from tools.records import now
+
+Progress = Callable[[str, float], None]
+"""Called with what is measured now and the share that is done, 0 to 1."""
+
+BENCHES: tuple[tuple[str, Bench, float], ...] = (
+    ("recordings", fidelity.recordings, 0.1),
+    ("steady tones", tones.steady_tones, 5.0),
+    ("onset lag", fidelity.onset_lag, 2.0),
+    ("energy above 250 Hz", fidelity.energy_above, 1.0),
+    ("principal frequencies", fidelity.principal_frequencies, 0.5),
+    ("frequency error", frequency_error.frequency_error, 2.0),
+    ("cost of a second", speed.cost_of_a_second, 8.0),
+    ("cost after pauses", speed.cost_after_pauses, 3.0),
+    ("worst hop", speed.worst_hop, 5.0),
+    ("scaling of cost", scaling.cost_scaling, 4.0),
+    ("savings", savings.savings, 7.0),
+    ("speech suppression", speech_suppression.speech_suppression, 8.0),
+    ("the mixer", mixing.mixing, 6.0),
+    ("rendering", rendering.render_speed, 4.0),
+    ("cost against error", frontier.frontier, 4.0),
+    ("baselines", comparison.compared, 3.0),
+    ("profiles", profiles.profiles, 3.0),
+    ("simulated rig", rig.linear_model, 2.0),
+    ("work and precision", rig.work_and_precision, 5.0),
+    ("model selection", model_selection.model_selection, 3.0),
+    ("scaling of the rig's cost", scaling.rig_scaling, 3.0),
+    ("residual vibration", damping.residual_vibration, 2.0),
+    ("protection", protection.protection, 1.0),
+    ("protection live", protection.live_cost, 3.0),
+    ("live latency", kept_records.live_latency, 0.1),
+    ("soak", kept_records.transform_soak, 0.1),
+    ("soak of the rig", kept_records.rig_soak, 0.1),
+    ("soak of the identification", kept_records.identification_soak, 0.1),
+)
+"""Every section in the order of the report: its name, its function, and its share of the time."""
+
+
+def run_bench(
+    quick: bool,
+    progress: Progress | None = None,
+    *,
+    effort: Effort | None = None,
+) -> BenchReport:
+    """Return the report of everything, measured on this machine; `effort` overrides quick."""
+    start_s = time.monotonic()
+    machine = machine_facts()
+    date = now()
+    bench = Workbench(effort or (QUICK if quick else FULL), SUBJECTS, *examine_recordings())
+    total = sum(weight for _, _, weight in BENCHES)
+    done = 0.0
+    sections = []
+    for name, measure, weight in BENCHES:
+        if progress:
+            progress(name, done / total)
+        sections.append(_measured(name, measure, bench))
+        done += weight
+    if progress:
+        progress("done", 1.0)
+    return BenchReport(date, quick, time.monotonic() - start_s, machine, tuple(sections))
+
+
+def _measured(name: str, measure: Bench, bench: Workbench) -> Section:
+    """Return a section, or one that names the error, so that the others go on."""
+    try:
+        return measure(bench)
+    except Exception as error:
+        title = name[0].upper() + name[1:]
+        reason = f"its bench failed ({type(error).__name__}: {' '.join(str(error).split())})"
+        gone = Missing(f"every row of {name}", reason, COMMAND)
+        return Section(title, "This could not be measured here.", (), (gone,))
