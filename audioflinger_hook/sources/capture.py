@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +32,12 @@ class CaptureTap:
         Whether frames are missing before the buffer read last.
     time_s : float
         Time of its delivery, seconds of the recorder's monotonic clock.
+    warnings : list of str
+        Warnings for the user, one line each; complete once `read` has returned None.
+    facts : mapping
+        Settings that the recorder stored, by name.
+    frames_expected : int
+        The frames that the capture's WAV files hold.
 
     Raises
     ------
@@ -46,8 +51,10 @@ class CaptureTap:
         self._capture = Capture(folder)
         self._buffers = self._capture.buffers("tap")
         self._next: CaptureBuffer | None = next(self._buffers, None)
-        self._frames_expected = self._capture.frames_expected("tap")
-        if self._next is None or not self._frames_expected:
+        self.warnings = self._capture.warnings
+        self.facts = self._capture.facts
+        self.frames_expected = self._capture.frames_expected("tap")
+        if self._next is None or not self.frames_expected:
             self.close()
             why = "".join(f" ({text})" for text in self.warnings)
             raise UsageError(
@@ -58,21 +65,6 @@ class CaptureTap:
         self.format_changed = False
         self.discontinuity = self._next.discontinuity
         self.time_s = self._next.time_s
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings for the user, one line each; complete once `read` has returned None."""
-        return self._capture.warnings
-
-    @property
-    def facts(self) -> Mapping[str, str | int | float | bool]:
-        """Settings that the recorder stored, by name."""
-        return self._capture.facts
-
-    @property
-    def frames_expected(self) -> int:
-        """The frames that the capture's WAV files hold."""
-        return self._frames_expected
 
     def read(self) -> NDArray[np.float32] | None:
         """Return the next buffer, or None at the end."""

@@ -27,12 +27,7 @@ class FramesTap:
         self._blocksize = blocksize
         self._position = 0
         self.samplerate = samplerate
-        self.channels = int(frames.shape[1])
-
-    @property
-    def frames_expected(self) -> int | None:
-        """How many frames there are."""
-        return len(self._frames)
+        self.frames_expected, self.channels = frames.shape
 
     def read(self) -> NDArray[np.float32] | None:
         """Return the next buffer, or None after the last."""

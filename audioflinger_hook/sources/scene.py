@@ -34,14 +34,10 @@ class SceneClient:
     def __init__(self, scene: Scene, cycle_frames: int = CYCLE_FRAMES) -> None:
         self.samplerate = scene.samplerate
         self.channels = scene.channels
+        self.frames_expected = scene.frame_count
         self._scene = scene
         self._cycle_frames = cycle_frames
         self._position = 0
-
-    @property
-    def frames_expected(self) -> int | None:
-        """The scene's length in frames."""
-        return self._scene.frame_count
 
     def connect(self, mixer: Mixer) -> None:
         """Make a track for every sound."""

@@ -33,6 +33,7 @@ class RigProcessor:
     channels: number of channels, 1 or more.
     damped: whether to damp, with the damping that `choose_damping` finds for the rig's amplifier.
     exposure_cap: one of `CAPS`. From half of that dose on the gain falls slowly.
+    knows_seat: whether the rig describes its seat; else the seat is taken to move as the mass does.
     UsageError: the sample rate is too low.
     """
 
@@ -49,6 +50,7 @@ class RigProcessor:
         self.channels = channels
         self._protector = Protector(rig, samplerate, channels)
         self._meter = ExposureMeter(rig, samplerate, channels)
+        self.knows_seat = self._meter.knows_seat
         self.exposure_cap = exposure_cap
         self._cap = CAPS[exposure_cap]
         self._processors: list[BlockProcessor] = [self._protector, self._meter]
@@ -88,11 +90,6 @@ class RigProcessor:
     def exposure(self) -> Exposure:
         """Return the exposure so far."""
         return self._meter.exposure()
-
-    @property
-    def knows_seat(self) -> bool:
-        """Whether the rig describes its seat; else the seat is taken to move as the mass does."""
-        return self._meter.knows_seat
 
     @property
     def exposure_gain(self) -> float:
