@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except CushionError as error:
-        return _report(error, error.exit_code, debug)
+        return _report(error, debug)
     except KeyboardInterrupt:
         print("cushion: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
@@ -46,11 +46,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.errno in STDOUT_ERRORS and not error.filename:
             _discard_stdout()
-            full = WriteError(f"cannot write to standard output ({error.strerror})")
-            return _report(full, full.exit_code, debug)
-        kind = type(error).__name__
-        wrapped = InternalError(f"{kind}: {error}; this is a fault of cushion, please report it")
-        return _report(wrapped, InternalError.exit_code, debug)
+            full = f"cannot write to standard output ({error.strerror})"
+            return _report(WriteError(full), debug)
+        fault = f"{type(error).__name__}: {error}; this is a fault of cushion, please report it"
+        return _report(InternalError(fault), debug)
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -58,8 +57,7 @@ def _run(arguments: Sequence[str]) -> int:
         options = build_parser().parse_args(arguments)
     except SystemExit as done:  # --help and --version end the parser's way
         return int(done.code or 0)
-    code: int = options.run(options)
-    return code
+    return int(options.run(options))
 
 
 def _prepare_streams() -> None:
@@ -69,10 +67,8 @@ def _prepare_streams() -> None:
             os.fstat(descriptor)
         except OSError:  # else the next file that is opened would take its place
             os.open(os.devnull, os.O_RDWR)
-    if sys.stdout is None:
-        sys.stdout = io.StringIO()
-    if sys.stderr is None:
-        sys.stderr = io.StringIO()
+    sys.stdout = sys.stdout or io.StringIO()
+    sys.stderr = sys.stderr or io.StringIO()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A file's name may be bytes that are no text.
@@ -84,12 +80,12 @@ def _discard_stdout() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _report(error: Exception, code: int, debug: bool) -> int:
+def _report(error: CushionError, debug: bool) -> int:
     if debug:
         traceback.print_exc()
     with contextlib.suppress(OSError):  # nobody may be left to read it
         print(f"cushion: error: {error}", file=sys.stderr, flush=True)
-    return code
+    return error.exit_code
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from contextlib import closing
 
 from audioflinger_hook.capture import CaptureWriter
 from audioflinger_hook.cli.terminal import progress_bar, warn
@@ -25,27 +26,19 @@ def run(options: argparse.Namespace) -> int:
         _print_summary(writer, live.heard_s, *live.format)
         return 0
     tap = open_tap(address)
-    try:
-        with (
-            CaptureWriter(options.folder, facts={"tap": str(address)}) as writer,
-            progress_bar(str(address)) as progress,
-        ):
-            heard_s = 0.0
-            while heard_s < options.seconds:
-                buffer = tap.read()
-                if buffer is None:
-                    break
-                writer.write_buffer(
-                    "tap",
-                    buffer,
-                    tap.samplerate,
-                    time.monotonic(),
-                    discontinuity=tap.discontinuity,
-                )
-                heard_s += len(buffer) / tap.samplerate
-                progress(writer.frames("tap"), tap.frames_expected)
-    finally:
-        tap.close()
+    heard_s = 0.0
+    with (
+        closing(tap),
+        CaptureWriter(options.folder, facts={"tap": str(address)}) as writer,
+        progress_bar(str(address)) as progress,
+    ):
+        while heard_s < options.seconds and (buffer := tap.read()) is not None:
+            now_s = time.monotonic()
+            writer.write_buffer(
+                "tap", buffer, tap.samplerate, now_s, discontinuity=tap.discontinuity
+            )
+            heard_s += len(buffer) / tap.samplerate
+            progress(writer.frames("tap"), tap.frames_expected)
     for warning in getattr(tap, "warnings", ()):
         warn(warning)
     _print_summary(writer, heard_s, tap.samplerate, tap.channels)

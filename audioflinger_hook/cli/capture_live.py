@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
 
 from audioflinger_hook.capture import CaptureRecorder, CaptureWriter
@@ -21,26 +22,24 @@ def record(
     """Record so many seconds of sound, or until a signal; return the writer and the capture."""
     if not debug:
         filter_stderr()
-    with Wake() as wake, Signals(wake) as signals:
-        live = LiveCapture(address, wake, time.monotonic())
-        try:
-            live.look()
-            writer = CaptureWriter(folder, facts={"tap": str(address)})
-            with (
-                CaptureRecorder(writer) as recorder,
-                progress_bar(str(address)) as progress,
-            ):
-                freeze_loaded_objects()
-                live.begin(recorder)
-                try:
-                    while live.heard_s < seconds and not signals.end and not recorder.error:
-                        live.tick(time.monotonic())
-                        progress(live.heard_s, seconds if seconds < float("inf") else None)
-                        wake.wait(TICK_S)
-                finally:
-                    live.close()  # no buffer may arrive after the recorder is closed
-        finally:
-            live.close()
+    with (
+        Wake() as wake,
+        Signals(wake) as signals,
+        closing(LiveCapture(address, wake, time.monotonic())) as live,
+    ):
+        live.look()
+        writer = CaptureWriter(folder, facts={"tap": str(address)})
+        with (
+            CaptureRecorder(writer) as recorder,
+            progress_bar(str(address)) as progress,
+            closing(live),  # no buffer may arrive after the recorder is closed
+        ):
+            freeze_loaded_objects()
+            live.begin(recorder)
+            while live.heard_s < seconds and not signals.end and not recorder.error:
+                live.tick(time.monotonic())
+                progress(live.heard_s, seconds if seconds < float("inf") else None)
+                wake.wait(TICK_S)
         if signals.end:
             raise KeyboardInterrupt
     dropped, frames = recorder.dropped("tap")

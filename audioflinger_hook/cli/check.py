@@ -5,11 +5,10 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import sys
 from functools import cache
 from pathlib import Path
 
-from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.terminal import complain, warn
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.schema import json_schema
 from device.errors import UsageError
@@ -35,18 +34,12 @@ def run(options: argparse.Namespace) -> int:
     if found is not None and found.warning:
         warn(f"{path}: {found.warning}")
     for mistake in mistakes:
-        print(f"cushion: error: {path}: {mistake}", file=sys.stderr)
+        complain(f"{path}: {mistake}")
     return UsageError.exit_code if mistakes else 0
 
 
 def load_config(path: Path) -> config.Config:
-    """Return what a config file says, and warn of keys with old names.
-
-    Raises
-    ------
-    UsageError
-        As `config.load`.
-    """
+    """Return what a config file says, and warn of keys with old names. UsageError: as `load`."""
     found = config.load(path)
     if found.warning:
         _warn_once(f"{path}: {found.warning}")

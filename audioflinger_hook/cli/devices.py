@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -30,14 +31,10 @@ def run(options: argparse.Namespace) -> int:
     filter_stderr()
     snapshot = None
     try:
-        connection = PulseConnection()
+        with closing(PulseConnection()) as connection:
+            snapshot = connection.latest
     except CushionError as error:
         warn(str(error))
-    else:
-        try:
-            snapshot = connection.latest
-        finally:
-            connection.close()
     usb = find_devices()
     if usb.reason is not None:
         warn(str(usb.reason))
@@ -125,22 +122,17 @@ def _samplerates(
 
 
 def _card(playback: PlaybackDevice) -> dict[str, Any]:
-    busy = why_blocked(playback)
     return {
         "device": f"hw:{playback.card.id or playback.card.number},{playback.device}",
         "number": playback.card.number,
         "name": playback.name,
-        "in_use": busy,
+        "in_use": why_blocked(playback),
     }
 
 
 def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
     if snapshot is None:
         return {"server": None, "default_sink": None, "sinks": [], "applications": []}
-    return _document(snapshot)
-
-
-def _document(snapshot: ServerSnapshot) -> dict[str, Any]:
     names = {sink.index: sink.name for sink in snapshot.sinks}
     return {
         "server": f"{snapshot.kind} {snapshot.version}",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from contextlib import closing
 
 from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import warn
@@ -17,11 +18,11 @@ def run(options: argparse.Namespace) -> int:
     """Play a tap up to a moment, as fast as it goes, and print the framework as it then is."""
     settings = load_config(options.config).settings if options.config else Settings()
     client = open_client(parse_tap(options.tap))
-    try:
+    cycle_times_s = []
+    frames = 0
+    with closing(client):
         framework = Framework(client.samplerate, client.channels, settings, clock=time.thread_time)
         chain = Pipeline(client, framework, ())
-        cycle_times_s = []
-        frames = 0
         while frames < options.at * framework.samplerate:
             began_s = time.thread_time()
             step = chain.step(frames / framework.samplerate)
@@ -29,8 +30,6 @@ def run(options: argparse.Namespace) -> int:
                 break
             cycle_times_s.append(time.thread_time() - began_s)
             frames += len(step.audio)
-    finally:
-        client.close()
     for warning in framework.warnings:
         warn(warning)
     print(framework.dump(cycle_times_s), end="")

@@ -48,8 +48,7 @@ def _add(
     def run(options: argparse.Namespace) -> int:
         # Imported when it runs: what it needs may take a second to load.
         module = import_module(f"audioflinger_hook.cli.{name.replace('-', '_')}")
-        code: int = module.run(options)
-        return code
+        return int(module.run(options))
 
     command.set_defaults(run=run)
 

@@ -7,7 +7,6 @@ import dataclasses
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.terminal import complain, level_text, progress_bar, warn
@@ -18,8 +17,6 @@ from audioflinger_hook.offline.workers import WORKERS_MAX, usable_cores
 from device.errors import UsageError
 
 SEE_HELP = "see `cushion render --help`"
-
-EMPTY: Mapping[str, int] = MappingProxyType({})
 
 
 def run(options: argparse.Namespace) -> int:
@@ -117,9 +114,10 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
 
 
 def show_report(
-    report: RenderReport, options: argparse.Namespace, more: Mapping[str, int] = EMPTY
+    report: RenderReport, options: argparse.Namespace, more: Mapping[str, int] | None = None
 ) -> None:
     """Print what came of it, as JSON where asked, with warnings on stderr; more: other counts."""
+    more = more or {}
     for warning in report.warnings:
         warn(warning)
     if options.output.suffix.lower() not in (".wav", ".wave", ".rf64", ""):

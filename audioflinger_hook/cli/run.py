@@ -83,13 +83,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_config(options: argparse.Namespace) -> RunConfig:
-    """Return what config and options ask for; options take precedence.
-
-    Raises
-    ------
-    UsageError, NotFoundError
-        One of them has a mistake, or names something that does not exist.
-    """
+    """Return what config and options ask for; options take precedence."""
     path = options.config or config.default_path()
     found = load_config(path) if options.config or path.exists() else config.Config()
     settings, live = found.settings, found.live
@@ -131,12 +125,10 @@ def _check_config(run_config: RunConfig) -> None:
     if run_config.tap.kind not in LIVE_TAPS + PACED_TAPS:
         raise NotFoundError(f"tap {str(run_config.tap)!r}: `cushion run` cannot listen to it")
     _ = run_config.rules
-    if run_config.settings.actuators and (
-        run_config.device_is_a_card or not run_config.device_is_live
-    ):
-        _ = (
-            run_config.settings.numbered_channels
-        )  # raises if an actuator names a channel, as only sinks have names
+    numbered = run_config.device_is_a_card or not run_config.device_is_live
+    if run_config.settings.actuators and numbered:
+        # It raises if an actuator names a channel, as only sinks have names.
+        _ = run_config.settings.numbered_channels
     if run_config.live.drop_in and run_config.tap.kind not in ("default", "app"):
         raise UsageError(
             f"tap {str(run_config.tap)!r}: drop-in mode forwards to the default sink; the tap "

@@ -91,10 +91,6 @@ class RateLimit:
     """
 
     def __init__(self, at_once: int = AT_ONCE, every_s: float = EVERY_S) -> None:
-        if at_once < 1 or not every_s > 0.0:
-            raise ValueError(
-                f"{at_once} at once, one every {every_s} s; allowed: 1 or more, above 0"
-            )
         self._at_once = at_once
         self._every_s = every_s
         # Allowance, time of the last request, and messages left out since the last printed one.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable
-from types import TracebackType
 
 from audioflinger_hook.daemon.wake import Wake
 
@@ -21,7 +20,7 @@ class Signals:
     def __init__(self, wake: Wake) -> None:
         self.end = False
         self.reload = False
-        self.on_spinning: Callable[[], None] = _nothing
+        self.on_spinning: Callable[[], None] = lambda: None
         self._wake = wake
         self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
         # `nohup` lets a program go on without its terminal.
@@ -39,12 +38,7 @@ class Signals:
     def __enter__(self) -> Signals:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -63,7 +57,3 @@ class Signals:
     def _spinning(self, _number: int, _frame: object) -> None:
         self.on_spinning()
         self._wake.ring()
-
-
-def _nothing() -> None:
-    """Do nothing: no handler is set yet."""

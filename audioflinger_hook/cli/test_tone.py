@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import threading
 import time
+from contextlib import ExitStack, closing
 
 import numpy as np
 
@@ -52,28 +53,20 @@ def run(options: argparse.Namespace) -> int:
     if device.kind not in ("sink", "usb"):
         raise NotFoundError(f"device {str(device)!r}: it takes a sink; see `cushion devices`")
     filter_stderr()
-    pcms = PcmConfig("cushion_output")
-    try:
-        connection = PulseConnection()
-        try:
-            sink = device.sink(connection.latest)
-            refuge = FallbackSink(connection)
-            pcm = pcms.pcms["cushion_output"]
-            pcm.target = ServerDevice(sink.name)
-            tone = Tone(options.hz, options.level, options.seconds, sink.samplerate)
-            stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
-            guard = StreamGuard(connection, stream, sink.name)
-            try:
-                print(f"{sink.name} ({sink.description}): {options.hz:g} Hz", flush=True)
-                _wait(tone, stream, guard)
-            finally:
-                guard.release()
-                stream.close()
-                refuge.close()
-        finally:
-            connection.close()
-    finally:
-        pcms.close()
+    with ExitStack() as stack:
+        pcms = stack.enter_context(closing(PcmConfig("cushion_output")))
+        connection = stack.enter_context(closing(PulseConnection()))
+        sink = device.sink(connection.latest)
+        stack.callback(FallbackSink(connection).close)
+        pcm = pcms.pcms["cushion_output"]
+        pcm.target = ServerDevice(sink.name)
+        tone = Tone(options.hz, options.level, options.seconds, sink.samplerate)
+        stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
+        stack.callback(stream.close)
+        guard = StreamGuard(connection, stream, sink.name)
+        stack.callback(guard.release)
+        print(f"{sink.name} ({sink.description}): {options.hz:g} Hz", flush=True)
+        _wait(tone, stream, guard)
     return 0
 
 

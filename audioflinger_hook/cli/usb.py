@@ -6,7 +6,7 @@ import argparse
 import json
 import math
 import sys
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -79,11 +79,8 @@ def _settings(device: UsbAudioDevice, taken: bool) -> dict[str, Any] | None:
     if held_by(device):
         return None
     try:
-        control = open_control(device)
-        try:
+        with closing(open_control(device)) as control:
             return _asked(control)
-        finally:
-            control.close()
     except CushionError as error:
         warn(str(error))
         return None
@@ -183,11 +180,8 @@ def _document(
     document: dict[str, Any] = {}
     if device is not None:
         document["name"] = str(identify(device, find_devices().devices))
-        document["port"] = device.port
-        document["cards"] = _plain(device.cards)
-        document["mixer"] = mixer_of(device)
-    document["device"] = _plain(whole.device)
-    document["configurations"] = [
+        document |= {"port": device.port, "cards": _plain(device.cards), "mixer": mixer_of(device)}
+    configurations = [
         {
             **_plain(configuration),
             "problems": [str(problem) for problem in configuration.problems],
@@ -196,9 +190,8 @@ def _document(
         }
         for configuration in whole.configurations
     ]
-    document["rest"] = whole.rest.hex()
-    document["settings"] = settings
-    return document
+    document |= {"device": _plain(whole.device), "configurations": configurations}
+    return document | {"rest": whole.rest.hex(), "settings": settings}
 
 
 def _plain(item: Any) -> Any:
