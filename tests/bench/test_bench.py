@@ -481,7 +481,7 @@ def test_the_plots_are_pictures(report, tmp_path):
     if os.environ.get("CI") != "true":
         pytest.importorskip("matplotlib")
     paths = pictures.draw_all(report, tmp_path)
-    names = ["cost", "lag", "frequency", "frontier", "baselines", "models", "damping"]
+    names = ["cost", "lag", "frontier", "baselines", "models", "damping"]
     assert [path.name for path in paths] == [f"{name}.png" for name in names]
     for path in paths:
         content = path.read_bytes()
