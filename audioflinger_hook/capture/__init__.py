@@ -1,16 +1,15 @@
 """Captures: PCM buffers stored as delivered, for replay bit for bit.
 
-    audio thread -> recorder.py -> writer.py -> folder -> reader.py -> taps/capture.py
-                    queue+thread   segment.py  format.py  segment.py
+    audio thread -> recorder -> writer -> folder -> reader -> sources/capture
+                    queue+thread segment   format    segment
 
-format.py describes the folder's files; rebuild.py reads a folder without its index. Times are
-arguments.
+format describes the folder's files. Times are arguments.
 """
 
-from audioflinger_hook.capture.buffer import CaptureBuffer
 from audioflinger_hook.capture.format import STREAMS
 from audioflinger_hook.capture.reader import Capture
 from audioflinger_hook.capture.recorder import CaptureRecorder
+from audioflinger_hook.capture.segment import CaptureBuffer
 from audioflinger_hook.capture.writer import CaptureWriter
 
 __all__ = ["STREAMS", "Capture", "CaptureBuffer", "CaptureRecorder", "CaptureWriter"]

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.capture.buffer import CaptureBuffer
 from audioflinger_hook.capture.format import (
     FORMAT,
     INDEX_NAME,
@@ -21,12 +20,20 @@ from audioflinger_hook.capture.format import (
     EndRecord,
     Facts,
     Header,
+    begins_like_an_index,
+    first_record,
+    records,
     segment_name,
     segment_paths,
 )
-from audioflinger_hook.capture.index import begins_like_an_index, first_record, records
-from audioflinger_hook.capture.rebuild import REBUILT_FRAMES, ordered_segments, rebuilt_buffers
-from audioflinger_hook.capture.segment import SegmentReader, segment_format
+from audioflinger_hook.capture.segment import (
+    REBUILT_FRAMES,
+    CaptureBuffer,
+    SegmentReader,
+    ordered_segments,
+    rebuilt_buffers,
+    segment_format,
+)
 from device.errors import UsageError
 
 Buffers = Generator[CaptureBuffer, None, None]
@@ -41,7 +48,7 @@ class Capture:
     - Cut off (kill -9, disk full): everything up to the last whole buffer, and a warning.
     - Damaged lines in the index, missing or changed samples: these buffers are left out, the next
       one is a discontinuity, and a warning says how many.
-    - Index missing: the segments in order, as buffers of 1024 frames; see rebuild.py.
+    - Index missing: the segments in order, as buffers of 1024 frames.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""One segment of a capture: a float32 WAV file that can be read while it grows and after a kill."""
+"""Segments of a capture: float32 WAV files that can be read while they grow and after a kill."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import os
 import stat
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from audioflinger_hook.capture.format import SAMPLES_OFFSET
+from audioflinger_hook.capture.format import INDEX_NAME, SAMPLES_OFFSET, segment_name, segment_paths
 from device.errors import InternalError, UsageError
 from device.wav_output import wav_header
 
@@ -182,3 +184,79 @@ def _read_at(fd: int, target: memoryview, position: int) -> bool:
             return False
         target, position = target[got:], position + got
     return True
+
+
+# eq=False: comparing arrays with == gives arrays, so a generated __eq__ could only fail.
+@dataclass(frozen=True, eq=False)
+class CaptureBuffer:
+    """A buffer exactly as it was delivered.
+
+    Attributes
+    ----------
+    frames : array of float32
+        (frames, channels), possibly empty; the reader owns it.
+    samplerate : int
+        Hz.
+    time_s : float
+        Time of its delivery, seconds of the recorder's monotonic clock.
+    discontinuity : bool
+        Whether frames are missing before it: at the source, in the recorder or in the capture.
+    """
+
+    frames: NDArray[np.float32]
+    samplerate: int
+    time_s: float
+    discontinuity: bool
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return int(self.frames.shape[1])
+
+    @property
+    def format(self) -> tuple[int, int]:
+        """Samplerate in Hz and number of channels."""
+        return self.samplerate, self.channels
+
+
+REBUILT_FRAMES = 1_024
+"""Frames of a buffer, where nobody knows how many there were."""
+
+
+def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
+    """The stream in buffers of `REBUILT_FRAMES`; the last of each segment may be shorter.
+
+    Raises UsageError where the order of the segments is ambiguous or one is not a capture's.
+    """
+    time_s = 0.0
+    for path, segment in ordered_segments(folder, stream):
+        with closing(SegmentReader(path)) as reader:
+            for first in range(0, segment.frames, REBUILT_FRAMES):
+                count = min(REBUILT_FRAMES, segment.frames - first)
+                samples = reader.read(first, count, segment.channels)
+                if samples is None:  # it has become shorter since
+                    return
+                at_s = time_s + first / segment.samplerate
+                yield CaptureBuffer(samples, segment.samplerate, at_s, discontinuity=False)
+        time_s += segment.frames / segment.samplerate
+
+
+def ordered_segments(folder: Path, stream: str) -> list[tuple[Path, SegmentFormat]]:
+    """The stream's segments in order, or UsageError where there is no telling."""
+    paths = segment_paths(folder, stream)
+    segments = []
+    for expected, (number, path) in enumerate(paths.items(), 1):
+        if number != expected:
+            raise UsageError(
+                f"{folder} has lost {INDEX_NAME} and {segment_name(stream, expected)}: what came "
+                f"before {path.name} is not known; replay the WAV files one by one with file:PATH"
+            )
+        found = segment_format(path)
+        if found is not None:
+            segments.append((path, found))
+        elif number < len(paths) or path.stat().st_size >= SAMPLES_OFFSET:
+            raise UsageError(
+                f"{folder} has lost {INDEX_NAME}, and {path.name} is not as a capture writes it; "
+                "take the file away, or replay the WAV files one by one with file:PATH"
+            )
+    return segments

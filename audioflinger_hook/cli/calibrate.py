@@ -5,18 +5,20 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
-from audioflinger_hook.cli.calibrate_report import document, table
 from audioflinger_hook.cli.terminal import warn
 from device.address import parse_device
 from device.errors import UsageError
+from device.identification.acceleration import Mode
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.laboratory import Devices
+from device.identification.output_error import Estimate
 from device.identification.rig_values import write_rig
 from device.identification.simulated_laboratory import USUAL_SHARE, SimulatedLaboratory
 from device.identification.sweep import Sweep
+from device.identification.transfer import LOW_COHERENCE, Quality
 from device.rig import Rig, rig_by_name
 
 SUFFIX = ".toml"
@@ -83,3 +85,100 @@ def _conclude(
             raise UsageError(f"{options.out} is not written: {message}")
         warn(message)
     return 0
+
+
+def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str, object]:
+    """For --json; null is what was not measured or does not follow from it."""
+    driven, scaled = found.driven, found.level_of_x_max is not None
+    return {
+        "rig": rig.name,
+        "level": found.sweep.level,
+        "level_of_x_max": found.level_of_x_max,
+        "on_seat": found.on_seat,
+        "driven_f0_hz": driven and driven.f0_hz.value,
+        "driven_f0_interval_hz": driven and list(driven.f0_hz.interval),
+        "driven_q": driven and driven.q.value,
+        "driven_q_interval": driven and list(driven.q.interval),
+        "driven_sensitivity": _estimate(driven.sensitivity) if driven and scaled else None,
+        "values": {parameter: _estimate(estimate) for parameter, estimate in found.values.items()},
+        "matched": found.matched,
+        "devices": devices and asdict(devices),
+        "recordings": [_quality(one) for one in found.qualities],
+    }
+
+
+def _estimate(estimate: Estimate) -> dict[str, object]:
+    return {"value": estimate.value, "interval": list(estimate.interval)}
+
+
+def _quality(one: Quality) -> dict[str, object]:
+    return {
+        "reference": one.names[0],
+        "response": one.names[1],
+        "coherence": one.coherence,
+        "low_coherence_hz": [list(ends) for ends in one.low_hz],
+        "distortion": [
+            {
+                "order": h.order,
+                "largest_share": h.largest_share,
+                "at_hz": h.at_hz if h.largest_share else None,
+            }
+            for h in one.harmonics
+        ],
+    }
+
+
+def table(found: Calibration, devices: Devices | None) -> str:
+    """For people."""
+    rows = [
+        f"{parameter:<32} {estimate.value:>12.5g}   {estimate.low:.5g} to {estimate.high:.5g}"
+        for parameter, estimate in found.values.items()
+    ]
+    if found.driven:
+        rows += _mode(found.driven, found)
+    rows += [_line(one) for one in found.qualities]
+    if found.level_of_x_max is not None:
+        rows.append(f"swept at {found.level_of_x_max:.3f} Xmax; intervals are of 95 %")
+    else:
+        rows.append(
+            f"swept at {found.sweep.level:.3g} of full scale; how far that moved is not known, so "
+            "the intervals of 95 % are without what the level shifts"
+        )
+    if devices:
+        rows.append(
+            f"{devices.output} to {devices.input}: {1e3 * devices.delay_s:.1f} ms later, clocks "
+            f"{devices.drift_ppm:+.1f} ppm apart"
+        )
+    return "\n".join(rows)
+
+
+def _mode(mode: Mode, found: Calibration) -> list[str]:
+    f0, q, s = mode.f0_hz, mode.q, mode.sensitivity
+    rows = [f"driven by its amplifier: {f0.value:.2f} Hz, Q {q.value:.2f}"]
+    if found.mode is None and found.impedance is None:
+        rows[0] += f" ({f0.low:.3f} to {f0.high:.3f} Hz, Q {q.low:.3f} to {q.high:.3f})"
+        if found.level_of_x_max is not None:
+            measured = {one.names for one in found.qualities}
+            unit = "V" if ("voltage", "acceleration") in measured else "full scale"
+            rows.append(
+                f"sensitivity above the resonance: {s.value:.4g} m/s² per {unit} "
+                f"({s.low:.4g} to {s.high:.4g})"
+            )
+        else:
+            rows.append("no sensitivity: the accelerometer's own was not given")
+    return rows
+
+
+def _line(one: Quality) -> str:
+    what = f"{one.names[1]} for {one.names[0]}"
+    line = f"{what}: coherence {one.coherence:.4f}"
+    if one.low_hz:
+        ends = ", ".join(f"{low:.0f}-{high:.0f}" for low, high in one.low_hz[:4])
+        more = " and more" if len(one.low_hz) > 4 else ""
+        line += f", below {LOW_COHERENCE} at {ends}{more} Hz"
+    orders = [
+        f"{h.order}: {100 * h.largest_share:.2g} % at {h.at_hz:.0f} Hz"
+        for h in one.harmonics
+        if h.largest_share
+    ]
+    return f"{line}; distortion by order {', '.join(orders) or 'below the noise'}"

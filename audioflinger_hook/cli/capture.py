@@ -5,10 +5,16 @@ from __future__ import annotations
 import argparse
 import time
 from contextlib import closing
+from pathlib import Path
 
-from audioflinger_hook.capture import CaptureWriter
+from audioflinger_hook.capture import CaptureRecorder, CaptureWriter
+from audioflinger_hook.cli.signals import Signals
 from audioflinger_hook.cli.terminal import progress_bar, warn
-from audioflinger_hook.sources import open_tap, parse_tap
+from audioflinger_hook.daemon.gc_freeze import freeze_loaded_objects
+from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
+from audioflinger_hook.daemon.wake import Wake
+from audioflinger_hook.sources import TapAddress, open_tap, parse_tap
+from device.stream import filter_stderr
 
 LIVE_TAPS = ("default", "sink")
 """What is playing; all else is at hand."""
@@ -18,11 +24,7 @@ def run(options: argparse.Namespace) -> int:
     """Record until the tap ends, or for so many seconds of sound, and say what is there."""
     address = parse_tap(options.tap)
     if address.kind in LIVE_TAPS:
-        from audioflinger_hook.cli import capture_live
-
-        writer, live = capture_live.record(
-            address, options.folder, options.seconds, debug=options.debug
-        )
+        writer, live = _record_live(address, options.folder, options.seconds, debug=options.debug)
         _print_summary(writer, live.heard_s, *live.format)
         return 0
     tap = open_tap(address)
@@ -52,3 +54,35 @@ def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, chann
         f"{writer.folder}: {heard_s:.2f} s in {count} buffer{'s' if count != 1 else ''}, "
         f"{channels} channel{'s' if channels > 1 else ''} at {samplerate} Hz"
     )
+
+
+def _record_live(
+    address: TapAddress, folder: Path, seconds: float, *, debug: bool
+) -> tuple[CaptureWriter, LiveCapture]:
+    """Record so many seconds of sound, or until a signal; return the writer and the capture."""
+    if not debug:
+        filter_stderr()
+    with (
+        Wake() as wake,
+        Signals(wake) as signals,
+        closing(LiveCapture(address, wake, time.monotonic())) as live,
+    ):
+        live.look()
+        writer = CaptureWriter(folder, facts={"tap": str(address)})
+        with (
+            CaptureRecorder(writer) as recorder,
+            progress_bar(str(address)) as progress,
+            closing(live),  # no buffer may arrive after the recorder is closed
+        ):
+            freeze_loaded_objects()
+            live.begin(recorder)
+            while live.heard_s < seconds and not signals.end and not recorder.error:
+                live.tick(time.monotonic())
+                progress(live.heard_s, seconds if seconds < float("inf") else None)
+                wake.wait(TICK_S)
+        if signals.end:
+            raise KeyboardInterrupt
+    dropped, frames = recorder.dropped("tap")
+    if dropped:
+        warn(f"{dropped} buffers ({frames} frames) could not be kept: the disk was too slow")
+    return writer, live

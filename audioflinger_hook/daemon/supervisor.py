@@ -11,8 +11,7 @@ from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.stall_detector import StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
-from audioflinger_hook.pipeline.drive_factory import drive_of
-from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError

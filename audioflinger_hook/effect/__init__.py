@@ -1,7 +1,7 @@
 """Effects as on Android: chains of the mixer's output, the haptic effect among them.
 
 audio_effects.xml -> xml -> registry -> chain (one a session) -> module
-interface, parameters       what an engine is
+interface                   what an engine is
 commands                    checks every command before the engine sees it
 control                     lifecycle and commands of one effect
 module                      calls an engine so that it cannot harm the sound

@@ -11,8 +11,8 @@ from audioflinger_hook.effect.interface import (
     EffectConfig,
     EffectDescriptor,
     EffectFlag,
+    Parameter,
 )
-from audioflinger_hook.effect.parameters import Parameter
 
 KNOWN = frozenset(int(code) for code in Command) - {int(Command.FIRST_PROPRIETARY)}
 

@@ -17,8 +17,8 @@ from audioflinger_hook.effect.interface import (
     Command,
     EffectConfig,
     EffectEngine,
+    Values,
 )
-from audioflinger_hook.effect.parameters import Values
 
 TAIL_MAX_S = 10.0
 """Seconds of sound for which a stopped effect may continue its tail."""

@@ -26,8 +26,8 @@ from audioflinger_hook.effect.interface import (
     Command,
     EffectConfig,
     EffectLibrary,
+    Value,
 )
-from audioflinger_hook.effect.parameters import Value
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from audioflinger_hook.transform import FloatArray, Frames, HapticTransform
 from device.blocks import peak

@@ -12,9 +12,11 @@ from audioflinger_hook.effect.interface import (
     EffectConfig,
     EffectDescriptor,
     EffectFlag,
+    Parameter,
+    Value,
+    Values,
     VendorCommand,
 )
-from audioflinger_hook.effect.parameters import Parameter, Value, Values
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import Form, HapticTransform, TransformParameters
 from device.drive import SOURCES

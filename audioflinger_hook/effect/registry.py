@@ -9,14 +9,15 @@ from uuid import UUID
 from audioflinger_hook.effect.control import error_text
 from audioflinger_hook.effect.haptic import CUSHION
 from audioflinger_hook.effect.interface import (
+    KINDS,
     Command,
     EffectDescriptor,
     EffectEngine,
     EffectFlag,
     EffectLibrary,
+    Parameter,
     VendorCommand,
 )
-from audioflinger_hook.effect.parameters import KINDS, Parameter
 from device.errors import InternalError, NotFoundError, UsageError
 
 __all__ = ["EffectLibrary", "EffectRegistry"]

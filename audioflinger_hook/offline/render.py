@@ -12,8 +12,13 @@ import numpy as np
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.sections import Plan, plan_for, sections_of
-from audioflinger_hook.pipeline.drive_factory import channel_map_of, drive_of, simulated_rig_of
-from audioflinger_hook.pipeline.framework import OFFLINE_HAL_FRAMES, Framework
+from audioflinger_hook.pipeline.framework import (
+    OFFLINE_HAL_FRAMES,
+    Framework,
+    channel_map_of,
+    drive_of,
+    simulated_rig_of,
+)
 from audioflinger_hook.pipeline.step import HapticSink, Pipeline
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.channel_map import ChannelMap

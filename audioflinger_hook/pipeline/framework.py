@@ -19,7 +19,12 @@ from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, rea
 from audioflinger_hook.mixer import Mixer, Sink, dump
 from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
 from audioflinger_hook.transform import HapticTransform, kernel_warning
+from device.drive.channel_map import ChannelMap
+from device.drive.drive import Drive
 from device.errors import CushionError, InternalError, UsageError
+from device.output import VibrationOutput
+from device.rig import rig_by_name
+from device.rig.simulated_rig import SimulatedRig
 
 HAL_FRAMES = 240
 """Frames that the output is assumed to take at once; a cycle is 20 ms of them."""
@@ -237,3 +242,43 @@ class Framework:
     def _reading(self, name: str) -> int:
         status, value = self.haptic.command(Command.GET_PARAM, name)
         return value if status == OK and isinstance(value, int) else 0
+
+
+def drive_of(settings: Settings, samplerate: int, haptic_channels: int) -> Drive:
+    """Return the drive for a mix of this rate in Hz and as many channels of vibration.
+
+    UsageError: there is no such rig, or the sample rate is too low for its processing.
+    """
+    return Drive(
+        settings.actuators,
+        samplerate,
+        haptic_channels,
+        rig=settings.rig,
+        damping=settings.damping,
+        protection=settings.protection,
+        exposure_cap=settings.exposure_cap,
+    )
+
+
+def channel_map_of(settings: Settings, haptic_channels: int) -> ChannelMap:
+    """Return which actuator each channel of a file or simulated rig plays.
+
+    Where no actuators are named, each channel of the vibration has its own. UsageError: an
+    actuator's channel goes by a position, which files do not have.
+    """
+    if not settings.actuators:
+        return ChannelMap.repeated(haptic_channels, haptic_channels)
+    return settings.numbered_channels
+
+
+def simulated_rig_of(
+    settings: Settings,
+    samplerate: int,
+    channel_map: ChannelMap,
+    recorder: VibrationOutput | None = None,
+) -> SimulatedRig:
+    """Return the simulated rig that each channel of the map plays to."""
+    names = [actuator.rig or settings.rig for actuator in settings.actuators]
+    rigs = [rig_by_name(name) for name in names or [settings.rig] * channel_map.actuators]
+    connected = [None if source is None else rigs[source] for source in channel_map.sources]
+    return SimulatedRig(connected, samplerate, recorder=recorder)

@@ -3,20 +3,19 @@
 | module | contents |
 | --- | --- |
 | `streams` | `CaptureStream`, `PlaybackStream`: one block per callback |
-| `portaudio` | the one PyAudio instance; opens and closes streams within a time limit |
+| `portaudio` | the one PyAudio instance; opens and closes streams within a time limit, in silence |
 | `pcms` | `PcmConfig`: named ALSA devices, and the sinks, monitors and cards they open |
 | `private_dir` | the directory of the private ALSA configuration |
 | `sample_format` | `SampleFormat`, and the encoder from float frames to integers |
 | `callback_thread` | `AudioPriority`, and Python's state of a thread between callbacks |
-| `stderr_filter` | hides what C libraries print |
 
 PyAudio is loaded by the first opening.
 """
 
 from device.stream.callback_thread import AudioPriority
 from device.stream.pcms import PcmConfig
+from device.stream.portaudio import filter_stderr
 from device.stream.sample_format import SampleFormat
-from device.stream.stderr_filter import filter_stderr
 from device.stream.streams import CaptureStream, PlaybackStream
 
 __all__ = [

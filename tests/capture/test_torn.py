@@ -21,8 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.capture import Capture, CaptureWriter
-from audioflinger_hook.capture.format import INDEX_NAME, SAMPLES_OFFSET, EndRecord
-from audioflinger_hook.capture.index import records
+from audioflinger_hook.capture.format import INDEX_NAME, SAMPLES_OFFSET, EndRecord, records
 from device.errors import UsageError, WriteError
 from tests.support.recordings import ROOT
 

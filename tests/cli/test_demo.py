@@ -11,7 +11,7 @@ import pytest
 import soundfile
 from rich.console import Console
 
-from audioflinger_hook.cli.meter import Meter
+from audioflinger_hook.cli.demo import Meter
 from audioflinger_hook.cli.terminal import level_text
 from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.sources import mixdown

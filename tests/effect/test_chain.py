@@ -19,8 +19,8 @@ from audioflinger_hook.effect.interface import (
     Command,
     EffectDescriptor,
     EffectFlag,
+    Parameter,
 )
-from audioflinger_hook.effect.parameters import Parameter
 from audioflinger_hook.mixer.effects_port import DEVICE, OUTPUT_MIX, OUTPUT_STAGE
 from audioflinger_hook.transform import HapticTransform
 from device.errors import UsageError

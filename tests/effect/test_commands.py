@@ -17,10 +17,10 @@ from audioflinger_hook.effect.interface import (
     OK,
     Command,
     EffectFlag,
+    Parameter,
     VendorCommand,
 )
 from audioflinger_hook.effect.module import EffectModule
-from audioflinger_hook.effect.parameters import Parameter
 from tests.effect.test_engines import FakeClock, Probe, config
 
 KNOBS = (

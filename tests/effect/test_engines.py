@@ -19,9 +19,9 @@ from audioflinger_hook.effect.interface import (
     EffectConfig,
     EffectDescriptor,
     EffectFlag,
+    Parameter,
     VendorCommand,
 )
-from audioflinger_hook.effect.parameters import Parameter
 from audioflinger_hook.effect.registry import EffectLibrary
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 

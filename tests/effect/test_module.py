@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from audioflinger_hook.effect.interface import EINVAL, ENODATA, OK, Command
+from audioflinger_hook.effect.interface import EINVAL, ENODATA, OK, Command, Parameter
 from audioflinger_hook.effect.module import EffectModule
-from audioflinger_hook.effect.parameters import Parameter
 from tests.effect.test_engines import CYCLE_S, FRAMES, FakeClock, Probe, config, noise, running
 
 

@@ -11,8 +11,7 @@ import pytest
 
 from audioflinger_hook.effect.haptic import CUSHION, HapticEffect
 from audioflinger_hook.effect.haptic_parameters import HAPTIC_CUSHION
-from audioflinger_hook.effect.interface import OK, EffectFlag, VendorCommand
-from audioflinger_hook.effect.parameters import Parameter
+from audioflinger_hook.effect.interface import OK, EffectFlag, Parameter, VendorCommand
 from audioflinger_hook.effect.registry import EffectLibrary, EffectRegistry, descriptor_problem
 from device.errors import InternalError, NotFoundError, UsageError
 from tests.effect.test_engines import DELAY, LIBRARY, Delay, Probe, descriptor, noise, running
@@ -23,7 +22,7 @@ HALVER = """
     from uuid import UUID
     from audioflinger_hook.effect.interface import EINVAL, OK, Command, EffectDescriptor
     from audioflinger_hook.effect.registry import EffectLibrary
-    from audioflinger_hook.effect.parameters import Parameter
+    from audioflinger_hook.effect.interface import Parameter
 
     HALVER = EffectDescriptor(
         UUID("5d0a6a3e-95f9-4b6c-8f6e-0d6a5a4f0000"),

@@ -171,7 +171,7 @@ def test_a_configuration_leads_where_it_should_and_restores_the_environment(
 def test_quietening_leaves_python_its_voice() -> None:
     program = (
         "import ctypes, os, sys\n"
-        "from device.stream.stderr_filter import filter_stderr\n"
+        "from device.stream.portaudio import filter_stderr\n"
         "print(filter_stderr(), filter_stderr())\n"
         "ctypes.CDLL(None).perror(b'library')\n"
         "os.write(2, b'ours\\n'); print('also ours', file=sys.stderr, flush=True)\n"

@@ -3,7 +3,7 @@
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.pipeline.drive_factory import channel_map_of, drive_of, simulated_rig_of
+from audioflinger_hook.pipeline.framework import channel_map_of, drive_of, simulated_rig_of
 from device.drive import ActuatorSettings, ChannelMap
 from device.rig import CONSUMER, PAPER
 from device.rig.simulated_rig import SimulatedRig
