@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.pipeline.framework import Framework
-from audioflinger_hook.pipeline.step import Pipeline, drive_of
+from audioflinger_hook.pipeline.framework import Framework, drive_of
+from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter
 from audioflinger_hook.sources import Client
 from device.clock import DelayLine

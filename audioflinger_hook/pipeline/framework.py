@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
 from audioflinger_hook.effect.haptic_parameters import DRAIN, HAPTIC_CUSHION, from_settings
-from audioflinger_hook.effect.interface import OK, Command
+from audioflinger_hook.effect.interface import OK, Command, Values
 from audioflinger_hook.effect.module import EffectModule
-from audioflinger_hook.effect.parameters import Values
 from audioflinger_hook.effect.registry import EffectRegistry
 from audioflinger_hook.effect.xml import OUTPUT_MIX_STREAM, bundled_effects, read_effects
 from audioflinger_hook.mixer import Mixer, Sink, dump

@@ -13,7 +13,7 @@ from audioflinger_hook.daemon.inputs.base import FixedNode
 from audioflinger_hook.daemon.outputs.base import Fill, Output
 from audioflinger_hook.daemon.pacing import FrameTime, Pacer
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.pipeline.step import channel_map_of, simulated_rig_of
+from audioflinger_hook.pipeline.framework import channel_map_of, simulated_rig_of
 from device.address import DeviceAddress
 from device.atomic_file import AtomicFile
 from device.drive import ActuatorSettings
