@@ -168,7 +168,7 @@ def _keep_on(
             report = supervisor.states.report(now_s)
             reporter.report(report, supervisor.states.notes(), supervisor.warnings, now_s)
             if watchdog.due(supervisor.heard_buffers, report.state, now_s):
-                reporter.notifier.watchdog()
+                reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:
         reporter.end(supervisor.warnings)

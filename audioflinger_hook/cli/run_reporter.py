@@ -33,7 +33,7 @@ class RunReporter:
     def begin(self, tap: str, device: str) -> None:
         """Report tap and device, and that the start is complete."""
         self._print(f"sound of {tap} drives {device}; Ctrl+C ends it")
-        self.notifier.ready()
+        self.notifier.send("READY=1")
 
     def report(
         self, report: StateReport, notes: list[Note], warnings: list[str], now_s: float
@@ -50,7 +50,7 @@ class RunReporter:
                 self._print(f"{note.cause.value}: {note.text}{more}")
         if news:
             self._state = state
-            self.notifier.status(state)
+            self.notifier.send(status=state)
             self._print(state)
         # A warning with a count is reported at first, and by `end` with its final count.
         told, self._warnings = self._warnings, {}
@@ -62,7 +62,7 @@ class RunReporter:
 
     def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
         """Reload the config and report the changes; return why it failed, or ""."""
-        self.notifier.reloading(now_s)
+        self.notifier.send("RELOADING=1", f"MONOTONIC_USEC={int(now_s * 1e6)}")
         config_error = ""
         try:
             self._print(f"config reloaded; changed: {follow_config(now_s)}")
@@ -70,12 +70,12 @@ class RunReporter:
             config_error = f"the config was not applied: {error}"
             # It is reported as a warning, even if the same one was reported before.
             self._warnings = {k: text for k, text in self._warnings.items() if text != config_error}
-        self.notifier.ready(self._state)
+        self.notifier.send("READY=1", status=self._state)
         return config_error
 
     def end(self, warnings: list[str]) -> None:
         """Report new warnings, and notify systemd of the end."""
-        self.notifier.stopping()
+        self.notifier.send("STOPPING=1")
         for warning in warnings:
             if warning not in self._warnings.values():
                 warn(warning)

@@ -6,6 +6,7 @@ import argparse
 import time
 
 from audioflinger_hook.cli.terminal import LineConsole
+from audioflinger_hook.service.json_codec import to_json
 from audioflinger_hook.service.status_client import ask_status
 from audioflinger_hook.service.status_view import status_view
 
@@ -19,7 +20,7 @@ def run(options: argparse.Namespace) -> int:
         return _watch()
     status = ask_status(ANSWER_S, time.monotonic)
     if options.json:
-        print(status.to_json())
+        print(to_json(status))
     else:
         LineConsole().print(status_view(status))
     return 0

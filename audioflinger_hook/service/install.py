@@ -8,6 +8,7 @@ import stat
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +19,6 @@ from device.errors import UsageError
 UNIT_BYTES_MAX = 1 << 16
 SYSTEMCTL_S = 5.0
 START = ("systemctl --user daemon-reload", "systemctl --user enable --now cushion.service")
-STOP = ("systemctl --user disable --now cushion.service",)
 FORGET = ("systemctl --user daemon-reload",)
 
 
@@ -59,8 +59,7 @@ def systemd_version() -> int:
     return int(found[1]) if found else 0
 
 
-def unit_path(environ: Mapping[str, str] = os.environ) -> Path:
-    """Return the unit's path, $XDG_CONFIG_HOME/systemd/user/cushion.service."""
+def _unit_path(environ: Mapping[str, str]) -> Path:
     return _home(environ, "XDG_CONFIG_HOME", ".config") / "systemd" / "user" / unit.NAME
 
 
@@ -83,7 +82,7 @@ def install(
     WriteError
         The disk is full or failed.
     """
-    path = unit_path(environ)
+    path = _unit_path(environ)
     state = _home(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
     text = unit.unit_text([*(command or own_command()), "run", *arguments], state, systemd)
     before = _written_before(path)
@@ -102,14 +101,12 @@ def install(
 def remove(environ: Mapping[str, str] = os.environ) -> Installed:
     """Remove the unit that `install` wrote, if there is one.
 
-    systemd cannot disable a removed unit, so the commands of `STOP` come first.
-
     Raises
     ------
     UsageError
         The unit was not written by this program, or the folder is not writable.
     """
-    path = unit_path(environ)
+    path = _unit_path(environ)
     if _written_before(path) is None:
         return Installed(path, False, ())
     try:
@@ -122,14 +119,13 @@ def remove(environ: Mapping[str, str] = os.environ) -> Installed:
 def _written_before(path: Path) -> str | None:
     """Return the text of the installed unit, None if there is none."""
     text = ""
-    try:
-        found = path.lstat()
+    with suppress(OSError, UnicodeDecodeError):
+        try:
+            found = path.lstat()
+        except (FileNotFoundError, NotADirectoryError):  # `install` reports the latter
+            return None
         if stat.S_ISREG(found.st_mode) and found.st_size <= UNIT_BYTES_MAX:
             text = path.read_text(encoding="utf-8")
-    except (FileNotFoundError, NotADirectoryError):  # `install` reports the latter
-        return None
-    except (OSError, UnicodeDecodeError):
-        pass
     if not text.startswith(unit.MARK):
         raise UsageError(
             f"{path} was not written by `cushion install-service` and is left alone; "

@@ -26,7 +26,7 @@ def to_json(document: Any) -> str:
     ValueError
         A number is not finite, which JSON cannot express.
     """
-    return json.dumps(_plain(document), allow_nan=False, separators=(", ", ": "))
+    return json.dumps(document, allow_nan=False, default=_plain)
 
 
 def from_json(kind: type[T], text: str | bytes) -> T:
@@ -49,14 +49,10 @@ def from_json(kind: type[T], text: str | bytes) -> T:
 
 def _plain(value: Any) -> Any:
     if is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Enum):
-        return value.value
+        return {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):
-        return {_plain(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
-    return value
+        return {key.value: item for key, item in value.items()}
+    return value.value  # of an enum
 
 
 def _typed(kind: Any, value: Any, where: str) -> Any:
@@ -65,8 +61,7 @@ def _typed(kind: Any, value: Any, where: str) -> Any:
         (other,) = (argument for argument in arguments if argument is not type(None))
         return None if value is None else _typed(other, value, where)
     if is_dataclass(kind):
-        items = _typed_items(get_type_hints(kind), value, where)
-        return kind(**items)  # type: ignore[operator]
+        return kind(**_typed_items(get_type_hints(kind), value, where))  # type: ignore[operator]
     if origin is tuple:
         if not isinstance(value, list):
             raise _wrong(where, value, "a list")
@@ -76,10 +71,10 @@ def _typed(kind: Any, value: Any, where: str) -> Any:
         items = _typed_items({member.value: item_kind for member in members}, value, where)
         return MappingProxyType({member: items[member.value] for member in members})
     if isinstance(kind, type) and issubclass(kind, Enum):
-        for member in kind:
-            if type(value) is str and value == member.value:
-                return member
-        raise _wrong(where, value, ", ".join(member.value for member in kind))
+        by_value = {member.value: member for member in kind}
+        if type(value) is str and value in by_value:
+            return by_value[value]
+        raise _wrong(where, value, ", ".join(by_value))
     if kind is float and type(value) in (int, float):
         # An integer of hundreds of digits is too large for a float.
         number = float(value) if type(value) is float or abs(value) < 2**1023 else math.inf
@@ -95,16 +90,15 @@ def _typed_items(kinds: dict[str, Any], value: Any, where: str) -> dict[str, Any
     """Return an object's values, typed; it has to have exactly these keys."""
     if not isinstance(value, dict):
         raise _wrong(where, value, "an object")
-    for name in kinds:
-        if name not in value:
-            raise UsageError(f"the document has no {_join(where, name)}; give every key")
-    for name in value:
-        if name not in kinds:
-            raise UsageError(
-                f"the document has the unknown key {one_line(_join(where, name), 60)}; "
-                f"allowed: {', '.join(kinds)}"
-            )
-    return {name: _typed(kinds[name], value[name], _join(where, name)) for name in kinds}
+    path = f"{where}." if where else ""
+    if missing := [name for name in kinds if name not in value]:
+        raise UsageError(f"the document has no {path}{missing[0]}; give every key")
+    if unknown := [name for name in value if name not in kinds]:
+        raise UsageError(
+            f"the document has the unknown key {one_line(path + unknown[0], 60)}; "
+            f"allowed: {', '.join(kinds)}"
+        )
+    return {name: _typed(kinds[name], value[name], path + name) for name in kinds}
 
 
 def _wrong(where: str, value: Any, allowed: str) -> UsageError:
@@ -112,10 +106,6 @@ def _wrong(where: str, value: Any, allowed: str) -> UsageError:
     is_long = type(value) is int and abs(value) > 10**15
     shown = one_line(hex(value) if is_long else repr(value), 60)
     return UsageError(f"the document's {where or 'whole'} is {shown}; allowed: {allowed}")
-
-
-def _join(where: str, name: str) -> str:
-    return f"{where}.{name}" if where else name
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

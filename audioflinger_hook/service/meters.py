@@ -44,17 +44,14 @@ class LevelMeter:
     """Peak and RMS over all channels of the latest frames.
 
     The peak rises at once and falls by 20 dB per second; the RMS follows within 0.3 s. Both depend
-    on the frames alone, not on a clock. One thread calls `add`, any thread may call `level`.
-    unusable_blocks: count of blocks ignored because a sample is not finite.
+    on the frames alone, not on a clock. One thread calls `add`, any thread may call `level`. Blocks
+    with samples that are not finite are ignored.
     """
 
     def __init__(self, samplerate: float) -> None:
-        if not samplerate > 0.0:
-            raise ValueError(f"a samplerate of {samplerate} Hz; allowed: above 0")
         self._rms_rate = -1.0 / (RMS_TIME_S * samplerate)
         self._fall_rate = -PEAK_FALL_DB_PER_S * math.log(10.0) / (20.0 * samplerate)
         self._reading = (0.0, 0.0)  # one object, so a reader sees both or neither
-        self.unusable_blocks = 0
 
     def add(self, block: Float32Array) -> float:
         """Measure a block of shape (frames, channels) or (frames,); return its peak."""
@@ -65,7 +62,6 @@ class LevelMeter:
         axes = "ij,ij->" if block.ndim == 2 else "i,i->"
         square = float(np.einsum(axes, block, block, dtype=np.float64)) / block.size
         if not math.isfinite(square + loudest):
-            self.unusable_blocks += 1
             return loudest
         held, mean = self._reading
         keep = math.exp(frames * self._rms_rate)
@@ -107,17 +103,13 @@ class BufferedLevelMeter:
         self.measured = self._frames >= self._frames_least
         if self.measured:
             self.loudest = self.meter.add(np.concatenate(self._blocks))
-            self._clear()
+            self._blocks, self._frames = [], 0
 
     def reset(self) -> None:
         """Restart with silence; for the thread that calls `add`, or while none does."""
-        self._clear()
+        self._blocks, self._frames = [], 0
         self.loudest = 0.0
         self.meter.reset()
-
-    def _clear(self) -> None:
-        self._blocks.clear()
-        self._frames = 0
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,6 @@ VARIABLE = "XDG_RUNTIME_DIR"
 FOLDER_NAME = "cushion"
 LOCK_NAME = "daemon.lock"
 HOLDER_BYTES_MAX = 4096
-ATTEMPTS_MAX = 100
-"""Attempts to lock a file that is removed each time before it is locked."""
 
 _FOLDER_MODE = 0o700
 _OPEN_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -54,12 +52,26 @@ class RuntimeFolder:
         except FileNotFoundError as error:
             raise NotFoundError(f"there is no folder {self.path}; start `cushion run`") from error
         except OSError as error:
-            raise self._error(error) from error
-        try:
-            self._check_private()
-        except UsageError:
+            # With O_NOFOLLOW | O_DIRECTORY the kernel may report a link as "not a directory".
+            if error.errno in (errno.ELOOP, errno.ENOTDIR):
+                raise UsageError(f"{self.path} is a link or no folder; remove it") from error
+            problem = f"cannot open {self.path}: {error.strerror}"
+            if error.errno in (errno.ENOSPC, errno.EMFILE, errno.ENFILE, errno.EIO):
+                raise InternalError(problem) from error
+            raise UsageError(f"{problem}; set {VARIABLE} to a folder of your own") from error
+        found = os.fstat(self.fd)
+        mode = stat.S_IMODE(found.st_mode)
+        problem = ""
+        if found.st_uid != os.geteuid():
+            problem = (
+                f"{self.path} belongs to user {found.st_uid}, not to {os.geteuid()}; run as that "
+                f"user, or set {VARIABLE} to a folder of your own"
+            )
+        elif mode & 0o077:
+            problem = f"{self.path} is open to others (mode {mode:04o}); allowed: 0700; remove it"
+        if problem:
             self.close()
-            raise
+            raise UsageError(problem)
 
     def address(self, name: str) -> str:
         """Return a short address of a socket in the folder, for bind and connect.
@@ -86,29 +98,6 @@ class RuntimeFolder:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _check_private(self) -> None:
-        found = os.fstat(self.fd)
-        if found.st_uid != os.geteuid():
-            raise UsageError(
-                f"{self.path} belongs to user {found.st_uid}, not to {os.geteuid()}; run as that "
-                f"user, or set {VARIABLE} to a folder of your own"
-            )
-        mode = stat.S_IMODE(found.st_mode)
-        if mode & 0o077:
-            raise UsageError(
-                f"{self.path} is open to others (mode {mode:04o}); allowed: 0700; remove it"
-            )
-
-    def _error(self, error: OSError) -> UsageError | InternalError:
-        # With O_NOFOLLOW | O_DIRECTORY the kernel may report a link as "not a directory".
-        if error.errno in (errno.ELOOP, errno.ENOTDIR):
-            return UsageError(f"{self.path} is a link or no folder; remove it")
-        if error.errno in (errno.ENOSPC, errno.EMFILE, errno.ENFILE, errno.EIO):
-            return InternalError(f"cannot open {self.path}: {error.strerror}")
-        return UsageError(
-            f"cannot open {self.path}: {error.strerror}; set {VARIABLE} to a folder of your own"
-        )
 
 
 @dataclass(frozen=True)
@@ -170,53 +159,41 @@ class DaemonLock:
 
 def _base(environ: Mapping[str, str]) -> Path:
     text = environ.get(VARIABLE, "")
-    problem = "" if text else "not set"
     base = Path(text)
-    if text and not base.is_absolute():
-        problem = f"{text!r}, which is no absolute path"
-    elif text:
-        with contextlib.suppress(OSError, ValueError):
-            if base.is_dir():
-                return base
-        problem = f"{text!r}, which is no folder"
+    with contextlib.suppress(OSError, ValueError):
+        if base.is_absolute() and base.is_dir():
+            return base
     raise UsageError(
-        f"{VARIABLE} is {problem}; set it to a folder of your own, usually /run/user/{os.geteuid()}"
+        f"{VARIABLE} is {f'{text!r}, which is no absolute path of a folder' if text else 'not set'}"
+        f"; set it to a folder of your own, usually /run/user/{os.geteuid()}"
     )
 
 
 def _open_locked(folder: RuntimeFolder) -> int:
-    for _ in range(ATTEMPTS_MAX):
-        fd = _open_lock_file(folder)
+    path = folder.path / LOCK_NAME
+    while True:
         try:
+            fd = os.open(LOCK_NAME, _OPEN_LOCK, _LOCK_MODE, dir_fd=folder.fd)
+        except OSError as error:
+            if error.errno == errno.ENOSPC:
+                full = f"cannot write {path}: the disk is full; free some space"
+                raise WriteError(full) from error
+            raise UsageError(f"cannot lock {path}: {error.strerror}; remove it") from error
+        with contextlib.ExitStack() as opened:
+            opened.callback(os.close, fd)
+            found = os.fstat(fd)
+            if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
+                raise UsageError(f"{path} is no file of user {os.geteuid()}; remove it")
             try:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise _held(fd) from error
             # If the file was removed between opening and locking, this lock is worthless.
             entry = folder.entry(LOCK_NAME)
-            if entry is not None and os.path.samestat(entry, os.fstat(fd)):
+            if entry is not None and os.path.samestat(entry, found):
                 os.fchmod(fd, _LOCK_MODE)
+                opened.pop_all()
                 return fd
-        except BaseException:
-            os.close(fd)
-            raise
-        os.close(fd)
-    raise UsageError(f"{folder.path / LOCK_NAME} is removed over and over; stop what removes it")
-
-
-def _open_lock_file(folder: RuntimeFolder) -> int:
-    path = folder.path / LOCK_NAME
-    try:
-        fd = os.open(LOCK_NAME, _OPEN_LOCK, _LOCK_MODE, dir_fd=folder.fd)
-    except OSError as error:
-        if error.errno == errno.ENOSPC:
-            raise WriteError(f"cannot write {path}: the disk is full; free some space") from error
-        raise UsageError(f"cannot lock {path}: {error.strerror}; remove it") from error
-    found = os.fstat(fd)
-    if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
-        os.close(fd)
-        raise UsageError(f"{path} is no file of user {os.geteuid()}; remove it")
-    return fd
 
 
 def _held(fd: int) -> UsageError:

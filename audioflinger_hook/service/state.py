@@ -31,11 +31,6 @@ class DaemonState(Enum):
     STOPPING = "stopping"
     """The last state."""
 
-    @property
-    def sound_must_flow(self) -> bool:
-        """Whether the daemon hangs if it gets no buffer for seconds."""
-        return self is DaemonState.RUNNING
-
 
 class Cause(Enum):
     """Causes of recoveries; users see the values."""
@@ -53,28 +48,8 @@ class Cause(Enum):
     """The machine was suspended."""
 
 
-WAITING = frozenset(
-    (
-        DaemonState.WAITING_FOR_SERVER,
-        DaemonState.WAITING_FOR_DEVICE,
-        DaemonState.WAITING_FOR_SOUND_SOURCE,
-    )
-)
-PLAYING = frozenset((DaemonState.RUNNING, DaemonState.IDLE))
-
-ALLOWED: Mapping[DaemonState, frozenset[DaemonState]] = MappingProxyType(
-    {
-        DaemonState.STARTING: WAITING | PLAYING | {DaemonState.STOPPING},
-        **dict.fromkeys(WAITING, WAITING | PLAYING | {DaemonState.STOPPING}),
-        **dict.fromkeys(
-            PLAYING, WAITING | PLAYING | {DaemonState.RECOVERING, DaemonState.STOPPING}
-        ),
-        DaemonState.RECOVERING: WAITING | PLAYING | {DaemonState.RECOVERING, DaemonState.STOPPING},
-        DaemonState.STOPPING: frozenset({DaemonState.STOPPING}),
-    }
-)
-"""The states that may follow each state. Only a daemon that played can recover."""
-
+PLAYED = frozenset((DaemonState.RUNNING, DaemonState.IDLE, DaemonState.RECOVERING))
+"""Only a daemon that played can recover."""
 
 NOTES_MAX = 32
 """Notes kept until they are read; older ones are dropped."""
@@ -117,16 +92,11 @@ class StateKeeper:
         return self._current[0]
 
     def enter(self, state: DaemonState, now_s: float, reason: str = "") -> bool:
-        """Enter a state, or change the reason of the current one; return whether it is new.
-
-        Raises
-        ------
-        ValueError
-            The state may not follow the current one, or lacks its reason.
-        """
-        if state is DaemonState.RECOVERING:
-            raise ValueError("to recover takes a cause; call recover()")
-        return self._enter(state, now_s, reason)
+        """Enter a state, or change the reason of the current one; return whether it is new."""
+        before, _, began_s = self._current
+        is_new = state is not before
+        self._current = (state, one_line(reason), now_s if is_new else began_s)
+        return is_new
 
     def recover(self, cause: Cause, now_s: float, reason: str = "") -> bool:
         """Count a cause and enter or keep RECOVERING; return whether that is new.
@@ -134,9 +104,9 @@ class StateKeeper:
         A daemon that does not play yet, or is stopping, only counts.
         """
         self.count(cause, reason)
-        if self.state not in PLAYING | {DaemonState.RECOVERING}:
+        if self.state not in PLAYED:
             return False
-        return self._enter(DaemonState.RECOVERING, now_s, reason or cause.value)
+        return self.enter(DaemonState.RECOVERING, now_s, reason or cause.value)
 
     def count(self, cause: Cause, text: str = "") -> None:
         """Count a recovery that is complete already; text: what happened."""
@@ -154,13 +124,3 @@ class StateKeeper:
         state, reason, began_s = self._current
         recoveries = MappingProxyType(self._counts.copy())
         return StateReport(state, reason, max(0.0, now_s - began_s), recoveries)
-
-    def _enter(self, state: DaemonState, now_s: float, reason: str) -> bool:
-        before, _, began_s = self._current
-        if state is not before and state not in ALLOWED[before]:
-            raise ValueError(f"{state.value} may not follow {before.value}")
-        if state is DaemonState.WAITING_FOR_SOUND_SOURCE and not reason.strip():
-            raise ValueError(f"{state.value} takes a reason")
-        is_new = state is not before
-        self._current = (state, one_line(reason), now_s if is_new else began_s)
-        return is_new

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from audioflinger_hook.service.json_codec import from_json, to_json
 from audioflinger_hook.service.meters import BufferTimes, Level
 from audioflinger_hook.service.state import Cause, DaemonState
 
@@ -46,21 +45,9 @@ class LatencyBudget:
     total_ms: float = 0.0
 
     @classmethod
-    def of(
-        cls,
-        *,
-        tap_ms: float,
-        transform_ms: float,
-        delay_line_ms: float,
-        output_ms: float,
-        offset_ms: float,
-        driving_ms: float = 0.0,
-        delay_ms: float = 0.0,
-    ) -> LatencyBudget:
-        """Return the budget with its total."""
-        in_order = (tap_ms, transform_ms, delay_line_ms, output_ms, offset_ms)
-        parts_ms = (*in_order, driving_ms, delay_ms)
-        return cls(*parts_ms, sum(parts_ms))
+    def of(cls, **parts_ms: float) -> LatencyBudget:
+        """Return the budget of these parts with its total."""
+        return cls(**parts_ms, total_ms=sum(parts_ms.values()))
 
 
 @dataclass(frozen=True)
@@ -150,14 +137,6 @@ class ActuatorFigures:
     protection: ProtectionFigures | None
     exposure: ExposureFigures | None
 
-    @property
-    def departures(self) -> tuple[str, ...]:
-        """Settings that are not the usual ones, in words: level, polarity, delay."""
-        level = f"{self.gain_db:.1f} dB" if self.gain_db else ""
-        polarity = self.polarity if self.polarity != "normal" else ""
-        delay = f"{self.delay_ms:.1f} ms later" if self.delay_ms else ""
-        return tuple(word for word in (level, polarity, delay) if word)
-
 
 @dataclass(frozen=True)
 class Status:
@@ -192,24 +171,3 @@ class Status:
     actuators: tuple[ActuatorFigures, ...] = ()
     profile: str = ""
     warnings: tuple[str, ...] = ()
-
-    def to_json(self) -> str:
-        """Return the document as one line of JSON.
-
-        Raises
-        ------
-        ValueError
-            A number is not finite.
-        """
-        return to_json(self)
-
-    @classmethod
-    def from_json(cls, text: str | bytes) -> Status:
-        """Return the status in a document.
-
-        Raises
-        ------
-        UsageError
-            It is not exactly such a document; see `json_codec.from_json`.
-        """
-        return from_json(cls, text)

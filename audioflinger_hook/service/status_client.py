@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import socket
 import struct
 from collections.abc import Callable, Mapping
 
+from audioflinger_hook.service.json_codec import from_json
 from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from audioflinger_hook.service.status import Status
@@ -33,8 +33,6 @@ def ask_status(
     InternalError
         The daemon does not answer in time, or not in the form that this version expects.
     """
-    if not 0.0 < timeout_s < math.inf:
-        raise UsageError(f"a timeout of {timeout_s} s; allowed: above 0")
     end_s = clock() + timeout_s
     try:
         with RuntimeFolder(environ, create=False) as folder:
@@ -48,7 +46,7 @@ def ask_status(
     except OSError as error:
         raise InternalError(f"the daemon does not answer: {error.strerror}; try again") from error
     try:
-        return Status.from_json(line)
+        return from_json(Status, line)
     except CushionError as error:
         reason = _error_in(line) or f"its answer is not understood ({error})"
         raise InternalError(
@@ -66,7 +64,7 @@ def _exchange(folder: RuntimeFolder, end_s: float, clock: Callable[[], float]) -
             owner = peer_uid(client)
             if owner != os.geteuid():
                 raise UsageError(f"the daemon at {folder.path / NAME} runs as user {owner}")
-            client.sendall(json.dumps(ASK_STATUS).encode() + b"\n", socket.MSG_NOSIGNAL)
+            client.sendall(json.dumps(ASK_STATUS).encode() + b"\n")
             answer = bytearray()
             while not answer.endswith(b"\n"):
                 _set_timeout(client, socket.SO_RCVTIMEO, end_s - clock())

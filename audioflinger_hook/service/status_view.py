@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import io
-
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -29,16 +26,6 @@ _COLOURS = {
     DaemonState.STOPPING: "dim",
     DaemonState.STARTING: "cyan",
 }
-
-
-def status_text(status: Status, width: int = 80) -> str:
-    """Return the view as plain text with lines of at most `width` cells."""
-    console = Console(
-        file=io.StringIO(), width=max(1, width), color_system=None, legacy_windows=False
-    )
-    with console.capture() as capture:
-        console.print(status_view(status))
-    return "\n".join(line.rstrip() for line in capture.get().splitlines()) + "\n"
 
 
 def status_view(status: Status) -> Table:
@@ -151,8 +138,11 @@ def _actuator(number: int, actuator: ActuatorFigures) -> list[tuple[str, Text]]:
     words = [
         f"{one_line(actuator.source)} on {', '.join(one_line(c, 40) for c in actuator.channels)}",
         one_line(actuator.rig),
-        *map(one_line, actuator.departures),
     ]
+    # Settings that are the usual ones go without saying.
+    words += [f"{actuator.gain_db:.1f} dB"] if actuator.gain_db else []
+    words += [one_line(actuator.polarity)] if actuator.polarity != "normal" else []
+    words += [f"{actuator.delay_ms:.1f} ms later"] if actuator.delay_ms else []
     rows = [
         (f"actuator {number}", Text(", ".join(words))),
         ("  level", _level(actuator.level, "yellow")),

@@ -17,52 +17,34 @@ CHECKS_PER_PERIOD = 4
 
 
 class Notifier:
-    """Messages to the service manager; without one, every method returns False.
+    """Messages to the service manager at $NOTIFY_SOCKET, if it names a path or an abstract socket.
 
-    No method raises. Each may take 0.2 s, so none is for an audio thread. Not for two threads at
-    once. enabled: whether $NOTIFY_SOCKET names a socket, by a path or by `@` and an abstract name.
-    failures: messages that could not be sent.
+    A message may take 0.2 s, so none is for an audio thread. Not for two threads at once.
     """
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
         name = environ.get("NOTIFY_SOCKET", "")
-        self.enabled = len(name) > 1 and name[0] in "/@"
+        self._enabled = len(name) > 1 and name[0] in "/@"
         # An abstract name begins with a null byte.
         address = os.fsencode(name)
         self._address = b"\0" + address[1:] if name.startswith("@") else address
-        self.failures = 0
 
-    def ready(self, status: str = "") -> bool:
-        """Report that the start, or a reload, is complete; return whether it was sent."""
-        return self._send("READY=1", *_status(status))
+    def send(self, *assignments: str, status: str = "") -> bool:
+        """Send such as READY=1; return whether it was sent. Raises nothing.
 
-    def status(self, text: str) -> bool:
-        """Report what the daemon does, in one line that `systemctl status` shows."""
-        return self._send(*_status(text))
-
-    def reloading(self, now_s: float) -> bool:
-        """Report that a reload begins, which `ready` ends; now_s: CLOCK_MONOTONIC."""
-        return self._send("RELOADING=1", f"MONOTONIC_USEC={int(now_s * 1e6)}")
-
-    def stopping(self, status: str = "") -> bool:
-        """Report that the daemon is stopping."""
-        return self._send("STOPPING=1", *_status(status))
-
-    def watchdog(self) -> bool:
-        """Report that the daemon works; see `Watchdog`."""
-        return self._send("WATCHDOG=1")
-
-    def _send(self, *assignments: str) -> bool:
-        if not self.enabled:
+        status: what the daemon does, in one line that `systemctl status` shows.
+        """
+        if not self._enabled:
             return False
+        if status:
+            assignments = (*assignments, f"STATUS={one_line(status)}")
         # A reason may hold a file name that is not valid UTF-8.
         message = "\n".join(assignments).encode("utf-8", "replace")
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
                 sender.settimeout(SEND_TIMEOUT_S)
-                sender.sendto(message, socket.MSG_NOSIGNAL, self._address)
+                sender.sendto(message, self._address)
         except (OSError, ValueError):  # ValueError: a null byte in the path
-            self.failures += 1
             return False
         return True
 
@@ -82,13 +64,13 @@ class Watchdog:
     def due(self, buffers: int, state: DaemonState, now_s: float) -> bool:
         """Return whether to feed now, which the caller then does.
 
-        buffers: count since the start; if it stands still while sound must flow, the daemon hangs.
+        buffers: count since the start; if it stands still while running, the daemon hangs.
         """
         if self.check_s is None:
             return False
         if self._fed_s is not None and now_s - self._fed_s < self.check_s:
             return False
-        if state.sound_must_flow and buffers == self._buffers:
+        if state is DaemonState.RUNNING and buffers == self._buffers:
             return False
         self._buffers = buffers
         self._fed_s = now_s
@@ -104,7 +86,3 @@ def watchdog_period_s(pid: int, environ: Mapping[str, str] = os.environ) -> floa
     if not (text.isascii() and text.isdigit() and len(text) < 20) or not int(text):
         return None
     return int(text) * 1e-6
-
-
-def _status(text: str) -> tuple[str, ...]:
-    return (f"STATUS={one_line(text)}",) if text else ()

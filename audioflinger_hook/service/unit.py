@@ -90,59 +90,42 @@ def unit_text(command: Sequence[str], state_folder: Path, systemd: int = 0) -> s
         systemd does not accept a path or argument.
     """
     program, *arguments = command
-    words = [_program(program), *(_quoted(argument) for argument in arguments)]
+    words = [_path(program, "install the program elsewhere"), *map(_quoted, arguments)]
+    # The folder may be missing.
+    writable = _path(str(state_folder), "set XDG_STATE_HOME to another", "-")
     reloads = systemd >= NOTIFY_RELOAD
     return _TEMPLATE.substitute(
         mark=MARK,
         type="notify-reload" if reloads else "notify",
         command=" ".join(words),
         reload="ReloadSignal=SIGHUP" if reloads else "ExecReload=/bin/kill -HUP $MAINPID",
-        writable=f"ReadWritePaths={_optional(state_folder)}",
+        writable=f"ReadWritePaths={writable}",
     )
 
 
-def _program(path: str) -> str:
-    # systemd refuses these characters in a program's name even if quoted. It expands no variables
-    # there, so dollar signs need no escape.
+def _path(path: str, advice: str, prefix: str = "") -> str:
+    # systemd refuses these characters in paths even if quoted. It expands no variables there, so
+    # dollar signs need no escape.
     if not path.startswith("/") or any(sign in path for sign in "\"'\\"):
         raise UsageError(
-            f"systemd cannot run {one_line(path)!r}: allowed is an absolute path without quotes "
-            "and backslashes; install the program elsewhere"
+            f"systemd takes no path {one_line(path)!r}: allowed is an absolute path without quotes "
+            f"and backslashes; {advice}"
         )
-    return f'"{_checked(path).replace("%", "%%")}"'
+    return f'"{prefix}{_printable(path).replace("%", "%%")}"'
 
 
 def _quoted(argument: str) -> str:
-    text = _checked(argument).replace("\\", "\\\\").replace('"', '\\"')
+    text = _printable(argument).replace("\\", "\\\\").replace('"', '\\"')
     return f'"{text.replace("%", "%%").replace("$", "$$")}"'
 
 
-def _optional(path: Path) -> str:
-    """Return a path with a minus sign, so that it may be missing."""
-    text = str(path)
-    if any(sign in text for sign in "\"'\\"):
-        raise UsageError(
-            f"systemd takes no folder named {one_line(text)!r}: allowed is a path without quotes "
-            "and backslashes; set XDG_STATE_HOME to another"
-        )
-    return f'"-{_checked(text).replace("%", "%%")}"'
-
-
-def _checked(text: str) -> str:
-    if not text.isprintable() or not _is_utf8(text):
+def _printable(text: str) -> str:
+    if not text.isprintable():
         raise UsageError(
             f"systemd takes no {one_line(text)!r}: it has signs that cannot be printed; "
             "choose another name"
         )
     return text
-
-
-def _is_utf8(text: str) -> bool:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 UDEV_RULE = """\

@@ -67,7 +67,7 @@ def test_samples_that_are_not_finite_spoil_nothing(value):
     meter.add(sine(0.5))
     before = meter.level()
     meter.add(np.array([[0.1], [value]], np.float32))
-    assert (meter.level(), meter.unusable_blocks) == (before, 1)
+    assert meter.level() == before
     meter.add(np.full((64, 2), np.finfo(np.float32).max))
     assert math.isfinite(meter.level().rms_dbfs)
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.service.backoff import Backoff
-from audioflinger_hook.service.state import ALLOWED, Cause, DaemonState, StateKeeper
+from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.systemd import Watchdog, watchdog_period_s
 
 S = DaemonState
@@ -40,22 +40,10 @@ def test_the_states_are_shown_under_their_names():
 
 
 @pytest.mark.parametrize("before", S)
-@pytest.mark.parametrize("after", [state for state in S if state is not S.RECOVERING])
-def test_a_state_follows_only_where_it_is_allowed(before, after):
+def test_a_state_that_is_entered_is_new_unless_it_was_the_state(before):
     keeper = keeper_in(before)
-    if after is before or after in ALLOWED[before]:
-        assert keeper.enter(after, 1.0, "reason") == (after is not before)
-        assert keeper.state is after
-    else:
-        with pytest.raises(ValueError, match="may not follow"):
-            keeper.enter(after, 1.0, "reason")
-        assert keeper.state is before
-
-
-def test_every_state_can_stop_and_none_follows():
-    assert all(S.STOPPING in after for after in ALLOWED.values())
-    assert ALLOWED[S.STOPPING] == {S.STOPPING}
-    assert set(ALLOWED) == set(S)
+    assert keeper.enter(S.IDLE, 1.0, "reason") == (before is not S.IDLE)
+    assert keeper.state is S.IDLE
 
 
 @pytest.mark.parametrize("state", S)
@@ -68,13 +56,8 @@ def test_a_recovery_is_counted_in_every_state_and_entered_where_sound_played(sta
     assert (keeper.state is S.RECOVERING) == (state in (S.RUNNING, S.IDLE, S.RECOVERING))
 
 
-def test_waiting_for_sound_takes_a_reason_and_recovering_a_cause():
-    keeper = StateKeeper(0.0)
-    with pytest.raises(ValueError, match="takes a reason"):
-        keeper.enter(S.WAITING_FOR_SOUND_SOURCE, 1.0, "  ")
-    with pytest.raises(ValueError, match="takes a cause"):
-        keeper.enter(S.RECOVERING, 1.0, "why")
-    keeper.enter(S.RUNNING, 1.0)
+def test_a_recovery_without_a_reason_is_named_by_its_cause():
+    keeper = keeper_in(S.RUNNING)
     keeper.recover(Cause.TAP_MOVED, 2.0)
     assert keeper.report(2.0).reason == "tap-moved"
 
@@ -133,9 +116,8 @@ def test_waits_double_from_50_ms_to_2_s_and_begin_anew_after_a_success():
     backoff = Backoff()
     waits = [backoff.failed(100.0) for _ in range(8)]
     assert waits == [0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 2.0, 2.0]
-    assert backoff.failures == 8
     backoff.succeeded()
-    assert (backoff.failures, backoff.wait_s(100.0)) == (0, 0.0)
+    assert backoff.wait_s(100.0) == 0.0
     assert backoff.failed(100.0) == 0.05
 
 

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import soundfile
 
+from audioflinger_hook.service.json_codec import to_json
 from audioflinger_hook.service.status_client import ask_status
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError
@@ -146,7 +147,7 @@ class Run:
             told = ask_status(LIMIT_S, time.monotonic)
         except CushionError:
             return None
-        status: dict[str, Any] = json.loads(told.to_json())
+        status: dict[str, Any] = json.loads(to_json(told))
         now_s = time.monotonic()
         if not self.states or self.states[-1][1] != status["state"]:
             self.states.append((now_s, status["state"]))
