@@ -34,20 +34,14 @@ class DeviceAddress:
     def usb(self) -> UsbIdentity | None:
         """The USB device that it names; None for another kind.
 
-        Raises
-        ------
-        UsageError
-            The name is not written as that of a USB device; `parse_device` refuses those.
+        UsageError: the name is not written as that of a USB device; `parse_device` refuses those.
         """
         return UsbIdentity.parse(str(self)) if self.kind == "usb" else None
 
     def sink(self, snapshot: ServerSnapshot) -> Sink:
         """Return the sound server's sink of this device.
 
-        Raises
-        ------
-        NotFoundError
-            It is not there, or two are: nothing is ever substituted.
+        NotFoundError: it is not there, or two are: nothing is ever substituted.
         """
         if self.kind == "sink":
             return find_sink(snapshot, self.name)
@@ -77,10 +71,7 @@ def parse_device(text: str) -> DeviceAddress:
 
     Names are taken literally.
 
-    Raises
-    ------
-    UsageError
-        The kind is none of `KINDS`, a name is missing, or `twin` has one.
+    UsageError: the kind is none of `KINDS`, a name is missing, or `twin` has one.
     """
     if text == "twin":
         return DeviceAddress("twin")

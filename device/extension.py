@@ -15,10 +15,7 @@ LOADED = 1
 def load(name: str, wanted: str) -> ModuleType:
     """Return a compiled module that has `wanted`.
 
-    Raises
-    ------
-    ImportError
-        It is not there or not usable, whatever the reason.
+    ImportError: it is not there or not usable, whatever the reason.
     """
     found = find_spec(name)
     if found is not None and found.origin is not None:

@@ -38,16 +38,10 @@ class Refusal:
 class Description(ABC):
     """What one field means and may hold.
 
-    Attributes
-    ----------
-    meaning : str
-        What the field is for, in a few words.
-    name : str
-        The name that users know it by, where that is not the field's name.
-    section : str
-        The section of a config file that holds it, where that is not its class's section.
-    change : str
-        What a change needs while the program runs, where that is not the same for the whole class.
+    meaning: what the field is for, in a few words. name: the name that users know it by, where
+    that is not the field's name. section: the section of a config file that holds it, where that
+    is not its class's section. change: what a change needs while the program runs, where that is
+    not the same for the whole class.
     """
 
     meaning: str
@@ -176,10 +170,7 @@ class Described:
 
     The descriptions are appended to the class's docstring.
 
-    Raises
-    ------
-    UsageError
-        Constructing one with refused values names all of them.
+    UsageError: constructing one with refused values names all of them.
     """
 
     DESCRIPTIONS: ClassVar[Mapping[str, Description]] = {}
@@ -240,10 +231,7 @@ class Described:
     def from_values(cls, values: Mapping[str, Any]) -> Self:
         """Return an instance of values as a config file or a capture has them.
 
-        Raises
-        ------
-        UsageError
-            One of them is refused.
+        UsageError: one of them is refused.
         """
         if found := cls.refusals(values):
             raise UsageError("; ".join(f"{name} {refusal}" for name, refusal in found.items()))

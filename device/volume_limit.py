@@ -17,10 +17,7 @@ def limit_volume_db(
 
     lowest_db: the lowest level that the device has. what: its name for messages.
 
-    Raises
-    ------
-    UsageError
-        wanted_db is NaN, or even the lowest level is above the limit.
+    UsageError: wanted_db is NaN, or even the lowest level is above the limit.
     """
     most_db = min(MAX_VOLUME_DB, limit_db)
     if math.isnan(wanted_db):

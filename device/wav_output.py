@@ -128,10 +128,7 @@ def wav_header(samplerate: int, channels: int, frames: int, comment: str | None 
     Chunks: ds64 (below 4 GB the same bytes are JUNK, EBU Tech 3306), fmt, fact, LIST INFO ICMT,
     data. A file of more than 4 GB says RF64 in place of RIFF.
 
-    Raises
-    ------
-    InternalError
-        The rate or the number of channels does not fit into a WAV header.
+    InternalError: the rate or the number of channels does not fit into a WAV header.
     """
     frame_bytes = channels * _SAMPLE.itemsize
     if not (0 < samplerate * frame_bytes <= _IN_DS64 and 0 < channels <= 0x3FFF):

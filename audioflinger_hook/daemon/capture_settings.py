@@ -47,10 +47,7 @@ def facts_of(settings: Settings) -> Facts:
 def settings_from(facts: Facts) -> Settings | None:
     """Return the settings that a run's capture names, None where it names none.
 
-    Raises
-    ------
-    UsageError
-        This version cannot use them.
+    UsageError: this version cannot use them.
     """
     if "form" not in facts:
         return None

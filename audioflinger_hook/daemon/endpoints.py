@@ -26,10 +26,7 @@ class Endpoints:
 
     needs_server: whether one of them uses the sound server. feed: takes the input's buffers.
 
-    Raises
-    ------
-    UsageError, NotFoundError
-        A file cannot be used, or a rule for applications has a mistake.
+    UsageError, NotFoundError: a file cannot be used, or a rule for applications has a mistake.
     """
 
     def __init__(

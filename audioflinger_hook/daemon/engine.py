@@ -57,33 +57,14 @@ class Engine:
     One thread at a time calls `advance`, the capture's or the output's; the output's thread calls
     `fill`. Neither waits for the other. Any thread may read the attributes.
 
-    Parameters
-    ----------
-    client : Client
-        Plays into the mix, which has its sample rate and channels.
-    offset_s : float
-        The user's addition to the delay.
-    block_frames : int
-        Of the streams on both sides.
-    bypass_late : bool
-        Whether to bypass an effect that takes too long; for sound that is also played elsewhere.
-    on_step : callable, optional
-        Receives each cycle's sound and vibration, which it may keep.
-    on_mix : callable, optional
-        Receives the mix before all effects, which it must copy.
-
-    Attributes
-    ----------
-    last_sound_s : float
-        When the latest frames that were not silent arrived.
-    faded : bool
-        Whether the latest measured vibration is below FADED.
-    sound, vibration : BufferedLevelMeter
-        Levels of the mix, and of the vibration before the drive.
-    driven : list of BufferedLevelMeter
-        Level of each named actuator.
-    before_fill : callable
-        Called by `fill` before it reads; set it before the first `fill`.
+    client: plays into the mix, which has its sample rate and channels. offset_s: the user's
+    addition to the delay. block_frames: of the streams on both sides. bypass_late: whether to
+    bypass an effect that takes too long; for sound that is also played elsewhere. on_step:
+    receives each cycle's sound and vibration, which it may keep. on_mix: receives the mix before
+    all effects, which it must copy. last_sound_s: when the latest frames that were not silent
+    arrived. faded: whether the latest measured vibration is below FADED. sound, vibration: levels
+    of the mix, and of the vibration before the drive. driven: level of each named actuator.
+    before_fill: called by `fill` before it reads; set it before the first `fill`.
     """
 
     def __init__(

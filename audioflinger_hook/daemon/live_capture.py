@@ -57,10 +57,7 @@ class LiveCapture:
     def look(self) -> None:
         """Check that server and tap are available.
 
-        Raises
-        ------
-        LostError, NotFoundError
-            One is not available.
+        LostError, NotFoundError: one is not available.
         """
         self._connection = PulseConnection(Nudge(self._wake))
         self._input.locate(self._connection.latest, None)
@@ -72,10 +69,7 @@ class LiveCapture:
     def tick(self, now_s: float) -> None:
         """Bring the tap nearer to where it should be.
 
-        Raises
-        ------
-        LostError
-            Server or tap were lost, and no sound arrived for LOST_LIMIT_S.
+        LostError: server or tap were lost, and no sound arrived for LOST_LIMIT_S.
         """
         if self._writer.heard_s > self._heard_s:
             self._heard_s, self._well_s, self._reason = self._writer.heard_s, now_s, ""

@@ -24,14 +24,8 @@ class RunRecording:
     The thread that mixes calls `delivered` and `felt`, the output's thread `sent`, and the
     supervising thread `reopened` while the output rests. None of them waits or raises.
 
-    Parameters
-    ----------
-    folder : path
-        New or empty; `begin` makes it.
-    settings : Settings
-        Stored in the capture, so that a replay needs no other file.
-    tap, device : str
-        Addresses of the run.
+    folder: new or empty; `begin` makes it. settings: stored in the capture, so that a replay needs
+    no other file. tap, device: addresses of the run.
     """
 
     def __init__(

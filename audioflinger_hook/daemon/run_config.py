@@ -26,20 +26,10 @@ LEVELS = tuple(name for name, key in Settings.DESCRIPTIONS.items() if key.change
 class RunConfig:
     """Everything that the config and the options ask for.
 
-    Parameters
-    ----------
-    tap : TapAddress
-        Where sound comes from.
-    device : DeviceAddress
-        Where vibration goes.
-    settings : Settings
-        How vibration is made of sound.
-    live : LiveSettings
-        Everything else; its device does not count here, and its tap only for applications.
-    recording : RunRecording, optional
-        Records the run; its creator begins and closes it.
-    past_server : bool
-        Whether a USB device is opened as a card, because no sound server answers.
+    tap: where sound comes from. device: where vibration goes. settings: how vibration is made of
+    sound. live: everything else; its device does not count here, and its tap only for
+    applications. recording: records the run; its creator begins and closes it. past_server:
+    whether a USB device is opened as a card, because no sound server answers.
     """
 
     tap: TapAddress
@@ -75,10 +65,7 @@ class RunConfig:
     def rules(self) -> AppRules | None:
         """Return the rules that select single applications, None if a sink's mix is captured.
 
-        Raises
-        ------
-        UsageError
-            A rule is invalid, or the tap has no single applications.
+        UsageError: a rule is invalid, or the tap has no single applications.
         """
         include, exclude = self.live.include, self.live.exclude
         if self.tap.kind == "app":

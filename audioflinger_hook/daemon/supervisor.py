@@ -35,30 +35,11 @@ class Supervisor:
     Its thread calls `tick` whenever `wake` rings, and at least every `rest_s` seconds. Lost servers
     and devices raise nothing: it waits and recovers. An unreadable or unwritable file ends it.
 
-    Parameters
-    ----------
-    config : RunConfig
-        What to do.
-    clocks : Clocks
-        Sources of time; `now_s` is time.monotonic() or a replacement.
-    wake : Wake
-        Rung when something changes.
-
-    Attributes
-    ----------
-    states : StateKeeper
-        The daemon's state and its recoveries.
-    engine : Engine or None
-        What the audio threads run; None before the first sound.
-    priority : AudioPriority
-        Of the audio threads.
-    config_error : str
-        Why the latest config was not applied, "" if it was.
-
-    Raises
-    ------
-    UsageError, NotFoundError
-        A file to play or to write cannot be used.
+    config: what to do. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
+    wake: rung when something changes. states: the daemon's state and its recoveries. engine: what
+    the audio threads run; None before the first sound. priority: of the audio threads.
+    config_error: why the latest config was not applied, "" if it was.
+    UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 
     def __init__(self, config: RunConfig, clocks: Clocks, wake: Wake) -> None:
@@ -165,10 +146,7 @@ class Supervisor:
     def look(self) -> None:
         """Check once that the server, device and tap that the config needs are available.
 
-        Raises
-        ------
-        LostError, NotFoundError
-            The first one that is missing, and advice.
+        LostError, NotFoundError: the first one that is missing, and advice.
         """
         if not self._output.needs_server:
             self._output.locate(None)
@@ -229,10 +207,7 @@ class Supervisor:
 
         Only what it affects is closed, and the next `tick` reopens it; see `ConfigDiff`.
 
-        Raises
-        ------
-        UsageError
-            It cannot be applied while the daemon runs; nothing has changed.
+        UsageError: it cannot be applied while the daemon runs; nothing has changed.
         """
         changes, engine = ConfigDiff.between(self._config, config), self.engine
         self._endpoints.check_change(self._config, config)

@@ -35,13 +35,9 @@ class EffectChains:
     `modules`, `bypassed` and `dump`, which only read. `process` and `end_of_cycle` neither raise,
     block nor log.
 
-    Parameters
-    ----------
-    clock : callable
-        Seconds, read before and after each effect.
-    budget_share : float
-        Share of a buffer's length that one effect may take before it counts as an overrun. With
-        inf, for offline work, time bypasses nothing, and the same input gives the same bytes.
+    clock: seconds, read before and after each effect. budget_share: share of a buffer's length
+    that one effect may take before it counts as an overrun. With inf, for offline work, time
+    bypasses nothing, and the same input gives the same bytes.
     """
 
     def __init__(self, clock: Callable[[], float], *, budget_share: float = BUDGET_SHARE) -> None:
@@ -59,10 +55,7 @@ class EffectChains:
 
         session: a player's from 1 up, `OUTPUT_MIX`, `OUTPUT_STAGE` or `DEVICE`.
 
-        Raises
-        ------
-        UsageError
-            There is no such session, or the effect cannot stand there.
+        UsageError: there is no such session, or the effect cannot stand there.
         """
         try:
             descriptor: object = engine.descriptor
@@ -189,10 +182,7 @@ def insert_index(new: EffectDescriptor, chain: Sequence[EffectDescriptor]) -> in
     EXCLUSIVE stands alone; LAST before the first LAST, else at the end; FIRST and ANY after the
     last FIRST, else before the first insert. (AudioFlinger, EffectChain::getInsertIndex.)
 
-    Raises
-    ------
-    UsageError
-        An EXCLUSIVE effect is or would be beside another.
+    UsageError: an EXCLUSIVE effect is or would be beside another.
     """
     places = [
         (index, other.flags & EffectFlag.INSERT_MASK)

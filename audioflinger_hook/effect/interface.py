@@ -158,16 +158,8 @@ class EffectDescriptor:
 
     The framework refuses all other parameters and vendor commands before the engine sees them.
 
-    Attributes
-    ----------
-    type_uuid : UUID
-        What the effect does, shared by all implementations.
-    uuid : UUID
-        This implementation.
-    cpu_load : int
-        Load in 0.1 MIPS, as on Android.
-    memory_kb : int
-        Memory in KB, as on Android.
+    type_uuid: what the effect does, shared by all implementations. uuid: this implementation.
+    cpu_load: load in 0.1 MIPS, as on Android. memory_kb: memory in KB, as on Android.
     """
 
     type_uuid: UUID

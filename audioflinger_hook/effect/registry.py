@@ -78,10 +78,7 @@ class EffectRegistry:
     def add(self, library: EffectLibrary) -> None:
         """Add all effects of a library, or none.
 
-        Raises
-        ------
-        UsageError
-            A name or UUID is taken, or a descriptor is wrong.
+        UsageError: a name or UUID is taken, or a descriptor is wrong.
         """
         if type(library.name) is not str or not library.name:
             raise UsageError(f"effect library name {library.name!r} is not a name")
@@ -115,12 +112,8 @@ class EffectRegistry:
     def create(self, uuid: UUID) -> EffectEngine:
         """Return a new engine of the effect with this implementation UUID.
 
-        Raises
-        ------
-        NotFoundError
-            No effect has it.
-        InternalError
-            Its library fails to make an engine, or makes another effect.
+        NotFoundError: no effect has it.
+        InternalError: its library fails to make an engine, or makes another effect.
         """
         if uuid not in self._effects:
             known = ", ".join(f"{d.uuid} ({d.name})" for d in self.descriptors)

@@ -80,11 +80,8 @@ def _bundled() -> bytes:
 def read_effects(path: Path, registry: EffectRegistry) -> DeclaredEffects:
     """Return what a file declares and the registry has.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be read or is far too large. What is wrong inside is no error: see
-        `problems`.
+    UsageError: the file cannot be read or is far too large. What is wrong inside is no error: see
+    `problems`.
     """
     try:
         with path.open("rb") as stream:

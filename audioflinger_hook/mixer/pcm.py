@@ -53,10 +53,7 @@ def stored_frames(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDAr
 
     stored: bytes, or an array of the format's `dtype`, flat or in rows.
 
-    Raises
-    ------
-    UsageError
-        The array is of another type or shape, or the bytes are no whole number of frames.
+    UsageError: the array is of another type or shape, or the bytes are no whole number of frames.
     """
     bytes_per_frame = channels * pcm_format.bytes_per_sample
     items = bytes_per_frame // pcm_format.dtype.itemsize

@@ -38,33 +38,14 @@ class Framework:
     The thread that steps the mix calls all methods but `change`, which another thread calls; any
     thread may call `dump` and the properties.
 
-    Parameters
-    ----------
-    samplerate : int
-        Rate of the mix in Hz.
-    channels : int
-        Channels of the mix. It has one haptic channel; with `settings.channels` = "each" as many
-        as channels; with named actuators one for each of their sources.
-    settings : Settings | None
-        How vibration is made.
-    hal_frames : int
-        Frames that the output takes at once.
-    clock : Callable[[], float] | None
-        Seconds, by which an effect that takes too long is bypassed. None offline, where the result
-        must not depend on time.
-    standby_delay_s : float
-        See `Mixer`; infinite for files, which keep their silence.
-
-    Attributes
-    ----------
-    warnings : list[str]
-        Effects that were left out, or are slower than they could be.
-
-    Raises
-    ------
-    UsageError
-        Format and settings cannot be combined, or the effects file cannot be read or does not
-        apply the haptic effect.
+    samplerate: rate of the mix in Hz. channels: channels of the mix. It has one haptic channel;
+    with `settings.channels` = "each" as many as channels; with named actuators one for each of
+    their sources. settings: how vibration is made. hal_frames: frames that the output takes at
+    once. clock: seconds, by which an effect that takes too long is bypassed. None offline, where
+    the result must not depend on time. standby_delay_s: see `Mixer`; infinite for files, which
+    keep their silence. warnings: effects that were left out, or are slower than they could be.
+    UsageError: format and settings cannot be combined, or the effects file cannot be read or does
+    not apply the haptic effect.
     """
 
     def __init__(
@@ -138,10 +119,7 @@ class Framework:
         parameters the vibration fades out within one buffer and restarts `latency_frames` later.
         Parameters are checked here, on the calling thread.
 
-        Raises
-        ------
-        UsageError
-            They cannot be used with this mix, and nothing has changed.
+        UsageError: they cannot be used with this mix, and nothing has changed.
         """
         if settings.parameters != self.settings.parameters:
             self._try(self.mixer.samplerate, self.mixer.channels, settings)

@@ -74,13 +74,9 @@ def install(
     Makes missing folders, and writes the file atomically if its text differs. The returned
     commands load and start it. command: default `own_command`; systemd: `systemd_version`.
 
-    Raises
-    ------
-    UsageError
-        systemd does not accept a path or argument, a folder is not writable, or the unit was not
-        written by this program.
-    WriteError
-        The disk is full or failed.
+    UsageError: systemd does not accept a path or argument, a folder is not writable, or the unit
+    was not written by this program.
+    WriteError: the disk is full or failed.
     """
     path = _unit_path(environ)
     state = _home(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
@@ -101,10 +97,7 @@ def install(
 def remove(environ: Mapping[str, str] = os.environ) -> Installed:
     """Remove the unit that `install` wrote, if there is one.
 
-    Raises
-    ------
-    UsageError
-        The unit was not written by this program, or the folder is not writable.
+    UsageError: the unit was not written by this program, or the folder is not writable.
     """
     path = _unit_path(environ)
     if _written_before(path) is None:

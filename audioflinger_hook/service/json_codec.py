@@ -21,10 +21,7 @@ _SCALARS = {str: "a text", int: "a whole number", float: "a number", bool: "true
 def to_json(document: Any) -> str:
     """Return a dataclass as one line of JSON, enums by their value.
 
-    Raises
-    ------
-    ValueError
-        A number is not finite, which JSON cannot express.
+    ValueError: a number is not finite, which JSON cannot express.
     """
     return json.dumps(document, allow_nan=False, default=_plain)
 
@@ -32,11 +29,8 @@ def to_json(document: Any) -> str:
 def from_json(kind: type[T], text: str | bytes) -> T:
     """Return the dataclass in a JSON document; the inverse of `to_json`.
 
-    Raises
-    ------
-    UsageError
-        The text is not JSON, or a key is missing, unknown or repeated, or a value has another
-        type or is not finite. The message names the key, the value and what is allowed.
+    UsageError: the text is not JSON, or a key is missing, unknown or repeated, or a value has
+    another type or is not finite. The message names the key, the value and what is allowed.
     """
     try:
         document = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)

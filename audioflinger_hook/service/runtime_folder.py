@@ -34,12 +34,8 @@ class RuntimeFolder:
     Any thread may use it until whoever opened it closes it. create: whether to create a missing
     folder. path: for messages. fd: for calls that take a folder's descriptor.
 
-    Raises
-    ------
-    UsageError
-        The variable is unusable, or the folder is a link, not ours, or open to others.
-    NotFoundError
-        The folder does not exist, and `create` is False.
+    UsageError: the variable is unusable, or the folder is a link, not ours, or open to others.
+    NotFoundError: the folder does not exist, and `create` is False.
     """
 
     def __init__(self, environ: Mapping[str, str], create: bool) -> None:
@@ -115,12 +111,8 @@ class DaemonLock:
     Programs that the daemon starts do not inherit it. One thread makes and releases it. holder:
     what a second daemon is told.
 
-    Raises
-    ------
-    UsageError
-        Another daemon holds the lock, or the lock file is not a file of ours.
-    WriteError
-        The disk is full.
+    UsageError: another daemon holds the lock, or the lock file is not a file of ours.
+    WriteError: the disk is full.
     """
 
     def __init__(self, folder: RuntimeFolder, holder: Holder) -> None:

@@ -24,14 +24,10 @@ def ask_status(
 ) -> Status:
     """Return the status of this user's daemon, within a time; not for an audio thread.
 
-    Raises
-    ------
-    NotFoundError
-        No daemon is running.
-    UsageError
-        $XDG_RUNTIME_DIR is not usable, or folder or socket belong to another user.
-    InternalError
-        The daemon does not answer in time, or not in the form that this version expects.
+    NotFoundError: no daemon is running.
+    UsageError: $XDG_RUNTIME_DIR is not usable, or folder or socket belong to another user.
+    InternalError: the daemon does not answer in time, or not in the form that this version
+    expects.
     """
     end_s = clock() + timeout_s
     try:

@@ -69,12 +69,8 @@ class StatusServer:
     Hold the `DaemonLock` before: the lock, not the socket, ensures that there is one daemon.
     `read` is called on the server's threads; if it raises, the client is told.
 
-    Raises
-    ------
-    UsageError
-        A living daemon answers there, or the socket's name is taken by something else.
-    InternalError
-        The system provides no socket.
+    UsageError: a living daemon answers there, or the socket's name is taken by something else.
+    InternalError: the system provides no socket.
     """
 
     def __init__(

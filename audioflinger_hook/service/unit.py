@@ -84,10 +84,7 @@ def unit_text(command: Sequence[str], state_folder: Path, systemd: int = 0) -> s
 
     state_folder: the daemon may write here and in the runtime folder; systemd: version, 0 for any.
 
-    Raises
-    ------
-    UsageError
-        systemd does not accept a path or argument.
+    UsageError: systemd does not accept a path or argument.
     """
     program, *arguments = command
     words = [_path(program, "install the program elsewhere"), *map(_quoted, arguments)]

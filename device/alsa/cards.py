@@ -111,10 +111,7 @@ def _list_devices(card: Card, side: str) -> list[tuple[int, str]]:
 def find_card(name: str, root: Path = PROC) -> Card:
     """Return the card with exactly this number or id.
 
-    Raises
-    ------
-    NotFoundError
-        There is none; the nearest ids are suggested.
+    NotFoundError: there is none; the nearest ids are suggested.
     """
     cards = list_cards(root)
     for card in cards:
@@ -187,10 +184,7 @@ def _find_device(
 def parse_card_address(name: str) -> re.Match[str]:
     """Return a match with the groups `card` and `device` (None if omitted); looks nothing up.
 
-    Raises
-    ------
-    UsageError
-        The address is malformed.
+    UsageError: the address is malformed.
     """
     match = _ADDRESS.fullmatch(name)
     if match is None:

@@ -129,10 +129,8 @@ class CardMixer:
 
     card: ALSA's number. devices: the directory of device files.
 
-    Raises
-    ------
-    NotFoundError
-        The card is missing or was unplugged, or this user may not open it. All methods raise it.
+    NotFoundError: the card is missing or was unplugged, or this user may not open it. All methods
+    raise it.
     """
 
     def __init__(self, card: int, devices: Path = DEVICES) -> None:
@@ -166,10 +164,8 @@ class CardMixer:
 
         A level below the lowest becomes the lowest. Returns the level in dB.
 
-        Raises
-        ------
-        UsageError
-            wanted_db is NaN, the meaning of the steps is unknown, or the lowest is above the limit.
+        UsageError: wanted_db is NaN, the meaning of the steps is unknown, or the lowest is above
+        the limit.
         """
         decibels = volume.decibels
         if decibels is None:

@@ -60,18 +60,10 @@ class AdaptiveActuator:
     state once their node exists. So the state does not depend on how the signal is split, except
     through the selection of models and the end of Newton's method.
 
-    Parameters
-    ----------
-    tolerance : float
-        Allowed error of excursion and acceleration as a share of a block's peak, above 0.
-    level : ModelLevel | None
-        Use this model always, whatever its error.
-    seat, temperature : bool
-        The actuator is on the rig's seat instead of solid ground; the coil warms up.
-    nodes_hz : float
-        Node rate of the non-linear model.
-    early : bool
-        Make no estimate for blocks that surely need the non-linear model.
+    tolerance: allowed error of excursion and acceleration as a share of a block's peak, above 0.
+    level: use this model always, whatever its error. seat, temperature: the actuator is on the
+    rig's seat instead of solid ground; the coil warms up. nodes_hz: node rate of the non-linear
+    model. early: make no estimate for blocks that surely need the non-linear model.
     """
 
     def __init__(

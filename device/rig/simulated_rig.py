@@ -21,26 +21,15 @@ class SimulatedRig:
 
     One thread writes; any thread may read the attributes meanwhile.
 
-    Parameters
-    ----------
-    rig : Rig | Sequence[Rig | None]
-        The rig of all channels, or that of each channel, None where nothing is connected.
-    channels : int | None
-        Number of channels, 1 or more; None for as many as rigs are listed.
-    recorder : VibrationOutput | None
-        Gets what the accelerometers show, at the same rate and channels, with 1.0 for
-        ACCELERATION_FULL_SCALE_M_S2. It is closed or aborted with the rig.
-    tolerance : float | None
-        None for linear actuators, else the error that `AdaptiveActuator` may make.
-
-    Attributes
-    ----------
-    acceleration_m_s2 : FloatArray
-        (frames, channels) of the last block, a new array each time; 0 without a rig.
-    peak_acceleration_m_s2, peak_displacement_m, peak_current_a : float
-        Largest magnitudes of any channel since the start or `reset`.
-    overcurrent_samples : int
-        Samples beyond the amplifier's current limit; a real one would limit it or switch off.
+    rig: the rig of all channels, or that of each channel, None where nothing is connected.
+    channels: number of channels, 1 or more; None for as many as rigs are listed. recorder: gets
+    what the accelerometers show, at the same rate and channels, with 1.0 for
+    ACCELERATION_FULL_SCALE_M_S2. It is closed or aborted with the rig. tolerance: none for linear
+    actuators, else the error that `AdaptiveActuator` may make. acceleration_m_s2: (frames,
+    channels) of the last block, a new array each time; 0 without a rig. peak_acceleration_m_s2,
+    peak_displacement_m, peak_current_a: largest magnitudes of any channel since the start or
+    `reset`. overcurrent_samples: samples beyond the amplifier's current limit; a real one would
+    limit it or switch off.
     """
 
     def __init__(

@@ -37,10 +37,7 @@ class ControlState:
 def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
     """Return the first way to play on a device whose volume, or else mute, can be set; or any.
 
-    Raises
-    ------
-    UsbAccessError
-        Nothing can be played on it, or its descriptors cannot be read.
+    UsbAccessError: nothing can be played on it, or its descriptors cannot be read.
     """
     configurations = parse_whole(read_descriptors(device)).configurations
     formats = playback_formats(configurations[0]) if configurations else ()
@@ -55,12 +52,9 @@ class UsbControl:
     handle: PyUSB's device, that `close` lets go of. Volumes are in dB; channel 0 is the master.
     Every question takes some ms, and half a second of a device that does not answer.
 
-    Raises
-    ------
-    UsbAccessError
-        By everything below: the device refuses, does not answer, or has no such control.
-    NoUsbDeviceError
-        It was pulled out.
+    UsbAccessError: by everything below: the device refuses, does not answer, or has no such
+    control.
+    NoUsbDeviceError: it was pulled out.
     """
 
     def __init__(self, device: UsbAudioDevice, playback: PlaybackFormat, handle: Any) -> None:
@@ -197,12 +191,8 @@ class UsbControl:
 def open_control(device: UsbAudioDevice) -> UsbControl:
     """Return the controls of a device that no driver holds.
 
-    Raises
-    ------
-    UsbAccessError
-        A driver holds it, it may not be opened, or nothing can be played on it.
-    NoLibusbError, NoUsbDeviceError
-        libusb is missing, or does not see it.
+    UsbAccessError: a driver holds it, it may not be opened, or nothing can be played on it.
+    NoLibusbError, NoUsbDeviceError: libusb is missing, or does not see it.
     """
     drivers = held_by(device)
     if drivers:

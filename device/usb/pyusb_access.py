@@ -26,10 +26,7 @@ _TOTAL_LENGTH = slice(2, 4)
 def libusb() -> Any:
     """Return PyUSB's backend, chosen once: PyUSB keeps one a process, and a second disturbs it.
 
-    Raises
-    ------
-    NoLibusbError
-        There is none; it is looked for again at the next call.
+    NoLibusbError: there is none; it is looked for again at the next call.
     """
     try:
         from usb.backend import libusb1
@@ -52,12 +49,8 @@ def open_device(device: UsbAudioDevice) -> Any:
     Nothing is opened before the first question; whoever holds it ends with
     usb.util.dispose_resources.
 
-    Raises
-    ------
-    NoLibusbError
-        libusb is missing.
-    NoUsbDeviceError
-        libusb does not see the device.
+    NoLibusbError: libusb is missing.
+    NoUsbDeviceError: libusb does not see the device.
     """
     backend = libusb()
     import usb.core
@@ -79,10 +72,8 @@ def open_device(device: UsbAudioDevice) -> Any:
 def read_descriptors(device: UsbAudioDevice) -> bytes:
     """Return the device descriptor and all configurations, as they lie in /sys.
 
-    Raises
-    ------
-    NoLibusbError, NoUsbDeviceError, UsbAccessError
-        /sys does not have them, and the device cannot be asked.
+    NoLibusbError, NoUsbDeviceError, UsbAccessError: /sys does not have them, and the device cannot
+    be asked.
     """
     if device.descriptors:
         return device.descriptors

@@ -58,10 +58,7 @@ class VolumeRange:
 
         What is below the range becomes its lowest value.
 
-        Raises
-        ------
-        UsageError
-            wanted_db is no number, or even the lowest value is above the limit.
+        UsageError: wanted_db is no number, or even the lowest value is above the limit.
         """
         most_db = limit_volume_db(wanted_db, self.lowest_db, "the device", limit_db)
         highest_db = min(most_db, self.highest_db)
@@ -74,10 +71,7 @@ def feature(
 ) -> Request:
     """Return how to ask for a control of the feature unit that a playback format goes through.
 
-    Raises
-    ------
-    UsbAccessError
-        There is no such unit.
+    UsbAccessError: there is no such unit.
     """
     length = 1 if control is FeatureControl.MUTE else 2
     if what == "range":
@@ -99,10 +93,7 @@ def set_feature(
 def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
     """Return how to ask for the samplerate: of the endpoint in 1.0, of its clock source in 2.0.
 
-    Raises
-    ------
-    UsbAccessError
-        2.0, and nobody knows which of several clocks it is, or there is none.
+    UsbAccessError: 2.0, and nobody knows which of several clocks it is, or there is none.
     """
     if playback.uac == 1 and what != "now":
         raise UsbAccessError("a device of USB Audio 1.0 lists its samplerates in its descriptors")

@@ -37,12 +37,9 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
     Without a driver it is just opened. What was set within is set back in the end. For the main
     thread of a command: it takes some tenths of a second.
 
-    Raises
-    ------
-    UsbAccessError
-        Something plays on it, it may not be opened, or in the end its card did not come back.
-    NoLibusbError, NoUsbDeviceError
-        libusb is missing, or does not see it.
+    UsbAccessError: something plays on it, it may not be opened, or in the end its card did not
+    come back.
+    NoLibusbError, NoUsbDeviceError: libusb is missing, or does not see it.
     """
     _refuse_busy(device, root)
     playback, handle = playback_of(device), open_device(device)

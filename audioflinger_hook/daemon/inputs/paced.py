@@ -36,10 +36,7 @@ class PacedInput(Input):
     A buffer is due when its last frame has been played. `close` pauses it. The pacer's thread
     delivers; all methods are for the supervising thread.
 
-    Raises
-    ------
-    UsageError, NotFoundError
-        The sound cannot be used; see `open_tap`.
+    UsageError, NotFoundError: the sound cannot be used; see `open_tap`.
     """
 
     def __init__(self, address: TapAddress, pacer: Pacer, feed: Feed) -> None:

@@ -35,10 +35,7 @@ class PacedOutput(Output):
     `end(keep=True)` completes the file, which contains a silence at its full length. `close`
     pauses. All methods are for the supervising thread.
 
-    Raises
-    ------
-    UsageError
-        The file cannot be written, or there is no such rig.
+    UsageError: the file cannot be written, or there is no such rig.
     """
 
     def __init__(

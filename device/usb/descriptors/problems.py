@@ -50,10 +50,7 @@ class Findings:
     def note(self, offset: int, descriptor: str, found: str, allowed: str) -> None:
         """Take one problem.
 
-        Raises
-        ------
-        DescriptorError
-            In strict mode, always.
+        DescriptorError: in strict mode, always.
         """
         if self._strict:
             raise DescriptorError(str(Problem(offset, descriptor, found, allowed)))

@@ -183,10 +183,7 @@ def parse_device(raw: bytes) -> DeviceDescriptor:
 def read_header(raw: bytes) -> ConfigurationHeader:
     """The configuration descriptor that the bytes begin with.
 
-    Raises
-    ------
-    DescriptorError
-        They do not begin with one of at least 9 bytes.
+    DescriptorError: they do not begin with one of at least 9 bytes.
     """
     length = raw[0] if raw else 0
     block = Block(0, raw[:length], "configuration", Findings(strict=True))
