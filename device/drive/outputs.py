@@ -9,27 +9,7 @@ import numpy as np
 from device.drive.channel_map import ChannelMap
 from device.errors import InternalError
 from device.output import VibrationOutput
-from device.units import Block, Float32Array, FloatArray
-
-
-class BlockProcessor(Protocol):
-    """Changes vibration block by block, or only measures it; holds its state.
-
-    One thread calls it. It neither waits nor logs, its memory is bounded, and its output is finite.
-    """
-
-    @property
-    def latency_frames(self) -> int:
-        """Delay of the vibration in frames."""
-        ...
-
-    def reset(self) -> None:
-        """Come to rest."""
-        ...
-
-    def process(self, block: Block) -> Block:
-        """Process a block, (frames, channels), in place and return it."""
-        ...
+from device.units import Float32Array, FloatArray
 
 
 class Driver(Protocol):

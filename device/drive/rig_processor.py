@@ -9,7 +9,6 @@ import numpy as np
 from device.drive.damping import Damper, Damping, choose_damping
 from device.drive.exposure import Exposure, ExposureMeter, cap_gain
 from device.drive.exposure.dose import ACTION_A8_M_S2, ACTION_VDV, LIMIT_A8_M_S2, LIMIT_VDV
-from device.drive.outputs import BlockProcessor
 from device.drive.protection import ProtectionStatus, Protector
 from device.rig import ActuatorParameters, Rig, rig_by_name
 from device.units import Block, FloatArray, check_channels
@@ -53,27 +52,31 @@ class RigProcessor:
         self.knows_seat = self._meter.knows_seat
         self.exposure_cap = exposure_cap
         self._cap = CAPS[exposure_cap]
-        self._processors: list[BlockProcessor] = [self._protector, self._meter]
+        self._damper: Damper | None = None
         if damped:
             damping = damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
-            self._processors.insert(0, Damper(damping, samplerate, channels))
+            self._damper = Damper(damping, samplerate, channels)
 
     @property
     def latency_frames(self) -> int:
-        """Delay of the vibration in frames."""
-        return sum(processor.latency_frames for processor in self._processors)
+        """Delay of the vibration in frames: that of the protection."""
+        return self._protector.latency_frames
 
     def reset(self) -> None:
         """Come to rest; counts and doses become 0."""
-        for processor in self._processors:
-            processor.reset()
+        if self._damper:
+            self._damper.reset()
+        self._protector.reset()
+        self._meter.reset()
         self._protector.most = 1.0
 
     def process(self, block: Block) -> Block:
         """Process a block, (frames, channels), in place and return it."""
         check_channels(block, self.channels)
-        for processor in self._processors:
-            processor.process(block)
+        if self._damper:
+            self._damper.process(block)
+        self._protector.process(block)
+        self._meter.process(block)
         if self._cap:
             # The dose so far sets the gain of the next block; the meter adds to it every 0.1 s.
             self._protector.most = cap_gain(self._meter.exposure(), *self._cap)
@@ -122,4 +125,4 @@ def make_rig_processor(
 @lru_cache(maxsize=8)
 def damping_for(actuator: ActuatorParameters, source_impedance_ohm: float) -> Damping:
     """Return the damping chosen for a rig; the first call for it takes some tenths of a second."""
-    return choose_damping(actuator, source_impedances_ohm=(source_impedance_ohm,)).damping
+    return choose_damping(actuator, source_impedance_ohm=source_impedance_ohm)[0].damping

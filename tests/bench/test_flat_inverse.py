@@ -20,7 +20,7 @@ from tools.bench.measures.large_bursts import large_burst_response, undamped_lar
 
 RATE = 48_000
 X_MAX = PAPER.actuator.x_max_m
-CHOSEN = choose_damping(PAPER.actuator).damping
+CHOSEN = choose_damping(PAPER.actuator)[0].damping
 
 
 def scaled(rig, signal, level):

@@ -69,7 +69,7 @@ def wanted_vibration(mono: FloatArray, samplerate: int) -> FloatArray:
 def chosen_damping(rig: Rig) -> Damping:
     """What the automatic choice takes for the rig, at the strength of undamped vibration."""
     source = rig.amplifier.source_impedance_ohm
-    chosen = choose_damping(rig.actuator, source_impedances_ohm=(source,)).chosen
+    chosen = choose_damping(rig.actuator, source_impedance_ohm=source)[0]
     return replace(chosen.damping, gain=chosen.makeup)
 
 

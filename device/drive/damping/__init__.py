@@ -2,7 +2,7 @@
 
 | module          | holds                                                                        |
 | --------------- | ---------------------------------------------------------------------------- |
-| design.py       | `Damping`: a resonance inverse or an input shaper, as numbers                |
+| design.py       | `Damping`: a resonance inverse, as numbers                                    |
 | damper.py       | `Damper`: the filter in the live path                                        |
 | residual.py     | what is left after a burst, for how long, and the volts that it took         |
 | choice.py       | `choose_damping`: the best filter for a rig and the volts that it has        |

@@ -1,17 +1,8 @@
 """The automatic choice: the least residual in the worst case, within the available volts."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import get_args
+from dataclasses import dataclass
 
-from device.drive.damping.design import (
-    Damping,
-    ShaperKind,
-    inverse_damping,
-    no_damping,
-    resonance_of,
-    shaper_damping,
-)
+from device.drive.damping.design import Damping, inverse_damping, no_damping, resonance_of
 from device.drive.damping.residual import Residual, burst_response, undamped
 from device.rig import ActuatorParameters
 
@@ -20,7 +11,6 @@ UNCERTAINTY = 0.1
 """Share of f0 that the rig may be off in either direction: sitters alone shift it by about 10 %."""
 WANTED_Q = (0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0)
 CAUTION = (1.0, 0.9, 0.8, 0.65, 0.5)
-SHIFT = (1.0, 1.02, 1.04, 1.06)
 
 
 @dataclass(frozen=True)
@@ -40,31 +30,17 @@ class Candidate:
     makeup: float
 
 
-@dataclass(frozen=True)
-class DampingChoice:
-    """The chosen candidate, and all candidates, the best first."""
-
-    chosen: Candidate
-    candidates: tuple[Candidate, ...] = field(repr=False)
-
-    @property
-    def damping(self) -> Damping:
-        """The damping of the chosen candidate."""
-        return self.chosen.damping
-
-
 def choose_damping(
     p: ActuatorParameters,
     *,
     uncertainty: float = UNCERTAINTY,
     headroom_db: float = HEADROOM_DB,
-    source_impedances_ohm: Sequence[float] = (0.0,),
-    latency_s: float = 0.0,
-) -> DampingChoice:
-    """Return the damping with the least residual in the worst case; takes some tenths of a second.
+    source_impedance_ohm: float = 0.0,
+) -> list[Candidate]:
+    """Return all candidates, that with the least residual in the worst case first.
 
-    If nothing is within the headroom, the choice is what needs the fewest volts; `affordable` is
-    then False.
+    Takes some tenths of a second. If nothing is within the headroom, the first is what needs the
+    fewest volts; `affordable` is then False.
 
     Parameters
     ----------
@@ -74,37 +50,31 @@ def choose_damping(
         Share of f0 that it may be off in either direction, 0 to 0.5.
     headroom_db : float
         Peak volts beyond those of undamped current drive for the same vibration.
-    source_impedances_ohm : Sequence[float]
-        Of the amplifier's drive modes, one or more.
-    latency_s : float
-        Delay that a damping may add; 0 excludes shapers.
+    source_impedance_ohm : float
+        Of the amplifier.
     """
     detunings = sorted({0.0, -uncertainty, uncertainty})
     references = [undamped(p, detuning=d) for d in detunings]
     reference = undamped(p)
+    plain = burst_response(p, no_damping(source_impedance_ohm))
     candidates = []
-    for source in source_impedances_ohm:
-        plain = burst_response(p, no_damping(source))
-        for damping in _dampings(p, source):
-            if damping.latency_s > latency_s:
-                continue
-            believed = burst_response(p, damping)
-            shown = believed.against(reference)
-            worst_db = max(
-                burst_response(p, damping, detuning=d).against(other).residual_db
-                for d, other in zip(detunings, references, strict=True)
+    for damping in _dampings(p, source_impedance_ohm):
+        believed = burst_response(p, damping)
+        shown = believed.against(reference)
+        worst_db = max(
+            burst_response(p, damping, detuning=d).against(other).residual_db
+            for d, other in zip(detunings, references, strict=True)
+        )
+        candidates.append(
+            Candidate(
+                damping,
+                shown,
+                worst_db,
+                affordable=shown.peak_volts_db <= headroom_db,
+                makeup=plain.rms_m_s2 / believed.rms_m_s2,
             )
-            candidates.append(
-                Candidate(
-                    damping,
-                    shown,
-                    worst_db,
-                    affordable=shown.peak_volts_db <= headroom_db,
-                    makeup=plain.rms_m_s2 / believed.rms_m_s2,
-                )
-            )
-    candidates.sort(key=_rank)
-    return DampingChoice(candidates[0], tuple(candidates))
+        )
+    return sorted(candidates, key=_rank)
 
 
 def _rank(candidate: Candidate) -> tuple[bool, float]:
@@ -117,17 +87,10 @@ def _rank(candidate: Candidate) -> tuple[bool, float]:
 def _dampings(p: ActuatorParameters, source_impedance_ohm: float) -> list[Damping]:
     """Return all candidates at this source impedance."""
     ringing = resonance_of(p, source_impedance_ohm)
-    dampings = [no_damping(source_impedance_ohm)]
-    if ringing.q > 0.5:
-        dampings += [
-            shaper_damping(p, kind, source_impedance_ohm, shift=shift)
-            for kind in get_args(ShaperKind)
-            for shift in SHIFT
-        ]
-    dampings += [
+    inverses = [
         inverse_damping(p, wanted_q, source_impedance_ohm, caution=caution)
         for wanted_q in WANTED_Q
         for caution in CAUTION
         if wanted_q < caution * ringing.q
     ]
-    return dampings
+    return [no_damping(source_impedance_ohm), *inverses]

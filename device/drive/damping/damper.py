@@ -1,4 +1,4 @@
-"""Damping in the live path: a second-order section or the taps of a shaper."""
+"""Damping in the live path: a second-order section."""
 
 import numpy as np
 from scipy.signal import sosfilt
@@ -14,7 +14,7 @@ between, even a pair at 500 Hz with Q 0.3 falls by at most 1e-114."""
 
 
 class Damper:
-    """Damps one stream of vibration, with a delay of `damping.latency_s`. One thread calls it.
+    """Damps one stream of vibration, without delay. One thread calls it.
 
     Parameters
     ----------
@@ -38,25 +38,15 @@ class Damper:
 
     def __init__(self, damping: Damping, samplerate: float, channels: int) -> None:
         self.damping = damping
-        self.samplerate = samplerate
         self.channels = channels
         self._sections = damping.sections(samplerate)
-        taps = damping.taps(samplerate)
-        self._delays = np.flatnonzero(taps)
-        self._amplitudes = taps[self._delays] * damping.gain
         self._part_frames = max(1, round(_REST_S * samplerate))
         self.reset()
-
-    @property
-    def latency_frames(self) -> int:
-        """Delay of the vibration in frames."""
-        return round(self.damping.latency_s * self.samplerate)
 
     def reset(self) -> None:
         """Come to rest; the count becomes 0."""
         self.replaced_samples = 0
         self._state = np.zeros((len(self._sections), 2, self.channels))
-        self._past = np.zeros((int(self._delays[-1]), self.channels))
         self._frames_to_check = self._part_frames
 
     def process(self, block: Block) -> Block:
@@ -76,7 +66,7 @@ class Damper:
         """Return a part of a block, filtered; it ends where the state is checked, or before."""
         samples, replaced = finite_or_zero(block.astype(np.float64), _ABSURD)
         self.replaced_samples += replaced
-        samples = self._shaped(samples)
+        samples = 0.0 + self.damping.gain * samples  # no sample is -0.0
         if len(self._sections):
             samples, self._state = sosfilt(self._sections, samples, axis=0, zi=self._state)
         self._frames_to_check -= len(block)
@@ -85,16 +75,3 @@ class Damper:
             if np.abs(self._state).max(initial=0.0) < _SILENT:
                 self._state[:] = 0.0
         return samples
-
-    def _shaped(self, samples: FloatArray) -> FloatArray:
-        """Return the sum of the delayed copies, always added in the same order."""
-        longest = len(self._past)
-        if longest:
-            samples = np.concatenate([self._past, samples])
-            self._past = samples[-longest:].copy()
-        frames = len(samples) - longest
-        shaped: FloatArray = np.zeros((frames, self.channels))
-        for delay, amplitude in zip(self._delays, self._amplitudes, strict=True):
-            first = longest - delay
-            shaped += amplitude * samples[first : first + frames]
-        return shaped

@@ -1,15 +1,12 @@
-"""Damping filters as numbers that do not depend on the sample rate: resonance inverse, shapers.
+"""The resonance inverse as numbers that do not depend on the sample rate.
 
-The inverse puts zeros on the poles of the actuator and a well damped pair in their place. A shaper
-adds delayed copies, whose free vibrations cancel (Singer and Seering, "Preshaping command inputs to
-reduce system vibration", 1990).
+It puts zeros on the poles of the actuator and a well damped pair in their place.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,8 +14,6 @@ from device.errors import UsageError
 from device.rig import ActuatorParameters
 from device.rig.actuator import state_space
 from device.units import FloatArray
-
-ShaperKind = Literal["zv", "zvd"]
 
 
 @dataclass(frozen=True)
@@ -67,41 +62,6 @@ def inverse_sections(ringing: Resonance, wanted: Resonance, samplerate: float) -
 
 
 @dataclass(frozen=True)
-class Impulses:
-    """A shaper: amplitudes, which sum to 1, and their delays in seconds."""
-
-    delays_s: tuple[float, ...]
-    amplitudes: tuple[float, ...]
-
-    @property
-    def latency_s(self) -> float:
-        """Delay of slow signals, s: the centroid of the impulses."""
-        return sum(d * a for d, a in zip(self.delays_s, self.amplitudes, strict=True))
-
-    def taps(self, samplerate: float) -> FloatArray:
-        """Return the amplitude for each frame of delay, (frames,), interpolated linearly."""
-        taps = np.zeros(math.floor(max(self.delays_s) * samplerate) + 2)
-        for delay_s, amplitude in zip(self.delays_s, self.amplitudes, strict=True):
-            frame, rest = divmod(delay_s * samplerate, 1.0)
-            taps[int(frame)] += amplitude * (1.0 - rest)
-            taps[int(frame) + 1] += amplitude * rest
-        return np.trim_zeros(taps, "b")
-
-
-def input_shaper(ringing: Resonance, kind: ShaperKind) -> Impulses:
-    """Return the shaper of that kind, for a resonance that rings: Q above 0.5."""
-    root = math.sqrt(4.0 * ringing.q**2 - 1.0)
-    half_s = ringing.q / (ringing.frequency_hz * root)  # half a damped period
-    swing = math.exp(-math.pi / root)
-    binomial = (1.0, swing) if kind == "zv" else (1.0, 2.0 * swing, swing**2)
-    whole = sum(binomial)
-    return Impulses(
-        tuple(step * half_s for step in range(len(binomial))),
-        tuple(share / whole for share in binomial),
-    )
-
-
-@dataclass(frozen=True)
 class Damping:
     """One damping filter, and the amplifier that it is meant for.
 
@@ -113,8 +73,6 @@ class Damping:
         Of the amplifier: 0 for voltage drive, which damps (Qts); large for current drive (Qms).
     ringing, wanted : Resonance | None
         Resonance that a resonance inverse removes, and the one that replaces it.
-    impulses : Impulses | None
-        Of an input shaper.
     gain : float
         Additional factor.
     """
@@ -123,23 +81,13 @@ class Damping:
     source_impedance_ohm: float
     ringing: Resonance | None = None
     wanted: Resonance | None = None
-    impulses: Impulses | None = None
     gain: float = 1.0
-
-    @property
-    def latency_s(self) -> float:
-        """Delay of the vibration, s; 0 without a shaper, since the inverse has minimum phase."""
-        return self.impulses.latency_s if self.impulses else 0.0
 
     def sections(self, samplerate: float) -> FloatArray:
         """Return the second-order sections without the gain, (n, 6), n 0 or 1."""
         if self.ringing is None or self.wanted is None:
             return np.empty((0, 6))
         return inverse_sections(self.ringing, self.wanted, samplerate)
-
-    def taps(self, samplerate: float) -> FloatArray:
-        """Return the taps of the shaper, (frames,); one tap of 1 without a shaper."""
-        return self.impulses.taps(samplerate) if self.impulses else np.ones(1)
 
 
 def no_damping(source_impedance_ohm: float = 0.0) -> Damping:
@@ -167,20 +115,3 @@ def inverse_damping(
         ringing=Resonance(ringing.frequency_hz, caution * ringing.q),
         wanted=Resonance(ringing.frequency_hz, wanted_q),
     )
-
-
-def shaper_damping(
-    p: ActuatorParameters,
-    kind: ShaperKind,
-    source_impedance_ohm: float = 0.0,
-    *,
-    shift: float = 1.0,
-) -> Damping:
-    """Return an input shaper for an actuator that rings.
-
-    shift: factor on the frequency. A few percent improve the worst case, since the residual is not
-    symmetric around the resonance.
-    """
-    ringing = resonance_of(p, source_impedance_ohm)
-    tuned = replace(ringing, frequency_hz=shift * ringing.frequency_hz)
-    return Damping(kind, source_impedance_ohm, impulses=input_shaper(tuned, kind))

@@ -2,8 +2,7 @@
 
 Definitions, for a 50 ms burst of a sine at the f0 that the rig is believed to have:
 
-- residual: energy of the acceleration after the burst's end over that within it. The end is later
-  by the latency of the damping.
+- residual: energy of the acceleration after the burst's end over that within it.
 - settling: time after the end until the acceleration stays under 10 % of the burst's peak.
 - peak volts: at the actuator's terminals, for the same r.m.s. acceleration within the burst.
 - detuning: the true stiffness gives another f0; mass and friction are as believed. Filter and
@@ -77,7 +76,7 @@ def burst_response(
     """
     true = detune(p, detuning)
     longest_s = decay_s(true, damping.source_impedance_ohm)
-    frames = round((BURST_S + max(longest_s, BURST_S) + damping.latency_s) * SAMPLERATE)
+    frames = round((BURST_S + max(longest_s, BURST_S)) * SAMPLERATE)
     burst = sine_burst(frames, BURST_S, p.resonance_hz)
     source = damping.source_impedance_ohm
     # Scaled so that a current source gives about the same volts.
@@ -86,12 +85,12 @@ def burst_response(
         drive.astype(np.float64), ("acceleration_m_s2", "current_a")
     )
     volts = drive - source * motion.current_a
-    return measured(motion.acceleration_m_s2, volts, damping.latency_s)
+    return measured(motion.acceleration_m_s2, volts)
 
 
-def measured(acceleration_m_s2: FloatArray, volts: FloatArray, latency_s: float) -> BurstResponse:
+def measured(acceleration_m_s2: FloatArray, volts: FloatArray) -> BurstResponse:
     """Return the response to a burst from 0 on. Acceleration, terminal volts: (frames,)."""
-    end = round((BURST_S + latency_s) * SAMPLERATE)
+    end = round(BURST_S * SAMPLERATE)
     within, after = acceleration_m_s2[:end], acceleration_m_s2[end:]
     rms_m_s2 = math.sqrt(np.sum(within**2) / (BURST_S * SAMPLERATE))
     loud = np.flatnonzero(np.abs(after) > SETTLED * np.abs(within).max())

@@ -74,11 +74,6 @@ class ExposureMeter:
         self._part: FloatArray = np.zeros((factor * round(_PART_S * rate), channels))
         self.reset()
 
-    @property
-    def latency_frames(self) -> int:
-        """0: the vibration does not change."""
-        return 0
-
     def reset(self) -> None:
         """Begin a new day, at rest."""
         self._filled = 0

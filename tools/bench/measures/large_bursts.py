@@ -53,7 +53,7 @@ def large_burst_response(
     amplifier = replace(rig.amplifier, source_impedance_ohm=source, drive_mode=mode)
     believed = replace(rig, amplifier=amplifier)
     true = replace(believed, actuator=detune(rig.actuator, detuning))
-    watched_s = BURST_S + max(decay_s(true.actuator, source), BURST_S) + damping.latency_s
+    watched_s = BURST_S + max(decay_s(true.actuator, source), BURST_S)
     burst = sine_burst(round(watched_s * SAMPLERATE), BURST_S, rig.actuator.resonance_hz)
     drive = Damper(damping, SAMPLERATE, 1).process(burst[:, None].astype(np.float64))[:, 0]
     linear = LinearActuator(rig.actuator, SAMPLERATE, source).move(drive, ("displacement_m",))
@@ -65,7 +65,7 @@ def large_burst_response(
     )
     volts = drive - source * motion.current_a
     return LargeBurst(
-        measured(motion.acceleration_m_s2, volts, damping.latency_s),
+        measured(motion.acceleration_m_s2, volts),
         float(np.abs(motion.displacement_m).max()),
     )
 

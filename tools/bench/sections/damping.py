@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 from device.drive.damping import Damping, choose_damping
-from device.drive.damping.design import inverse_damping, no_damping, shaper_damping
+from device.drive.damping.design import inverse_damping, no_damping
 from device.drive.damping.residual import (
     CURRENT_DRIVE_OHM,
     BurstResponse,
@@ -30,7 +30,6 @@ DETUNINGS = (0.0, -0.05, 0.05, -0.1, 0.1, -0.2, 0.2)
 CURVE = tuple(step / 100.0 for step in range(-20, 21))
 EXACT_DB, DETUNED_DB, VOLTS_DB = Must("<=", -11.0), Must("<=", -7.0), Must("<=", 5.0)
 LIMITED_DETUNING = 0.1
-LATENCY_S = 0.005
 STRONG = replace(PAPER.actuator, force_factor_n_per_a=16.0)
 
 LEVELS = (0.05, 0.1, 0.25, 0.5, 1.0)
@@ -53,17 +52,14 @@ class Drive:
 def drives() -> tuple[Drive, ...]:
     """Return all drives that are compared on the linear model, the reference first."""
     p, current = PAPER.actuator, CURRENT_DRIVE_OHM
-    shaped = choose_damping(p, latency_s=LATENCY_S).damping
     return (
         Drive("current drive, undamped", no_damping(current)),
         Drive("voltage drive", no_damping()),
         Drive("current drive, inverse to Q 0.7", inverse_damping(p, 0.7, current)),
-        Drive("current drive, ZV shaper", shaper_damping(p, "zv", current)),
         Drive("voltage drive, inverse to Q 0.7", inverse_damping(p, 0.7)),
-        Drive(CHOSEN, choose_damping(p).damping, asked=True),
-        Drive(f"{CHOSEN}, {1e3 * LATENCY_S:g} ms of latency", shaped, asked=True),
+        Drive(CHOSEN, choose_damping(p)[0].damping, asked=True),
         Drive("Bl 16, voltage drive", no_damping(), actuator=STRONG),
-        Drive("Bl 16, automatic", choose_damping(STRONG).damping, asked=True, actuator=STRONG),
+        Drive("Bl 16, automatic", choose_damping(STRONG)[0].damping, asked=True, actuator=STRONG),
     )
 
 
@@ -104,7 +100,7 @@ def residual_vibration(_bench: Workbench) -> Section:
 
 def _rows_by_level() -> Iterator[Row]:
     """Yield the same of the non-linear model, for voltage drive without and with damping."""
-    chosen = choose_damping(PAPER.actuator).damping
+    chosen = choose_damping(PAPER.actuator)[0].damping
     ways = {
         "voltage drive": (no_damping(), False),
         "automatic": (chosen, False),

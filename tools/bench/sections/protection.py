@@ -11,7 +11,6 @@ import numpy as np
 from audioflinger_hook.transform import FloatArray
 from device.drive.damping import Damper, choose_damping
 from device.drive.exposure import ExposureMeter
-from device.drive.outputs import BlockProcessor
 from device.drive.protection import Protector
 from device.drive.protection.protector import BLOCK_S
 from device.rig import PAPER
@@ -70,8 +69,8 @@ def live_cost(bench: Workbench) -> Section:
     duration_s = min(COST_S, bench.effort.rig_timed_s)
     time_s = np.arange(round(duration_s * SAMPLERATE)) / SAMPLERATE
     tone = np.sin(2.0 * np.pi * 86.0 * time_s)
-    damping = choose_damping(PAPER.actuator).damping
-    cases: list[tuple[str, int, BlockProcessor]] = []
+    damping = choose_damping(PAPER.actuator)[0].damping
+    cases: list[tuple[str, int, Damper | Protector | ExposureMeter]] = []
     for channels in (1, 2):
         cases += [
             ("damping", channels, Damper(damping, SAMPLERATE, channels)),
@@ -136,7 +135,7 @@ def _excursion(drive: FloatArray, detunings: tuple[float, ...], *, linear: bool 
     return largest / LOUD.actuator.x_max_m
 
 
-def _stream(processor: BlockProcessor, vibration: FloatArray) -> None:
+def _stream(processor: Damper | Protector | ExposureMeter, vibration: FloatArray) -> None:
     processor.reset()
     block = np.empty((BLOCKSIZE, vibration.shape[1]))
     for first in range(0, len(vibration) - BLOCKSIZE + 1, BLOCKSIZE):
