@@ -4,6 +4,8 @@ A message is one line: what is wrong, which value, what is allowed, what to do. 
 `CushionError` is a mistake of the program.
 """
 
+from __future__ import annotations
+
 
 class CushionError(Exception):
     """The root of all errors of this project; `str()` of it is always one line.
@@ -44,3 +46,19 @@ class InternalError(CushionError):
 
 class WriteError(InternalError):
     """Writing failed while running: the disk is full, a quota or a file-size limit is reached."""
+
+
+class NoUsbBusError(NotFoundError):
+    """The kernel shows no USB bus here at all, as in a container."""
+
+
+class NoUsbDeviceError(NotFoundError):
+    """There is a bus, but the device that is wanted is not on it."""
+
+
+class NoLibusbError(NotFoundError):
+    """PyUSB, or the library libusb that it calls, is not installed."""
+
+
+class UsbAccessError(NotFoundError):
+    """The device is there, but it may not be opened or does not answer."""

@@ -14,8 +14,8 @@ from device.errors import UsageError
 from device.identification.acceleration import Mode
 from device.identification.calibration import Calibration, calibrate
 from device.identification.live.laboratory import Devices
+from device.identification.mechanics import write_rig
 from device.identification.output_error import Estimate
-from device.identification.rig_values import write_rig
 from device.identification.simulated_laboratory import USUAL_SHARE, SimulatedLaboratory
 from device.identification.sweep import Sweep
 from device.identification.transfer import LOW_COHERENCE, Quality

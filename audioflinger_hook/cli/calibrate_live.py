@@ -21,8 +21,7 @@ from device.alsa.usb_stream import read_usb_stream
 from device.alsa.use import why_blocked
 from device.errors import NotFoundError, UsageError
 from device.identification.calibration import Calibration, calibrate
-from device.identification.live.channels import UNUSED, Inputs
-from device.identification.live.laboratory import Devices, LiveLaboratory
+from device.identification.live.laboratory import UNUSED, Devices, Inputs, LiveLaboratory
 from device.identification.output_error import Estimate
 from device.identification.simulated_laboratory import LARGEST_SHARE, sweep_at_excursion
 from device.identification.sweep import Sweep

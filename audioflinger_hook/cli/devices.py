@@ -11,8 +11,8 @@ from typing import Any
 
 from rich.table import Table
 
-from audioflinger_hook.cli.mixer import mixer_of, volume_now
 from audioflinger_hook.cli.terminal import LineConsole, warn
+from audioflinger_hook.cli.usb import mixer_of, volume_now
 from device.alsa import find_playback, list_cards
 from device.alsa.cards import PROC, PlaybackDevice, list_playbacks
 from device.alsa.usb_stream import UsbFormat, read_usb_stream

@@ -9,7 +9,7 @@ from pathlib import Path
 from audioflinger_hook.capture.format import INDEX_NAME, STREAMS
 from audioflinger_hook.cli.render import chosen_settings, show_report
 from audioflinger_hook.cli.terminal import progress_bar
-from audioflinger_hook.daemon.capture_settings import settings_from
+from audioflinger_hook.daemon.recording import settings_from
 from audioflinger_hook.offline.render import Wait, refuse_same_file, render
 from audioflinger_hook.pipeline.step import RealTimePace
 from audioflinger_hook.sources import CaptureTap, TapClient

@@ -14,10 +14,9 @@ from pathlib import Path
 from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
-from audioflinger_hook.cli.signals import Signals
+from audioflinger_hook.cli.signals import Signals, freeze_loaded_objects
 from audioflinger_hook.config import file as config
 from audioflinger_hook.daemon.engine import Clocks
-from audioflinger_hook.daemon.gc_freeze import freeze_loaded_objects
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, RunConfig
 from audioflinger_hook.daemon.status_report import status_of

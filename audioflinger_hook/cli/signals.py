@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 from collections.abc import Callable
@@ -57,3 +58,14 @@ class Signals:
     def _spinning(self, _number: int, _frame: object) -> None:
         self.on_spinning()
         self._wake.ring()
+
+
+def freeze_loaded_objects() -> None:
+    """Exempt all present objects from later collections. Any thread.
+
+    A full collection visits every object and stops all threads for about 50 ms; of new objects
+    alone it takes 0.1 ms. This call takes as long as a full collection, so call it before sound
+    plays.
+    """
+    gc.collect()
+    gc.freeze()

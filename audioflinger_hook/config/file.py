@@ -15,8 +15,7 @@ from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings, wiring_refusals
 from device.errors import UsageError
-from device.suggest import nearest
-from device.values import Described, Refusal
+from device.values import Described, Refusal, nearest
 
 SYNTAX_ERRORS_MAX = 50
 CONFIG_BYTES_MAX = 1 << 20

@@ -10,11 +10,11 @@
 | `capture_queue` | buffers on the way to the engine |
 | `engine` | what the audio threads run: buffers through mixer, effect and drive |
 | `reconnecting_stream` | a stream that is reopened after a failure |
-| `idle_policy`, `stall_detector` | when streams rest; stalls and suspends |
+| `timing` | waits between attempts, rest while nothing plays, stalls and suspends |
 | `pacing` | the thread that plays and writes files in real time |
 | `drop_in_control` | the virtual sink of drop-in mode |
-| `recording`, `capture_settings` | a run as a capture, with its settings |
+| `recording` | a run as a capture, with its settings |
 | `live_capture` | `cushion capture` of what plays |
 | `status_report` | the status, collected from all parts |
-| `wake`, `gc_freeze` | events for the main thread; no garbage collection of loaded objects |
+| `wake` | events for the main thread |
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
-from audioflinger_hook.service.backoff import Backoff
+from audioflinger_hook.daemon.timing import Backoff
 from device.errors import CushionError
 from device.server import DropIn, PulseConnection
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from audioflinger_hook.capture import CaptureRecorder
 from audioflinger_hook.daemon.inputs.sink import SinkInput
+from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.daemon.wake import Nudge, Wake
-from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import StateKeeper
 from audioflinger_hook.sources import PushTap, TapAddress
 from device.errors import LostError, NotFoundError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from audioflinger_hook.service.backoff import Backoff
+from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
 from device.errors import CushionError
 from device.server import PulseConnection, StreamGuard

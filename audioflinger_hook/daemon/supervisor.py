@@ -5,14 +5,12 @@ from __future__ import annotations
 from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.idle_policy import IdlePolicy
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
-from audioflinger_hook.daemon.stall_detector import StallDetector
+from audioflinger_hook.daemon.timing import Backoff, IdlePolicy, StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
-from audioflinger_hook.service.backoff import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import FallbackSink, PulseConnection, ServerSnapshot

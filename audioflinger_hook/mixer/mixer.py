@@ -22,8 +22,13 @@ from audioflinger_hook.mixer.layouts import CHANNELS_MAX
 from audioflinger_hook.mixer.mix_buffer import MixBuffer, Sink, normal_buffer_frames
 from audioflinger_hook.mixer.pcm import PcmFormat
 from audioflinger_hook.mixer.session import SessionMix
-from audioflinger_hook.mixer.states import Request
-from audioflinger_hook.mixer.track import SAMPLERATE_MAX, SAMPLERATE_MIN, Track, out_of_range
+from audioflinger_hook.mixer.track import (
+    SAMPLERATE_MAX,
+    SAMPLERATE_MIN,
+    Request,
+    Track,
+    out_of_range,
+)
 from audioflinger_hook.mixer.track_mixer import Lane, Readiness
 from device.errors import UsageError
 from device.units import Float32Array

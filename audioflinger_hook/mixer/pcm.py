@@ -8,8 +8,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from device.blocks import whole_steps
 from device.errors import UsageError
-from device.rounding import whole_steps
 
 FLOAT_LIMIT = 2.0
 """Float sinks take up to this, 6 dB over full scale, as AudioFlinger's do."""

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.mixer.layouts import ChannelMap, sides
 from audioflinger_hook.mixer.resampler import Resampler
-from audioflinger_hook.mixer.states import PLAYING, Request, TrackState, after
-from audioflinger_hook.mixer.track import Track, period_frames
+from audioflinger_hook.mixer.track import PLAYING, Request, Track, TrackState, after, period_frames
 
 SMALLEST_NORMAL = float(np.finfo(np.float32).tiny)
 

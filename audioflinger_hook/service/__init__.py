@@ -2,7 +2,7 @@
 
 | module | contents |
 | --- | --- |
-| `state`, `backoff` | the daemon's state; time until the next attempt |
+| `state` | the daemon's state |
 | `meters` | levels and buffer times, measured on the audio threads |
 | `status`, `status_view`, `json_codec` | the status, its text and its JSON |
 | `runtime_folder` | the private folder, and the lock for one daemon per user |

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from device.errors import NotFoundError, UsageError
-from device.suggest import no_such
+from device.values import no_such
 
 PROC = Path("/proc/asound")
 

@@ -5,7 +5,7 @@
 | sweep, recording, transfer | what is played, what was recorded, and whether it can be used |
 | responses, output_error | models of a response, and their fit |
 | acceleration, impedance, mechanics | f0, Q and sensitivity; R and L; Bl, mass, Qms |
-| calibration, rig_values | all of it in turn, from low levels up; the rig with its new values |
+| calibration | all of it in turn, from low levels up; the rig with its new values |
 | simulated_laboratory | plays sweeps to the simulated rig |
 | live/ | plays sweeps to real devices |
 

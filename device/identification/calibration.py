@@ -12,10 +12,15 @@ import numpy as np
 
 from device.identification.acceleration import Mode, identify_mode
 from device.identification.impedance import Impedance, identify_impedance
-from device.identification.mechanics import by_acceleration, by_known_mass, solve_mechanics
+from device.identification.mechanics import (
+    Values,
+    add_values,
+    by_acceleration,
+    by_known_mass,
+    solve_mechanics,
+)
 from device.identification.output_error import Estimate
 from device.identification.recording import IdentificationError, Recording
-from device.identification.rig_values import Values, add_values
 from device.identification.simulated_laboratory import LARGEST_SHARE
 from device.identification.sweep import Sweep
 from device.identification.transfer import (

@@ -14,7 +14,7 @@ from typing import TypeVar
 from device.errors import NotFoundError
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
 from device.stream.pcms import APPLICATION_ID, FALLBACK_SINK, ROLE, TAG
-from device.suggest import no_such
+from device.values import no_such
 
 Device = TypeVar("Device", Sink, Source)
 

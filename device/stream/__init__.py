@@ -5,7 +5,6 @@
 | `streams` | `CaptureStream`, `PlaybackStream`: one block per callback |
 | `portaudio` | the one PyAudio instance; opens and closes streams within a time limit, in silence |
 | `pcms` | `PcmConfig`: named ALSA devices, and the sinks, monitors and cards they open |
-| `private_dir` | the directory of the private ALSA configuration |
 | `sample_format` | `SampleFormat`, and the encoder from float frames to integers |
 | `callback_thread` | `AudioPriority`, and Python's state of a thread between callbacks |
 

@@ -6,7 +6,7 @@ from enum import Enum
 
 import numpy as np
 
-from device.rounding import whole_steps
+from device.blocks import whole_steps
 from device.units import Float32Array
 
 

@@ -11,7 +11,7 @@
 the kernel cannot answer. Only take_over.py detaches a driver.
 """
 
-from device.usb.errors import NoLibusbError, NoUsbBusError, NoUsbDeviceError, UsbAccessError
+from device.errors import NoLibusbError, NoUsbBusError, NoUsbDeviceError, UsbAccessError
 from device.usb.identity import UsbIdentity, find_one, identify
 from device.usb.sysfs import Found, UsbAudioDevice, find_devices
 

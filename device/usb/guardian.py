@@ -14,9 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from device.errors import CushionError
+from device.errors import CushionError, NoUsbDeviceError
 from device.usb.control import ControlState, UsbControl, playback_of
-from device.usb.errors import NoUsbDeviceError
 from device.usb.pyusb_access import open_device
 from device.usb.sysfs import find_devices
 

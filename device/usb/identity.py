@@ -14,8 +14,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-from device.errors import NotFoundError, UsageError
-from device.usb.errors import NoUsbDeviceError
+from device.errors import NotFoundError, NoUsbDeviceError, UsageError
 from device.usb.sysfs import Found, UsbAudioDevice
 
 GRAMMAR = "usb:VID:PID[:SERIAL][@PORT]"

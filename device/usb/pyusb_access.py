@@ -10,7 +10,7 @@ import errno
 from functools import cache
 from typing import Any
 
-from device.usb.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
+from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
 from device.usb.sysfs import UsbAudioDevice
 
 TIMEOUT_MS = 500

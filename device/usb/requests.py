@@ -11,10 +11,9 @@ import struct
 from dataclasses import dataclass
 from typing import Literal
 
-from device.errors import UsageError
+from device.errors import UsageError, UsbAccessError
 from device.usb.descriptors import PlaybackFormat, RateRange
 from device.usb.descriptors.entities import VOLUME_UNITS_PER_DB, FeatureControl
-from device.usb.errors import UsbAccessError
 from device.volume_limit import MAX_VOLUME_DB, limit_volume_db
 
 What = Literal["now", "range", "lowest", "highest", "step"]

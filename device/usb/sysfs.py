@@ -14,8 +14,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from device.errors import NotFoundError
-from device.usb.errors import NoUsbBusError, NoUsbDeviceError
+from device.errors import NotFoundError, NoUsbBusError, NoUsbDeviceError
 
 ROOT = Path("/")
 

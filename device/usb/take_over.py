@@ -19,9 +19,8 @@ from typing import Any
 
 from device.alsa import find_playback
 from device.alsa.use import find_owner
-from device.errors import NotFoundError
+from device.errors import NotFoundError, UsbAccessError
 from device.usb.control import ControlState, UsbControl, held_by, playback_of
-from device.usb.errors import UsbAccessError
 from device.usb.pyusb_access import open_device
 from device.usb.sysfs import ROOT, UsbAudioDevice, find_devices
 

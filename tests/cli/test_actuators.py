@@ -10,7 +10,7 @@ import soundfile
 
 from audioflinger_hook.capture import CaptureWriter
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.capture_settings import facts_of, settings_from
+from audioflinger_hook.daemon.recording import facts_of, settings_from
 from device.drive import ActuatorSettings
 from tests.support.commands import RATE, call, listing, noise, refused, sound, vibration
 

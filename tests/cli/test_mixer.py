@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from audioflinger_hook.cli.mixer import mixer_lines, volume_now
+from audioflinger_hook.cli.usb import mixer_lines, volume_now
 
 SILENT = {"name": "PCM Playback Volume", "db": [None, None], "lowest_db": None, "highest_db": 0.0}
 SOFT = {**SILENT, "db": [-30.0, -12.5]}

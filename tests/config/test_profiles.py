@@ -9,7 +9,7 @@ import soundfile
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import PROFILES, parameters_of, values_of
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.capture_settings import facts_of, settings_from
+from audioflinger_hook.daemon.recording import facts_of, settings_from
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.transform import HapticTransform, TransformParameters
 from audioflinger_hook.transform.mapping import vibration_hz

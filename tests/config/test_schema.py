@@ -15,7 +15,7 @@ import pytest
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.schema import CHANGES, KEYS, RENAMED, json_schema, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon.capture_settings import settings_from
+from audioflinger_hook.daemon.recording import settings_from
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.effect.haptic_parameters import HAPTIC_PARAMETERS
 from audioflinger_hook.sources import parse_tap

@@ -7,7 +7,7 @@ import threading
 import numpy as np
 
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.idle_policy import AWAKE_S, QUIET_S, SILENT_S, IdlePolicy
+from audioflinger_hook.daemon.timing import AWAKE_S, QUIET_S, SILENT_S, IdlePolicy
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.service.meters import BufferedLevelMeter
 from audioflinger_hook.sources import PushTap, TapClient

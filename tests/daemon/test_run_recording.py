@@ -13,10 +13,9 @@ import pytest
 from audioflinger_hook.capture import Capture, segment
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.capture_queue import Feed
-from audioflinger_hook.daemon.capture_settings import facts_of, settings_from
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.inputs.applications import ApplicationsFeed
-from audioflinger_hook.daemon.recording import RunRecording
+from audioflinger_hook.daemon.recording import RunRecording, facts_of, settings_from
 from audioflinger_hook.effect.haptic_parameters import HAPTIC_CUSHION
 from audioflinger_hook.transform import TransformParameters
 from device.errors import UsageError, WriteError

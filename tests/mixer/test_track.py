@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from audioflinger_hook.mixer import CycleReport, Mixer, MixerState, PcmFormat, Track, TrackState
-from audioflinger_hook.mixer.states import Request, after
+from audioflinger_hook.mixer.track import Request, after
 from audioflinger_hook.mixer.track_mixer import RETRIES
 from device.errors import UsageError
 

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from audioflinger_hook.cli.signals import freeze_loaded_objects
 from audioflinger_hook.config.settings import LiveSettings
 from audioflinger_hook.daemon.capture_queue import CaptureQueue
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.gc_freeze import freeze_loaded_objects
 from device.clock.delay_line import DelayState, DelayStatus
 from device.stream import CaptureStream, PcmConfig, PlaybackStream
 from device.stream.pcms import ServerDevice

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from audioflinger_hook.service.backoff import Backoff
+from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from audioflinger_hook.service.systemd import Watchdog, watchdog_period_s
 

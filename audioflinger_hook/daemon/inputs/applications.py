@@ -11,7 +11,7 @@ from audioflinger_hook.daemon.inputs.base import Input
 from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.service.backoff import Backoff
+from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
 from audioflinger_hook.sources import VoicesClient
 from audioflinger_hook.sources.applications import Voice

@@ -1,8 +1,8 @@
 """Exposure: how much vibration a sitter has had today, after ISO 2631-1 and 2002/44/EC.
 
-    drive -> Decimator -> LinearActuator -> weighting.py -> dose.py
-             6 kHz        acceleration      Wk              r.m.s., A(8), VDV
-    `------------------- ExposureMeter (meter.py) ---------------'
+    drive -> Decimator -> LinearActuator -> dose.py
+             6 kHz        acceleration      Wk, r.m.s., A(8), VDV
+    `------------- ExposureMeter (meter.py) ------------'
 
 `cap_gain` (dose.py) is the gain that keeps a day's dose under a limit.
 

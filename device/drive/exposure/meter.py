@@ -4,8 +4,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.signal import firwin, sosfilt
 
-from device.drive.exposure.dose import Dose, Exposure
-from device.drive.exposure.weighting import wk_sections
+from device.drive.exposure.dose import Dose, Exposure, wk_sections
 from device.errors import UsageError
 from device.rig import Rig
 from device.rig.actuator import LinearActuator

@@ -9,7 +9,6 @@
     configuration.py    a configuration as a tree (built by reading.py)
     checks.py           contradictions in a configuration
     topology.py         paths of sound and clocks
-    whole.py            a device with all its configurations
     playback.py         formats that can be played
     text.py, names.py   descriptions for people
 
@@ -21,11 +20,10 @@ from device.usb.descriptors.configuration import Configuration
 from device.usb.descriptors.hexdump import parse_hex
 from device.usb.descriptors.playback import PlaybackFormat, playback_formats
 from device.usb.descriptors.problems import DescriptorError
-from device.usb.descriptors.reading import parse_configuration
+from device.usb.descriptors.reading import WholeDevice, parse_configuration, parse_whole
 from device.usb.descriptors.standard import parse_device
 from device.usb.descriptors.streaming import RateRange
 from device.usb.descriptors.text import describe
-from device.usb.descriptors.whole import WholeDevice, parse_whole
 
 __all__ = [
     "Configuration",

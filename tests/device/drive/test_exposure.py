@@ -15,11 +15,12 @@ from device.drive.exposure.dose import (
     DAY_S,
     LIMIT_A8_M_S2,
     LIMIT_VDV,
+    PARTS,
     Dose,
     Exposure,
+    wk_sections,
 )
 from device.drive.exposure.meter import Decimator
-from device.drive.exposure.weighting import PARTS, wk_sections
 from device.errors import InternalError, UsageError
 from device.rig import CONSUMER, PAPER
 from device.rig.actuator import SEAT_ACCELERATION, LinearActuator

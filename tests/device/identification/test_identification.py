@@ -13,13 +13,15 @@ from device.identification import IdentificationError, responses
 from device.identification.acceleration import identify_mode
 from device.identification.impedance import identify_impedance
 from device.identification.mechanics import (
+    add_values,
     by_acceleration,
     by_known_mass,
+    format_rig,
     solve_mechanics,
+    write_rig,
 )
 from device.identification.output_error import Estimate
 from device.identification.recording import Recording
-from device.identification.rig_values import add_values, format_rig, write_rig
 from device.identification.simulated_laboratory import SimulatedLaboratory
 from device.identification.sweep import Sweep
 from device.identification.transfer import assess_quality, estimate_transfer, measure_distortion

@@ -9,12 +9,11 @@ import pytest
 from device.errors import LostError, UsageError
 from device.identification import IdentificationError
 from device.identification.calibration import STEPS, calibrate
-from device.identification.live.channels import Inputs
 from device.identification.live.exchange import Exchange
-from device.identification.live.laboratory import MOST_TRIES, LiveLaboratory
+from device.identification.live.laboratory import MOST_TRIES, Inputs, LiveLaboratory
 from device.identification.live.two_clocks import find_delay, find_drift, resample_to_played
+from device.identification.mechanics import write_rig
 from device.identification.output_error import Estimate
-from device.identification.rig_values import write_rig
 from device.identification.sweep import Excitation, Sweep
 from device.rig import CONSUMER, PAPER, read_rig
 from tests.support.random_rigs import truth

@@ -13,8 +13,7 @@ from pathlib import Path
 import pytest
 
 from device.errors import UsageError
-from device.stream.pcms import PcmConfig
-from device.stream.private_dir import PREFIX, PrivateDir, remove_stale, runtime_dir
+from device.stream.pcms import PREFIX, PcmConfig, PrivateDir, remove_stale, runtime_dir
 from tests.support.recordings import ROOT
 
 HOLDER = """

@@ -15,11 +15,10 @@ import usb.core
 from hypothesis import given
 from hypothesis import strategies as st
 
-from device.errors import UsageError
+from device.errors import NoUsbDeviceError, UsageError
 from device.usb import UsbAccessError, UsbAudioDevice, requests
 from device.usb.control import ControlState, UsbControl
 from device.usb.descriptors import PlaybackFormat, RateRange, parse_configuration, playback_formats
-from device.usb.errors import NoUsbDeviceError
 from device.usb.requests import VolumeRange
 from device.usb.sysfs import AudioInterface
 from tests.support import usb_builder
