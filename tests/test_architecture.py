@@ -1,4 +1,4 @@
-"""Imports run one way: down the table of rooms in docs/architecture.md."""
+"""Imports run one way: down the table of packages in docs/architecture.md."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("audioflinger_hook", "device")
+TOP_LEVEL = ("audioflinger_hook", "device")
 PAGE = (ROOT / "docs/architecture.md").read_text()
 
-TABLE_OF_ROOMS = PAGE.partition("\n## Rooms\n")[2].partition("\n## ")[0]
+TABLE_OF_PACKAGES = PAGE.partition("\n## Packages\n")[2].partition("\n## ")[0]
 
-# The rooms in the order of the page's table: a room may import the rooms that stand below it.
-ROOMS = [
-    room.replace("/", ".")
-    for room in re.findall(r"^\| `([\w/]+)` \|", TABLE_OF_ROOMS, re.MULTILINE)
+# The packages in the order of the page's table: a package may import packages below it.
+PACKAGES = [
+    package.replace("/", ".")
+    for package in re.findall(r"^\| `([\w/]+)` \|", TABLE_OF_PACKAGES, re.MULTILINE)
 ]
 
 # Held whatever the page says.
@@ -57,13 +57,13 @@ def imports_of(path: Path) -> list[str]:
     return names
 
 
-def room_of(name: str) -> str | None:
-    """Return the room that a dotted name lies in; None for names that are not ours."""
-    package, *rest = name.split(".")
-    if package not in PACKAGES:
+def package_of(name: str) -> str | None:
+    """Return the package that a dotted name lies in; None for names that are not ours."""
+    top, *rest = name.split(".")
+    if top not in TOP_LEVEL:
         return None
-    room = f"{package}.{rest[0]}" if rest else package
-    return room if room in ROOMS else package
+    package = f"{top}.{rest[0]}" if rest else top
+    return package if package in PACKAGES else top
 
 
 @pytest.mark.parametrize(("folder", "pattern"), FORBIDDEN)
@@ -79,37 +79,39 @@ def test_no_import_runs_against_the_flow(folder: str, pattern: str) -> None:
     assert not wrong
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_the_table_lists_every_room_and_no_other(package: str) -> None:
+@pytest.mark.parametrize("top", TOP_LEVEL)
+def test_the_table_lists_every_package_and_no_other(top: str) -> None:
     folders = {
-        f"{package}.{path.name}"
-        for path in (ROOT / package).iterdir()
+        f"{top}.{path.name}"
+        for path in (ROOT / top).iterdir()
         if path.is_dir() and list(path.rglob("*.py"))
     }
-    listed = {room for room in ROOMS if room.startswith(f"{package}.")}
-    modules = {room for room in listed if (ROOT / f"{room.replace('.', '/')}.py").is_file()}
+    listed = {package for package in PACKAGES if package.startswith(f"{top}.")}
+    modules = {
+        package for package in listed if (ROOT / f"{package.replace('.', '/')}.py").is_file()
+    }
     assert listed - modules == folders
 
 
-def test_a_room_imports_only_rooms_that_stand_below_it_in_the_table() -> None:
-    floors = {room: len(ROOMS) - index for index, room in enumerate(ROOMS)}
+def test_a_package_imports_only_packages_below_it_in_the_table() -> None:
+    floors = {package: len(PACKAGES) - index for index, package in enumerate(PACKAGES)}
     wrong = []
-    for package in PACKAGES:
-        for module in modules_of(package):
+    for top in TOP_LEVEL:
+        for module in modules_of(top):
             dotted = ".".join(module.relative_to(ROOT).with_suffix("").parts)
-            if module.parent == ROOT / package and module.stem in ROOT_MODULES:
-                continue  # what a package offers comes from all of its rooms
-            room = room_of(dotted)
+            if module.parent == ROOT / top and module.stem in ROOT_MODULES:
+                continue  # what a top-level package offers comes from all of its packages
+            package = package_of(dotted)
             for name in imports_of(module):
-                found = room_of(name)
-                if found in (None, room, "audioflinger_hook"):
+                found = package_of(name)
+                if found in (None, package, "audioflinger_hook"):
                     continue
-                if floors[found or ""] >= floors[room or ""]:
+                if floors[found or ""] >= floors[package or ""]:
                     wrong.append(f"{module.relative_to(ROOT)} imports {name}")
     assert not wrong
 
 
-def test_every_module_of_the_first_package_has_a_room() -> None:
+def test_every_module_of_the_first_package_is_in_a_listed_package() -> None:
     loose = {path.stem for path in (ROOT / "audioflinger_hook").glob("*.py")} - ROOT_MODULES
     assert not loose
 
@@ -117,8 +119,8 @@ def test_every_module_of_the_first_package_has_a_room() -> None:
 def test_no_shipped_module_imports_the_tools_or_the_tests() -> None:
     wrong = [
         f"{module.relative_to(ROOT)} imports {name}"
-        for package in PACKAGES
-        for module in modules_of(package)
+        for top in TOP_LEVEL
+        for module in modules_of(top)
         for name in imports_of(module)
         if re.match(r"(tools|tests)\b", name)
     ]
@@ -128,8 +130,8 @@ def test_no_shipped_module_imports_the_tools_or_the_tests() -> None:
 def test_nothing_reads_a_clock_outside_the_commands_and_the_streams() -> None:
     readers = [
         str(module.relative_to(ROOT))
-        for package in PACKAGES
-        for module in modules_of(package)
+        for top in TOP_LEVEL
+        for module in modules_of(top)
         if {name.partition(".")[0] for name in imports_of(module)} & {"time", "datetime"}
     ]
     # what comes from outside is stamped where it comes in

@@ -25,8 +25,8 @@ CARRIERS_MAX = 15
 def listed_carriers() -> set[str]:
     """Return the files of the table that carry a buffer's samples."""
     found = set()
-    for room, cell in re.findall(r"^\| `([\w/]+)` \| (.*) \|$", WAY, re.MULTILINE):
-        owner = room if room.startswith("device") else f"audioflinger_hook/{room}"
+    for package, cell in re.findall(r"^\| `([\w/]+)` \| (.*) \|$", WAY, re.MULTILINE):
+        owner = package if package.startswith("device") else f"audioflinger_hook/{package}"
         found |= {f"{owner}/{name}" for name in re.findall(r"`(\w+\.py)`", cell)}
     return found
 
