@@ -47,6 +47,12 @@ class EffectState(Enum):
 
 
 ENABLED = (EffectState.STARTING, EffectState.ACTIVE, EffectState.RESTART)
+ON_ENABLE = {
+    EffectState.IDLE: EffectState.STARTING,
+    EffectState.STOPPED: EffectState.RESTART,
+    EffectState.STOPPING: EffectState.ACTIVE,
+}
+ON_DISABLE = {new: old for old, new in ON_ENABLE.items()}
 
 
 class EffectControl:
@@ -91,30 +97,16 @@ class EffectControl:
 
     def enable(self) -> int:
         """Start it with the buffer after the next. Returns OK, or EINVAL if destroyed."""
-        match self.state:
-            case EffectState.DESTROYED:
-                return EINVAL
-            case _ if self.fault:
-                self.state = EffectState.STARTING
-            case EffectState.IDLE:
-                self.state = EffectState.STARTING
-            case EffectState.STOPPED:
-                self.state = EffectState.RESTART
-            case EffectState.STOPPING:
-                self.state = EffectState.ACTIVE
+        if self.state is EffectState.DESTROYED:
+            return EINVAL
+        self.state = EffectState.STARTING if self.fault else ON_ENABLE.get(self.state, self.state)
         return OK
 
     def disable(self) -> int:
         """Stop it after its tail. Returns OK, or EINVAL if destroyed."""
-        match self.state:
-            case EffectState.DESTROYED:
-                return EINVAL
-            case EffectState.STARTING:
-                self.state = EffectState.IDLE
-            case EffectState.RESTART:
-                self.state = EffectState.STOPPED
-            case EffectState.ACTIVE:
-                self.state = EffectState.STOPPING
+        if self.state is EffectState.DESTROYED:
+            return EINVAL
+        self.state = ON_DISABLE.get(self.state, self.state)
         return OK
 
     def set_config(self, config: EffectConfig) -> int:

@@ -6,54 +6,13 @@ Hops begin with the sound, so that silence before it changes nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.input_stage import fit_block, mix_to_mono, replace_unusable
-from audioflinger_hook.transform.live.loudness import LoudnessFollower
-
-
-class MonoTransform(Protocol):
-    """One channel of either form."""
-
-    latency_frames: int
-    tonal_latency_frames: int
-    limited_frames: int
-    onset_after_frames: int
-    """Frames of silence after which sound is an onset; 0 where hops never move."""
-
-    @property
-    def follower(self) -> LoudnessFollower | None:
-        """The loudness follower; None where loudness is not followed."""
-        ...
-
-    @property
-    def frames_to_hop(self) -> int:
-        """Frames that the current hop still lacks, the same for all channels."""
-        ...
-
-    @property
-    def asleep(self) -> bool:
-        """Whether nothing is played, and earlier sound has no effect any more."""
-        ...
-
-    def begin_hop(self) -> None:
-        """Let the next frame be the first of a hop; allowed only while `asleep`."""
-        ...
-
-    def process(self, mono: FloatArray) -> FloatArray:
-        """Return as many frames as come in, `latency_frames` behind them."""
-        ...
-
-    def finish(self) -> FloatArray:
-        """Return the last `latency_frames`, and start anew."""
-        ...
-
-    def reset(self) -> None:
-        """Start anew."""
-        ...
+from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.reference.transform import ReferenceTransform
 
 
 class ChannelBank:
@@ -63,7 +22,9 @@ class ChannelBank:
     `delivered_frames`, and `replaced_samples` that were unusable and counted as 0.
     """
 
-    def __init__(self, transforms: Sequence[MonoTransform], channels: int) -> None:
+    def __init__(
+        self, transforms: Sequence[LiveTransform | ReferenceTransform], channels: int
+    ) -> None:
         self.transforms = transforms
         self.latency_frames = transforms[0].latency_frames
         self.tonal_latency_frames = transforms[0].tonal_latency_frames

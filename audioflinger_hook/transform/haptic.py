@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import ModuleType
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -117,40 +117,6 @@ Implementation = Literal["compiled", "numpy"]
 FORMS: tuple[Form, ...] = ("live", "reference")
 
 
-class Stream(Protocol):
-    """One stream of either form, in NumPy or compiled."""
-
-    latency_frames: int
-    tonal_latency_frames: int
-
-    @property
-    def delivered_frames(self) -> int:
-        """Frames of vibration given so far."""
-        ...
-
-    @property
-    def replaced_samples(self) -> int:
-        """Unusable samples so far, which counted as 0."""
-        ...
-
-    @property
-    def limited_samples(self) -> int:
-        """Samples of vibration that the limiter has changed in all hops computed so far."""
-        ...
-
-    def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, channels_out) of vibration for sound as `HapticTransform` takes it."""
-        ...
-
-    def finish(self) -> FloatArray:
-        """Return the last `latency_frames`, and start anew."""
-        ...
-
-    def reset(self) -> None:
-        """Start anew; the counters go on."""
-        ...
-
-
 class HapticTransform:
     """Vibration for a stream of sound, block by block; pure: no clock, no I/O.
 
@@ -218,7 +184,7 @@ class HapticTransform:
         self._references: list[ReferenceTransform] = []
         self._stream = self._open(streamed, per_channel)
 
-    def _open(self, channels: int, per_channel: bool) -> Stream:
+    def _open(self, channels: int, per_channel: bool) -> ChannelBank | KernelStream:
         """Return a new stream."""
         if self.form == "reference":
             self._references = [

@@ -7,6 +7,7 @@ end gives what there is.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar
@@ -29,6 +30,11 @@ class Descriptor:
 
     kind: ClassVar[str] = "descriptor"
 
+    def __init_subclass__(cls) -> None:
+        """Call the kind as the class, an `InputTerminal` "input terminal", unless it says more."""
+        if "kind" not in vars(cls):
+            cls.kind = re.sub("(?<=.)([A-Z])", r" \1", cls.__name__).lower()
+
     @property
     def title(self) -> str:
         """What a person calls it."""
@@ -40,6 +46,8 @@ class OtherDescriptor(Descriptor):
     """A descriptor that is named and kept, but not understood. name: as far as it is known."""
 
     name: str
+
+    kind: ClassVar[str] = "descriptor"
 
     @property
     def title(self) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar
 
 from device.usb.descriptors.blocks import Block, Descriptor
 from device.usb.descriptors.entities import ControlHeader, Entity
@@ -41,8 +40,6 @@ class Interface(Descriptor):
     string_index: int
     descriptors: tuple[Descriptor, ...] = ()
     endpoints: tuple[Endpoint, ...] = ()
-
-    kind: ClassVar[str] = "interface"
 
     @property
     def title(self) -> str:

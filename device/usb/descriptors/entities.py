@@ -82,8 +82,6 @@ class Entity(Descriptor):
     id: int
     source_ids: tuple[int, ...]
 
-    kind: ClassVar[str] = "entity"
-
     @property
     def title(self) -> str:
         """What a person calls it."""
@@ -106,8 +104,6 @@ class InputTerminal(Entity):
     controls: int
     string_index: int
 
-    kind: ClassVar[str] = "input terminal"
-
 
 @dataclass(frozen=True, slots=True)
 class OutputTerminal(Entity):
@@ -118,8 +114,6 @@ class OutputTerminal(Entity):
     clock_id: int | None
     controls: int
     string_index: int
-
-    kind: ClassVar[str] = "output terminal"
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +127,6 @@ class FeatureUnit(Entity):
     uac: int
     controls: tuple[int, ...]
     string_index: int
-
-    kind: ClassVar[str] = "feature unit"
 
     def access(self, channel: int, control: FeatureControl) -> Access:
         """What the host may do with a channel's control; ABSENT of a channel that is not there."""
@@ -164,8 +156,6 @@ class MixerUnit(Entity):
     controls: bytes
     string_index: int
 
-    kind: ClassVar[str] = "mixer unit"
-
 
 @dataclass(frozen=True, slots=True)
 class SelectorUnit(Entity):
@@ -173,8 +163,6 @@ class SelectorUnit(Entity):
 
     controls: int
     string_index: int
-
-    kind: ClassVar[str] = "selector unit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,14 +176,10 @@ class ProcessingUnit(Entity):
     controls: bytes
     string_index: int
 
-    kind: ClassVar[str] = "processing unit"
-
 
 @dataclass(frozen=True, slots=True)
 class ExtensionUnit(ProcessingUnit):
     """The maker's own processing; process_type is its wExtensionCode."""
-
-    kind: ClassVar[str] = "extension unit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,8 +190,6 @@ class EffectUnit(Entity):
     controls: tuple[int, ...]
     string_index: int
 
-    kind: ClassVar[str] = "effect unit"
-
 
 @dataclass(frozen=True, slots=True)
 class SampleRateConverter(Entity):
@@ -216,8 +198,6 @@ class SampleRateConverter(Entity):
     clock_in_id: int
     clock_out_id: int
     string_index: int
-
-    kind: ClassVar[str] = "sample rate converter"
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,8 +218,6 @@ class ClockSource(ClockEntity):
     follows_usb_frames: bool
     terminal_id: int
 
-    kind: ClassVar[str] = "clock source"
-
     @property
     def frequency(self) -> Access:
         """What the host may do with the samplerate."""
@@ -250,11 +228,7 @@ class ClockSource(ClockEntity):
 class ClockSelector(ClockEntity):
     """One of several clocks; the device knows which."""
 
-    kind: ClassVar[str] = "clock selector"
-
 
 @dataclass(frozen=True, slots=True)
 class ClockMultiplier(ClockEntity):
     """A clock times a ratio; the device knows which."""
-
-    kind: ClassVar[str] = "clock multiplier"

@@ -104,8 +104,6 @@ class InterfaceAssociation(Descriptor):
     protocol: int
     string_index: int
 
-    kind: ClassVar[str] = "interface association"
-
 
 @dataclass(frozen=True, slots=True)
 class Endpoint(Descriptor):
@@ -123,8 +121,6 @@ class Endpoint(Descriptor):
     refresh: int | None
     synch_address: int | None
     descriptors: tuple[Descriptor, ...] = ()
-
-    kind: ClassVar[str] = "endpoint"
 
     @property
     def title(self) -> str:

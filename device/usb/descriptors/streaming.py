@@ -129,8 +129,6 @@ class AudioEndpoint(Descriptor):
     lock_delay_unit: int
     lock_delay: int
 
-    kind: ClassVar[str] = "audio endpoint"
-
     @property
     def samplerate_settable(self) -> bool:
         """Whether the samplerate is set at this endpoint; never in 2.0."""

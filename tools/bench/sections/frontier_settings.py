@@ -15,7 +15,7 @@ from scipy.fft import next_fast_len
 from audioflinger_hook.transform import FloatArray, TransformParameters, kernel_warning
 from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign, synthesis
-from audioflinger_hook.transform.haptic import KernelStream, Stream
+from audioflinger_hook.transform.haptic import KernelStream
 from audioflinger_hook.transform.live.transform import LiveTransform
 from tools.bench.sounds.signals import SAMPLERATE, Stereo
 from tools.bench.workbench import Subject
@@ -93,7 +93,7 @@ class Setup:
         """Return one channel in NumPy."""
         return LiveTransform(self.made)
 
-    def _stream(self, channels: int) -> Stream:
+    def _stream(self, channels: int) -> ChannelBank | KernelStream:
         if kernel_warning() is None:
             return KernelStream(self.made, channels, each=False)
         return ChannelBank([self.form()], channels)
