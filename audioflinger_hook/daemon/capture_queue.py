@@ -62,19 +62,8 @@ class Feed:
         """Pass the buffers to this engine, which was made with the client."""
         self.engine = engine
 
-    def is_at(self, samplerate: int) -> bool:
-        """Return whether the buffers have this rate, Hz."""
-        return self._tap is not None and self._tap.samplerate == samplerate
-
-    def opened(self, samplerate: int, channels: int) -> bool:
-        """See `FrameReceiver`."""
-        return self.follow(samplerate, channels, discontinuity=True)
-
-    def follow(self, samplerate: int, channels: int, *, discontinuity: bool) -> bool:
-        """Set the format of the next buffer; return whether it has changed.
-
-        discontinuity: whether frames are missing before it.
-        """
+    def opened(self, samplerate: int, channels: int, *, discontinuity: bool = True) -> bool:
+        """See `FrameReceiver`; discontinuity: whether frames are missing before the next one."""
         if self._tap is None:
             return False
         if discontinuity:
@@ -132,11 +121,11 @@ class CaptureQueue(Feed):
         super().serve(engine)
         engine.before_fill = self.pull
 
-    def opened(self, samplerate: int, channels: int) -> bool:
+    def opened(self, samplerate: int, channels: int, *, discontinuity: bool = True) -> bool:
         """See `FrameReceiver`."""
         with self._mixing:
             self._arrived.clear()  # they precede the gap and may have another format
-            return super().opened(samplerate, channels)
+            return super().opened(samplerate, channels, discontinuity=discontinuity)
 
     def moved(self) -> None:
         """See `FrameReceiver`."""
@@ -170,7 +159,7 @@ class CaptureQueue(Feed):
         while arrived and engine is not None:
             frames, now_s = arrived.popleft()
             earlier: list[tuple[float, int]] = []
-            if arrived and self.is_at(engine.samplerate):
+            if arrived and self._tap is not None and self._tap.samplerate == engine.samplerate:
                 parts, count = [frames], len(frames)
                 while arrived and count + len(arrived[0][0]) <= engine.frames_max:
                     earlier.append((now_s, count))

@@ -29,30 +29,23 @@ class LiveCapture:
     Its thread calls `tick` whenever `wake` rings, and at least every TICK_S. The stream is guarded,
     so it never captures a microphone, and reopened if it is lost. After each reopening and move
     the capture has a discontinuity.
+
+    heard_s: seconds of sound so far. format: rate in Hz and channels of the latest buffer; zeros
+    before the first.
     """
 
     def __init__(self, address: TapAddress, wake: Wake, now_s: float) -> None:
+        self.heard_s = 0.0
+        self.format = (0, 0)
         self._wake = wake
-        self._writer = _Writer()
+        self._tap = PushTap(0, 0)
+        self._recorder: CaptureRecorder | None = None
         self._pcms = PcmConfig("cushion_tap")
-        self._input = SinkInput(
-            address, self._pcms.pcms["cushion_tap"], StateKeeper(now_s), self._writer
-        )
+        self._input = SinkInput(address, self._pcms.pcms["cushion_tap"], StateKeeper(now_s), self)
         self._connection: PulseConnection | None = None
         self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
-        self._heard_s = 0.0
-        self._well_s = now_s
+        self._well_s, self._well_heard_s = now_s, 0.0
         self._reason = ""
-
-    @property
-    def heard_s(self) -> float:
-        """Seconds of sound so far."""
-        return self._writer.heard_s
-
-    @property
-    def format(self) -> tuple[int, int]:
-        """Rate in Hz and channels of the latest buffer; zeros before the first."""
-        return self._writer.format
 
     def look(self) -> None:
         """Check that server and tap are available.
@@ -64,15 +57,15 @@ class LiveCapture:
 
     def begin(self, recorder: CaptureRecorder) -> None:
         """Record stream `tap` from now on; call it before the first `tick`."""
-        self._writer.recorder = recorder
+        self._recorder = recorder
 
     def tick(self, now_s: float) -> None:
         """Bring the tap nearer to where it should be.
 
         LostError: server or tap were lost, and no sound arrived for LOST_LIMIT_S.
         """
-        if self._writer.heard_s > self._heard_s:
-            self._heard_s, self._well_s, self._reason = self._writer.heard_s, now_s, ""
+        if self.heard_s > self._well_heard_s:
+            self._well_heard_s, self._well_s, self._reason = self.heard_s, now_s, ""
         try:
             connection = self._connected(now_s)
             if connection is not None:
@@ -94,6 +87,26 @@ class LiveCapture:
             self._connection.close()
         self._pcms.close()
 
+    def opened(self, samplerate: int, channels: int) -> bool:
+        """See `FrameReceiver`."""
+        self._tap.interrupt()
+        return self._tap.change(samplerate, channels)
+
+    def moved(self) -> None:
+        """See `FrameReceiver`."""
+        self._tap.interrupt()
+
+    def push(self, frames: Float32Array, now_s: float) -> None:
+        """See `FrameReceiver`."""
+        recorder, tap = self._recorder, self._tap
+        if recorder is None:
+            return
+        discontinuity = tap.push(frames)
+        tap.read()
+        self.format = (tap.samplerate, tap.channels)
+        recorder.offer("tap", frames, tap.samplerate, now_s, discontinuity=discontinuity)
+        self.heard_s += len(frames) / tap.samplerate
+
     def _connected(self, now_s: float) -> PulseConnection | None:
         connection = self._connection
         if connection is not None:
@@ -111,30 +124,3 @@ class LiveCapture:
             raise
         self._backoff.succeeded()
         return connection
-
-
-class _Writer:
-    """Writes a tap's buffers to a capture; heard_s: seconds of sound so far."""
-
-    def __init__(self) -> None:
-        self.recorder: CaptureRecorder | None = None
-        self.heard_s = 0.0
-        self.format = (0, 0)
-        self._tap = PushTap(0, 0)
-
-    def opened(self, samplerate: int, channels: int) -> bool:
-        self._tap.interrupt()
-        return self._tap.change(samplerate, channels)
-
-    def moved(self) -> None:
-        self._tap.interrupt()
-
-    def push(self, frames: Float32Array, now_s: float) -> None:
-        recorder, tap = self.recorder, self._tap
-        if recorder is None:
-            return
-        discontinuity = tap.push(frames)
-        tap.read()
-        self.format = (tap.samplerate, tap.channels)
-        recorder.offer("tap", frames, tap.samplerate, now_s, discontinuity=discontinuity)
-        self.heard_s += len(frames) / tap.samplerate

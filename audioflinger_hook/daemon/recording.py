@@ -105,7 +105,7 @@ class RunRecording:
     A replay of `tap` gives `effect` bit for bit. If writing fails, the capture ends, the run goes
     on, and `close` raises the error.
 
-    The thread that mixes calls `delivered` and `felt`, the output's thread `sent`, and the
+    The thread that mixes calls `delivered` and the `hooks`, the output's thread `sent`, and the
     supervising thread `reopened` while the output rests. None of them waits or raises.
 
     folder: new or empty; `begin` makes it. settings: stored in the capture, so that a replay needs
@@ -161,7 +161,7 @@ class RunRecording:
         """
 
         def felt(_: Float32Array, vibration: Float32Array, now_s: float) -> None:
-            self.felt(vibration, samplerate, now_s)
+            self._offer("effect", vibration, samplerate, now_s)
 
         def mixed(sound: Float32Array, now_s: float) -> None:
             self.delivered(sound, samplerate, now_s, discontinuity=False)
@@ -183,10 +183,6 @@ class RunRecording:
         self._begun = True
         self._broken["effect"] = self._broken["effect"] or discontinuity
         recorder.offer("tap", frames, samplerate, now_s, discontinuity=discontinuity)
-
-    def felt(self, vibration: Float32Array, samplerate: int, now_s: float) -> None:
-        """Record the effect's output, before the delay line."""
-        self._offer("effect", vibration, samplerate, now_s)
 
     def reopened(self) -> None:
         """Mark that the device's stream was reopened."""

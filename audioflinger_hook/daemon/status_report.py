@@ -44,8 +44,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     line = engine.delay_line.status
     tap_s, output_s = supervisor.latencies_s
     offset_s = engine.delay_line.offset_s
-    actuators = _actuators(engine)
-    later_ms, delay_ms = _later_ms(engine)
+    ms, drive = 1e3 / engine.samplerate, engine.drive
     return replace(
         status,
         levels=Levels(engine.sound.meter.level(), engine.vibration.meter.level()),
@@ -55,8 +54,8 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
             delay_line_ms=1e3 * (line.delay_s - offset_s),
             output_ms=1e3 * output_s,
             offset_ms=1e3 * supervisor.offset_s,
-            driving_ms=later_ms,
-            delay_ms=delay_ms,
+            driving_ms=ms * drive.latency_frames,
+            delay_ms=ms * max(drive.delays_frames, default=0),
         ),
         delay_line=DelayLineFigures(
             1e3 * line.target_s,
@@ -73,15 +72,9 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         replaced_samples=engine.framework.replaced_samples,
         protection=_worst_protection(engine),
         exposure=_worst_exposure(engine),
-        actuators=actuators,
+        actuators=_actuators(engine),
         profile=engine.framework.settings.profile,
     )
-
-
-def _later_ms(engine: Engine) -> tuple[float, float]:
-    """Return the latency of the drive, and the longest delay that was asked for, ms."""
-    ms, drive = 1e3 / engine.samplerate, engine.drive
-    return ms * drive.latency_frames, ms * max(drive.delays_frames, default=0)
 
 
 def _worst_protection(engine: Engine) -> ProtectionFigures | None:

@@ -1,4 +1,4 @@
-"""What every input offers to the supervisor."""
+"""What every input offers to the supervisor, and what inputs and outputs share."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class FixedNode:
     channels: int
 
 
-class Input(ABC):
-    """Where sound comes from. For the supervising thread alone.
+class Endpoint(ABC):
+    """An input or an output. For the supervising thread alone.
 
     address: as the user wrote it.
     """
@@ -47,20 +47,15 @@ class Input(ABC):
     needs_server = False
     """Whether the sound server provides it."""
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: object) -> None:
         self.address = address
 
     def __str__(self) -> str:
-        return self.address
+        return str(self.address)
 
     @property
     def may_rest(self) -> bool:
         """Whether closing it while nothing plays loses no sound."""
-        return False
-
-    @property
-    def ended(self) -> bool:
-        """Whether all sound was played, and its vibration as well."""
         return False
 
     @property
@@ -82,7 +77,22 @@ class Input(ABC):
         """Take what applies to streams that are opened later; by default nothing."""
 
     def retarget(self, config: RunConfig) -> bool:
-        """Take sound from another tap; return False if that needs another input."""
+        """Take another tap or device; return False if that needs another object."""
+        return False
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close what is open, until the next `maintain`. May be repeated; raises nothing."""
+
+
+class Input(Endpoint):
+    """Where sound comes from."""
+
+    address: str
+
+    @property
+    def ended(self) -> bool:
+        """Whether all sound was played, and its vibration as well."""
         return False
 
     @abstractmethod
@@ -109,10 +119,6 @@ class Input(ABC):
 
         LostError, NotFoundError: the next call tries again; other errors are final.
         """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Close what is open, until the next `maintain`. May be repeated; raises nothing."""
 
     def end(self) -> None:
         """Close for good. May be repeated."""

@@ -126,7 +126,7 @@ class _Player:
     def run(self, now_s: float) -> bool:
         """Deliver the next block."""
         if self._in_lead_in:
-            self._send_silence(now_s)
+            self._send(self._silence, now_s)
             self._led_in_s += BLOCK_FRAMES / self._engine.samplerate
             plays = self._engine.delay_line.status.state in PLAYING
             self._in_lead_in = self._led_in_s < (LEAD_IN_S if plays else LEAD_IN_MAX_S)
@@ -135,14 +135,14 @@ class _Player:
         elif self._tail is None or len(self._tail):
             self._send_tail(now_s)
         else:
-            self._send_silence(now_s)
+            self._send(self._silence, now_s)
             self._run_out_s -= BLOCK_FRAMES / self._engine.samplerate
             self.ended = self._run_out_s <= 0.0
         return not self.ended
 
     def _deliver(self, frames: Float32Array, now_s: float) -> None:
         tap = self._tap
-        self._feed.follow(tap.samplerate, tap.channels, discontinuity=tap.discontinuity)
+        self._feed.opened(tap.samplerate, tap.channels, discontinuity=tap.discontinuity)
         self._feed.push(frames, now_s)
         self._played.add(len(frames), tap.samplerate)
         self._next = tap.read()
@@ -156,9 +156,6 @@ class _Player:
         self._tail = tail[BLOCK_FRAMES:]
         self._run_out_s = self._engine.delay_line.status.delay_s + RUN_OUT_S
         self._send(block, now_s)
-
-    def _send_silence(self, now_s: float) -> None:
-        self._send(self._silence, now_s)
 
     def _send(self, block: Float32Array, now_s: float) -> None:
         self._engine.send(block, now_s)

@@ -77,11 +77,6 @@ class SinkInput(Input):
         """Count of late or lost buffers that PortAudio reported."""
         return self._capture.xruns
 
-    @property
-    def tag(self) -> str | None:
-        """Name of the stream on the server."""
-        return self._capture.stream.tag if self._capture.stream else None
-
     def configure(self, config: RunConfig) -> None:
         """Take the block length of streams that are opened later."""
         self.block_frames = config.live.block_frames

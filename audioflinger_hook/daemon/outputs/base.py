@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Generic, TypeVar
 
-from audioflinger_hook.daemon.inputs.base import AudioNode
+from audioflinger_hook.daemon.inputs.base import AudioNode, Endpoint
 from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
@@ -27,26 +27,16 @@ from device.units import Float32Array
 Fill = Callable[[Float32Array, float], None]
 """(out, now_s): writes what is played next."""
 
-SetVolume = Callable[[float], None]
+SetVolume = Callable[[float], object]
 """Sets a device to a level in dB and unmutes it; raises CushionError if it cannot."""
 
 NodeT = TypeVar("NodeT", bound=AudioNode)
 
 
-class Output(ABC):
-    """Where vibration goes. For the supervising thread alone.
+class Output(Endpoint):
+    """Where vibration goes."""
 
-    address: as the user wrote it.
-    """
-
-    needs_server = False
-    """Whether the sound server provides it."""
-
-    def __init__(self, address: DeviceAddress) -> None:
-        self.address = address
-
-    def __str__(self) -> str:
-        return str(self.address)
+    address: DeviceAddress
 
     @property
     def may_rest(self) -> bool:
@@ -55,23 +45,8 @@ class Output(ABC):
 
     @property
     @abstractmethod
-    def name(self) -> str | None:
-        """What is open, None while nothing is."""
-
-    @property
-    @abstractmethod
     def is_open(self) -> bool:
         """Whether it plays, or did until a moment ago."""
-
-    @property
-    def xruns(self) -> int:
-        """Count of late buffers that PortAudio reported."""
-        return 0
-
-    @property
-    def warnings(self) -> list[str]:
-        """Problems that the user should know, one line each."""
-        return []
 
     @property
     def summary(self) -> str:
@@ -85,10 +60,6 @@ class Output(ABC):
     def configure(self, config: RunConfig) -> None:
         """Take the actuators, and what applies to streams that are opened later."""
         self.set_actuators(config.settings.actuators)
-
-    def retarget(self, config: RunConfig) -> bool:
-        """Play to another device; return False if that needs another output."""
-        return False
 
     @abstractmethod
     def locate(self, snapshot: ServerSnapshot | None) -> AudioNode:
@@ -116,10 +87,6 @@ class Output(ABC):
 
         LostError, NotFoundError: the next call tries again; other errors are final.
         """
-
-    @abstractmethod
-    def close(self) -> None:
-        """Stop, until the next `maintain`. May be repeated; raises nothing."""
 
     def end(self, *, keep: bool) -> None:
         """Close for good; keep: whether a written file stays. WriteError: it cannot be kept."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
+from audioflinger_hook.daemon.outputs.base import Fill, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import DaemonState
 from device.alsa import choose_setup, find_playback, set_card_volume
@@ -123,7 +124,7 @@ class CardOutput(StreamOutput[CardNode]):
                 self.close()
             else:
                 stream.check(now_s)
-        set_volume = _volume_setter(node.playback)
+        set_volume = partial(set_card_volume, node.playback.card.number)
         if stream.stream is not None:
             self.volume.update(set_volume)
             return
@@ -199,10 +200,3 @@ class CardOutput(StreamOutput[CardNode]):
                 f"{playback} plays {opened[0].format} instead of {wanted}; trying another format"
             )
         self._delay_s = opened[0].delay_s if opened else 0.0
-
-
-def _volume_setter(playback: PlaybackDevice) -> SetVolume:
-    def set_volume(wanted_db: float) -> None:
-        set_card_volume(playback.card.number, wanted_db)
-
-    return set_volume

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
-from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
+from audioflinger_hook.daemon.outputs.base import Fill, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.channel_positions import sink_channel_map
@@ -18,11 +19,6 @@ class SinkOutput(StreamOutput[Sink]):
     """A sink of the server as the haptic device. For the supervising thread alone."""
 
     needs_server = True
-
-    @property
-    def tag(self) -> str | None:
-        """Name of the stream on the server."""
-        return self._stream.stream.tag if self._stream.stream else None
 
     def retarget(self, config: RunConfig) -> bool:
         """Play to another sink."""
@@ -64,7 +60,7 @@ class SinkOutput(StreamOutput[Sink]):
                 stream.close()
             else:
                 stream.check(now_s)
-        set_volume = _volume_setter(connection, sink)
+        set_volume = partial(connection.set_sink_volume_db, sink.name)
         if stream.stream is not None:
             self.volume.update(set_volume)
             return
@@ -74,7 +70,3 @@ class SinkOutput(StreamOutput[Sink]):
 
     def _channel_map(self, node: Sink, actuators: Sequence[ActuatorSettings]) -> ChannelMap:
         return sink_channel_map(node, actuators, self._haptic_channels)
-
-
-def _volume_setter(connection: PulseConnection, sink: Sink) -> SetVolume:
-    return lambda wanted_db: connection.set_sink_volume_db(sink.name, wanted_db)
