@@ -155,6 +155,15 @@ def test_a_tone_of_another_rate_is_the_same_tone_without_a_gap(samplerate, lengt
     assert power[np.abs(hz - 1_000.0) > 20.0].max() < 1e-8 * power.max()
 
 
+@pytest.mark.parametrize("frames", [40, 4_800])
+def test_the_rest_of_a_former_rate_sounds_under_what_follows(frames):
+    tap = BufferTap((noise(4_410), 44_100, False), (noise(frames), RATE, False))
+    client, mixer = connected(tap, RATE)
+    tail = tail_frames_out(44_100, RATE)
+    assert 40 < tail < 4_800
+    assert sum(map(len, heard(client, mixer))) == 4_410 * RATE // 44_100 + max(frames, tail)
+
+
 def mixer_latency(samplerate):
     """Frames of the track by which a resampler is late: half its filter."""
     return 64 * max(1.0, samplerate / RATE)
