@@ -39,7 +39,7 @@ test-exhaustive:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_usb_mock.sh
-	.venv/bin/python -m pytest -m "exhaustive and not soak and not servers and not usbvm" \
+	.venv/bin/python -m pytest -m "(exhaustive or hypothesis) and not soak and not servers and not usbvm" \
 	    -n auto --dist loadfile $(PYTEST_ARGS)
 
 test-servers:
@@ -57,7 +57,7 @@ test-usb:
 	@sh tools/setup.sh test
 	@sh tools/fetch_servers.sh
 	@sh tools/fetch_usb_vm.sh
-	.venv/bin/python -m pytest -m usbvm -n auto $(PYTEST_ARGS) tests/usbvm
+	.venv/bin/python -m pytest -m usbvm -n 2 $(PYTEST_ARGS) tests/usbvm
 
 soak:
 	@sh tools/setup.sh test

@@ -11,10 +11,26 @@ from hypothesis import settings
 # Matrices are small and tests run on every core: threads of BLAS would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# No deadline: a shared machine pauses any example now and then.
-settings.register_profile("here", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
-settings.load_profile("ci" if os.environ.get("CI") == "true" else "here")
+FAST_EXAMPLES, EXAMPLES = 20, 100
+"""Examples of a property among the fast tests, and among the exhaustive ones, which repeat it."""
+
+
+def pytest_configure(config):
+    """Choose how many examples each property gets, unless its test says so itself."""
+    in_ci = os.environ.get("CI") == "true"
+    settings.register_profile(
+        "cushion",
+        max_examples=FAST_EXAMPLES if "not exhaustive" in config.option.markexpr else EXAMPLES,
+        deadline=None,  # a shared machine pauses any example now and then
+        derandomize=in_ci,
+        print_blob=in_ci,
+    )
+    settings.load_profile("cushion")
+
+
+def pytest_xdist_auto_num_workers():
+    """Return half as many workers again as there are processors: some tests wait."""
+    return (os.cpu_count() or 1) * 3 // 2
 
 
 @pytest.hookimpl(tryfirst=True)

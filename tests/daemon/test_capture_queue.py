@@ -137,7 +137,7 @@ def test_what_was_read_ahead_of_a_gap_is_not_played_after_it() -> None:
 
 
 @given(st.lists(st.integers(1, 1_500), min_size=20, max_size=60))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_requests_of_any_sizes_get_every_frame_once_and_in_order(sizes: list[int]) -> None:
     live = Live(CaptureQueue())
     sound = music(3.0)
