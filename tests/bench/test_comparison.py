@@ -71,8 +71,8 @@ def test_a_baseline_wins_exactly_where_its_row_is_better():
         Row(comparison.LAG_P95, None, "ms", "band-pass", note="none perceived"),
     ]
     verdict = comparison.where_baselines_win(rows)
-    assert verdict.startswith("A baseline beats the live form in: ")
-    assert f"{comparison.COST} (band-pass 1 against 2 ms)" in verdict
+    assert verdict.startswith("Rows in which a baseline beats the live form:\n")
+    assert f"- {comparison.COST} (band-pass 1 against 2 ms)" in verdict
     assert "centroid" not in verdict
     assert comparison.CORRELATION not in verdict
     assert comparison.LAG_P95 not in verdict

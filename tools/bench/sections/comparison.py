@@ -118,7 +118,9 @@ def where_baselines_win(rows: Sequence[Row]) -> str:
             won.append(f"{name} ({shown} against {number(ours.value)}{unit})")
     if not won:
         return "No baseline beats the live form in any row where more or less is better."
-    return "A baseline beats the live form in: " + "; ".join(won) + "."
+    return "Rows in which a baseline beats the live form:\n\n" + "\n".join(
+        f"- {row}" for row in won
+    )
 
 
 def _cost_rows(subjects: Sequence[Subject], bench: Workbench) -> list[Row]:

@@ -82,14 +82,14 @@ def residual_vibration(_bench: Workbench) -> Section:
         rows += _rows(drive.name, at, limited=drive.asked)
     return Section(
         TITLE,
-        "Energy of the seat's acceleration after a burst of 50 ms at 90 Hz, against undamped "
-        "current drive of the same rig at the same vibration during the burst. Peak volts are "
-        "against the same. Columns: the true f0 against the assumed one (only the stiffness "
-        "differs). Still after: time from the end of the burst until the acceleration stays under "
-        "10 % of its peak. The first rows are of the linear model. The last are of the non-linear "
-        "`paper` rig, which stiffens, loses force and changes its inductance as it swings. Their "
-        "level is the largest excursion of the linear model; the note has the one reached. The "
-        "flat inverse is that of the assumed rig.",
+        "Energy of the seat's acceleration after a burst of 50 ms at 90 Hz. The reference, also "
+        "for peak volts, is undamped current drive of the same rig at the same vibration. "
+        "Columns: the true f0 against the assumed one (only the stiffness differs). Still "
+        "after: time from the end of the burst until the acceleration stays under 10 % of its "
+        "peak. The first rows are of the linear model. The last are of the non-linear `paper` "
+        "rig, which stiffens, loses force and changes its inductance as it swings. Their level "
+        "is the largest excursion of the linear model; the note has the one reached. The flat "
+        "inverse is that of the assumed rig.",
         (*rows, *_rows_by_level()),
         series={
             drive.name: tuple(_residual(drive, share).residual_db for share in CURVE)

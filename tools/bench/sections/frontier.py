@@ -79,11 +79,11 @@ def frontier(bench: Workbench) -> Section:
         TITLE,
         f"The live form ({'compiled' if kernel_warning() is None else 'in NumPy'}) with one "
         f"setting changed at a time. Cost: of a second of stereo, on {SCENE_S:g} s of the demo "
-        f"scene, the least of {bench.effort.cost_repeats} repeats. Errors: root mean square in Hz "
-        f"of vibration and in dB over steady tones ({TONES_HZ[0]:g} to {TONES_HZ[1]:g} Hz), and "
-        f"their worst THD+N; a chirp of {CHIRP_OCTAVES_A_S:g} octaves a second; a level that "
-        f"swells at {SWELL_HZ:g} Hz; onset lag; energy over 250 Hz; and partials missed and "
-        f"spurious on {NOTES} decaying notes of {HARMONICS} harmonics.",
+        f"scene, the least of {bench.effort.cost_repeats} repeats. Tones are steady, "
+        f"{TONES_HZ[0]:g} to {TONES_HZ[1]:g} Hz; their errors are root mean squares, their THD+N "
+        f"is the worst. The chirp has {CHIRP_OCTAVES_A_S:g} octaves a second. The level swells at "
+        f"{SWELL_HZ:g} Hz. Missed and spurious partials are those of {NOTES} decaying notes of "
+        f"{HARMONICS} harmonics.",
         tuple(rows),
         footnote=_verdict(measured),
     )  # fmt: skip

@@ -70,8 +70,8 @@ def model_selection(bench: Workbench) -> Section:
         "Model selection",
         "Bursts of one tone of 20 to 220 Hz, from faint to beyond Xmax, with pauses in which the "
         "motion rings on. The rig selects a model for each block, at the tolerance over each "
-        "column. A block's error is the larger one of excursion and acceleration: the largest "
-        "difference from the non-linear model at four times its rate, over the block's peak or "
+        "column. The reference is the non-linear model at four times its rate. A block's error "
+        "is the largest difference of excursion or acceleration, over the block's peak or "
         f"{FLOOR:g} of Xmax. Errors over {duration_s:g} s, costs over the first {timed_s:g} s, "
         f"medians of {REPEATS} repeats.",
         tuple(rows),

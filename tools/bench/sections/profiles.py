@@ -85,8 +85,8 @@ def profiles(bench: Workbench) -> Section:
     missing = () if bench.recordings else (bench.missing_recordings("spoken recordings"),)
     return Section(
         TITLE,
-        "Level of the loudest tenth of the 46 ms units in sound and vibration (0 dB: full-scale "
-        f"sine), at full volume and 20 dB lower, after {settled_s:g} s of the sound. *By energy* "
+        "Level of the loudest tenth of the 46 ms units in sound and vibration. 0 dB is a sine of "
+        f"full scale. Volumes are full and 20 dB lower, after {settled_s:g} s. *By energy* "
         "is that amplitude mapping without the loudness follower of the other profiles.",
         tuple(rows),
         missing,
