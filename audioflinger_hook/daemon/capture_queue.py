@@ -54,8 +54,6 @@ class Feed:
         """Return the client that plays into a mix of this format."""
         self._tap = PushTap(samplerate, channels)
         self._client = TapClient(self._tap)
-        if self._recording:
-            self._recording.set_mix_format(samplerate, channels)
         return self._client
 
     def serve(self, engine: Engine) -> None:

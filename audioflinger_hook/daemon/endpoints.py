@@ -10,7 +10,7 @@ from audioflinger_hook.daemon.inputs.applications import ApplicationsFeed, Appli
 from audioflinger_hook.daemon.inputs.base import Input
 from audioflinger_hook.daemon.inputs.paced import PacedInput
 from audioflinger_hook.daemon.inputs.sink import SinkInput
-from audioflinger_hook.daemon.outputs.base import DeviceVolume, Output
+from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.outputs.card import CardOutput
 from audioflinger_hook.daemon.outputs.paced import PacedOutput
 from audioflinger_hook.daemon.outputs.sink import SinkOutput
@@ -127,7 +127,7 @@ class Endpoints:
                 _ = config.rules  # raises: a file has no applications
             return paced
         if config.rules is not None:
-            apps = self.feed = ApplicationsFeed(config.recording, self._priority)
+            apps = self.feed = ApplicationsFeed(self._priority)
             return ApplicationsInput(config, self._states, apps)
         assert self._pcms is not None
         queue = self.feed = CaptureQueue(config.recording)
@@ -145,16 +145,15 @@ class Endpoints:
         if not config.device_is_live:
             return PacedOutput(config.device, self._pacer, config.settings, config.recording)
         assert self._pcms is not None
-        volume = DeviceVolume()
-        volume.request(config)
         kind = CardOutput if config.device_is_a_card else SinkOutput
-        return kind(
+        output = kind(
             config.device,
             self._pcms.pcms["cushion_output"],
             self._states,
             config.recording,
             block_frames=config.live.block_frames,
             priority=self._priority,
-            volume=volume,
             actuators=config.settings.actuators,
         )
+        output.volume.request(config)
+        return output

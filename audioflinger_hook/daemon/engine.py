@@ -105,7 +105,7 @@ class Engine:
         self.buffers = 0
         self.frames = 0
         self.frames_max = self.framework.mixer.frames
-        self.before_fill: Callable[[], None] = _nothing
+        self.before_fill: Callable[[], None] = lambda: None
         self.filled_s = -math.inf
         self.faded = True
         self.last_sound_s = now_s
@@ -181,7 +181,7 @@ class Engine:
         return True
 
     def finish(self, now_s: float) -> Float32Array:
-        """Play the client to its end; return the last vibration, for `send`.
+        """Play the client to its end; return the last vibration, for the delay line.
 
         For the thread of `advance`, which must not be called again.
         """
@@ -190,10 +190,6 @@ class Engine:
             pass
         held.append(self.drive.drain())
         return np.concatenate([self._read[:0], *held])
-
-    def send(self, vibration: Float32Array, now_s: float) -> None:
-        """Write vibration to the delay line directly; for the thread of `advance`."""
-        self.delay_line.write(vibration, now_s)
 
     def rest(self) -> None:
         """Clear the delay line, the drive and all levels; call it while no stream runs."""
@@ -275,7 +271,3 @@ class _DriveOutput:
     def abort(self) -> None:
         """Drop what is waiting."""
         self._engine.delay_line.flush()
-
-
-def _nothing() -> None:
-    """What is to be done where nothing is."""

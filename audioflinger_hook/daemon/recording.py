@@ -149,16 +149,13 @@ class RunRecording:
             if count
         ]
 
-    def set_mix_format(self, samplerate: int, channels: int) -> None:
-        """Set the format of the mix (Hz, channels), before the first buffer."""
-        self._mix = (samplerate, channels)
-
-    def hooks(self, samplerate: int, *, of_mix: bool) -> tuple[OnStep, OnMix | None]:
-        """Return the engine's `on_step` and `on_mix`, for a mix of this rate, Hz.
+    def hooks(self, samplerate: int, channels: int, *, of_mix: bool) -> tuple[OnStep, OnMix | None]:
+        """Return the engine's `on_step` and `on_mix`, for a mix of this format (Hz, channels).
 
         of_mix: whether to record the mix instead of buffers; a replay could not repeat the mix of
-        several sounds.
+        several sounds. Call it before the first buffer.
         """
+        self._mix = (samplerate, channels)
 
         def felt(_: Float32Array, vibration: Float32Array, now_s: float) -> None:
             self._offer("effect", vibration, samplerate, now_s)

@@ -43,7 +43,6 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         return status
     line = engine.delay_line.status
     tap_s, output_s = supervisor.latencies_s
-    offset_s = engine.delay_line.offset_s
     ms, drive = 1e3 / engine.samplerate, engine.drive
     return replace(
         status,
@@ -51,7 +50,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         latency=LatencyBudget.of(
             tap_ms=1e3 * tap_s,
             transform_ms=1e3 * engine.framework.latency_s,
-            delay_line_ms=1e3 * (line.delay_s - offset_s),
+            delay_line_ms=1e3 * (line.delay_s - engine.delay_line.offset_s),
             output_ms=1e3 * output_s,
             offset_ms=1e3 * supervisor.offset_s,
             driving_ms=ms * drive.latency_frames,

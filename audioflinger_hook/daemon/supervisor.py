@@ -344,7 +344,9 @@ class Supervisor:
             recording, feed = self._config.recording, self._endpoints.feed
             on_step, on_mix = None, None
             if recording:
-                on_step, on_mix = recording.hooks(source.samplerate, of_mix=feed.records_mix)
+                on_step, on_mix = recording.hooks(
+                    source.samplerate, source.channels, of_mix=feed.records_mix
+                )
             engine = self.engine = Engine(
                 feed.client(source.samplerate, source.channels),
                 device.samplerate or source.samplerate,

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from device.blocks import peak
 from device.units import Float32Array, amplitude_to_db
@@ -152,14 +153,13 @@ class BufferClock:
 
     def times(self) -> BufferTimes:
         """Return the times so far; percentiles are at most 4 % too long, never too short."""
-        counts = self._counts.copy()
+        counted = np.cumsum(self._counts)
         longest_s = self._max_s
-        total = sum(counts)
-        if not total:
+        if not counted[-1]:
             return BufferTimes()
         return BufferTimes(
-            p50_ms=1e3 * min(longest_s, _percentile_s(counts, total, 0.50)),
-            p99_ms=1e3 * min(longest_s, _percentile_s(counts, total, 0.99)),
+            p50_ms=1e3 * min(longest_s, _percentile_s(counted, 0.50)),
+            p99_ms=1e3 * min(longest_s, _percentile_s(counted, 0.99)),
             max_ms=1e3 * longest_s,
             buffer_ms=1e3 * self._buffer_s,
             share_percent=100.0 * self._busy_s / self._played_s if self._played_s else 0.0,
@@ -170,12 +170,7 @@ def _dbfs(amplitude: float) -> float:
     return max(FLOOR_DBFS, amplitude_to_db(amplitude))
 
 
-def _percentile_s(counts: list[int], total: int, share: float) -> float:
+def _percentile_s(counted: NDArray[np.int_], share: float) -> float:
     """Return the upper edge of the bin that reaches the share; inf for the last bin."""
-    needed = math.ceil(share * total)
-    seen = 0
-    for index, count in enumerate(counts):
-        seen += count
-        if seen >= needed:
-            return SHORTEST_S * STEP**index if index < BINS - 1 else math.inf
-    return math.inf
+    index = int(np.searchsorted(counted, math.ceil(share * int(counted[-1]))))
+    return SHORTEST_S * STEP**index if index < BINS - 1 else math.inf

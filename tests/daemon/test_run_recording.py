@@ -46,7 +46,7 @@ class Run:
             48_000,
             settings,
             clocks=STILL,
-            on_step=self.recording.hooks(samplerate, of_mix=False)[0],
+            on_step=self.recording.hooks(samplerate, channels, of_mix=False)[0],
         )
         self.feed.serve(self.engine)
         self.now_s = 0.0
@@ -253,8 +253,8 @@ def test_of_several_sounds_the_mix_is_recorded_as_no_effect_has_changed_it(tmp_p
     settings = Settings(effects_file=xml)
     recording = RunRecording(tmp_path / "cap", settings, "app:a", "twin")
     recording.begin()
-    feed = ApplicationsFeed(recording)
-    on_step, on_mix = recording.hooks(48_000, of_mix=True)
+    feed = ApplicationsFeed()
+    on_step, on_mix = recording.hooks(48_000, 2, of_mix=True)
     client = feed.client(48_000, 2)
     engine = Engine(client, 48_000, settings, clocks=STILL, on_step=on_step, on_mix=on_mix)
     feed.serve(engine)

@@ -9,7 +9,6 @@ from functools import partial
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.inputs.base import Input
 from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
-from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.state import Cause, StateKeeper
@@ -60,20 +59,15 @@ class ApplicationsFeed:
 
     records_mix = True
 
-    def __init__(
-        self, recording: RunRecording | None = None, priority: AudioPriority | None = None
-    ) -> None:
+    def __init__(self, priority: AudioPriority | None = None) -> None:
         self._priority = priority
         self._thread: int | None = None
         self.engine: Engine | None = None
         self.voices: VoicesClient | None = None
-        self._recording = recording
 
     def client(self, samplerate: int, channels: int) -> VoicesClient:
         """Return the client that plays into a mix of this format."""
         self.voices = VoicesClient(samplerate, channels)
-        if self._recording:
-            self._recording.set_mix_format(samplerate, channels)
         return self.voices
 
     def serve(self, engine: Engine) -> None:

@@ -158,5 +158,5 @@ class _Player:
         self._send(block, now_s)
 
     def _send(self, block: Float32Array, now_s: float) -> None:
-        self._engine.send(block, now_s)
+        self._engine.delay_line.write(block, now_s)
         self._played.add(len(block), self._engine.samplerate)

@@ -108,12 +108,11 @@ class StreamOutput(Output, Generic[NodeT]):
         *,
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
-        volume: DeviceVolume | None = None,
         actuators: Sequence[ActuatorSettings] = (),
     ) -> None:
         super().__init__(address)
         self.block_frames = block_frames
-        self.volume = volume or DeviceVolume()
+        self.volume = DeviceVolume()
         self._priority = priority
         self._pcm = pcm
         self._states = states
