@@ -47,7 +47,7 @@ class DeviceAddress:
             return find_sink(snapshot, self.name)
         identity = self.usb
         if identity is None:
-            raise NotFoundError(f"device {str(self)!r} is none of the sound server's")
+            raise NotFoundError(f"device {str(self)!r} is not on the sound server")
         found = [sink for sink in snapshot.sinks if mapping.is_sink_of(identity, sink)]
         if len(found) == 1:
             return found[0]
@@ -71,7 +71,7 @@ def parse_device(text: str) -> DeviceAddress:
 
     Names are taken literally.
 
-    UsageError: the kind is none of `KINDS`, a name is missing, or `twin` has one.
+    UsageError: the kind is not one of `KINDS`, a name is missing, or `twin` has one.
     """
     if text == "twin":
         return DeviceAddress("twin")
@@ -82,8 +82,8 @@ def parse_device(text: str) -> DeviceAddress:
             UsbIdentity.parse(text)
         except UsageError:
             raise UsageError(
-                f"device {text!r}: a USB device is written {USB_GRAMMAR}, with four hexadecimal "
-                "digits for VID and PID each and a port such as 1-2 or 1-2.3"
+                f"device {text!r} is not {USB_GRAMMAR} with four hexadecimal digits each for VID "
+                "and PID, and a port such as 1-2 or 1-2.3"
             ) from None
     if kind == "hw" and name.strip():
         parse_card_address(name)
@@ -91,9 +91,9 @@ def parse_device(text: str) -> DeviceAddress:
         if kind == known != "twin" and name.strip():
             return DeviceAddress(known, name)
     if kind == "twin":
-        what = "'twin' takes no name"
+        what = "has a name, but twin has none"
     elif kind in KINDS:
-        what = "the name is empty"
+        what = "has an empty name"
     else:
-        what = f"unknown kind {kind!r} (for a sink of that name write sink:{text})"
-    raise UsageError(f"device {text!r}: {what}; allowed: {GRAMMAR}")
+        what = f"has the unknown kind {kind!r} (for a sink of that name write sink:{text})"
+    raise UsageError(f"device {text!r} {what}; allowed: {GRAMMAR}")

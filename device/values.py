@@ -34,8 +34,14 @@ def no_such(kind: str, name: str, names: Iterable[str], where_none: str) -> str:
         offer = f"there are {', '.join(repr(one) for one in known[:8])}"
         offer += " and others" if len(known) > 8 else ""
     else:
-        offer = f"there is none at all: {where_none}"
-    return f"there is no {kind} {name!r}; {offer}"
+        offer = f"none was found; {where_none}"
+    return f"no {kind} {name!r}; {offer}"
+
+
+def counted(count: int, things: str) -> str:
+    """Return a count with its noun, of 1 in the singular: "1 buffer", "2 buffers"."""
+    one = f"{things[:-3]}y" if things.endswith("ies") else things.removesuffix("s")
+    return f"{count} {one if count == 1 else things}"
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
@@ -180,7 +186,7 @@ class Text(Description):
 
     def refuse(self, value: object) -> Refusal | None:
         """Refuse an empty text and every other type."""
-        return None if isinstance(value, str) and value else Refusal("is no text", self.allowed)
+        return None if isinstance(value, str) and value else Refusal("is not a text", self.allowed)
 
     def json_schema(self) -> dict[str, Any]:
         """Return a string."""
@@ -264,4 +270,4 @@ class Described:
 def _shown(value: object) -> str:
     if isinstance(value, tuple) and value:
         return ",".join(map(str, value))
-    return f"{value:g}" if isinstance(value, float) else repr(value)
+    return f"{value:.12g}" if isinstance(value, float) else repr(value)

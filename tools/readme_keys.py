@@ -17,7 +17,7 @@ def keys_table() -> str:
     """Return every key of the config with what is allowed, default, option, meaning and change."""
     parts = []
     for section, keys in groupby(KEYS, key=lambda key: key.section):
-        heading = f"In `{HEADERS[section]}`:" if section else "Above all sections:"
+        heading = f"In `{HEADERS[section]}`:" if section else "Top-level keys:"
         lines = ["| key | allowed | default | option | meaning | a change while it runs |"]
         lines += ["| --- | --- | --- | --- | --- | --- |", *map(_row, keys)]
         parts.append("\n".join([heading, "", *lines]))

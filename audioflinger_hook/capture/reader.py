@@ -35,6 +35,7 @@ from audioflinger_hook.capture.segment import (
     segment_format,
 )
 from device.errors import UsageError
+from device.values import counted
 
 Buffers = Generator[CaptureBuffer, None, None]
 """Buffers in order; `close()` closes the files before the end."""
@@ -195,18 +196,18 @@ class _Tally:
         """What a user should know, a line each."""
         if self.dropped_buffers:
             yield (
-                f"{self.dropped_buffers} buffers ({self.dropped_frames} frames) of stream {stream} "
-                "were dropped while recording; a discontinuity marks each place"
+                f"dropped while recording: {counted(self.dropped_buffers, 'buffers')} "
+                f"({self.dropped_frames} frames) of stream {stream}; a discontinuity marks each"
             )
         if self.gaps:
             yield (
-                f"{self.lost_buffers} buffers of stream {stream} are damaged and left out, the "
-                f"first before buffer {self.first_gap}; a discontinuity marks each place"
+                f"damaged and left out: {counted(self.lost_buffers, 'buffers')} of stream "
+                f"{stream}, the first before buffer {self.first_gap}; a discontinuity marks each"
             )
         elif self.damaged_lines:
             yield (
-                f"{self.damaged_lines} lines of {INDEX_NAME} are damaged; no buffer of stream "
-                f"{stream} is missing between others"
+                f"damaged: {counted(self.damaged_lines, 'lines')} of {INDEX_NAME}; no buffer of "
+                f"stream {stream} is missing between others"
             )
         if self.promised is None:
             yield (
@@ -215,12 +216,12 @@ class _Tally:
             )
         elif self.promised > self.next_buffer:
             lost = self.promised - self.next_buffer
-            yield f"the last {lost} buffers are damaged; {self._recovered(stream)}"
+            yield f"damaged at the end: {counted(lost, 'buffers')}; {self._recovered(stream)}"
 
     def _recovered(self, stream: str) -> str:
         return (
-            f"{self.taken_buffers} whole buffers ({self.taken_frames} frames) of stream {stream} "
-            "were recovered"
+            f"recovered: {counted(self.taken_buffers, 'whole buffers')} "
+            f"({self.taken_frames} frames) of stream {stream}"
         )
 
 

@@ -22,6 +22,7 @@ from device.identification.transfer import LOW_COHERENCE, Quality
 from device.rig import Rig, rig_by_name
 
 SUFFIX = ".toml"
+NOT_FOR_TWIN = ("input", "channels", "shunt_ohm", "moving_mass_kg", "level", "loud")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -37,6 +38,8 @@ def run(options: argparse.Namespace) -> int:
 
     devices = None
     if device.kind == "twin":
+        if given := [name for name in NOT_FOR_TWIN if getattr(options, name)]:
+            raise UsageError(f"--{given[0].replace('_', '-')} is not for twin; choose --share")
         bench = SimulatedLaboratory(rig, seat=options.seat)
         share = USUAL_SHARE if options.share is None else options.share
         found = calibrate(bench, rig, bench.sweep_at_excursion(sweep, share), tell)

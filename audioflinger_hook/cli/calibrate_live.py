@@ -30,6 +30,7 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.identity import find_source, is_cushion_stream
 from device.stream import PcmConfig, filter_stderr
 from device.stream.pcms import CardDevice, ServerDevice
+from device.values import counted
 
 USUAL_LEVEL, MOST_LEVEL = 0.05, 0.25
 """Of full scale, unless asked for, and unless --loud is."""
@@ -72,17 +73,17 @@ def calibrate_live(
     """Calibrate what hangs on that device, heard by the input that is named, by nothing else."""
     if device.kind not in ("sink", "usb", "hw"):
         raise NotFoundError(
-            f"device {str(device)!r} cannot be calibrated: nothing moves there; choose sink:NAME, "
-            "usb:VID:PID, hw:CARD, or twin"
+            f"device {str(device)!r} cannot be calibrated; allowed: sink:NAME, usb:VID:PID, "
+            "hw:CARD, twin"
         )
     if options.share is not None or options.seat:
-        raise UsageError("--share and --seat are the twin's; choose --level of full scale")
+        raise UsageError("--share and --seat are only for twin; choose --level of full scale")
     inputs = _inputs(options)
     sweep = levelled(rig, sweep, options)
     weighed, mass = None, options.moving_mass_kg
     if mass is not None:
         if not 0.0 < mass < 1e3:
-            raise UsageError(f"moving-mass-kg={mass!r} must be above 0; weigh what moves")
+            raise UsageError(f"moving-mass-kg={mass!r} must be above 0; weigh the moving part")
         reach = WEIGHED_SHARE * mass
         weighed = Estimate(mass, mass - reach, mass + reach)
     source = options.input
@@ -117,9 +118,9 @@ def calibrate_live(
             weighed=weighed,
         )
     if laboratory.current_turned:
-        warn("the current's sign was turned: a coil takes power; swap the shunt's two wires")
+        warn("the current's sign was inverted, as a coil absorbs power; swap the shunt's two wires")
     if laboratory.repeated:
-        warn(f"frames were lost in {laboratory.repeated} sweeps, which were repeated")
+        warn(f"repeated for lost frames: {counted(laboratory.repeated, 'sweeps')}")
     drift = laboratory.drift.value if laboratory.drift else 0.0
     return found, Devices(output.name, heard.name, laboratory.delay_s, drift)
 
@@ -127,13 +128,12 @@ def calibrate_live(
 def _inputs(options: argparse.Namespace) -> Inputs:
     if not options.input or not options.channels:
         raise UsageError(
-            f"what is it heard with? Give --input {INPUT_GRAMMAR}, and --channels with what each "
-            "of its channels is, e.g. acceleration,current,voltage; no microphone is ever chosen "
-            "by itself"
+            f"no --input or --channels; give --input {INPUT_GRAMMAR}, and --channels such as "
+            "acceleration,current,voltage; cushion never chooses an input itself"
         )
     kind, colon, name = options.input.partition(":")
     if kind not in ("source", "hw") or not colon or not name.strip():
-        raise UsageError(f"input {options.input!r} is none; allowed: {INPUT_GRAMMAR}")
+        raise UsageError(f"input {options.input!r} is not known; allowed: {INPUT_GRAMMAR}")
     mv = options.acceleration_mv_per_m_s2
     return Inputs.parse(
         options.channels,

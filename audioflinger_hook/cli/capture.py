@@ -14,6 +14,7 @@ from audioflinger_hook.daemon.live_capture import TICK_S, LiveCapture
 from audioflinger_hook.daemon.wake import Wake
 from audioflinger_hook.sources import TapAddress, open_tap, parse_tap
 from device.stream import filter_stderr
+from device.values import counted
 
 LIVE_TAPS = ("default", "sink")
 """What is playing; all else is at hand."""
@@ -48,11 +49,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, channels: int) -> None:
     """Print what a capture holds; samplerate: of its last buffer, Hz, as the channels."""
-    count = writer.buffers("tap")
-    print(
-        f"{writer.folder}: {heard_s:.2f} s in {count} buffer{'s' if count != 1 else ''}, "
-        f"{channels} channel{'s' if channels > 1 else ''} at {samplerate} Hz"
-    )
+    buffers, of = counted(writer.buffers("tap"), "buffers"), counted(channels, "channels")
+    print(f"{writer.folder}: {heard_s:.2f} s in {buffers}, {of} at {samplerate} Hz")
 
 
 def _record_live(
@@ -83,5 +81,6 @@ def _record_live(
             raise KeyboardInterrupt
     dropped, frames = recorder.dropped("tap")
     if dropped:
-        warn(f"{dropped} buffers ({frames} frames) could not be kept: the disk was too slow")
+        lost = counted(dropped, "buffers")
+        warn(f"not recorded: {lost} ({frames} frames): the disk was too slow")
     return writer, live

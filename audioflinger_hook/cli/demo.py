@@ -202,7 +202,7 @@ def _print_table(
     table.add_row("sound", f"{len(buffer_ms)} buffers of {BLOCKSIZE_FRAMES} frames")
     for name, value in values.items():
         table.add_row(name, value)
-    table.add_row("samples held back at full scale", str(framework.limited_samples))
+    table.add_row("samples limited", str(framework.limited_samples))
     table.add_row("unusable samples in the sound", str(framework.replaced_samples))
     table.add_row("excursion, peak", f"{rig.peak_displacement_m * 1e3:.2f} mm (predicted)")
     table.add_row("current, peak", f"{rig.peak_current_a:.2f} A (predicted)")

@@ -29,11 +29,10 @@ def run(options: argparse.Namespace) -> int:
             arguments += ["--tap", str(parse_tap(options.tap))]
         done = install(arguments, systemd=systemd_version())
         print(f"{done.path}: {'written' if done.changed else 'is up to date'}")
-    print("next, type:")
-    for command in done.commands:
-        print(f"    {command}")
+    if done.commands:
+        print("next, type:", *done.commands, sep="\n    ")
     if options.udev:
-        print("so that this user may control USB sound devices, as root:")
+        print("to let this user control USB sound devices, type as root:")
         print(UDEV_COMMAND)
     sys.stdout.flush()
     return 0

@@ -14,13 +14,15 @@ from audioflinger_hook.cli.arguments import Parser, count, duration, seconds
 
 DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
 EXIT_CODES = (
-    "exit codes: 0 done; 2 wrong usage, config or input; 3 no such tap or device; 4 the sound "
-    "server or device was lost; 5 internal error or write failure; 130 interrupted"
+    "exit codes: 0 done; 2 wrong usage, config or input; 3 no such tap or device, or no running "
+    "daemon; 4 the sound server is missing, or server or device was lost; 5 internal error; disk "
+    "full or write failure; 130 interrupted"
 )
 
 
 CONFIG_HELP = "take the settings from this file"
 SEE_DEVICES = "see `cushion devices`"
+SINKS = f"sink:NAME or usb:VID:PID; {SEE_DEVICES}"
 
 
 def build_parser() -> Parser:
@@ -72,13 +74,14 @@ def _render(command: Parser) -> None:
 
 def _inspect(command: Parser) -> None:
     command.add_argument("input", type=Path, metavar="IN", help="a sound file")
-    _value(command, "--at", seconds, "SECONDS", "list only the unit there")
+    _value(command, "--at", seconds, "SECONDS", "list only the unit at that time")
     _json(command)
 
 
 def _capture(command: Parser) -> None:
     command.add_argument("folder", type=Path, metavar="OUTDIR", help="a new or empty folder")
-    _keys(command, "tap", default="default")
+    taps = "default, sink:NAME, file:PATH, capture:DIR or scene:demo"
+    _value(command, "--tap", str, "TAP", taps, "default")
     stop = "stop after S seconds; default: when the sound ends"
     command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
 
@@ -91,7 +94,7 @@ def _replay(command: Parser) -> None:
 
 
 def _dump(command: Parser) -> None:
-    _keys(command, "tap", default="default")
+    _value(command, "--tap", str, "TAP", "file:PATH, capture:DIR or scene:demo", "scene:demo")
     _value(command, "--at", seconds, "SECONDS", "how much sound to play first", 1.0)
     _value(command, "--config", Path, "FILE", CONFIG_HELP)
 
@@ -118,13 +121,13 @@ def _usb(command: Parser) -> None:
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
     command.add_argument("device", nargs="?", metavar="DEVICE", help=names)
     _value(command, "--hex", Path, "FILE", "decode a dump; - is standard input")
-    taken = "also read volumes and sample rates; the sound card is gone for that time"
+    taken = "also read volumes and sample rates; the card cannot play meanwhile"
     _switch(command, "--take-over", taken)
     _json(command)
 
 
 def _test_tone(command: Parser) -> None:
-    command.add_argument("--device", required=True, metavar="DEVICE", help=SEE_DEVICES)
+    command.add_argument("--device", required=True, metavar="DEVICE", help=SINKS)
     _value(command, "--hz", float, "HZ", "frequency", 60.0)
     _value(command, "--level", float, "L", "amplitude, up to 1", 0.2)
     _value(command, "--seconds", float, "S", "duration", 2.0)
@@ -134,7 +137,7 @@ def _calibrate(command: Parser) -> None:
     command.add_argument(
         "--device", required=True, metavar="DEVICE", help=f"{SEE_DEVICES}; or twin"
     )
-    _value(command, "--input", str, "INPUT", "what records: source:NAME or hw:CARD[,DEVICE]")
+    _value(command, "--input", str, "INPUT", "input that records: source:NAME or hw:CARD[,DEVICE]")
     channels = "input channels in order: acceleration, current, voltage, loopback, or -"
     _value(command, "--channels", str, "A,B,...", channels)
     _value(command, "--input-full-scale-v", float, "V", "peak volts at the input's full scale")
@@ -146,7 +149,7 @@ def _calibrate(command: Parser) -> None:
     _value(command, "--output-channel", int, "N", "output channel to play on, from 1", 1)
     _value(command, "--level", float, "L", "part of full scale, up to 0.25; default: 0.05")
     _switch(command, "--loud", "allow a --level up to 1")
-    _value(command, "--rig", str, "NAME|FILE", "what is known of the rig", "paper")
+    _value(command, "--rig", str, "NAME|FILE", "known values of the rig", "paper")
     _switch(command, "--seat", "simulated rig: mount it in a seat")
     share = "simulated rig: part of Xmax, up to 0.15; default: 0.05"
     _value(command, "--share", float, "S", share)
@@ -218,10 +221,10 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str]] = {
     "demo": (_demo, "play the bundled scene through the whole chain"),
     "render": (_render, "write the vibration of sound files"),
     "inspect": (_inspect, "list the principal frequencies of a sound file"),
-    "capture": (_capture, "record the buffers that a sound comes in"),
+    "capture": (_capture, "record the buffers of a sound as delivered"),
     "replay": (_replay, "write the vibration of a capture"),
     "dump": (_dump, "show threads, tracks, effects and counters"),
-    "run": (_run, "feel everything this computer plays"),
+    "run": (_run, "play vibration of everything that this computer plays"),
     "status": (_status, "show the state of the running daemon"),
     "devices": (_json, "list outputs and playing applications"),
     "usb": (_usb, "decode a USB audio device, or a dump of one"),

@@ -15,6 +15,7 @@ from audioflinger_hook.offline.batch import Rendered, render_files, targets_in
 from audioflinger_hook.offline.render import RenderReport, render_file
 from audioflinger_hook.offline.workers import WORKERS_MAX, usable_cores
 from device.errors import UsageError
+from device.values import counted
 
 SEE_HELP = "see `cushion render --help`"
 
@@ -121,24 +122,24 @@ def show_report(
     for warning in report.warnings:
         warn(warning)
     if options.output.suffix.lower() not in (".wav", ".wave", ".rf64", ""):
-        warn(f"{options.output} is a WAV file, whatever its name says")
+        warn(f"{options.output} is written as WAV despite its name")
     if options.json:
         print(json.dumps({**dataclasses.asdict(report), **more}, indent=2))
     else:
-        counts = [f"{count} {name.replace('_', ' ')}" for name, count in more.items() if count]
+        counts = [counted(count, name.replace("_", " ")) for name, count in more.items() if count]
         print(", ".join([_summary(report, options.output), *counts]))
 
 
 def _summary(report: RenderReport, output: Path) -> str:
     parts = [
         f"{output}: {report.frames / report.samplerate:.2f} s of vibration",
-        f"{report.channels} channel{'s' if report.channels > 1 else ''} at {report.samplerate} Hz",
+        f"{counted(report.channels, 'channels')} at {report.samplerate} Hz",
         f"peak {level_text(report.peak)}",
     ]
     if report.limited_samples:
-        parts.append(f"{report.limited_samples} samples limited")
+        parts.append(f"{counted(report.limited_samples, 'samples')} limited")
     if report.replaced_samples:
-        parts.append(f"{report.replaced_samples} unusable samples taken for 0")
+        parts.append(f"{counted(report.replaced_samples, 'unusable samples')} set to 0")
     if report.peak_acceleration_m_s2 is not None:
         parts.append(f"peak acceleration {report.peak_acceleration_m_s2:.1f} m/s²")
     return ", ".join(parts)

@@ -21,7 +21,7 @@ SPEEDS = ("max", "1")
 def run(options: argparse.Namespace) -> int:
     """Replay a capture and say what came of it."""
     if options.speed not in SPEEDS:
-        raise UsageError(f"speed {options.speed!r} is not known; allowed: {', '.join(SPEEDS)}")
+        raise UsageError(f"speed={options.speed!r} is not known; allowed: {', '.join(SPEEDS)}")
     for source in (options.folder, *capture_files(options.folder)):
         refuse_same_file(source, options.output, options.acceleration)
     tap = CaptureTap(options.folder)

@@ -10,7 +10,7 @@ from contextlib import ExitStack, closing
 import numpy as np
 
 from device.address import parse_device
-from device.errors import LostError, NotFoundError, UsageError
+from device.errors import LostError, UsageError
 from device.server import FallbackSink, PulseConnection, StreamGuard
 from device.server.guard import Hold
 from device.stream import PcmConfig, PlaybackStream, filter_stderr
@@ -44,14 +44,16 @@ def run(options: argparse.Namespace) -> int:
     """Play the tone on exactly that device, nowhere else."""
     low, high = LIMIT_HZ
     if not low <= options.hz <= high:
-        raise UsageError(f"hz={options.hz:g} is out of range; allowed: {low:g} to {high:g} Hz")
+        raise UsageError(f"hz={options.hz:.12g} is out of range; allowed: {low:g} to {high:g} Hz")
     if not 0.0 < options.level <= 1.0:
-        raise UsageError(f"level={options.level:g} is out of range; allowed: above 0, up to 1")
+        raise UsageError(f"level={options.level:.12g} is out of range; allowed: above 0, up to 1")
     if not FADE_S * 2 < options.seconds <= 60.0:
-        raise UsageError(f"seconds={options.seconds:g} is out of range; allowed: 0.2 to 60 s")
+        raise UsageError(f"seconds={options.seconds:.12g} is out of range; allowed: 0.2 to 60 s")
     device = parse_device(options.device)
     if device.kind not in ("sink", "usb"):
-        raise NotFoundError(f"device {str(device)!r}: it takes a sink; see `cushion devices`")
+        raise UsageError(
+            f"device {str(device)!r} cannot play a test tone; allowed: sink:NAME, usb:VID:PID"
+        )
     filter_stderr()
     with ExitStack() as stack:
         pcms = stack.enter_context(closing(PcmConfig("cushion_output")))
@@ -74,4 +76,4 @@ def _wait(tone: Tone, stream: PlaybackStream, guard: StreamGuard) -> None:
     """Wait for the end of the tone, or of the stream, which PulseAudio lets go on elsewhere."""
     while not tone.ended.wait(0.1):
         if guard.hold is Hold.NO_DEVICE or stream.is_lost(time.monotonic()):
-            raise LostError("the device went away while the tone was played; plug it in again")
+            raise LostError("the device was lost while the tone played; plug it in again")

@@ -49,7 +49,7 @@ class Mistake:
 class Config:
     """What a config file says.
 
-    settings: how vibration is made of sound.
+    settings: of the transform, the effects and the rig.
     live: where live sound comes from, and where the vibration goes.
     warning: which keys have old names, "" if none has.
     """
@@ -72,8 +72,8 @@ def load(path: Path) -> Config:
     """
     config, mistakes = check(path)
     if config is None:
-        more = f" (and {len(mistakes) - 1} more; see `cushion check`)" if mistakes[1:] else ""
-        raise UsageError(f"{path}: {mistakes[0]}{more}")
+        more = f"(and {len(mistakes) - 1} more; see `cushion check --config {path}`)"
+        raise UsageError(f"{path}: {mistakes[0]} {more if mistakes[1:] else ''}")
     return config
 
 
@@ -124,7 +124,7 @@ class _Reading:
         tables = found if isinstance(found, list) else []
         good = [table for table in tables if isinstance(table, dict)]
         if found is not None and (not good or len(good) < len(tables)):
-            self._add(ACTUATOR, Refusal("is no array of tables", HEADERS[ACTUATOR]))
+            self._add(ACTUATOR, Refusal("is not an array of tables", HEADERS[ACTUATOR]))
         for number, table in enumerate(good, 1):
             self.accepted[ActuatorSettings] = {}
             self.actuators.append(self.accepted[ActuatorSettings])
@@ -142,7 +142,7 @@ class _Reading:
                 self.shown[shown] = _shown(value)
             name = renamed.get(written, written)
             if name not in known:
-                self._add(shown, _unknown(section, name))
+                self._add(shown, _unknown(section, name, is_section=isinstance(value, dict)))
                 continue
             key = known[name]
             if name != written:
@@ -208,16 +208,17 @@ class _Reading:
         self.mistakes.append(Mistake(*where, *astuple(refusal)))
 
 
-def _unknown(section: str, name: str) -> Refusal:
-    """Return the refusal of a key that a section does not know, with the nearest that exists."""
+def _unknown(section: str, name: str, is_section: bool) -> Refusal:
+    """Return the refusal of an unknown key or section, with the nearest that exists."""
     known = [*keys_of(section), *(HEADERS.values() if not section else ())]
     elsewhere = [
-        f"{name} in {HEADERS[key.section]}" if key.section else f"{name} above all sections"
+        f"{name} in {HEADERS[key.section]}" if key.section else f"{name} at the top level"
         for key in KEYS
         if key.name == name
     ]
     guess = elsewhere[0] if elsewhere else nearest(name, [*keys_of(section), *SECTIONS[1:]])
-    return Refusal("is an unknown key", ", ".join(known), HEADERS.get(guess, guess))
+    wrong = "is an unknown section" if is_section and not section else "is an unknown key"
+    return Refusal(wrong, ", ".join(known), HEADERS.get(guess, guess))
 
 
 def _text_of(path: Path) -> str:
@@ -267,7 +268,7 @@ def _parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
                 repaired = f"[{repaired}]"
             lines[number - 1] = repaired if repaired != lines[number - 1] else ""
     mistakes.append(
-        Mistake("the rest", len(lines), "", "was not read, so broken is this file", "TOML")
+        Mistake("the rest", len(lines), "", "was not read: the file has too many errors", "TOML")
     )
     return {}, mistakes
 

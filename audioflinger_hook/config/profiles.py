@@ -21,10 +21,8 @@ class ProfileValue:
     reason: str
 
 
-BY_ENERGY = ProfileValue("energy", "noise and chords as strong as a tone that holds as much")
-FOLLOWED = ProfileValue(
-    30.0, "felt the same from full volume down to 20 dB under it, and some to spare"
-)
+BY_ENERGY = ProfileValue("energy", "noise and chords as strong as a tone of the same energy")
+FOLLOWED = ProfileValue(30.0, "the same vibration from full volume to 20 dB below, with a reserve")
 
 PROFILES: dict[str, dict[str, ProfileValue]] = {
     "paper": {},

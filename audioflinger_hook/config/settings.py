@@ -24,11 +24,12 @@ from device.drive import (
 from device.drive.settings import DAMPING, EXPOSURE_CAP, GAIN_MAX_DB, GAIN_MIN_DB, PROTECTION
 from device.errors import UsageError
 from device.rig.rig_file import SHIPPED, SUFFIX, read_rig
+from device.server.forwarding import MAX_DELAY_S
 from device.values import Choice, Described, Description, Number, Refusal, Switch, Text
 
 Channels = Literal["mono", "each"]
 
-OFFSET_MAX_MS = 1_000.0
+OFFSET_MIN_MS, OFFSET_MAX_MS = -1e3 * MAX_DELAY_S, 1_000.0  # below 0, the sound is delayed
 DEVICE_VOLUME_MIN_DB = -96.0
 """Of any volume control of 16 bits; a device that cannot go so low takes its lowest."""
 
@@ -91,12 +92,12 @@ class _Address(Text):
 
     def refuse(self, value: object) -> Refusal | None:
         if not isinstance(value, str):
-            return Refusal(f"is no {self.what}", self.allowed)
+            return Refusal(f"is not a {self.what}", self.allowed)
         try:
             self.parse(value)
         except UsageError as error:
-            reason = str(error.args[0]).removeprefix(f"{self.what} {value!r}: ")
-            return Refusal(f"is none: {reason.partition('; allowed: ')[0]}", self.allowed)
+            reason = str(error.args[0]).removeprefix(f"{self.what} {value!r} ")
+            return Refusal(reason.partition("; allowed: ")[0], self.allowed)
         return None
 
 
@@ -107,9 +108,9 @@ class _Taps(_Address):
     def refuse(self, value: object) -> Refusal | None:
         taps = [value] if isinstance(value, str) else value
         if not isinstance(taps, (list, tuple)) or not all(isinstance(tap, str) for tap in taps):
-            return Refusal("is no tap and no list of taps", self.allowed)
+            return Refusal("is not a tap or a list of taps", self.allowed)
         if not taps:
-            return Refusal("is a list of no taps", self.allowed)
+            return Refusal("is an empty list", self.allowed)
         for tap in taps:
             if refusal := super().refuse(tap):
                 return refusal
@@ -150,7 +151,7 @@ class _Names(Description):
 
 @dataclass(frozen=True)
 class Settings(Described):
-    """How vibration is made of sound.
+    """Settings of the transform, the effects and the rig.
 
     With actuators, their sources say what is transformed, and `channels` is "mono".
 
@@ -164,7 +165,7 @@ class Settings(Described):
     parameters : TransformParameters
         The profile's where not given.
     said : tuple of str
-        Names of parameters that were chosen one by one. They stay with another profile.
+        Parameters set individually; they override any profile.
     actuators : tuple of ActuatorSettings
         What each actuator plays, and where. Without any, all channels get the same vibration.
     """
@@ -172,14 +173,14 @@ class Settings(Described):
     profile: Annotated[
         str, Choice("named set of transform parameters", tuple(PROFILES), change="transform")
     ] = DEFAULT_PROFILE
-    damping: Annotated[str, Choice("reduce the rig's ringing, with protection on", DAMPING)] = (
-        DAMPING[0]
-    )
+    damping: Annotated[
+        str, Choice("reduce the rig's ringing; also turns protection on", DAMPING)
+    ] = DAMPING[0]
     protection: Annotated[
         str, Choice("keep the rig within its limits, and count exposure", PROTECTION)
     ] = PROTECTION[0]
     exposure_cap: Annotated[
-        str, Choice("exposure value of 2002/44/EC to stay under, with protection on", EXPOSURE_CAP)
+        str, Choice("stay under this value of 2002/44/EC; also turns protection on", EXPOSURE_CAP)
     ] = EXPOSURE_CAP[0]
     form: Annotated[
         Form,
@@ -195,7 +196,7 @@ class Settings(Described):
             section="transform",
         ),
     ] = "mono"
-    rig: Annotated[str, _RigName("what is driven: a rig or its file", change="engine")] = SHIPPED[0]
+    rig: Annotated[str, _RigName("rig that is driven, or its file", change="engine")] = SHIPPED[0]
     gain_db: Annotated[
         float, Number("level of the vibration", GAIN_MIN_DB, GAIN_MAX_DB, "dB", change="nothing")
     ] = GAIN_MAX_DB
@@ -237,7 +238,7 @@ class Settings(Described):
     def choosing(self, **given: Any) -> Settings:
         """Return these settings with others of the given names.
 
-        A profile brings its parameters, but for those that were said by name.
+        A profile brings its parameters, except those that were set individually.
 
         UsageError: as upon making them.
         """
@@ -284,7 +285,7 @@ class LiveSettings(Described):
         float,
         Number(
             "delay of the vibration; below 0 it is earlier, which needs drop_in",
-            -OFFSET_MAX_MS,
+            OFFSET_MIN_MS,
             OFFSET_MAX_MS,
             "ms",
             change="nothing",
@@ -292,7 +293,7 @@ class LiveSettings(Described):
     ] = 0.0
     drop_in: Annotated[
         bool,
-        Switch("stand between applications and their sink, to delay the sound", change="stream"),
+        Switch("applications play to a virtual sink, which delays the sound", change="stream"),
     ] = False
     block_frames: Annotated[
         int, Choice("frames of one audio callback", BLOCK_FRAMES, "frames", change="streams")

@@ -22,6 +22,7 @@ from device.drive import ActuatorSettings
 from device.errors import CushionError, UsageError
 from device.rig.rig_file import SHIPPED
 from device.units import Float32Array
+from device.values import counted
 
 NESTED = "parameters"
 """Field of `Settings` whose own fields are stored beside the others."""
@@ -144,7 +145,7 @@ class RunRecording:
             return []
         dropped = {name: self._recorder.dropped(name)[0] for name in STREAMS}
         return [
-            f"{count} buffers of stream {name} could not be recorded: the disk was too slow"
+            f"not recorded: {counted(count, 'buffers')} of stream {name}: the disk was too slow"
             for name, count in dropped.items()
             if count
         ]

@@ -201,7 +201,7 @@ class Track:
         ]
         if not isinstance(pcm_format, PcmFormat):
             known = ", ".join(known.value for known in PcmFormat)
-            wrong.insert(0, f"format={pcm_format!r} is none of PcmFormat: {known}")
+            wrong.insert(0, f"format={pcm_format!r} is not one of PcmFormat: {known}")
         if wrong:
             raise UsageError(f"track {name!r} cannot be made: {'; '.join(wrong)}")
         self.id = track_id
@@ -332,7 +332,7 @@ def period_frames(samplerate: int, mix_samplerate: int, mix_frames: int) -> int:
 def out_of_range(name: str, value: int, low: int, high: int | None, unit: str) -> list[str]:
     """What is wrong with a number, as no or one line: no int, or out of its range."""
     if isinstance(value, bool) or not isinstance(value, int):
-        return [f"{name}={value!r} is no whole number"]
+        return [f"{name}={value!r} is not a whole number"]
     if value < low or (high is not None and value > high):
         allowed = f"at least {low}" if high is None else f"{low} to {high}"
         return [f"{name}={value}{unit}: want {allowed}{unit}"]

@@ -46,11 +46,11 @@ class RuntimeFolder:
                     self.path.mkdir(mode=_FOLDER_MODE)
             self.fd = os.open(self.path, _OPEN_FOLDER)
         except FileNotFoundError as error:
-            raise NotFoundError(f"there is no folder {self.path}; start `cushion run`") from error
+            raise NotFoundError(f"{self.path} is missing; start `cushion run`") from error
         except OSError as error:
             # With O_NOFOLLOW | O_DIRECTORY the kernel may report a link as "not a directory".
             if error.errno in (errno.ELOOP, errno.ENOTDIR):
-                raise UsageError(f"{self.path} is a link or no folder; remove it") from error
+                raise UsageError(f"{self.path} is a link or not a folder; remove it") from error
             problem = f"cannot open {self.path}: {error.strerror}"
             if error.errno in (errno.ENOSPC, errno.EMFILE, errno.ENFILE, errno.EIO):
                 raise InternalError(problem) from error
@@ -156,8 +156,9 @@ def _base(environ: Mapping[str, str]) -> Path:
         if base.is_absolute() and base.is_dir():
             return base
     raise UsageError(
-        f"{VARIABLE} is {f'{text!r}, which is no absolute path of a folder' if text else 'not set'}"
-        f"; set it to a folder of your own, usually /run/user/{os.geteuid()}"
+        f"{VARIABLE} is {f'{text!r}, not an absolute path of a folder' if text else 'not set'}"
+        f"; set it to a folder of your own, usually /run/user/{os.geteuid()}, for the daemon's "
+        "lock and status socket"
     )
 
 
@@ -175,7 +176,7 @@ def _open_locked(folder: RuntimeFolder) -> int:
             opened.callback(os.close, fd)
             found = os.fstat(fd)
             if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid():
-                raise UsageError(f"{path} is no file of user {os.geteuid()}; remove it")
+                raise UsageError(f"{path} is not a file of user {os.geteuid()}; remove it")
             try:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:

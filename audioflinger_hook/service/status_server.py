@@ -185,7 +185,7 @@ def _remove_dead(folder: RuntimeFolder) -> None:
     if entry.st_uid != os.geteuid():
         raise UsageError(f"{path} belongs to user {entry.st_uid}; remove it as that user")
     if not stat.S_ISSOCK(entry.st_mode):
-        raise UsageError(f"{path} is no socket; remove it")
+        raise UsageError(f"{path} is not a socket; remove it")
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:

@@ -70,12 +70,12 @@ def parse_tap(text: str) -> TapAddress:
         if kind == known != "default" and name.strip():
             return TapAddress(known, name)
     if kind == "default":
-        what = "'default' takes no name"
+        what = "has a name, but default has none"
     elif kind in KINDS:
-        what = "the name is empty"
+        what = "has an empty name"
     else:
-        what = f"unknown kind {kind!r} (for a sink of that name write sink:{text})"
-    raise UsageError(f"tap {text!r}: {what}; allowed: {GRAMMAR}")
+        what = f"has the unknown kind {kind!r} (for a sink of that name write sink:{text})"
+    raise UsageError(f"tap {text!r} {what}; allowed: {GRAMMAR}")
 
 
 def open_client(address: TapAddress) -> Client:

@@ -160,7 +160,7 @@ def _open(path: Path) -> soundfile.SoundFile:
     except (soundfile.LibsndfileError, OSError, TypeError, ValueError) as error:
         raise UsageError(
             f"{path} is not a sound file that can be read ({_reason(error)}); "
-            "WAV, FLAC, Ogg, MP3, AIFF and others that libsndfile reads will do"
+            "allowed: WAV, FLAC, Ogg, MP3, AIFF and other formats of libsndfile"
         ) from None
 
 

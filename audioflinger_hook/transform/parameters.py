@@ -79,13 +79,13 @@ class TransformParameters(Described):
         float, Number("range above the floor in which vibration fades in", 1.0, 30.0, "dB")
     ] = 10.0
     speech_suppression_db: Annotated[
-        float, Number("how much speech is lowered; 0: not at all", 0.0, 24.0, "dB")
+        float, Number("reduction of speech (live form only); 0: off", 0.0, 24.0, "dB")
     ] = 0.0
     level_law: Annotated[
         str,
         Choice(
             "amplitude of each principal frequency: r^2 / sum r (tonal), or by energy, so that "
-            "noise feels as strong as a tone",
+            "noise is as strong as a tone of the same energy",
             ("tonal", "energy"),
         ),
     ] = "tonal"

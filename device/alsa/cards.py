@@ -189,7 +189,7 @@ def parse_card_address(name: str) -> re.Match[str]:
     match = _ADDRESS.fullmatch(name)
     if match is None:
         raise UsageError(
-            f"device 'hw:{name}': write hw:CARD or hw:CARD,DEVICE, with the card's number or id "
+            f"device 'hw:{name}' is not hw:CARD or hw:CARD,DEVICE, with the card's number or id "
             "from /proc/asound/cards"
         )
     return match

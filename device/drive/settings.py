@@ -44,16 +44,16 @@ class _DeviceChannels(Description):
 
     def refuse(self, value: object) -> Refusal | None:
         if not isinstance(value, (list, tuple)):
-            return Refusal("is no list", self.allowed)
+            return Refusal("is not a list", self.allowed)
         if not value:
-            return Refusal("names no channel", self.allowed)
+            return Refusal("is an empty list", self.allowed)
         for channel in value:
             if isinstance(channel, str):
                 good = bool(channel) and channel == channel.strip()
             else:
                 good = type(channel) is int and 0 <= channel < CHANNELS_MAX
             if not good:
-                return Refusal("names what is no channel", self.allowed)
+                return Refusal("is not a list of channels", self.allowed)
         if len(set(value)) < len(value):
             return Refusal("names a channel twice", "each channel once")
         return None
@@ -83,9 +83,9 @@ class ActuatorSettings(Described):
     channels: Annotated[
         tuple[int | str, ...], _DeviceChannels("channels of the device that drive the actuator")
     ]
-    source: Annotated[str, Choice("part of the sound that it plays", SOURCES, aliases=("all",))] = (
-        SOURCES[0]
-    )
+    source: Annotated[
+        str, Choice("part of the sound that it plays; all is mix", SOURCES, aliases=("all",))
+    ] = SOURCES[0]
     rig: Annotated[
         str | None,
         Text(f"simulated rig that describes it: a name or a file{LIKE_ALL}", change="engine"),

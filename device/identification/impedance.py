@@ -63,8 +63,8 @@ def identify_impedance(recording: Recording, *, level_of_x_max: float = 0.0) -> 
     check_misfit(
         found,
         "current",
-        "this is no coil with one resonance; check what is connected, and that voltage and current "
-        "are not swapped",
+        "this is not a coil with one resonance; check what is connected, and that voltage and "
+        "current are not swapped",
     )
     powers = {
         "resistance_ohm": {0: 1.0},

@@ -88,7 +88,7 @@ def test_drops_at_the_very_end_are_in_the_capture_too(tmp_path):
     recorder.close()
     buffers, warnings = read(tmp_path)
     assert buffers == [(0.0, False)]
-    assert "1 buffers (4 frames) of stream tap were dropped while recording" in warnings[0]
+    assert "dropped while recording: 1 buffer (4 frames) of stream tap" in warnings[0]
     assert not recorder.offer("tap", frames_of(2), 48_000, 2.0)  # too late
     assert recorder.dropped("tap") == (2, 8)
     recorder.close()
@@ -161,7 +161,7 @@ def test_a_full_disk_ends_the_capture_and_is_raised_at_the_end_not_on_the_audio_
     monkeypatch.undo()
     buffers, warnings = read(tmp_path)
     assert buffers == [(0.0, False)]
-    assert "1 whole buffers" in warnings[0]
+    assert "1 whole buffer " in warnings[0]
 
 
 def test_a_buffer_of_another_type_ends_the_capture_without_raising_at_once(tmp_path):
@@ -172,7 +172,7 @@ def test_a_buffer_of_another_type_ends_the_capture_without_raising_at_once(tmp_p
         recorder.close()
     buffers, warnings = read(tmp_path)
     assert buffers == [(0.0, False)]
-    assert "1 buffers (4 frames) of stream tap were dropped" in warnings[0]
+    assert "dropped while recording: 1 buffer (4 frames) of stream tap" in warnings[0]
 
 
 def test_whatever_fails_in_the_thread_is_raised_by_close(tmp_path):
@@ -185,7 +185,7 @@ def test_whatever_fails_in_the_thread_is_raised_by_close(tmp_path):
     with pytest.raises(InternalError, match="MemoryError: none left"):
         recorder.close()
     assert recorder.dropped("tap") == (1, 4)
-    assert "1 buffers (4 frames) of stream tap were dropped" in read(tmp_path)[1][0]
+    assert "dropped while recording: 1 buffer (4 frames) of stream tap" in read(tmp_path)[1][0]
 
 
 def test_the_audio_thread_does_not_wait_for_a_disk_that_hangs(tmp_path):

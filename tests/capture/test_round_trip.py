@@ -188,7 +188,7 @@ def test_what_was_dropped_makes_the_next_buffer_a_discontinuity(tmp_path):
     capture = Capture(tmp_path)
     assert [buffer.discontinuity for buffer in capture.buffers()] == [False, True, False]
     (warning,) = capture.warnings
-    assert "2 buffers (512 frames) of stream tap were dropped while recording" in warning
+    assert "dropped while recording: 2 buffers (512 frames) of stream tap" in warning
     assert [buffer.discontinuity for buffer in capture.buffers("effect")] == [False]
 
 

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 from audioflinger_hook.capture import Capture, CaptureWriter
 from audioflinger_hook.capture.format import INDEX_NAME, SAMPLES_OFFSET, EndRecord, records
 from device.errors import UsageError, WriteError
+from device.values import counted
 from tests.support.recordings import ROOT
 
 STREAMS = ("tap", "effect")
@@ -107,7 +108,10 @@ def test_an_index_cut_anywhere_gives_the_buffers_whose_lines_are_whole(damaged):
         assert found(buffers) == expected(whole, stream)
         frames = sum(len(buffer.frames) for buffer in buffers)
         (warning,) = warnings
-        assert f"{len(buffers)} whole buffers ({frames} frames) of stream {stream}" in warning
+        assert (
+            f"{counted(len(buffers), 'whole buffers')} ({frames} frames) of stream {stream}"
+            in warning
+        )
 
 
 @pytest.mark.parametrize("name", ["tap-0001.wav", "tap-0002.wav", "effect-0001.wav"])
@@ -252,7 +256,7 @@ def test_kill_9_loses_nothing_that_was_acknowledged(tmp_path, seed):
             assert np.all(buffer.frames == number)
         assert number in (acknowledged, acknowledged + 1)
         (warning,) = capture.warnings
-        assert f"{number + 1} whole buffers" in warning
+        assert counted(number + 1, "whole buffers") in warning
         for path in (tmp_path / "c").glob(f"{stream}-*.wav"):
             if path.stat().st_size > SAMPLES_OFFSET:
                 soundfile.read(path)  # a player takes it
@@ -380,6 +384,7 @@ import resource, sys
 import numpy as np
 from audioflinger_hook.capture import CaptureWriter
 from device.errors import WriteError
+from device.values import counted
 limit, frames = int(sys.argv[2]), int(sys.argv[3])
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 number = 0
@@ -406,7 +411,7 @@ def test_a_file_size_limit_is_a_write_error_and_the_capture_can_be_read(tmp_path
     assert "larger than allowed; raise the limit (ulimit -f)" in message
     buffers, warnings = read(tmp_path / "c", "tap")
     assert [float(buffer.frames[0, 0]) for buffer in buffers] == list(range(int(number)))
-    assert f"{number} whole buffers" in warnings[0]
+    assert counted(int(number), "whole buffers") in warnings[0]
 
 
 def test_a_limit_too_small_to_begin_leaves_no_folder(tmp_path):
@@ -489,7 +494,7 @@ def test_lines_that_vanish_or_are_overwritten_are_a_gap_with_a_warning(damaged):
             kept.remove(4)
         assert found(buffers) == expected(kept, "tap")
         assert [buffer.discontinuity for buffer in buffers] == [False, True, False, False]
-        assert "2 buffers of stream tap are damaged and left out" in warnings[0]
+        assert "damaged and left out: 2 buffers of stream tap" in warnings[0]
         assert "first before buffer 3" in warnings[0]
 
 
@@ -528,7 +533,7 @@ def test_a_missing_segment_is_a_gap_with_a_warning(damaged):
     buffers, warnings = read(damaged, "tap")
     assert found(buffers) == expected([5, 6, 7], "tap")
     assert [buffer.discontinuity for buffer in buffers] == [True, False, False]
-    assert "3 buffers of stream tap are damaged and left out" in warnings[0]
+    assert "damaged and left out: 3 buffers of stream tap" in warnings[0]
 
 
 def test_a_missing_last_segment_of_a_closed_capture_is_told(tmp_path):
@@ -537,7 +542,7 @@ def test_a_missing_last_segment_of_a_closed_capture_is_told(tmp_path):
     buffers, warnings = read(tmp_path / "c", "tap")
     assert found(buffers) == expected([0, 2, 3], "tap")
     (warning,) = warnings
-    assert "the last 3 buffers are damaged; 3 whole buffers (5 frames)" in warning
+    assert "damaged at the end: 3 buffers; recovered: 3 whole buffers (5 frames)" in warning
     assert read(tmp_path / "c", "effect")[1] == []
 
 

@@ -153,14 +153,14 @@ def test_nan_infinity_and_absurd_samples_count_as_0_one_by_one(tmp_path, out):
         samples[place] = value
     done = call("render", sound(tmp_path / "in.wav", samples), out)
     assert (done.code, done.stderr) == (0, "")
-    assert f"{len(places)} unusable samples taken for 0" in done.stdout
+    assert f"{len(places)} unusable samples set to 0" in done.stdout
     assert out.read_bytes() == expected
 
 
 def test_nothing_but_unusable_samples_is_silence(tmp_path, out):
     done = call("render", sound(tmp_path / "in.wav", np.full((5_000, 2), np.nan)), out)
     assert done.code == 0
-    assert "10000 unusable samples taken for 0" in done.stdout
+    assert "10000 unusable samples set to 0" in done.stdout
     assert not vibration(out).any()
 
 

@@ -88,12 +88,16 @@ def test_on_a_seat_neither_force_factor_nor_mass_is_given():
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["--device", "sink:none"], 2, "no microphone is ever chosen by itself"),
-        (["--device", "wav:a.wav"], 3, "nothing moves there"),
+        (["--device", "sink:none"], 2, "cushion never chooses an input itself"),
+        (["--device", "wav:a.wav"], 3, "cannot be calibrated"),
         (["--device", "sink:none", "--input", "mic", *ALONE], 2, "allowed: source:NAME or hw:"),
-        (["--device", "sink:none", "--input", "source:", *ALONE], 2, "input 'source:' is none"),
+        (
+            ["--device", "sink:none", "--input", "source:", *ALONE],
+            2,
+            "input 'source:' is not known",
+        ),
         (["--device", "sink:none", *HEARD, *ALONE, "--level", "0.5"], 2, "only with --loud"),
-        (["--device", "sink:none", *HEARD, *ALONE, "--share", "0.1"], 2, "are the twin's"),
+        (["--device", "sink:none", *HEARD, *ALONE, "--share", "0.1"], 2, "only for twin"),
         (["--device", "sink:none", *HEARD, "--channels", "sound"], 2, "'sound' is unknown"),
         (
             ["--device", "sink:none", *HEARD, "--channels", "voltage"],
@@ -103,9 +107,10 @@ def test_on_a_seat_neither_force_factor_nor_mass_is_given():
         (
             ["--device", "sink:none", *HEARD, *ALONE, "--moving-mass-kg", "-1"],
             2,
-            "weigh what moves",
+            "weigh the moving part",
         ),
         (["--device", "hw:none", "--input", "hw:none", *ALONE], 3, "no sound card"),
+        (["--device", "twin", "--level", "0.9"], 2, "--level is not for twin"),
         (["--device", "twin", "--share", "0.5"], 2, "share=0.5 of Xmax must be"),
         (["--device", "twin", "--rig", "consumer"], 2, "describes no [accelerometer]"),
         (["--device", "twin", "--low-hz", "150", "--high-hz", "500"], 2, "cushion: error: "),

@@ -129,7 +129,7 @@ def test_the_closing_table_says_what_is_in_the_files(demo):
     for name in SOUNDS:
         assert f"out/{name}" in done.stdout
     for words in (
-        "samples held back at full scale",
+        "samples limited",
         "unusable samples in the sound",
         "time taken for 5.33 ms of sound",
         "report.png: all of it as a picture",

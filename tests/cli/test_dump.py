@@ -82,7 +82,7 @@ def test_the_demos_tracks_have_their_own_rates_and_formats():
 
 
 def test_a_dump_shows_the_mix_and_the_effect_after_a_second_if_nothing_is_said():
-    lines = dumped("--tap", "scene:demo")
+    lines = dumped()
     for expected in (
         "Output thread (MIXER):",
         "Sample rate: 48000 Hz",
@@ -111,7 +111,7 @@ def test_a_file_is_one_track_and_its_end_ends_the_dump(tmp_path):
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        ([], 3, "this command cannot capture live sound"),
+        (["--tap", "default"], 3, "this command cannot capture live sound"),
         (["--tap", "app:x"], 3, "cannot capture live sound"),
         (["--tap", "scene:x"], 3, "unknown scene"),
         (["--tap", "file:/none.wav"], 2, "does not exist"),

@@ -252,7 +252,7 @@ def test_a_name_that_does_not_look_like_wav_is_warned_of(tmp_path):
     done = call("render", source, tmp_path / "out.flac")
     assert done.code == 0
     assert done.stderr == (
-        f"cushion: warning: {tmp_path / 'out.flac'} is a WAV file, whatever its name says\n"
+        f"cushion: warning: {tmp_path / 'out.flac'} is written as WAV despite its name\n"
     )
     assert soundfile.info(tmp_path / "out.flac").format == "WAV"
 

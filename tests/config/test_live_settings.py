@@ -16,8 +16,8 @@ def test_every_mistake_is_named_at_once() -> None:
         LiveSettings(tap=("default", "sink:a"), device="usb:x", offset_ms=2e3, block_frames=3)
     for part in (
         "tap=default,sink:a are several",
-        "device='usb:x' is none",
-        "offset_ms=2000 is out of range; allowed: -1000 to 1000 ms",
+        "device='usb:x' is not usb:VID:PID",
+        "offset_ms=2000 is out of range; allowed: -500 to 1000 ms",
         "block_frames=3 is not known",
     ):
         assert part in str(error.value)
@@ -77,7 +77,7 @@ def test_options_are_checked_as_the_config_is(config: Path) -> None:
     assert "tap=app:a,default are several" in refused(
         call("run", "--tap", "app:a", "--tap", "default")
     )
-    assert "device 'card:x': unknown kind" in refused(call("run", "--device", "card:x"))
+    assert "device 'card:x' has the unknown kind" in refused(call("run", "--device", "card:x"))
 
 
 def test_options_win_over_the_config(
@@ -97,7 +97,7 @@ def test_a_config_with_mistakes_starts_no_daemon(config: Path) -> None:
     config.write_text('device = "haptic"\nblock_frames = 3\nrealtime = 1\n')
     error = refused(call("run"))
     assert f"{config}: line 2: block_frames = 3" in error
-    assert "and 1 more; see `cushion check`" in error
+    assert f"and 1 more; see `cushion check --config {config}`" in error
 
 
 def test_the_service_takes_the_device_of_the_config(

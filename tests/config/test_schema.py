@@ -60,9 +60,9 @@ EXPECTED = [
     (2, "damping", '"aut"', "is not known", "off, auto", "auto"),
     (3, "gain_db", '"loud"', "is not a number", "-60 to 0 dB", ""),
     (4, "rig", "3", "is not a name", "paper, consumer, or a file, NAME.toml", ""),
-    (5, "tap", "[]", "is a list of no taps", "default, sink:NAME", ""),
+    (5, "tap", "[]", "is an empty list", "default, sink:NAME", ""),
     (6, "block_frames", "300", "is not known", "128, 256, 512, 1024 frames", ""),
-    (7, "aplications", "", "is an unknown key", "profile, damping, ", "[applications]"),
+    (7, "aplications", "", "is an unknown section", "profile, damping, ", "[applications]"),
     (10, "transform.window_s", "9", "is out of range", "0.01 to 0.2 s", ""),
     (11, "transform.threshold", "0.3", "is an unknown key", "transform, ", "threshold_hz"),
     (12, "transform.partials_max", "2.5", "is not a whole number", "1 to 64", ""),
@@ -129,7 +129,7 @@ def test_mistakes_of_every_kind_are_named_at_once(tmp_path: Path) -> None:
     ("text", "nearest"),
     [
         ("window_s = 0.05\n", "window_s in [transform]"),
-        ('[transform]\nprofile = "game"\n', "profile above all sections"),
+        ('[transform]\nprofile = "game"\n', "profile at the top level"),
         ("zzz = 1\n", ""),
     ],
 )

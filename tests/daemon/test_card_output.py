@@ -156,7 +156,7 @@ def test_other_channels_are_gone_over_to_while_the_stream_stays_open(
 
 def test_without_the_card_there_is_nothing_and_no_other_card_is_taken(rig: Rig) -> None:
     rig.cards.plug(30, "DAC_1", stream=ASYNC)
-    with pytest.raises(NotFoundError, match="there is no sound card 'DAC'; did you mean 'DAC_1'"):
+    with pytest.raises(NotFoundError, match="no sound card 'DAC'; did you mean 'DAC_1'"):
         rig.output.locate(None)
 
 

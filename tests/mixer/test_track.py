@@ -443,7 +443,7 @@ def test_a_wrong_track_is_refused_with_everything_that_is_wrong() -> None:
     [
         ({"samplerate": 999}, "samplerate=999 Hz"),
         ({"samplerate": 768_001}, "samplerate=768001 Hz"),
-        ({"samplerate": 48_000.0}, r"samplerate=48000\.0 is no whole number"),
+        ({"samplerate": 48_000.0}, r"samplerate=48000\.0 is not a whole number"),
         ({"samplerate": True}, "samplerate=True"),
         ({"channels": 65}, "channels=65"),
         ({"ring_frames": 959}, "ring_frames=959: want at least 960"),

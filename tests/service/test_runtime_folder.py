@@ -90,11 +90,11 @@ def test_who_only_asks_makes_no_folder(environ, tmp_path):
 def test_a_link_or_a_file_in_its_place_is_refused(environ, tmp_path):
     (tmp_path / "elsewhere").mkdir(mode=0o700)
     (tmp_path / "cushion").symlink_to("elsewhere")
-    with pytest.raises(UsageError, match="is a link or no folder; remove it"):
+    with pytest.raises(UsageError, match="is a link or not a folder; remove it"):
         RuntimeFolder(environ, create=True)
     (tmp_path / "cushion").unlink()
     (tmp_path / "cushion").touch()
-    with pytest.raises(UsageError, match="is a link or no folder; remove it"):
+    with pytest.raises(UsageError, match="is a link or not a folder; remove it"):
         RuntimeFolder(environ, create=True)
 
 
@@ -207,5 +207,5 @@ def test_what_is_no_file_of_ours_is_refused_at_once(folder, make):
 def test_a_lock_file_of_somebody_else_is_refused(folder):
     (folder.path / LOCK_NAME).touch()
     os.chown(folder.path / LOCK_NAME, 65534, 65534)
-    with pytest.raises(UsageError, match="is no file of user 0; remove it"):
+    with pytest.raises(UsageError, match="is not a file of user 0; remove it"):
         DaemonLock(folder, ME)

@@ -414,12 +414,12 @@ def test_what_is_no_socket_of_ours_is_neither_removed_nor_used(tmp_path):
     with RuntimeFolder(environ, create=True) as folder:
         files = open_files()
         (folder.path / NAME).write_text("precious")
-        with pytest.raises(UsageError, match="is no socket; remove it"):
+        with pytest.raises(UsageError, match="is not a socket; remove it"):
             StatusServer(folder, lambda: STATUS, time.monotonic)
         assert (folder.path / NAME).read_text() == "precious"
         (folder.path / NAME).unlink()
         (folder.path / NAME).symlink_to("elsewhere")
-        with pytest.raises(UsageError, match="is no socket; remove it"):
+        with pytest.raises(UsageError, match="is not a socket; remove it"):
             StatusServer(folder, lambda: STATUS, time.monotonic)
         if os.geteuid() == 0:
             os.chown(folder.path / NAME, 65534, 65534, follow_symlinks=False)

@@ -61,15 +61,15 @@ def test_a_word_alone_is_a_sinks_name(name):
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("", "the name is empty"),
-        (" ", "the name is empty"),
-        ("sink:", "the name is empty"),
-        ("file: ", "the name is empty"),
-        ("default:", "'default' takes no name"),
-        ("default:x", "'default' takes no name"),
+        ("", "has an empty name"),
+        (" ", "has an empty name"),
+        ("sink:", "has an empty name"),
+        ("file: ", "has an empty name"),
+        ("default:", "has a name, but default has none"),
+        ("default:x", "has a name, but default has none"),
         ("Sink:x", "unknown kind 'Sink'"),
         ("usb:1234:5678", r"unknown kind 'usb' \(for a sink of that name write sink:usb:1234"),
-        (":x", "unknown kind ''"),
+        (":x", "has the unknown kind ''"),
     ],
 )
 def test_what_is_no_address_is_refused_with_the_grammar(text, what):

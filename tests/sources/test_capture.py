@@ -54,7 +54,7 @@ def test_a_capture_that_was_cut_off_is_played_to_its_end_with_a_warning(tmp_path
     tap = CaptureTap(tmp_path)
     assert [tap.read() is None for _ in range(4)] == [False, False, False, True]
     (warning,) = tap.warnings
-    assert "3 whole buffers (30 frames) of stream tap were recovered" in warning
+    assert "recovered: 3 whole buffers (30 frames) of stream tap" in warning
     writer.close()
 
 

@@ -98,7 +98,7 @@ def _address(digits: str) -> int:
     """The number that stands before a line's bytes; od counts in octal."""
     octal = len(digits) == _OD_ADDRESS_DIGITS
     if not (_OCTAL if octal else _DIGITS).fullmatch(digits):
-        raise ValueError(f"{_shown(digits)} is no {'octal ' if octal else ''}address")
+        raise ValueError(f"{_shown(digits)} is not {'an octal' if octal else 'an'} address")
     return int(digits, 8 if octal else 16)
 
 
@@ -110,5 +110,5 @@ def _shown(text: str) -> str:
 def _digits(tokens: list[str]) -> str:
     for token in tokens:
         if not _DIGITS.fullmatch(token) or len(token) % 2:
-            raise ValueError(f"{_shown(token)} is no bytes")
+            raise ValueError(f"{_shown(token)} is not hexadecimal, two digits a byte")
     return "".join(tokens)

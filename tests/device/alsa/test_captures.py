@@ -71,7 +71,7 @@ def test_who_records_there_is_told(cards: Cards, tmp_path: Path) -> None:
     [
         ("PCH", NotFoundError, "has no capture device; name another card"),
         ("Interface,7", NotFoundError, "has no capture device 7; it has hw:Interface,0"),
-        ("none", NotFoundError, "there is no sound card 'none'"),
+        ("none", NotFoundError, "no sound card 'none'"),
         ("a b", UsageError, "hw:CARD"),
     ],
 )

@@ -248,10 +248,10 @@ def test_sources_are_named_once_in_their_order_and_all_is_the_mix():
 @pytest.mark.parametrize(
     ("choices", "words"),
     [
-        ({"channels": ()}, "channels=.* names no channel"),
+        ({"channels": ()}, "channels=.* is an empty list"),
         ({"channels": (0, 0)}, "names a channel twice"),
-        ({"channels": (-1,)}, "no channel; allowed: .*counted from 0"),
-        ({"channels": (True,)}, "no channel"),
+        ({"channels": (-1,)}, "not a list of channels; allowed: .*counted from 0"),
+        ({"channels": (True,)}, "not a list of channels"),
         ({"channels": (0,), "source": "middle"}, "source='middle' is not known; allowed: mix"),
         ({"channels": (0,), "gain_db": 1.0}, "gain_db=1 is out of range; allowed: -60 to 0 dB"),
         ({"channels": (0,), "delay_ms": 501}, "delay_ms=501 is out of range; allowed: 0 to 500"),
