@@ -2,7 +2,7 @@
 
 | module        | holds                                                                          |
 | ------------- | ------------------------------------------------------------------------------ |
-| limits.py     | what the rig must not exceed                                                   |
+| limits.py     | what the rig must not exceed; `ProtectionStatus`                               |
 | drive_model.py | amplifier and actuator as one step from sample to sample                      |
 | prediction.py | what a block of drive does to several linear models of the actuator            |
 | governor.py   | the largest gain after which everything can still be stopped                   |
@@ -10,6 +10,7 @@
 | protector.py  | the above, block by block, in the live path                                    |
 """
 
-from device.drive.protection.protector import ProtectionStatus, Protector
+from device.drive.protection.limits import ProtectionStatus
+from device.drive.protection.protector import Protector
 
 __all__ = ["ProtectionStatus", "Protector"]

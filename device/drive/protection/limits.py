@@ -1,4 +1,4 @@
-"""What a rig must not exceed."""
+"""What a rig must not exceed, and what its protection did."""
 
 import math
 from dataclasses import dataclass
@@ -42,3 +42,43 @@ def limits_of(rig: Rig) -> Limits:
         stiffness_rise=large.stiffness_rise if large else Limits.stiffness_rise,
         force_factor_loss=large.force_factor_loss if large else Limits.force_factor_loss,
     )
+
+
+@dataclass(frozen=True)
+class ProtectionStatus:
+    """What the protection did and measures; counts since the start or `reset`.
+
+    Attributes
+    ----------
+    blocks : int
+        Blocks so far.
+    limited_blocks : int
+        Blocks in which the gain was below 1.
+    infeasible_blocks : int
+        Blocks in which no gain kept every limit, so that it became 0.
+    replaced_samples : int
+        Samples that were not finite.
+    gain, least_gain : float
+        Smallest of all channels now, and ever; 0 to 1.
+    limited_by : str
+        Cause of the gain: "excursion, current or level", "temperature", "outside" (such as an
+        exposure cap), or "".
+    excursion_m : float
+        Amplitude for which the believed model's energy is enough.
+    coil_c, resistance_ohm : float | None
+        Of the warmest coil, in °C and ohm; None if the rig does not say how it warms up.
+    latency_s : float
+        Delay of the vibration.
+    """
+
+    blocks: int
+    limited_blocks: int
+    infeasible_blocks: int
+    replaced_samples: int
+    gain: float
+    least_gain: float
+    limited_by: str
+    excursion_m: float
+    coil_c: float | None
+    resistance_ohm: float | None
+    latency_s: float

@@ -1,13 +1,12 @@
 """Protection in the live path: blocks leave two block lengths after they came."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from device.drive.protection.drive_model import amplifier_sections
 from device.drive.protection.governor import Governor
-from device.drive.protection.limits import Limits, limits_of
+from device.drive.protection.limits import Limits, ProtectionStatus, limits_of
 from device.drive.protection.prediction import Prediction, most_current_a
 from device.drive.protection.thermal import CoilTemperature, gain_for_power
 from device.errors import UsageError
@@ -36,46 +35,6 @@ _RELEASE_S = 0.5
 """Time constant of the demand's decay after that."""
 _WANTED_RISE_S, _WANTED_FALL_S = 0.03, 2.0
 """Time constants of the wanted power's rise, over a few periods of vibration, and decay."""
-
-
-@dataclass(frozen=True)
-class ProtectionStatus:
-    """What the protection did and measures; counts since the start or `reset`.
-
-    Attributes
-    ----------
-    blocks : int
-        Blocks so far.
-    limited_blocks : int
-        Blocks in which the gain was below 1.
-    infeasible_blocks : int
-        Blocks in which no gain kept every limit, so that it became 0.
-    replaced_samples : int
-        Samples that were not finite.
-    gain, least_gain : float
-        Smallest of all channels now, and ever; 0 to 1.
-    limited_by : str
-        Cause of the gain: "excursion, current or level", "temperature", "outside" (such as an
-        exposure cap), or "".
-    excursion_m : float
-        Amplitude for which the believed model's energy is enough.
-    coil_c, resistance_ohm : float | None
-        Of the warmest coil, in °C and ohm; None if the rig does not say how it warms up.
-    latency_s : float
-        Delay of the vibration.
-    """
-
-    blocks: int
-    limited_blocks: int
-    infeasible_blocks: int
-    replaced_samples: int
-    gain: float
-    least_gain: float
-    limited_by: str
-    excursion_m: float
-    coil_c: float | None
-    resistance_ohm: float | None
-    latency_s: float
 
 
 class Protector:
