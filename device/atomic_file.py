@@ -1,8 +1,8 @@
-"""Files that appear whole under their name, or not at all.
+"""Files that appear whole at their path, or not at all.
 
 On Linux the content is written to a file without a name (O_TMPFILE), so even kill -9 leaves
 nothing behind; the name comes last. Where the filesystem cannot do that (some overlay and network
-filesystems), a hidden `.NAME.XXXX.part` stands in the same folder, and only kill -9 leaves it.
+filesystems), a hidden `.NAME.XXXX.part` is in the same folder, and only kill -9 leaves it.
 """
 
 import contextlib
@@ -28,21 +28,21 @@ _MODE = 0o666  # less what the umask takes
 
 
 class AtomicFile:
-    """A new file that stands under `path` only once `commit` has returned.
+    """A new file that appears at `path` only after `commit` returns.
 
     Until then, and after `abort` or kill -9, the folder is as it was and an existing file of that
     name is untouched. As a context manager: commits, or aborts on an exception. A link is
-    followed: the file it points to is replaced. Not to be used from two threads at once.
+    followed: the file it points to is replaced. Use from one thread at a time.
 
     Parameters
     ----------
     path : path-like
-        Where the finished file stands.
+        Path of the finished file.
 
     Raises
     ------
     UsageError
-        The folder does not exist, is no folder or may not be written; the path is a folder or a
+        The folder does not exist, is not a folder or not writable; the path is a folder or a
         device; the file there is write-protected.
     WriteError
         The disk is full or failed; also from every method below, after an abort.
@@ -172,7 +172,7 @@ def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None
     path : path-like
         The file to create or replace.
     content : bytes
-        All that it holds then.
+        The new content.
     """
     with AtomicFile(path) as file:
         file.write(content)

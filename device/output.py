@@ -8,9 +8,9 @@ from device.units import Float32Array, FloatArray
 class VibrationOutput(Protocol):
     """Takes the vibration block by block, then is closed (keep it) or aborted (discard it).
 
-    Files and the twin implement it; sound cards take the same place. One thread at a time calls
-    it, the one that delivers the vibration; `close` and `abort` may also come from another thread
-    once that one has ended. Both may be called again, or after one another: the first one counts.
+    WAV files and the simulated rig implement it. Sound-card outputs can be used instead. Use from
+    one thread at a time; after that thread has ended, another one may call `close` or `abort`.
+    Only the first call of these two has an effect.
     """
 
     @property

@@ -1,4 +1,4 @@
-"""What a field may hold: described once, beside the field, and checked by one mechanism.
+"""Allowed values of a field: described once, beside the field, and checked by one mechanism.
 
     @dataclass(frozen=True)
     class Gate(Described):
@@ -64,7 +64,7 @@ class Refusal:
 
 @dataclass(frozen=True)
 class Description(ABC):
-    """What one field means and may hold.
+    """Meaning and allowed values of one field.
 
     meaning: what the field is for, in a few words. name: the name that users know it by, where
     that is not the field's name. section: the section of a config file that holds it, where that

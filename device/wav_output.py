@@ -99,7 +99,7 @@ class WavOutput:
         if size != expected:
             file.abort()
             raise WriteError(
-                f"cannot write {file.path}: the disk holds {size} of {expected} bytes; "
+                f"cannot write {file.path}: only {size} of {expected} bytes are on the disk; "
                 "name another folder"
             )
         file.commit()

@@ -107,7 +107,7 @@ class Capture:
             if not self.streams:
                 return _none()
             raise UsageError(
-                f"{self.folder} holds no stream {stream!r}, only {', '.join(self.streams)}"
+                f"{self.folder} has no stream {stream!r}, only {', '.join(self.streams)}"
             )
         return self._rebuild(stream) if self._rebuilt else self._read(stream)
 
@@ -274,9 +274,7 @@ def _streams_there(folder: Path) -> tuple[str, ...]:
 
 def _refuse_unless_known(folder: Path, header: Header) -> None:
     if header.format != FORMAT:
-        raise UsageError(
-            f"{folder} holds a {header.format!r}; a folder with a {FORMAT!r} was expected"
-        )
+        raise UsageError(f"{folder} contains the format {header.format!r}; allowed: {FORMAT!r}")
     if header.version != VERSION:
         raise UsageError(
             f"{folder} is a capture of version {header.version}; this program reads version "

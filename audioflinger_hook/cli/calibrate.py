@@ -26,7 +26,7 @@ NOT_FOR_TWIN = ("input", "channels", "shunt_ohm", "moving_mass_kg", "level", "lo
 
 
 def run(options: argparse.Namespace) -> int:
-    """Calibrate, from low levels on; whatever is unexpected ends it before it becomes loud."""
+    """Calibrate with rising levels; anything unexpected ends it before it becomes loud."""
     device = parse_device(options.device)
     rig = rig_by_name(options.rig)
     _check_out(options.out)
@@ -58,7 +58,7 @@ def _check_out(path: Path | None) -> None:
     if path is None:
         return
     if path.suffix != SUFFIX:
-        raise UsageError(f"out={path}: a rig's file ends in {SUFFIX}, so that --rig takes it")
+        raise UsageError(f"out={path}: a rig's file ends in {SUFFIX}, so that --rig accepts it")
     if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
         raise UsageError(f"out={path}: the folder {path.parent} cannot be written; choose another")
 
@@ -144,8 +144,8 @@ def table(found: Calibration, devices: Devices | None) -> str:
         rows.append(f"swept at {found.level_of_x_max:.3f} Xmax; intervals are of 95 %")
     else:
         rows.append(
-            f"swept at {found.sweep.level:.3g} of full scale; how far that moved is not known, so "
-            "the intervals of 95 % are without what the level shifts"
+            f"swept at {found.sweep.level:.3g} of full scale; the excursion is not known, so the "
+            "intervals of 95 % do not include the shift by the level"
         )
     if devices:
         rows.append(

@@ -1,4 +1,4 @@
-"""`cushion calibrate` on real devices: what is opened, how loud at most, which input is what."""
+"""`cushion calibrate` on real devices: opens them, limits the level, assigns the inputs."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def calibrate_live(
     options: argparse.Namespace,
     tell: Callable[[float], None],
 ) -> tuple[Calibration, Devices]:
-    """Calibrate what hangs on that device, heard by the input that is named, by nothing else."""
+    """Calibrate the rig on that device, recorded by the named input only."""
     if device.kind not in ("sink", "usb", "hw"):
         raise NotFoundError(
             f"device {str(device)!r} cannot be calibrated; allowed: sink:NAME, usb:VID:PID, "
@@ -197,7 +197,7 @@ def _input(
         found = find_source(snapshot, name)
         if found.monitor_of == output.name:
             raise UsageError(
-                f"input {source!r} is the monitor of the output itself, which hears no cushion; "
+                f"input {source!r} is the monitor of the output itself, not of the cushion; "
                 "name the input that the accelerometer or the shunt is connected to"
             )
         if needed > found.channels:
@@ -216,7 +216,7 @@ def _input(
         if found.channel_map != plain:
             raise UsageError(
                 f"input {source!r} has the channels {found.channel_map}, which the sound server "
-                f"would mix before they are heard ({plain or 'no such number'} it leaves alone); "
+                f"would mix before recording ({plain or 'no such number'} it leaves alone); "
                 "name the card itself, as hw:CARD, or another profile of it"
             )
         return StreamEndpoint(ServerDevice(found.name), found.name, found.channels), rate

@@ -17,11 +17,11 @@ from device.stream import filter_stderr
 from device.values import counted
 
 LIVE_TAPS = ("default", "sink")
-"""What is playing; all else is at hand."""
+"""Taps of live sound."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Record until the tap ends, or for so many seconds of sound, and say what is there."""
+    """Record until the tap ends, or for so many seconds of sound, and print a summary."""
     address = parse_tap(options.tap)
     if address.kind in LIVE_TAPS:
         writer, live = _record_live(address, options.folder, options.seconds, debug=options.debug)
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, channels: int) -> None:
-    """Print what a capture holds; samplerate: of its last buffer, Hz, as the channels."""
+    """Print what a capture contains; samplerate: of its last buffer, Hz, as the channels."""
     buffers, of = counted(writer.buffers("tap"), "buffers"), counted(channels, "channels")
     print(f"{writer.folder}: {heard_s:.2f} s in {buffers}, {of} at {samplerate} Hz")
 

@@ -1,4 +1,4 @@
-"""`cushion demo`: the bundled scene through the whole chain, seen, heard by file, and read."""
+"""`cushion demo`: the bundled scene through the whole chain, with a meter, files and a table."""
 
 from __future__ import annotations
 

@@ -28,8 +28,8 @@ class Mistake:
 
     key: the key as `section.key`.
     line: its line, counted from 1; 0 if it has none.
-    value, problem, allowed, nearest: what stands there, what is wrong with it, what is allowed, and
-        the known name most like it.
+    value, problem, allowed, nearest: the value, what is wrong with it, what is allowed, and the
+        known name most like it.
     """
 
     key: str
@@ -47,7 +47,7 @@ class Mistake:
 
 @dataclass(frozen=True)
 class Config:
-    """What a config file says.
+    """The content of a config file.
 
     settings: of the transform, the effects and the rig.
     live: where live sound comes from, and where the vibration goes.
@@ -66,7 +66,7 @@ def default_path() -> Path:
 
 
 def load(path: Path) -> Config:
-    """Return what a config file says.
+    """Return the content of a config file.
 
     UsageError: the file cannot be read, or has mistakes; the message names the first and how many.
     """
@@ -78,9 +78,9 @@ def load(path: Path) -> Config:
 
 
 def check(path: Path) -> tuple[Config | None, list[Mistake]]:
-    """Return what a file says and an empty list, or None and every mistake in order of lines.
+    """Return a file's content and an empty list, or None and every mistake in order of lines.
 
-    UsageError: the file cannot be read, or is no text.
+    UsageError: the file cannot be read, or is not text.
     """
     text = _text_of(path)
     document, mistakes = _parse(text)
@@ -93,7 +93,7 @@ def check(path: Path) -> tuple[Config | None, list[Mistake]]:
 
 
 class _Reading:
-    """What is found in one document: accepted values, mistakes and keys with old names."""
+    """Accepted values, mistakes and keys with old names of one document."""
 
     def __init__(self, lines: dict[str, int], folder: Path, mistakes: list[Mistake]) -> None:
         self.lines = lines
@@ -182,7 +182,7 @@ class _Reading:
         return str(self.accepted[Settings].get("profile", DEFAULT_PROFILE))
 
     def config(self) -> Config:
-        """Return what the document says; it has no mistakes."""
+        """Return the content of the document, which has no mistakes."""
         chosen = self.accepted[TransformParameters]
         settings = Settings(
             **self.accepted[Settings]
@@ -222,7 +222,7 @@ def _unknown(section: str, name: str, is_section: bool) -> Refusal:
 
 
 def _text_of(path: Path) -> str:
-    """Return the text of a file. UsageError: it cannot be read, is too long or is no text."""
+    """Return the text of a file. UsageError: it cannot be read, is too long or is not text."""
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
             raise UsageError(f"{path} is not a regular file; give the path of a config file")
@@ -278,7 +278,7 @@ def _line_of_error(message: str, lines: list[str]) -> int:
     filled = [number for number, line in enumerate(lines, 1) if line.strip()] or [1]
     if at := re.search(r"\(at line (\d+)", message):
         number = int(at[1])
-        # The parser stands behind a line break where a line ended too early.
+        # The parser is behind a line break where a line ended too early.
         while number > 1 and not lines[number - 1].strip():
             number -= 1
         return number

@@ -1,7 +1,7 @@
 """Profiles: named sets of the transform's parameters, each value with its reason.
 
-`paper` changes nothing. What a profile does not name is the paper's, too; what a config file names
-goes over the profile. docs/decisions.md has the measurements that the reasons are taken from.
+`paper` changes nothing. Other profiles change the named parameters; a config file overrides the
+profile. docs/decisions.md has the measurements behind the reasons.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from audioflinger_hook.transform import TransformParameters
 
 @dataclass(frozen=True)
 class ProfileValue:
-    """What a profile says of one parameter, and why."""
+    """A profile's value of one parameter, with the reason."""
 
     value: float | int | str
     reason: str
@@ -34,17 +34,17 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
         "level_law": BY_ENERGY,
         "loudness_db": FOLLOWED,
         "window_s": ProfileValue(
-            0.03, "what lasts, and its end, is felt 13 ms earlier; vibration begins at 33 Hz"
+            0.03, "sustained levels and endings are 13 ms earlier; vibration begins at 33 Hz"
         ),
-        "partials_max": ProfileValue(8, "as many as so short a window tells apart"),
+        "partials_max": ProfileValue(8, "as many as so short a window resolves"),
     },
     "music": {
         "level_law": BY_ENERGY,
         "loudness_db": FOLLOWED,
         "loudness_slope_db": ProfileValue(
-            10.0, "music has few phons between soft and loud: keep half"
+            10.0, "music has a small range of loudness: keep half of it"
         ),
-        "partials_max": ProfileValue(6, "a chord's strongest, with room between them"),
+        "partials_max": ProfileValue(6, "the strongest tones of a chord, with gaps between them"),
     },
 }
 """Every profile by its name."""
@@ -53,7 +53,7 @@ DEFAULT_PROFILE = "paper"
 
 
 def parameters_of(profile: str, said: Mapping[str, Any] | None = None) -> TransformParameters:
-    """Return a profile's parameters, and over them what was said by name.
+    """Return a profile's parameters, overridden by those set individually.
 
     UsageError: they are out of range or contradict one another; see `TransformParameters`.
     KeyError: there is no such profile.
@@ -62,5 +62,5 @@ def parameters_of(profile: str, said: Mapping[str, Any] | None = None) -> Transf
 
 
 def values_of(profile: str) -> dict[str, Any]:
-    """Return what a profile says, by parameter; KeyError where there is no such profile."""
+    """Return a profile's values by parameter; KeyError if there is no such profile."""
     return {name: choice.value for name, choice in PROFILES[profile].items()}

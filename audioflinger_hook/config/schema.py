@@ -15,7 +15,7 @@ SECTIONS = ("", "transform", "applications", ACTUATOR)
 """Sections of a config file. The keys of "" come first; [[actuator]] is an array of tables."""
 
 HEADERS = {name: f"[[{name}]]" if name == ACTUATOR else f"[{name}]" for name in SECTIONS[1:]}
-"""How each section but the first is written."""
+"""Header of each section but the first."""
 
 CHANGES = {
     "nothing": "no interruption",
@@ -42,7 +42,7 @@ OPTIONS = {
 }
 """Fields that a command-line option sets, each with what help shows for its value.
 
-"" stands for the words of a choice, or for a switch.
+"" means the words of a choice, or a switch.
 """
 
 RENAMED_PARAMETERS = {
@@ -52,7 +52,7 @@ RENAMED_PARAMETERS = {
     "follower_floor_db": "loudness_floor_db",
     "follower_gate_db": "loudness_gate_db",
 }
-"""The new name of each parameter that older configs and captures call otherwise."""
+"""The new name of each parameter with another name in older configs and captures."""
 
 RENAMED = {"transform": {"form": "transform", **RENAMED_PARAMETERS}}
 """By section, the new name of each renamed key. Old names work for one release."""
@@ -70,10 +70,10 @@ _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
 class Key:
     """One key of the config file.
 
-    section, name: where it stands, "" for the top, and what it is called there.
+    section, name: its section ("" at the top level) and its name there.
     owner, field: the class and its field that hold the value.
-    description: what it means and may hold.
-    default: none where there is none.
+    description: its meaning and allowed values.
+    default: None if it has no default.
     change: what a change of it needs while the daemon runs, one of `CHANGES`.
     """
 

@@ -1,4 +1,4 @@
-"""What a user may choose: how sound becomes vibration, and where both come from and go."""
+"""What a user may set: the transform, the rig, and where sound and vibration come from and go."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ BLOCK_FRAMES = (128, 256, 512, 1024)
 """Frames a callback, of the streams on both sides; fewer are less delay and more work."""
 
 OF_PROFILE = TransformParameters()
-"""Stands for the parameters of whichever profile is chosen: it itself, not its equals."""
+"""Marks that the chosen profile's parameters apply; compared by identity."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class _FileName(Text):
 
 @dataclass(frozen=True)
 class _Address(Text):
-    """A tap or a device as users write it."""
+    """A tap or a device as the user writes it."""
 
     parse: Callable[[str], object] = str
     what: str = "address"
@@ -153,7 +153,7 @@ class _Names(Description):
 class Settings(Described):
     """Settings of the transform, the effects and the rig.
 
-    With actuators, their sources say what is transformed, and `channels` is "mono".
+    With actuators, their sources select what is transformed, and `channels` is "mono".
 
     Raises
     ------
@@ -163,7 +163,7 @@ class Settings(Described):
     Attributes
     ----------
     parameters : TransformParameters
-        The profile's where not given.
+        Default: those of the profile.
     said : tuple of str
         Parameters set individually; they override any profile.
     actuators : tuple of ActuatorSettings

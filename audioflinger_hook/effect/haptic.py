@@ -37,8 +37,8 @@ class Vibration:
     """Vibration of one stream, scaled, in all haptic channels of the buffer.
 
     gain: 0 to 1; a new one is reached linearly over the next block, without a click. clip:
-    whether samples beyond full scale are limited and counted. frames: of the largest block. Held
-    by the thread that steps the mixer.
+    whether samples beyond full scale are limited and counted. frames: of the largest block. Use
+    from the thread that steps the mixer.
     """
 
     def __init__(self, transform: HapticTransform, gain: float, frames: int) -> None:
@@ -168,7 +168,7 @@ class HapticEffect:
     - A new sample rate or channel count restarts it without a fade, as it does the sound.
     - A stream without a haptic channel is refused.
 
-    Held by the thread that steps the mixer.
+    Use from the thread that steps the mixer.
     """
 
     descriptor = HAPTIC_CUSHION

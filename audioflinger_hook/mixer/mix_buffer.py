@@ -38,7 +38,7 @@ class MixBuffer:
 
     `samples` is one flat array: frames x audio channels interleaved, and after them frames x
     haptic channels interleaved. `audio` (frames, channels) and `haptic` (frames,
-    haptic_channels) are views of it. Held by the thread that steps the mixer.
+    haptic_channels) are views of it. Use from the thread that steps the mixer.
     """
 
     def __init__(self, frames: int, channels: int, haptic_channels: int = 0) -> None:

@@ -24,7 +24,7 @@ class Resampler:
     fills exactly n. Output frame j lies at input frame j rate_in/rate_out - `latency_frames`.
 
     max_frames: the most that will be produced at once; memory is allocated for that and grows
-    only if more is fed than needed. Held by one thread.
+    only if more is fed than needed. Use from one thread.
     """
 
     def __init__(self, rate_in: int, rate_out: int, channels: int, max_frames: int) -> None:

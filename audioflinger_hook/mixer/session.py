@@ -13,7 +13,7 @@ TAIL_S = 1.0
 
 
 class SessionMix:
-    """The tracks of one session, mixed. Held by the mixer's thread."""
+    """The tracks of one session, mixed. Use from the mixer's thread."""
 
     def __init__(self, samplerate: int, frames: int, channels: int, haptic_channels: int) -> None:
         self.buffer = MixBuffer(frames, channels, haptic_channels)

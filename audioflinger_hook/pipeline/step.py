@@ -30,7 +30,7 @@ class HapticSink:
     """Splits off the haptic region of a mix and sends it to the outputs; the clip comes last.
 
     Samples that are not a number are sent as 0. clip: whether samples are limited to ±1, as for
-    every device. Held by the thread that steps the mixer.
+    every device. Use from the thread that steps the mixer.
     """
 
     def __init__(self, *outputs: VibrationOutput, clip: bool = True) -> None:

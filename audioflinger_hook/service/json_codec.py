@@ -105,7 +105,7 @@ def _wrong(where: str, value: Any, allowed: str) -> UsageError:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     keys = dict(pairs)
     if len(keys) != len(pairs):
-        raise ValueError("a key stands there twice")
+        raise ValueError("a key is given twice")
     return keys
 
 

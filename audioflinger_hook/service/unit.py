@@ -105,8 +105,8 @@ def _path(path: str, advice: str, prefix: str = "") -> str:
     # dollar signs need no escape.
     if not path.startswith("/") or any(sign in path for sign in "\"'\\"):
         raise UsageError(
-            f"systemd takes no path {one_line(path)!r}: allowed is an absolute path without quotes "
-            f"and backslashes; {advice}"
+            f"systemd cannot use the path {one_line(path)!r}; allowed: an absolute path without "
+            f"quotes and backslashes; {advice}"
         )
     return f'"{prefix}{_printable(path).replace("%", "%%")}"'
 
@@ -119,7 +119,7 @@ def _quoted(argument: str) -> str:
 def _printable(text: str) -> str:
     if not text.isprintable():
         raise UsageError(
-            f"systemd takes no {one_line(text)!r}: it has signs that cannot be printed; "
+            f"systemd cannot use {one_line(text)!r}: it has unprintable characters; "
             "choose another name"
         )
     return text

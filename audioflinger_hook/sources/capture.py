@@ -42,7 +42,7 @@ class CaptureTap:
     Raises
     ------
     UsageError
-        The folder is no readable capture or holds no sound. Here and in `read`: the transform
+        The folder is not a readable capture or has no sound. Here and in `read`: the transform
         does not support its rate or channel count.
     """
 
@@ -58,7 +58,7 @@ class CaptureTap:
             self.close()
             why = "".join(f" ({text})" for text in self.warnings)
             raise UsageError(
-                f"{folder} holds no sound (0 frames){why}; give a capture with sound in it"
+                f"{folder} has no sound (0 frames){why}; give a capture with sound in it"
             )
         self.samplerate, self.channels = self._next.format
         self._check_format()

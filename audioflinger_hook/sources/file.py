@@ -70,7 +70,7 @@ class FileTap:
             # The header may promise what is not there: only a first buffer proves sound.
             self._next = self._read()
             if not len(self._next):
-                raise UsageError(f"{path} holds no sound (0 frames); give a file with sound in it")
+                raise UsageError(f"{path} has no sound (0 frames); give a file with sound in it")
         except UsageError as error:
             self.close()
             if str(path) in str(error):

@@ -41,7 +41,7 @@ class Tap(Protocol):
 
 
 class Client(Protocol):
-    """Fills tracks of one mixer and paces its cycles. Held by the thread that steps the chain."""
+    """Fills tracks of one mixer and paces its cycles. Use from the thread that steps the chain."""
 
     samplerate: int
     channels: int

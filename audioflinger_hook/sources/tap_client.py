@@ -13,7 +13,7 @@ from audioflinger_hook.sources.tap import Tap
 class PushTap:
     """A tap whose `read` returns each pushed buffer once.
 
-    The capturing thread holds it; any thread may call `interrupt`.
+    Use from the capturing thread; any thread may call `interrupt`.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ class KernelStream:
     """One stream of the live form, (frames, channels) to (frames, channels or 1), compiled.
 
     The vibration is that of `ChannelBank` within 1e-6 of full scale; the counters are the same, and
-    any split gives the same bytes. All memory is allocated in the constructor. Held by one thread
+    any split gives the same bytes. All memory is allocated in the constructor. Use from one thread
     at a time.
 
     design: all numbers and tables.
@@ -120,7 +120,7 @@ FORMS: tuple[Form, ...] = ("live", "reference")
 class HapticTransform:
     """Vibration for a stream of sound, block by block; pure: no clock, no I/O.
 
-    Any split of the stream into blocks gives the same bytes. Held by one thread at a time.
+    Any split of the stream into blocks gives the same bytes. Use from one thread at a time.
 
     Parameters
     ----------
@@ -230,9 +230,9 @@ class HapticTransform:
 
     @property
     def past(self) -> tuple[bytes, ...]:
-        """State of the reference form between two units: all that earlier sound does to later.
+        """The filter state of the reference form, carried from one unit to the next.
 
-        May be set to that of another stream of the same format, which then goes on the same.
+        May be set to that of another stream of the same format, to continue in the same way.
         """
         return tuple(channel.past for channel in self._references)
 

@@ -83,7 +83,7 @@ class Mixdown:
     """Weighted sums of a sound's channels, each to be transformed by itself.
 
     weights: (channels, outputs). Unusable samples count as 0 before they are mixed, and in
-    `replaced_samples`. Held by one thread at a time.
+    `replaced_samples`. Use from one thread at a time.
     """
 
     def __init__(self, weights: FloatArray) -> None:
@@ -150,7 +150,7 @@ class BandPass:
 
     @property
     def past(self) -> bytes:
-        """The state, all that earlier sound does to later; may be set, at the same samplerate."""
+        """The filter state carried from one unit to the next; settable at the same samplerate."""
         return self._state.tobytes()
 
     @past.setter

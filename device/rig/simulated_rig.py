@@ -48,7 +48,7 @@ class SimulatedRig:
             raise InternalError(f"channels={channels} must be 1 or more, the number of rigs")
         if recorder and (recorder.samplerate, recorder.channels) != (samplerate, len(rigs)):
             raise InternalError(
-                f"the recorder takes {recorder.channels} channels at {recorder.samplerate} Hz, "
+                f"the recorder needs {recorder.channels} channels at {recorder.samplerate} Hz, "
                 f"the simulated rig gives {len(rigs)} at {samplerate} Hz"
             )
         self.samplerate = samplerate

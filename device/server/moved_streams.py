@@ -1,4 +1,4 @@
-"""What drop-in mode moves: the default sink, and applications' streams. For one thread at a time.
+"""What drop-in mode moves: the default sink, and applications' streams. Use from one thread.
 
 Most applications follow the default sink by themselves, in both directions. Only those that are
 bound to the real sink are moved. Times are seconds of time.monotonic().

@@ -31,7 +31,7 @@ class SampleFormat(Enum):
 
 
 class Encoder:
-    """Encodes float frames as integers for a device, block by block. For one thread at a time.
+    """Encodes float frames as integers for a device, block by block. Use from one thread at a time.
 
     Integers are round(clip(x 2^n, -2^n, 2^n - 1)) with n = 15, 23, 31, half away from zero, without
     dither. NaN becomes 0.

@@ -42,7 +42,7 @@ def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
     configurations = parse_whole(read_descriptors(device)).configurations
     formats = playback_formats(configurations[0]) if configurations else ()
     if not formats:
-        raise UsbAccessError(f"{device.label!r} takes no sound, as far as its descriptors say")
+        raise UsbAccessError(f"{device.label!r} plays no sound according to its descriptors")
     return max(formats, key=lambda one: (bool(one.volume_channels), bool(one.mute_channels)))
 
 
@@ -197,9 +197,8 @@ def open_control(device: UsbAudioDevice) -> UsbControl:
     drivers = held_by(device)
     if drivers:
         raise UsbAccessError(
-            f"{device.label!r} belongs to the driver {', '.join(drivers)}: its volume is set in "
-            "the sound settings, or with alsamixer; --take-over takes it away from the driver for "
-            "as long as it is asked"
+            f"{device.label!r} belongs to the driver {', '.join(drivers)}; set its volume in the "
+            "sound settings or with alsamixer, or use --take-over to detach the driver for a moment"
         )
     return UsbControl(device, playback_of(device), open_device(device))
 

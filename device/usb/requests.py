@@ -101,8 +101,8 @@ def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
         return Request(_OUT_OF_ENDPOINT, _GET[1][what], _SAMPLERATE << 8, address, 3)
     if len(playback.clock_sources) > 1:
         raise UsbAccessError(
-            f"the device can take any of the clocks {playback.clock_sources}; it is not known "
-            "which it takes, so none is asked"
+            f"the device can use any of the clocks {playback.clock_sources}; the clock in use is "
+            "not known, so none is read"
         )
     clock = playback.clock_sources[0] if playback.clock_sources else None
     index = _unit_index(playback, clock, "a clock")
@@ -166,7 +166,7 @@ def _volume_range(triples: list[tuple[int, ...]]) -> VolumeRange:
     if lowest > highest:
         raise UsbAccessError(
             f"the device offers volumes from {lowest / VOLUME_UNITS_PER_DB:g} to "
-            f"{highest / VOLUME_UNITS_PER_DB:g} dB, which is none; its volume is left alone"
+            f"{highest / VOLUME_UNITS_PER_DB:g} dB, not a valid range; its volume is not changed"
         )
     # Silence is no volume that steps can be counted from.
     lowest = max(lowest, SILENCE_UNITS + 1)

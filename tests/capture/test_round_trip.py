@@ -387,7 +387,7 @@ def test_nothing_is_written_after_the_end(tmp_path):
     ("fields", "text"),
     [
         ({"version": 2}, "version 2; this program reads version 1: use a newer one"),
-        ({"format": "other"}, "holds a 'other'"),
+        ({"format": "other"}, "contains the format 'other'"),
     ],
 )
 def test_an_unknown_version_is_refused(tmp_path, fields, text):

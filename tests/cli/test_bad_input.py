@@ -113,7 +113,7 @@ def test_noise_that_only_its_name_calls_sound_is_refused(tmp_path, out, capfd, c
 def test_a_header_without_a_body_is_refused(tmp_path, out, command):
     path = sound(tmp_path / "head.wav", noise(5_000), subtype="PCM_16")
     path.write_bytes(path.read_bytes()[:HEADER_BYTES])
-    assert "holds no sound (0 frames)" in refusal(command, path, out)
+    assert "has no sound (0 frames)" in refusal(command, path, out)
 
 
 @pytest.mark.parametrize("command", READERS)

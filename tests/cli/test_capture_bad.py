@@ -73,7 +73,7 @@ def test_a_capture_without_sound_is_refused(tmp_path):
     with CaptureWriter(tmp_path / "cap"):
         pass
     error = refused(call("replay", tmp_path / "cap", tmp_path / "out.wav"))
-    assert "holds no sound (0 frames)" in error
+    assert "has no sound (0 frames)" in error
     assert listing(tmp_path) == {}
 
 
@@ -249,7 +249,7 @@ def test_a_capture_beyond_a_limit_on_file_sizes_can_be_replayed_up_to_there(tmp_
     error = refused(done, 5)
     assert f"cannot write to the capture {folder}: a file would be larger than allowed" in error
     # Not even the first buffer fitted.
-    assert "holds no sound" in refused(call("replay", folder, tmp_path / "out.wav"))
+    assert "has no sound" in refused(call("replay", folder, tmp_path / "out.wav"))
     small = [(noise(480, 2, seed), seed) for seed in range(60)]
     with CaptureWriter(tmp_path / "small") as writer:
         for frames, seed in small:

@@ -72,7 +72,7 @@ def test_a_dump_comes_from_standard_input_too(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "it holds no byte"),
+        ("", "it has no bytes"),
         ("what is this\n", "line 1"),
         ("00000000: 1201 0002\n00000020: 0000 0040\n", "address 0x20 instead of 0x4"),
     ],

@@ -63,7 +63,7 @@ def test_a_capture_without_sound_is_refused(tmp_path, buffers):
     with CaptureWriter(tmp_path) as writer:
         for frames in buffers:
             writer.write_buffer("tap", frames, 48_000, 0.0)
-    with pytest.raises(UsageError, match=r"holds no sound \(0 frames\)"):
+    with pytest.raises(UsageError, match=r"has no sound \(0 frames\)"):
         CaptureTap(tmp_path)
 
 

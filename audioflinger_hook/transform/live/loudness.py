@@ -19,7 +19,7 @@ class LoudnessFollower:
     """The follower of one channel: a loudness each hop in, the strength of its vibration out.
 
     Time is counted in hops. Silence leaves the programme's level as it is. `gain` is the factor
-    on the amplitudes of the last hop. Held by one thread at a time.
+    on the amplitudes of the last hop. Use from one thread at a time.
     """
 
     def __init__(self, design: LoudnessDesign) -> None:

@@ -26,7 +26,7 @@ class _OnsetPartial:
 
 
 class OnsetPartials:
-    """At most `ONSET_PARTIALS_MAX` partials, tick by tick. Held by one thread at a time."""
+    """At most `ONSET_PARTIALS_MAX` partials, tick by tick. Use from one thread at a time."""
 
     def __init__(
         self,

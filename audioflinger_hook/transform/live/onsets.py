@@ -35,7 +35,7 @@ class Ticks:
 class OnsetDetector:
     """Finds onsets in band-passed sound, tick by tick.
 
-    by_energy: whether amplitudes are mapped by energy. Held by one thread at a time.
+    by_energy: whether amplitudes are mapped by energy. Use from one thread at a time.
     """
 
     def __init__(self, design: OnsetDesign, by_energy: bool) -> None:

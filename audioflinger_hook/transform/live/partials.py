@@ -31,7 +31,7 @@ class PartialTracker:
     """Turns each hop's list of partials into glides of a fixed number of slots.
 
     Two sets of `partials_max` + `fresh_max` slots always suffice: in any hop one set lives and
-    another fades. Held by one thread at a time.
+    another fades. Use from one thread at a time.
     """
 
     def __init__(self, design: LiveDesign) -> None:

@@ -41,7 +41,7 @@ class SpeechSuppressor:
     """Follows one channel's spectra, one a hop, and gives the gain of each partial.
 
     `belief` is how sure it is of speech, 0 to 1. The numbers depend on the sequence of hops alone.
-    Held by one thread at a time.
+    Use from one thread at a time.
     """
 
     def __init__(self, design: SpeechDesign) -> None:

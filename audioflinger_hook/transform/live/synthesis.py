@@ -92,7 +92,7 @@ class Smoother:
 
     Births and deaths of partials spread energy over the band where a shaker is audible. An
     elliptic low-pass just above the top vibration frequency removes it with the least delay.
-    Each partial's own amplitude undoes the ripple in the band (`compensation`). Held by one
+    Each partial's own amplitude undoes the ripple in the band (`compensation`). Use from one
     thread at a time.
     """
 

@@ -47,7 +47,7 @@ class LiveTransform:
     """The live form of one channel, continued from block to block.
 
     Any split of the stream into blocks gives the same bytes: everything happens on a fixed grid
-    of hops, and a block only decides how many are due. Held by one thread at a time.
+    of hops, and a block only decides how many are due. Use from one thread at a time.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ UNITS_AT_ONCE = 8
 class ReferenceTransform:
     """The reference form of one channel, continued from block to block.
 
-    `process` gives as many frames as it takes, late by `latency_frames` = one unit (N). Held by
+    `process` gives as many frames as it takes, late by `latency_frames` = one unit (N). Use from
     one thread at a time.
 
     Parameters

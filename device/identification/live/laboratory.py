@@ -73,8 +73,8 @@ class Inputs:
         if physical and self.full_scale_v is None:
             raise UsageError(
                 f"channels={shown}: volts, amperes and an acceleration sensitivity need the "
-                "input's full scale; give --input-full-scale-v V, the peak volts that a sample of "
-                "1.0 stands for"
+                "input's full scale; give --input-full-scale-v V, the peak volts of a sample of "
+                "1.0"
             )
         if "current" in used and self.shunt_ohm is None:
             raise UsageError(

@@ -50,7 +50,7 @@ def find_delay(excitation: Excitation, channel: FloatArray, name: str) -> int:
     peak, clearness = found
     if clearness < CLEAREST:
         raise IdentificationError(
-            f"{name} does not follow the sweep: its impulse response stands {clearness:.1f} times "
+            f"{name} does not follow the sweep: its impulse response is {clearness:.1f} times "
             f"above the rest, it must be {CLEAREST:g} times; this is another channel, or noise: "
             "check which input it is, and that nothing else plays"
         )

@@ -60,7 +60,7 @@ def parse_hex(text: str) -> bytes:
             ) from None
         found += bytes.fromhex(digits)
     if not found:
-        raise DescriptorError(f"hex dump: it holds no byte; allowed: {_ALLOWED}")
+        raise DescriptorError(f"hex dump: it has no bytes; allowed: {_ALLOWED}")
     return bytes(found)
 
 
@@ -84,7 +84,7 @@ def _line(content: str, with_addresses: bool) -> tuple[int | None, str]:
         words = content
     tokens = _FILLERS.sub(" ", words).split()
     if tokens == ["*"]:
-        raise ValueError("'*' stands for lines that are left out")
+        raise ValueError("'*' marks omitted lines; dump without omissions")
     lengths = {len(token) for token in tokens[1:]}
     first = tokens[0] if tokens else ""
     if len(first) == _OD_ADDRESS_DIGITS and lengths == {4}:

@@ -186,7 +186,7 @@ def test_what_does_not_fit_the_twin_is_refused():
         SimulatedRig(PAPER, 999, 1)
     with pytest.raises(InternalError, match="channels=0"):
         SimulatedRig(PAPER, 48_000, 0)
-    with pytest.raises(InternalError, match="the recorder takes 2 channels at 48000 Hz"):
+    with pytest.raises(InternalError, match="the recorder needs 2 channels at 48000 Hz"):
         SimulatedRig(PAPER, 44_100, 2, recorder=Recorder())
     for shape in [(10,), (10, 2)]:
         with pytest.raises(InternalError, match="shape"):

@@ -60,13 +60,13 @@ def test_a_dump_gives_the_bytes_that_it_shows(dump):
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("", "hex dump: it holds no byte; allowed: pairs of hexadecimal digits"),
-        ("# nothing\n", "it holds no byte"),
+        ("", "hex dump: it has no bytes; allowed: pairs of hexadecimal digits"),
+        ("# nothing\n", "it has no bytes"),
         ("09 02\n09 0", "hex dump, line 2: '0' is not hexadecimal"),
         ("09 0g", "line 1: '0g' is not hexadecimal"),
         ("/* 1\n2 */\nzz", "line 3: 'zz' is not hexadecimal"),
         ("00000000: 0902\n00000010: 0904", "line 2: address 0x10 instead of 0x2"),
-        ("00000000  09 02\n*\n00000010", "line 2: '*' stands for lines that are left out"),
+        ("00000000  09 02\n*\n00000010", "line 2: '*' marks omitted lines"),
         ("00000000  09 02\n00000010", "line 2: address 0x10 instead of 0x2"),
         ("0000000 0209 006d", "shows words whose bytes are swapped"),
         ("0000009 02 03", "line 1: '0000009' is not an octal address"),
