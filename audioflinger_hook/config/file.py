@@ -72,8 +72,8 @@ def load(path: Path) -> Config:
     """
     config, mistakes = check(path)
     if config is None:
-        more = f"(and {len(mistakes) - 1} more; see `cushion check --config {path}`)"
-        raise UsageError(f"{path}: {mistakes[0]} {more if mistakes[1:] else ''}")
+        more = f" (and {len(mistakes) - 1} more; see `cushion check --config {path}`)"
+        raise UsageError(f"{path}: {mistakes[0]}{more if mistakes[1:] else ''}")
     return config
 
 
