@@ -39,7 +39,7 @@ test-exhaustive:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_usb_mock.sh
-	.venv/bin/python -m pytest -m "(exhaustive or hypothesis) and not soak and not servers and not usbvm" \
+	.venv/bin/python -m pytest -m "exhaustive and not soak and not servers and not usbvm" \
 	    -n auto --dist loadfile $(PYTEST_ARGS)
 
 test-servers:

@@ -11,8 +11,8 @@ from hypothesis import settings
 # Matrices are small and tests run on every core: threads of BLAS would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-FAST_EXAMPLES, EXAMPLES = 20, 100
-"""Examples of a property among the fast tests, and among the exhaustive ones, which repeat it."""
+FAST_EXAMPLES, EXAMPLES = 25, 100
+"""Examples of a property among the fast tests, and among the exhaustive ones."""
 
 
 def pytest_configure(config):
