@@ -3,8 +3,9 @@
 
 PYTEST_ARGS ?=
 
-# another environment's modules must not stand in for those of .venv
-unexport PYTHONPATH PYTHONHOME
+# Another environment's modules must not stand in for those of .venv, and each of the many processes
+# that tests start would compile every module again.
+unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
 .PHONY: help run test test-all test-exhaustive test-servers test-usb soak bench clean
 .NOTPARALLEL:

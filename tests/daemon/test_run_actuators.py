@@ -56,6 +56,7 @@ def source(tmp_path: Path) -> Path:
     return sound(tmp_path / "in.wav", tones(1.5))
 
 
+@pytest.mark.exhaustive
 def test_a_file_gets_what_the_same_config_renders(tmp_path, folder, source):
     (tmp_path / "c.toml").write_text(THREE)
     options = ("--config", tmp_path / "c.toml")

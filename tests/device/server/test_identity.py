@@ -32,7 +32,7 @@ def test_a_name_means_the_device_of_exactly_that_name():
 
 @pytest.mark.parametrize("name", ["microphone", "desktop.monitor", "desk", ""])
 def test_what_is_not_the_name_of_a_sink_is_never_tapped(name):
-    with pytest.raises(NotFoundError, match="there is no sink"):
+    with pytest.raises(NotFoundError, match="no sink"):
         monitor_of(server(), name)
 
 
