@@ -20,7 +20,7 @@ from device.wav_output import WavOutput
 from tests.support.commands import RATE, listing, noise, sound, vibration
 from tests.support.signals import FORMS
 
-BLOCKSIZES = [1, 7, 240, 256, 960, 4_096, 32_768, 10**6]
+BLOCKSIZES = [240, 1, 7, 256, 960, 4_096, 32_768, 10**6]
 
 
 class Collector:

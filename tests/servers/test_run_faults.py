@@ -113,4 +113,4 @@ def test_a_test_tone_whose_device_vanishes_ends_and_says_so(server: SoundServer)
         assert "60 Hz" in process.stdout.readline()
         server.remove("haptic")
         assert process.wait(10.0) == 4
-        assert "the device went away" in process.stderr.read()
+        assert "the device was lost" in process.stderr.read()
