@@ -415,7 +415,7 @@ def test_a_block_that_is_refused_leaves_the_stream_as_it_was(block):
     assert identical(whole, np.concatenate((other.process(sound), other.finish())))
 
 
-@pytest.mark.exhaustive
+@pytest.mark.soak
 @needs_kernel
 def test_a_million_hops_take_no_more_memory_than_a_thousand():
     samplerate = 1_000

@@ -101,7 +101,7 @@ def test_a_value_out_of_range_is_refused_by_name_value_and_limits(name, end):
     with pytest.raises(UsageError) as refusal:
         TransformParameters(**values)
     message = str(refusal.value)
-    assert f"{name}={outside:g}" in message
+    assert f"{name}={outside:.12g}" in message
     assert f"{limits.low:g} to {limits.high:g} {limits.unit}".rstrip() in message
 
 

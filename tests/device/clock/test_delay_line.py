@@ -157,7 +157,7 @@ def test_a_beat_that_is_learned_in_time_is_no_error(
     assert course.last.state is DelayState.LOCKED
 
 
-@EXHAUSTIVE
+@pytest.mark.soak
 def test_an_hour_at_300_ppm_gains_and_loses_nothing() -> None:
     long(1.0, 300)
 

@@ -77,7 +77,7 @@ def test_noisy_sweeps_find_f0_within_half_a_per_cent_and_q_within_five(seed):
     assert abs(mode.q.value / true.q - 1.0) < 0.05
 
 
-@EXHAUSTIVE
+@pytest.mark.soak
 def test_noise_alone_is_covered_by_intervals_without_a_share_for_the_level():
     # A linear twin has no shift by level: of 40 intervals of 95 %, 33 or fewer hold once in 400.
     true = truth(PAPER, False)
