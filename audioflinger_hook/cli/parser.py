@@ -104,7 +104,7 @@ def _run(command: Parser) -> None:
     _keys(command, "device")
     _value(command, "--record", Path, "DIR", "record the run in a new folder")
     _keys(command, "drop_in")
-    _value(command, "--config", Path, "FILE", "default: the user's own")
+    _value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
     stop = "stop after S seconds; default: never"
     command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
     _keys(command, "offset_ms", "device_volume_db", "profile", "rig", "damping", "protection")
@@ -143,7 +143,7 @@ def _calibrate(command: Parser) -> None:
     _value(command, "--input-full-scale-v", float, "V", "peak volts at the input's full scale")
     sensitivity = "sensitivity of the accelerometer"
     _value(command, "--acceleration-mv-per-m-s2", float, "MV", sensitivity)
-    _value(command, "--shunt-ohm", float, "OHM", "resistor that the current is measured at")
+    _value(command, "--shunt-ohm", float, "OHM", "resistance of the shunt resistor")
     _value(command, "--voltage-ratio", float, "X", "volts at the coil per volt at the input", 1.0)
     _value(command, "--moving-mass-kg", float, "KG", "moving mass, if it was weighed; gives Bl")
     _value(command, "--output-channel", int, "N", "output channel to play on, from 1", 1)
@@ -168,7 +168,7 @@ def _install_service(command: Parser) -> None:
 
 
 def _check(command: Parser) -> None:
-    _value(command, "--config", Path, "FILE", "default: the user's own")
+    _value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
     _switch(command, "--schema", "print the JSON Schema of the config, for editors")
     _json(command)
 

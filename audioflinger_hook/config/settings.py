@@ -284,7 +284,7 @@ class LiveSettings(Described):
     offset_ms: Annotated[
         float,
         Number(
-            "delay of the vibration; below 0 it is earlier, which needs drop_in",
+            "delay of the vibration; below 0 it is earlier, only with drop_in",
             OFFSET_MIN_MS,
             OFFSET_MAX_MS,
             "ms",

@@ -42,8 +42,8 @@ class CaptureTap:
     Raises
     ------
     UsageError
-        The folder is not a readable capture or has no sound. Here and in `read`: the transform
-        does not support its rate or channel count.
+        The folder is not a readable capture or has no sound. Also raised by `read`: the
+        transform does not support the rate or channel count.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -38,9 +38,9 @@ class TransformParameters(Described):
         Names every parameter that is out of range or contradicts another, all at once.
     """
 
-    window_s: Annotated[
-        float, Number("length of the window that one unit is found in (T)", 0.01, 0.2, "s")
-    ] = 0.04643
+    window_s: Annotated[float, Number("length of the analysis window (T)", 0.01, 0.2, "s")] = (
+        0.04643
+    )
     band_low_hz: Annotated[float, Number("lowest audio frequency (f_m)", 20.0, 1_000.0, "Hz")] = (
         50.0
     )
@@ -64,7 +64,7 @@ class TransformParameters(Described):
     ] = 16
     loudness_db: Annotated[
         float,
-        Number("most that loudness raises the vibration; 0: it follows no loudness", 0, 40, "dB"),
+        Number("largest gain that loudness may add; 0: off", 0, 40, "dB"),
     ] = 0.0
     loudness_target_db: Annotated[
         float, Number("vibration at the programme's usual loudness", -40.0, 0.0, "dB")

@@ -71,7 +71,7 @@ class _DeviceChannels(Description):
 class ActuatorSettings(Described):
     """What one actuator plays, and where.
 
-    `rig`, `damping`, `protection` and `exposure_cap` are None where they are as for all actuators.
+    `rig`, `damping`, `protection` and `exposure_cap`: None means the setting of all actuators.
     Whether the rig exists is not checked here. A delay is rounded to the nearest frame.
 
     Raises
