@@ -195,6 +195,8 @@ def watched(
             pause for pause in (*witness.core_pauses(), *bare.gaps) if pause.end_s > began_s
         )
     result = Watched(times_s, statuses, drift_ppm, pauses)
+    if not result.clear.any():
+        pytest.skip("frames are lost all the time, whoever asks for them")
     print(f"clock x{ratio:g}, {seconds:.0f} s: {result}")
     if np.mean(result.clear) < LEAST_CLEAR:
         pytest.skip(f"frames are lost too often, whoever asks for them: {result}")
