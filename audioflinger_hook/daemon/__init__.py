@@ -4,6 +4,7 @@
 | --- | --- |
 | `run_config` | what a run is asked for, and the difference between two such configs |
 | `supervisor` | the main thread: opens streams, watches them and reopens them |
+| `server_link` | the connection to the sound server, made again after each loss |
 | `endpoints` | the input and output that a `RunConfig` asks for |
 | `inputs` | a sink's monitor, applications, or a file in real time |
 | `outputs` | a sink, a card, or a file in real time |

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
+from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from device.errors import CushionError
 from device.server import DropIn, PulseConnection
@@ -13,6 +14,11 @@ class DropInControl:
 
     delay_s: delay of the sound, 0 or more.
     """
+
+    @classmethod
+    def of(cls, config: RunConfig) -> DropInControl | None:
+        """Return what controls drop-in mode, None unless it is on."""
+        return cls(max(0.0, -config.live.offset_s)) if config.live.drop_in else None
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s

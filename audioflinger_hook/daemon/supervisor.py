@@ -8,12 +8,13 @@ from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
-from audioflinger_hook.daemon.timing import Backoff, IdlePolicy, StallDetector
+from audioflinger_hook.daemon.server_link import ServerLink
+from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.errors import CushionError, LostError, NotFoundError
-from device.server import FallbackSink, PulseConnection, ServerSnapshot
+from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
 from device.stream import AudioPriority
 
@@ -22,9 +23,6 @@ TICK_S = 0.1
 
 RESTING_TICK_S = 1.0
 """Time between ticks while idle."""
-
-LONGEST_WAIT_S = 0.5
-"""Between attempts to reach the server; an attempt costs next to nothing."""
 
 
 class Supervisor:
@@ -46,14 +44,11 @@ class Supervisor:
         self.engine: Engine | None = None
         self._config = config
         self._clocks = clocks
-        self._wake = wake
         self.priority = AudioPriority(config.live.realtime)
         self.config_error = ""
         self._endpoints = Endpoints(config, clocks, self.states, self.priority, wake.ring)
-        self._drop_in = _drop_in_control(config)
-        self._connection: PulseConnection | None = None
-        self._refuge: FallbackSink | None = None
-        self._server_backoff = Backoff(longest_s=LONGEST_WAIT_S)
+        self._drop_in = DropInControl.of(config)
+        self._link = ServerLink(Nudge(wake))
         self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
         self._stalls = StallDetector(self.states, clocks.slept_s)
@@ -116,7 +111,7 @@ class Supervisor:
     @property
     def latencies_s(self) -> tuple[float, float]:
         """Latencies of tap and output in seconds."""
-        (source, device), connection = self._found, self._connection
+        (source, device), connection = self._found, self._link.connection
         if source is None or device is None:
             return 0.0, 0.0
         seen = connection.latest if connection else None
@@ -136,10 +131,8 @@ class Supervisor:
             warnings += recording.warnings
             if self.engine and self.engine.framework.bypassed():
                 warnings.append("an effect was bypassed, so a replay will differ from it")
-        refuge, connection = self._refuge, self._connection
-        if refuge and connection and not refuge.active and connection.latest.kind != "PipeWire":
-            warnings.append(refuge.reason)
-        return [*warnings, *filter(None, (self.priority.warning, self.config_error))]
+        others = (self._link.warning, self.priority.warning, self.config_error)
+        return [*warnings, *filter(None, others)]
 
     def look(self) -> None:
         """Check once that the server, device and tap that the config needs are available.
@@ -230,7 +223,7 @@ class Supervisor:
         if changes.drop_in:
             if self._drop_in:
                 self._drop_in.close()
-            self._drop_in = _drop_in_control(config)
+            self._drop_in = DropInControl.of(config)
         elif changes.offset and self._drop_in:
             self._drop_in.set_delay(max(0.0, -config.live.offset_s))
         if restarts or changes.blocks:
@@ -252,10 +245,7 @@ class Supervisor:
         self._endpoints.close()
         if self._drop_in:
             self._drop_in.close()
-        if self._refuge:
-            self._refuge.close()
-        if self._connection:
-            self._connection.close()
+        self._link.close()
         self._endpoints.end(keep=keep)
 
     def _notice_pauses(self, now_s: float) -> None:
@@ -267,34 +257,26 @@ class Supervisor:
             self._stalls.count_resyncs(self.engine.delay_line.status.resyncs)
 
     def _connected(self, now_s: float) -> PulseConnection | None:
-        connection = self._connection
-        if connection is not None and connection.lost is None:
-            return connection
-        if connection is not None:
-            self._lose_server(now_s, str(connection.lost))
-        if self._server_backoff.wait_s(now_s) > 0.0:
-            return None
+        """Return the connection, None while the server cannot be reached."""
+        if lost := self._link.lost:
+            self._lose_server(now_s, lost)
         try:
-            self._connection = connection = PulseConnection(Nudge(self._wake))
-            self._refuge = FallbackSink(connection)
+            if self._link.open(now_s):
+                self._idle_policy.wake(now_s)
         except CushionError as error:
-            self._server_backoff.failed(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, str(error))
             return None
-        self._server_backoff.succeeded()
-        self._idle_policy.wake(now_s)
-        return connection
+        return self._link.connection
 
     def _lose_server(self, now_s: float, reason: str) -> None:
-        if self._connection is not None:
+        if self._link.connection:
             self.states.count(Cause.SERVER_LOST, reason)
             self._input.close()
             if self._output.needs_server:  # a card or a file continues with silence
                 self._output.close()
             if self._drop_in:
                 self._drop_in.close()
-            self._connection.close()
-            self._connection = self._refuge = None
+            self._link.close()
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
 
@@ -319,7 +301,7 @@ class Supervisor:
     def _rests(
         self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
     ) -> bool:
-        """IdlePolicy if nothing plays; whether so."""
+        """Rest if nothing plays; return whether so."""
         if not (self._input.may_rest and self._output.may_rest):
             self._idle_policy.wake(now_s)
             return False
@@ -363,10 +345,3 @@ class Supervisor:
             self._output.set_format(engine.samplerate, engine.drive.outputs)
         elif not self._output.is_open:
             engine.retarget(device.samplerate or engine.samplerate, self._config.live.block_frames)
-
-
-def _drop_in_control(config: RunConfig) -> DropInControl | None:
-    """Return the control of drop-in mode, None unless it is on."""
-    if not config.live.drop_in:
-        return None
-    return DropInControl(max(0.0, -config.live.offset_s))

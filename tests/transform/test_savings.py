@@ -237,7 +237,7 @@ def test_silence_is_not_analysed_at_all(monkeypatch):
     # A window, and 0.4 s of ringing.
     form.process(silence(0.6, 48_000))
     monkeypatch.setattr(form, "_analysis", None)
-    monkeypatch.setattr(form, "_play", None)
+    monkeypatch.setattr(form, "_synthesizer", None)
     assert not form.process(silence(1.0, 48_000)).any()
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from audioflinger_hook.transform.arrays import FloatArray, strided_windows
-from audioflinger_hook.transform.design.synthesis import SynthesisDesign, glide_turns
+from audioflinger_hook.transform.design.synthesis import LiveGrid, SynthesisDesign, glide_turns
 
 
 @dataclass(frozen=True)
@@ -144,3 +144,60 @@ def limit_samples(vibration: FloatArray, knee: float) -> tuple[FloatArray, int]:
     over = size > knee
     rounded = knee + room * np.tanh((size - knee) / room) * (1.0 - 1e-6)
     return np.where(over, np.copysign(rounded, vibration), vibration), int(over.sum())
+
+
+class Synthesizer:
+    """Vibration of what the oscillators do: both banks, smoothed and limited. One thread at a time.
+
+    smoother: brings the sum of the banks to the stream's samplerate.
+    """
+
+    def __init__(self, design: SynthesisDesign, grid: LiveGrid) -> None:
+        self._grid = grid
+        self._knee = design.knee
+        self._bank = OscillatorBank(design.attack, design.glide, grid.hop_s, design.still)
+        self._tick_bank = OscillatorBank(
+            design.tick_glide, design.tick_glide, grid.tick_s, design.still
+        )
+        self.smoother = Smoother(design)
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to rest."""
+        self._hop = np.zeros((self._grid.ticks, self._grid.tick_steps))
+        self.smoother.reset()
+
+    def play(
+        self, hops: Glides, fresh: Glides, awake: list[bool], tick: int
+    ) -> tuple[FloatArray, int]:
+        """Return the vibration of the ticks in `awake`, and how many of its frames were limited.
+
+        hops: of those that become full; fresh: of each tick. A tick that is not awake is exactly 0
+        and forgets its ringing. tick: number of the first one within its hop.
+        """
+        grid = self._grid
+        ticks = len(awake)
+        low_rate = self._tick_bank.render(fresh)
+        # The hop under way goes on until the first of these is full.
+        rows = self._hop[tick + 1 :]
+        if len(hops.start_hz):
+            rendered = self._bank.render(hops).reshape(-1, grid.tick_steps)
+            rows = np.concatenate((rows, rendered))
+            self._hop = rendered[-grid.ticks :]
+        low_rate += rows[:ticks]
+        vibration = np.zeros(ticks * grid.tick_frames)
+        limited_frames = 0
+        first = 0
+        while first < ticks:
+            last = first + 1
+            while last < ticks and awake[last] == awake[first]:
+                last += 1
+            if awake[first]:
+                smooth = self.smoother.render(low_rate[first:last])
+                played, limited = limit_samples(smooth, self._knee)
+                vibration[first * grid.tick_frames : last * grid.tick_frames] = played
+                limited_frames += limited
+            else:
+                self.smoother.reset()
+            first = last
+        return vibration, limited_frames

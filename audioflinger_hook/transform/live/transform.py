@@ -15,13 +15,7 @@ from audioflinger_hook.transform.live.onset_partials import OnsetPartials
 from audioflinger_hook.transform.live.onsets import OnsetDetector, Ticks
 from audioflinger_hook.transform.live.partials import PartialTracker
 from audioflinger_hook.transform.live.speech import SpeechSuppressor
-from audioflinger_hook.transform.live.synthesis import (
-    Glides,
-    OscillatorBank,
-    Smoother,
-    limit_amplitudes,
-    limit_samples,
-)
+from audioflinger_hook.transform.live.synthesis import Glides, Synthesizer, limit_amplitudes
 from audioflinger_hook.transform.principal import Principals
 from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum
 
@@ -69,7 +63,7 @@ class LiveTransform:
         )
         self._analysis = LiveAnalysis(design.analysis)
         self._silence = design.input.silence
-        self._ceiling, self._knee = synthesis.ceiling, synthesis.knee
+        self._ceiling = synthesis.ceiling
         self.follower: LoudnessFollower | None = None
         if design.loudness.loudness_weights.size:
             self.follower = LoudnessFollower(design.loudness)
@@ -80,17 +74,13 @@ class LiveTransform:
             design.input.band_b, design.input.band_a, design.input.denormal_guard
         )
         self._tracker = PartialTracker(design)
-        self._bank = OscillatorBank(synthesis.attack, synthesis.glide, grid.hop_s, synthesis.still)
-        self._tick_bank = OscillatorBank(
-            synthesis.tick_glide, synthesis.tick_glide, grid.tick_s, synthesis.still
-        )
-        self._smoother = Smoother(synthesis)
+        self._synthesizer = Synthesizer(synthesis, grid)
         self._ring_hops = synthesis.ring_hops
         self._find_onsets = bool(design.onsets.find_onsets)
         self._onset_frames = design.onsets.short_frames
         self._detector = OnsetDetector(design.onsets, bool(design.mapping.by_energy))
         self._onset_partials = OnsetPartials(
-            design, self._detector, self._smoother, self._onset_gain
+            design, self._detector, self._synthesizer.smoother, self._onset_gain
         )
         self.reset()
 
@@ -104,13 +94,12 @@ class LiveTransform:
         self._past_peaks = np.zeros(grid.hops_in_window - 1)
         self._hop_peak = 0.0
         self._tick = 0
-        self._hop = np.zeros((grid.ticks, grid.tick_steps))
         self._ringing = 0
         self._bandpass.reset()
         self._detector.reset()
         self._tracker.reset()
         self._onset_partials.reset()
-        self._smoother.reset()
+        self._synthesizer.reset()
         if self.follower:
             self.follower.reset()
         if self._speech:
@@ -196,7 +185,11 @@ class LiveTransform:
             self._tick = (self._tick + ticks) % grid.ticks
             return np.zeros(sound.size)
         found = self._analyse(joined, full[heard])
-        return self._play(*self._glide(found, seen, full, heard, ticks))
+        glides = self._glide(found, seen, full, heard, ticks)
+        vibration, limited = self._synthesizer.play(*glides, self._tick)
+        self._tick = (self._tick + ticks) % grid.ticks
+        self.limited_frames += limited
+        return vibration
 
     def _audible(self, peaks: FloatArray, full: IntArray) -> BoolArray:
         """Return of each full hop whether its window may hold anything principal."""
@@ -229,7 +222,7 @@ class LiveTransform:
         found = self._analysis.strongest(spectra)
         edges = found.boundaries(full.size).tolist()
         hz = self._mapping.vibration_hz(found.audio_hz)
-        gain = self._smoother.compensation(hz)
+        gain = self._synthesizer.smoother.compensation(hz)
         return [
             _Window(found.take(mine), hz[mine], gain[mine], spectrum, loud)
             for mine, spectrum, loud in zip(
@@ -336,32 +329,3 @@ class LiveTransform:
             audio_hz = np.array([self._mapping.audio_hz(hz)])
             gain *= float(self._speech.gains(audio_hz, coarse=True)[0])
         return gain
-
-    def _play(self, hops: Glides, fresh: Glides, awake: list[bool]) -> FloatArray:
-        """Return the ticks' vibration; what sleeps is exactly 0 and forgets its ringing."""
-        grid = self._grid
-        ticks = len(awake)
-        low_rate = self._tick_bank.render(fresh)
-        # The hop under way goes on until the first of these is full.
-        rows = self._hop[self._tick + 1 :]
-        if len(hops.start_hz):
-            rendered = self._bank.render(hops).reshape(-1, grid.tick_steps)
-            rows = np.concatenate((rows, rendered))
-            self._hop = rendered[-grid.ticks :]
-        low_rate += rows[:ticks]
-        self._tick = (self._tick + ticks) % grid.ticks
-        vibration = np.zeros(ticks * grid.tick_frames)
-        first = 0
-        while first < ticks:
-            last = first + 1
-            while last < ticks and awake[last] == awake[first]:
-                last += 1
-            if awake[first]:
-                smooth = self._smoother.render(low_rate[first:last])
-                played, limited = limit_samples(smooth, self._knee)
-                vibration[first * grid.tick_frames : last * grid.tick_frames] = played
-                self.limited_frames += limited
-            else:
-                self._smoother.reset()
-            first = last
-        return vibration

@@ -96,7 +96,7 @@ class _EverySlot(OscillatorBank):
 
 def _sound_every_slot(transform: LiveTransform) -> None:
     design = transform.design.synthesis
-    transform._bank = _EverySlot(
+    transform._synthesizer._bank = _EverySlot(
         design.attack, design.glide, transform.design.grid.hop_s, design.still
     )
 

@@ -1,0 +1,62 @@
+"""The supervisor's connection to the sound server, made again after each loss."""
+
+from __future__ import annotations
+
+from audioflinger_hook.daemon.timing import Backoff
+from device.errors import CushionError
+from device.server import FallbackSink, PulseConnection
+from device.server.snapshot import Listener
+
+LONGEST_WAIT_S = 0.5
+"""Between attempts to reach the server; an attempt costs next to nothing."""
+
+
+class ServerLink:
+    """Connection to the server and its silent fallback sink. For the supervising thread alone.
+
+    listener: what each connection tells of changes and of its loss. connection: None while there
+    is none; it may be lost, see `lost`.
+    """
+
+    def __init__(self, listener: Listener) -> None:
+        self.connection: PulseConnection | None = None
+        self._listener = listener
+        self._fallback: FallbackSink | None = None
+        self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
+
+    @property
+    def lost(self) -> str:
+        """Why the connection was lost; "" if it is well, or if there is none."""
+        return str((self.connection and self.connection.lost) or "")
+
+    @property
+    def warning(self) -> str:
+        """What is missing if the haptic device vanishes, in one line; usually ""."""
+        fallback, connection = self._fallback, self.connection
+        if fallback is None or connection is None or fallback.active:
+            return ""
+        return "" if connection.latest.kind == "PipeWire" else fallback.reason
+
+    def open(self, now_s: float) -> bool:
+        """Connect if there is no connection and an attempt is due; return whether it was made.
+
+        CushionError: the server cannot be reached.
+        """
+        if self.connection is not None or self._backoff.wait_s(now_s) > 0.0:
+            return False
+        try:
+            self.connection = PulseConnection(self._listener)
+            self._fallback = FallbackSink(self.connection)
+        except CushionError:
+            self._backoff.failed(now_s)
+            raise
+        self._backoff.succeeded()
+        return True
+
+    def close(self) -> None:
+        """Remove the fallback sink and disconnect. May be repeated."""
+        if self._fallback:
+            self._fallback.close()
+        if self.connection:
+            self.connection.close()
+        self.connection = self._fallback = None
