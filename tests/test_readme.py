@@ -169,3 +169,11 @@ def test_the_command_table_names_exactly_the_commands_that_exist() -> None:
 @pytest.mark.parametrize("link", re.findall(r"\]\(([^)#]+)\)", README))
 def test_every_link_leads_somewhere(link: str) -> None:
     assert (ROOT / link).exists()
+
+
+@pytest.mark.parametrize("page", ["architecture", "decisions", "transform", "benchmarks"])
+def test_every_file_that_a_page_names_exists(page: str) -> None:
+    files = [path.relative_to(ROOT).as_posix() for path in ROOT.glob("*/**/*.py")]
+    named = re.findall(r"`([\w/]+/\w+\.py)`", (ROOT / "docs" / f"{page}.md").read_text())
+    missing = [name for name in named if not any(f"/{file}".endswith(f"/{name}") for file in files)]
+    assert not missing
