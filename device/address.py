@@ -1,4 +1,4 @@
-"""Where the vibration shall go, as a user writes it: the grammar of `--device`."""
+"""The device that a user names: the grammar of `--device`."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ class DeviceAddress:
 
     @property
     def usb(self) -> UsbIdentity | None:
-        """The USB device that it names; None for another kind.
+        """Identity of the USB device; None for another kind.
 
-        UsageError: the name is not written as that of a USB device; `parse_device` refuses those.
+        UsageError: the name has not the form VID:PID. `parse_device` refuses such names.
         """
         return UsbIdentity.parse(str(self)) if self.kind == "usb" else None
 
     def sink(self, snapshot: ServerSnapshot) -> Sink:
         """Return the sound server's sink of this device.
 
-        NotFoundError: it is not there, or two are: nothing is ever substituted.
+        NotFoundError: no sink matches, or more than one does. No other sink is used instead.
         """
         if self.kind == "sink":
             return find_sink(snapshot, self.name)
@@ -67,11 +67,11 @@ class DeviceAddress:
 
 
 def parse_device(text: str) -> DeviceAddress:
-    """What the text stands for. A word without a colon is the name of a sink.
+    """Return the device that a text names. A word without a colon is the name of a sink.
 
-    Names are taken literally.
+    Names must match exactly; there are no wildcards.
 
-    UsageError: the kind is not one of `KINDS`, a name is missing, or `twin` has one.
+    UsageError: the kind is not one of `KINDS`, a name is missing, or `twin` has a name.
     """
     if text == "twin":
         return DeviceAddress("twin")

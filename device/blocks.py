@@ -1,4 +1,4 @@
-"""What is asked of every block of frames: compiled where that could be built, else in NumPy."""
+"""Operations on blocks of frames: compiled code if it could be built, else NumPy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ except ImportError:
 
 
 def peak(frames: Float32Array | FloatArray) -> float:
-    """Return the magnitude of the largest sample, NaN where one is not a number, 0.0 of none.
+    """Return the largest magnitude: NaN if any sample is NaN, 0.0 if there are no samples.
 
     frames: of any shape. Any thread may call it.
     """
@@ -34,9 +34,9 @@ def peak(frames: Float32Array | FloatArray) -> float:
 
 
 def emptied(frames: Float32Array) -> bytes | None:
-    """Return the bytes of a block, whose samples become 0; None where one is not finite.
+    """Return the bytes of a block and set its samples to 0; None if any sample is not finite.
 
-    frames: contiguous. Nothing has changed where the answer is None. Any thread may call it.
+    frames: contiguous. If the result is None, the block has not changed. Any thread may call it.
     """
     if compiled is not None:
         taken: bytes | None = compiled.emptied(frames)

@@ -65,7 +65,7 @@ class RunConfig:
     def rules(self) -> AppRules | None:
         """Return the rules that select single applications, None if a sink's mix is captured.
 
-        UsageError: a rule is invalid, or the tap has no single applications.
+        UsageError: a rule is invalid, or applications cannot be chosen from the tap.
         """
         include, exclude = self.live.include, self.live.exclude
         if self.tap.kind == "app":
@@ -75,8 +75,8 @@ class RunConfig:
         if self.tap.kind == "default":
             return AppRules(include, exclude)
         raise UsageError(
-            f"tap {str(self.tap)!r} has no single applications; for include and exclude of "
-            "[applications] the tap must be default or app:NAME"
+            f"applications cannot be chosen from the tap {str(self.tap)!r}; to use include or "
+            "exclude in [applications], set tap to default or app:NAME"
         )
 
 

@@ -27,15 +27,15 @@ KINDS: dict[type, tuple[type, ...]] = {
     float: (float, int),
     str: (str,),
 }
-"""What is taken for a parameter of each kind. Exact types: True is no number."""
+"""Python types accepted for each kind of parameter. They must match exactly: True is no number."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: kind `bool`, `int`, `float` or `str`, and what it may hold.
+    """One parameter: kind `bool`, `int`, `float` or `str`, and its allowed values.
 
-    low, high: the closed range of a number, in `unit`; choices: all that a `str` may be (any,
-    where there are none). default: None for one that can only be read.
+    low, high: the range of a number in `unit`, both included. choices: the strings allowed; if
+    empty, every string is. default: None if the parameter can only be read.
     """
 
     name: str

@@ -17,26 +17,26 @@ PART_FRAMES = 4_096
 """Longer blocks are routed in parts of this length, so that memory stays bounded."""
 
 WHOLE_DEVICE = (ActuatorSettings((0,)),)
-"""Stands for the one actuator there is where none is named; it has all channels."""
+"""Placeholder if no actuator is named: one actuator with all channels, whatever is listed."""
 
 
 class Drive:
     """Routes, delays, scales and protects what the actuators of one device play.
 
     Blocks come as (frames, inputs) and leave as (frames, outputs). All actuators have the same
-    latency, beside their `delay_ms`: those whose rig needs less wait for the others. Without
-    named actuators there is one, which plays all channels of the vibration, unrouted; if nothing
-    is asked for either, `process` returns each block itself.
+    latency, beside their `delay_ms`: an actuator whose rig needs less latency waits for the others.
+    Without named actuators, one actuator plays all channels of the vibration. If it needs no
+    processing either, `process` returns the same block object.
 
     One thread calls `process`, `drain` and `flush`; any thread may call the rest.
 
     actuators: what each actuator plays; empty for one that plays all channels of the vibration.
     samplerate: rate in Hz.
-    channels: channels of the vibration where no actuators are named; else their sources count.
-    rig, damping, protection, exposure_cap: used for actuators whose settings leave them open.
+    channels: number of channels of the vibration; used only if no actuators are named.
+    rig, damping, protection, exposure_cap: values for actuators that do not set their own.
     sources: names of the input columns; empty where no actuators are named.
     inputs, outputs: columns of the blocks that come and leave.
-    processors: processing for each actuator's rig, None where nothing is asked for.
+    processors: processing for each actuator's rig, None if its settings are all "off".
     latency_frames: delay of all actuators in frames, beside the delays asked for.
     UsageError: there is no such rig, or the sample rate is too low for its processing.
     """

@@ -188,4 +188,4 @@ def _maker(address: DeviceAddress, settings: Settings) -> Callable[[int, int], V
         return lambda samplerate, channels: simulated_rig_of(
             settings, samplerate, channel_map_of(settings, channels)
         )
-    raise InternalError(f"device {str(address)!r} is not a paced one")
+    raise InternalError(f"device {str(address)!r} is neither wav:FILE nor twin")

@@ -18,12 +18,12 @@ from device.errors import InternalError
 EPSILON = 2.0**-52
 
 ANGLE_ERROR = 8.0
-"""Either sum rounds a frame's time and its angle three times in all, by half an epsilon of the
-largest angle at most: together 3 epsilons of it; this is more than twice that."""
+"""`exact` and `single` each round a frame's time and angle three times, by at most half an epsilon
+of the largest angle. Both errors together are 3 epsilons; the bound is more than twice that."""
 
 TERM_ERROR = 16.0
-"""With cosines good to 4 units in the last place, a partial's part of either sum and its addition
-are off by 13 epsilons of its weight at most."""
+"""If cosines are exact to 4 units in the last place, adding one partial in `exact` or `single` has
+an error of at most 13 epsilons of the partial's weight."""
 
 
 class Superposition:
@@ -40,9 +40,9 @@ class Superposition:
         self._fine_turns = self._turns[: self._fine]
 
     def exact(self, weight: FloatArray, hz: FloatArray) -> FloatArray:
-        """Return the sum of weight cos(2 pi hz t), (N,), the partials (partials,) in their order.
+        """Return the sum of weight cos(2 pi hz t) over all partials, added in their order: (N,).
 
-        t: seconds from the unit's own start.
+        weight, hz: (partials,). t: seconds since the start of the unit.
         """
         unit = np.zeros(self._frames)
         for partial in range(len(weight)):
@@ -50,14 +50,14 @@ class Superposition:
         return unit
 
     def single(self, weight: FloatArray, hz: FloatArray, edges: IntArray) -> FloatArray:
-        """Return the same of several units, (units, N), such that float32 of it is that of `exact`.
+        """Return the sums of several units, (units, N). As float32 they equal those of `exact`.
 
         weight, hz: the partials of all units, one after another; unit i has those from edges[i]
         up to edges[i + 1].
         """
         grid = np.zeros((len(edges) - 1, self._coarse_turns.size, self._fine))
         coarse, fine = np.multiply.outer(hz, self._coarse_turns), hz[:, None] * self._fine_turns
-        # Weighted cosines over sines, and cosines over negative sines: a product of matrices.
+        # cos(a + b) = cos a cos b - sin a sin b: one matrix product adds all partials of a unit.
         left = np.stack((np.cos(coarse), np.sin(coarse)), axis=1) * weight[:, None, None]
         right = np.stack((np.cos(fine), -np.sin(fine)), axis=1)
         for unit, (first, end) in enumerate(pairwise(edges)):
@@ -73,7 +73,7 @@ class Superposition:
     def _settle(
         self, sums: FloatArray, weight: FloatArray, hz: FloatArray, edges: IntArray
     ) -> None:
-        """Replace every sum so near to an edge of float32 that its error could carry it over."""
+        """Replace every sum whose error could change its float32 value by the sum of `exact`."""
         counts = np.diff(edges)
         totals = np.add.reduceat(np.append(weight, 0.0), edges[:-1]) * (counts > 0)
         epsilons = ANGLE_ERROR * float(hz.max() * self._turns[-1])
@@ -109,11 +109,11 @@ class ReferenceTransform:
     samplerate : int
         Rate in Hz.
     single : bool
-        The caller rounds the result to float32. It is then the same, for a third of the cost.
+        Whether the caller rounds the result to float32. A faster method then gives equal values.
     """
 
     onset_after_frames = 0
-    """Its units are cut from the stream's beginning on, as the paper's are."""
+    """0: units are counted from the first frame of the stream, as in the paper."""
 
     asleep = False
 
