@@ -33,7 +33,7 @@ def listed_carriers() -> set[str]:
 
 def listed_helpers() -> set[str]:
     """Return the names of the files that change no sample."""
-    text = WAY.partition("These change no sample")[2].partition("`tests/")[0]
+    text = WAY.partition("call files that change no sample")[2].partition("`tests/")[0]
     return {Path(name).name for name in re.findall(r"`([\w/]+\.py)`", text)}
 
 
