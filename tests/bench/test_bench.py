@@ -372,8 +372,8 @@ def switches(transform):
     for name, part in vars(transform).items():
         found[name] = part if isinstance(part, (int, float)) else type(part).__name__
         for inner, entry in getattr(part, "__dict__", {}).items():
-            if isinstance(entry, (int, float)):
-                found[f"{name}.{inner}"] = entry
+            number = isinstance(entry, (int, float))
+            found[f"{name}.{inner}"] = entry if number else type(entry).__name__
     return found
 
 
