@@ -180,7 +180,7 @@ class Settings(Described):
         str, Choice("keep the rig within its limits, and count exposure", PROTECTION)
     ] = PROTECTION[0]
     exposure_cap: Annotated[
-        str, Choice("stay under this value of 2002/44/EC; also turns protection on", EXPOSURE_CAP)
+        str, Choice("daily dose allowed by 2002/44/EC; also turns protection on", EXPOSURE_CAP)
     ] = EXPOSURE_CAP[0]
     form: Annotated[
         Form,

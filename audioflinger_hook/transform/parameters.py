@@ -53,24 +53,24 @@ class TransformParameters(Described):
     threshold_hz: Annotated[
         float,
         Number(
-            "amplitude times bandwidth that makes a frequency principal (C_th)",
+            "least amplitude times bandwidth of a principal frequency (C_th)",
             THRESHOLD_MIN_HZ,
             1_000.0,
             "Hz",
         ),
     ] = 0.3
     partials_max: Annotated[
-        int, Number("principal frequencies kept of one unit (n)", 1, 64, whole=True)
+        int, Number("most principal frequencies at one time (n)", 1, 64, whole=True)
     ] = 16
     loudness_db: Annotated[
         float,
-        Number("largest gain that loudness may add; 0: off", 0, 40, "dB"),
+        Number("largest gain for soft sound; 0: loudness is not followed", 0, 40, "dB"),
     ] = 0.0
     loudness_target_db: Annotated[
-        float, Number("vibration at the programme's usual loudness", -40.0, 0.0, "dB")
+        float, Number("level of the vibration at usual loudness", -40.0, 0.0, "dB")
     ] = -18.0
     loudness_slope_db: Annotated[
-        float, Number("change of vibration for 20 phon of loudness", 1.0, 20.0, "dB")
+        float, Number("change of the level for 20 phon of loudness", 1.0, 20.0, "dB")
     ] = 5.5
     loudness_floor_db: Annotated[
         float, Number("loudness below which there is no vibration", -90.0, -30.0, "dB")
@@ -84,16 +84,16 @@ class TransformParameters(Described):
     level_law: Annotated[
         str,
         Choice(
-            "amplitude of each principal frequency: r^2 / sum r (tonal), or by energy, so that "
-            "noise is as strong as a tone of the same energy",
+            "amplitudes as in the paper, which favours tones (tonal), or noise as strong as a tone "
+            "of the same energy (energy)",
             ("tonal", "energy"),
         ),
     ] = "tonal"
     mapping: Annotated[
         str,
         Choice(
-            "vibration frequency: equation (4) (paper), or equal ratios for equal ratios of audio "
-            "frequency (jnd)",
+            "vibration frequency by the paper's equation (4) (paper), or the same ratio for every "
+            "octave (jnd)",
             ("paper", "jnd"),
         ),
     ] = "paper"

@@ -28,7 +28,7 @@ is allocated at the start."""
 ACTUATORS_MAX = CHANNELS_MAX
 """One for each channel."""
 
-LIKE_ALL = "; default: as for all actuators"
+LIKE_ALL = "; default: the top-level value"
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,11 @@ class ActuatorSettings(Described):
         tuple[int | str, ...], _DeviceChannels("channels of the device that drive the actuator")
     ]
     source: Annotated[
-        str, Choice("part of the sound that it plays; all is mix", SOURCES, aliases=("all",))
+        str, Choice("part of the sound that is played; all means mix", SOURCES, aliases=("all",))
     ] = SOURCES[0]
     rig: Annotated[
         str | None,
-        Text(f"simulated rig that describes it: a name or a file{LIKE_ALL}", change="engine"),
+        Text(f"rig of this actuator: a name or a file{LIKE_ALL}", change="engine"),
     ] = None
     gain_db: Annotated[float, Number("level", GAIN_MIN_DB, GAIN_MAX_DB, "dB")] = GAIN_MAX_DB
     polarity: Annotated[str, Choice("sign of its vibration", POLARITIES)] = POLARITIES[0]
@@ -96,13 +96,13 @@ class ActuatorSettings(Described):
         float, Number("delay behind the other actuators", 0.0, DELAY_MAX_MS, "ms")
     ] = 0.0
     damping: Annotated[
-        str | None, Choice(f"reduction of its ringing{LIKE_ALL}", DAMPING, change="engine")
+        str | None, Choice(f"reduction of the ringing{LIKE_ALL}", DAMPING, change="engine")
     ] = None
     protection: Annotated[
-        str | None, Choice(f"protection of its rig{LIKE_ALL}", PROTECTION, change="engine")
+        str | None, Choice(f"protection of the rig{LIKE_ALL}", PROTECTION, change="engine")
     ] = None
     exposure_cap: Annotated[
-        str | None, Choice(f"exposure limit of its rig{LIKE_ALL}", EXPOSURE_CAP, change="engine")
+        str | None, Choice(f"exposure limit of the rig{LIKE_ALL}", EXPOSURE_CAP, change="engine")
     ] = None
 
     def __post_init__(self) -> None:
