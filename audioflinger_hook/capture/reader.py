@@ -63,7 +63,7 @@ class Capture:
     facts : mapping
         Settings that the recorder stored.
     warnings : list of str
-        Losses and assumptions, one line each; complete for a stream at the end of `buffers`.
+        Losses and assumptions, one line each; complete once `buffers` was read to its end.
 
     Raises
     ------

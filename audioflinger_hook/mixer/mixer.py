@@ -80,7 +80,7 @@ class Mixer:
     """Mixes tracks to one stream, through effects, into sinks.
 
     The caller of `cycle` sets the pace. One thread calls `cycle`; each client's thread makes and
-    uses its own tracks; any thread may call `post` and read. Nothing waits.
+    uses its own tracks; any thread may call `post` and read attributes. Nothing waits.
 
     Parameters
     ----------
@@ -97,15 +97,16 @@ class Mixer:
     effects : EffectsPort or None
         The effect chains; None for none.
     standby_delay_s : float
-        Seconds without an active track until standby; inf writes silence instead, from the start.
+        Seconds without an active track until standby. With inf there is no standby: silence is
+        written whenever no track is active.
 
     Attributes
     ----------
     frames : int
         Frames of a whole cycle.
     on_mix : callable or None
-        Called in each cycle with the sound before the effects of the whole mix, (frames,
-        channels); the array belongs to the mixer.
+        Called in each cycle with the mix before the effects of session 0, (frames, channels). The
+        mixer reuses the array.
 
     Raises
     ------

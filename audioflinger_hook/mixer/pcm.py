@@ -67,7 +67,7 @@ def stored_frames(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDAr
         if not whole and not (stored.ndim == 2 and stored.shape[1] == items):
             raise UsageError(
                 f"samples of shape {stored.shape} given for {channels} channels of format "
-                f"{pcm_format.value}; want (frames, {items}), or flat with a multiple of {items}"
+                f"{pcm_format.value}; want (frames, {items}), or (a multiple of {items},)"
             )
         return stored.reshape(-1, items)
     try:

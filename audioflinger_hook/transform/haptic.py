@@ -133,16 +133,16 @@ class HapticTransform:
     form : {'live', 'reference'}
         `live` is what a cushion plays, `reference` the paper's equations literally.
     per_channel : bool
-        Whether each channel is transformed by itself, instead of their mean.
+        Whether each channel is transformed alone, instead of the mean of all channels.
     weights : ndarray, optional
-        (channels, outputs): the channels are mixed by them, and each output is transformed by
-        itself. The weights of an output sum to 1 or less, so that none exceeds full scale.
+        (channels, outputs): each output is a mix of the channels by these weights, and is
+        transformed alone. The weights of an output sum to 1 or less: none exceeds full scale.
     single : bool
-        Whether the vibration will be rounded to float32. The reference form then costs a third,
-        and its float64 rounds to the same float32. The live form ignores it.
+        Whether the caller will round the vibration to float32. The reference form then takes a
+        third of the time and gives the same float32 values. The live form ignores it.
     implementation : {'compiled', 'numpy'}, optional
-        How the live form is computed: the same within 1e-6 of full scale, `numpy` at about fifteen
-        times the cost. Default: `compiled`, or `numpy` without the kernel (see `kernel_warning`).
+        How the live form is computed. Both agree within 1e-6 of full scale; `numpy` takes about
+        fifteen times as long. Default: `compiled` if the kernel exists (see `kernel_warning`).
         The reference form is always `numpy`.
 
     Attributes

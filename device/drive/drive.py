@@ -23,10 +23,10 @@ WHOLE_DEVICE = (ActuatorSettings((0,)),)
 class Drive:
     """Routes, delays, scales and protects what the actuators of one device play.
 
-    Blocks come as (frames, inputs) and leave as (frames, outputs). All actuators have the same
-    latency, beside their `delay_ms`: an actuator whose rig needs less latency waits for the others.
-    Without named actuators, one actuator plays all channels of the vibration. If it needs no
-    processing either, `process` returns the same block object.
+    Blocks come as (frames, inputs) and leave as (frames, outputs). Apart from `delay_ms`, all
+    actuators have the same latency: one whose rig needs less waits for the others. Without named
+    actuators, one actuator plays all channels of the vibration. If it needs no processing either,
+    `process` returns the same block object.
 
     One thread calls `process`, `drain` and `flush`; any thread may call the rest.
 
@@ -34,10 +34,10 @@ class Drive:
     samplerate: rate in Hz.
     channels: number of channels of the vibration; used only if no actuators are named.
     rig, damping, protection, exposure_cap: values for actuators that do not set their own.
-    sources: names of the input columns; empty where no actuators are named.
+    sources: names of the input columns; empty if no actuators are named.
     inputs, outputs: columns of the blocks that come and leave.
     processors: processing for each actuator's rig, None if its settings are all "off".
-    latency_frames: delay of all actuators in frames, beside the delays asked for.
+    latency_frames: latency of all actuators in frames, without their `delay_ms`.
     UsageError: there is no such rig, or the sample rate is too low for its processing.
     """
 
