@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import signal
 import sys
 import textwrap
 
@@ -10,6 +11,10 @@ from hypothesis import settings
 
 # Matrices are small and tests run on every core: threads of BLAS would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# Started in the background, this process would ignore these signals, and so would its programs.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 FAST_EXAMPLES, EXAMPLES = 25, 100
 """Examples of a property among the fast tests, and among the exhaustive ones."""

@@ -52,13 +52,7 @@ def test_signals_are_noted_and_wake_who_waits() -> None:
 def test_a_terminal_that_is_closed_ends_it_unless_it_was_started_to_go_on(ignored: bool) -> None:
     master, slave = pty.openpty()
     process = subprocess.Popen(
-        [
-            "nohup" if ignored else "env",
-            *(() if ignored else ("--default-signal=HUP",)),
-            sys.executable,
-            "-c",
-            WAITER,
-        ],
+        [*(("nohup",) if ignored else ()), sys.executable, "-c", WAITER],
         stdin=slave,
         stdout=slave,
         stderr=subprocess.PIPE,
