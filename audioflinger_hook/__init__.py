@@ -2,7 +2,7 @@
 
     taps -> clients -> mixer -> effect (transform) -> device.drive -> device outputs
 
-`render_file` does a whole file; `HapticTransform` works on arrays, block by block.
+`render_file` renders a whole file; `HapticTransform` works on arrays, block by block.
 """
 
 from __future__ import annotations

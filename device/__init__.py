@@ -1,10 +1,10 @@
-"""Everything behind the vibration signal: where it goes, and what it does there.
+"""Everything after the vibration signal: outputs, sound cards, rigs and their simulation.
 
     vibration -> DAC -> power amplifier -> voice-coil actuator -> accelerometer, amplifier
                  `---------------------- rig/simulated_rig.py ----------------------'
 
-Anything that takes vibration is a `VibrationOutput` (output.py), such as a WAV file (wav_output.py)
-or the simulated rig. Files appear whole or not at all (atomic_file.py). Nothing here imports from
+Every target of vibration is a `VibrationOutput` (output.py), such as a WAV file (wav_output.py) or
+the simulated rig. A file appears complete or not at all (atomic_file.py). Nothing here imports from
 audioflinger_hook; both share errors.py and units.py.
 
 `device.rig.simulated_rig` needs SciPy, which takes half a second to load: import it from there.

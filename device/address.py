@@ -22,7 +22,7 @@ GRAMMAR = f"sink:NAME, {USB_GRAMMAR}, hw:CARD[,DEVICE], wav:FILE, twin, or the n
 
 @dataclass(frozen=True)
 class DeviceAddress:
-    """One device: its kind and its name, ids or file (empty for `twin`)."""
+    """One device: its kind, and its name, USB ids or file (empty for `twin`)."""
 
     kind: Kind
     name: str = ""
@@ -61,8 +61,8 @@ class DeviceAddress:
             for sink in found
         )
         raise NotFoundError(
-            f"the USB device {self.name} is not one but several: {names}; name one, as sink:NAME "
-            "or with its port behind: @PORT"
+            f"several USB devices match {self.name}: {names}; name one, as sink:NAME "
+            "or with its port: append @PORT"
         )
 
 

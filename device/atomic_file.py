@@ -1,8 +1,9 @@
-"""Files that appear whole at their path, or not at all.
+"""Files that appear complete at their path, or not at all.
 
-On Linux the content is written to a file without a name (O_TMPFILE), so even kill -9 leaves
-nothing behind; the name comes last. Where the filesystem cannot do that (some overlay and network
-filesystems), a hidden `.NAME.XXXX.part` is in the same folder, and only kill -9 leaves it.
+On Linux the content is written to a file without a name (O_TMPFILE), which gets its name last, so
+even kill -9 leaves nothing behind. If the filesystem cannot do that (some overlay and network
+filesystems), the content goes to a hidden `.NAME.XXXX.part` in the same folder. Only kill -9 leaves
+it.
 """
 
 import contextlib
@@ -24,15 +25,15 @@ _REASONS = {
     errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
 }
 _FLAGS = os.O_RDWR | os.O_CLOEXEC
-_MODE = 0o666  # less what the umask takes
+_MODE = 0o666  # reduced by the umask
 
 
 class AtomicFile:
     """A new file that appears at `path` only after `commit` returns.
 
-    Until then, and after `abort` or kill -9, the folder is as it was and an existing file of that
-    name is untouched. As a context manager: commits, or aborts on an exception. A link is
-    followed: the file it points to is replaced. Use from one thread at a time.
+    Until then, and after `abort` or kill -9, the folder is unchanged, and so is an existing file of
+    that name. As a context manager, it commits, or aborts on an exception. A link is followed: the
+    file it points to is replaced. Use from one thread at a time.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ class AtomicFile:
         The folder does not exist, is not a folder or not writable; the path is a folder or a
         device; the file there is write-protected.
     WriteError
-        The disk is full or failed; also from every method below, after an abort.
+        The disk is full or failed. Methods raise it, too, and have then aborted.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -75,7 +76,7 @@ class AtomicFile:
             raise self._failure(error) from error
 
     def overwrite_start(self, content: bytes) -> None:
-        """Put the content over the first bytes of what was written; the end stays the end."""
+        """Overwrite the first bytes of the file; later writes still go to its end."""
         try:
             written = os.pwrite(self._file_fd, content, 0)
         except OSError as error:
@@ -88,7 +89,7 @@ class AtomicFile:
         return os.fstat(self._file_fd).st_size
 
     def commit(self) -> None:
-        """Give the file its name: content on disk first, then an exchange in one step."""
+        """Give the file its name: sync the content, then replace the old file in one step."""
         if self._file_fd < 0:
             raise WriteError(f"cannot write {self.path}: it was closed before")
         folder = self._folder_fd
@@ -98,7 +99,7 @@ class AtomicFile:
                 try:
                     self._link_as(self._name)
                 except FileExistsError:
-                    # A link cannot replace: take a second name and exchange.
+                    # link(2) cannot replace a file: use a temporary name, then rename.
                     self._part = self._part_name()
                     self._link_as(self._part)
             if self._part is not None:
@@ -106,12 +107,12 @@ class AtomicFile:
                 self._part = None
         except OSError as error:
             raise self._failure(error) from error
-        self.abort()  # nothing is left to discard: this closes
+        self.abort()  # nothing is left to discard, so this only closes
 
     def abort(self) -> None:
-        """Discard everything; harmless after `commit` or a second time."""
+        """Discard everything; no effect after `commit` or `abort`."""
         if self._part is not None:
-            with contextlib.suppress(OSError):  # it may be gone with its folder
+            with contextlib.suppress(OSError):  # the file may be gone with its folder
                 os.unlink(self._part, dir_fd=self._folder_fd)
             self._part = None
         for fd in (self._file_fd, self._folder_fd):
@@ -150,12 +151,12 @@ class AtomicFile:
         self._part = part
 
     def _part_name(self) -> str:
-        # The name may use up the 255 bytes that a folder entry has.
+        # The name may already have the 255 bytes that a folder entry can have.
         start = os.fsdecode(os.fsencode(self._name)[:200])
         return f".{start}.{secrets.token_hex(4)}.part"
 
     def _link_as(self, name: str) -> None:
-        # Python calls linkat(2), which alone follows the link in /proc, only if given a folder.
+        # Only linkat(2) follows the link in /proc; Python calls it only if given a folder.
         source = f"/proc/self/fd/{self._file_fd}"
         os.link(source, name, dst_dir_fd=self._folder_fd, follow_symlinks=True)
 
@@ -165,7 +166,7 @@ class AtomicFile:
 
 
 def write_bytes_atomically(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file whole, or leave it as it was and raise an error of `AtomicFile`.
+    """Write a complete file, or leave it unchanged and raise an error of `AtomicFile`.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ def peak(frames: Float32Array | FloatArray) -> float:
     if compiled is not None:
         try:
             return float(compiled.peak(frames))
-        except (BufferError, TypeError, ValueError):  # in another layout or of another type
+        except (BufferError, TypeError, ValueError):  # the array has another layout or type
             pass
     return float(np.max(np.abs(frames), initial=0.0))
 
@@ -58,15 +58,15 @@ def whole_steps(
     """Write round(clip(x s, -s, s - 1)) into `steps`, half away from zero, 0 for NaN; no dither.
 
     frames: any shape, full scale ±1. full_scale: s, a power of two up to 2^31: exact in float64.
-    steps, rest, unknown: of that shape; the last two are scratch. Nothing else is allocated. Any
-    thread, with arrays of its own.
+    steps, rest, unknown: arrays of the same shape; the last two are scratch. Nothing else is
+    allocated. Any thread may call it with its own arrays.
     """
     np.multiply(frames, full_scale, out=rest, dtype=np.float64)
     np.isnan(rest, out=unknown)
     np.copyto(rest, 0.0, where=unknown)
     np.clip(rest, -full_scale, full_scale - 1.0, out=rest)
     np.trunc(rest, out=steps)
-    # not trunc(x + 0.5): that sum rounds 0.5 - 2^-54 up to 1; twice what is left over is exact
+    # not trunc(x + 0.5): that sum rounds 0.5 - 2^-54 up to 1; twice the remainder is exact
     np.subtract(rest, steps, out=rest)
     np.multiply(rest, 2.0, out=rest)
     np.trunc(rest, out=rest)

@@ -1,16 +1,16 @@
-"""The errors that a user may see, and the exit code each one ends a command with.
+"""The errors that a user may see, and the exit code of a command for each error.
 
-A message is one line: what is wrong, which value, what is allowed, what to do. Whatever is not a
-`CushionError` is a mistake of the program.
+A message is one line: what is wrong, which value, what is allowed, what to do. Any exception that
+is no `CushionError` is a mistake of the program.
 """
 
 from __future__ import annotations
 
 
 class CushionError(Exception):
-    """The root of all errors of this project; `str()` of it is always one line.
+    """Base class of all errors of this project; `str(error)` is always one line.
 
-    exit_code: what the command line ends with, 2 to 5.
+    exit_code: exit code of the command line, 2 to 5.
     """
 
     exit_code = 5
@@ -21,7 +21,7 @@ class CushionError(Exception):
 
 
 class UsageError(CushionError):
-    """Wrong usage, config, rig or input: the user can put it right."""
+    """Wrong usage, config, rig or input, which the user can correct."""
 
     exit_code = 2
 
@@ -33,27 +33,27 @@ class NotFoundError(CushionError):
 
 
 class LostError(CushionError):
-    """The sound server or the device was lost and did not come back in the time allowed."""
+    """The sound server or the device was lost and did not return in the time allowed."""
 
     exit_code = 4
 
 
 class InternalError(CushionError):
-    """The program failed; the root of errors while it runs."""
+    """The program failed; base class of errors at run time."""
 
     exit_code = 5
 
 
 class WriteError(InternalError):
-    """Writing failed while running: the disk is full, a quota or a file-size limit is reached."""
+    """Writing failed: the disk is full, or a quota or a file-size limit is reached."""
 
 
 class NoUsbBusError(NotFoundError):
-    """The kernel shows no USB bus here at all, as in a container."""
+    """The kernel shows no USB bus, for example in a container."""
 
 
 class NoUsbDeviceError(NotFoundError):
-    """There is a bus, but the device that is wanted is not on it."""
+    """There is a USB bus, but the wanted device is not on it."""
 
 
 class NoLibusbError(NotFoundError):
@@ -61,4 +61,4 @@ class NoLibusbError(NotFoundError):
 
 
 class UsbAccessError(NotFoundError):
-    """The device is there, but it may not be opened or does not answer."""
+    """The device is connected, but cannot be opened (permission) or does not answer."""

@@ -1,4 +1,4 @@
-"""Compiled parts of the program, each of which may be missing, damaged or of another version."""
+"""Loads compiled parts of the program, which may be missing, damaged or of another version."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ LOADED = 1
 
 
 def load(name: str, wanted: str) -> ModuleType:
-    """Return a compiled module that has `wanted`.
+    """Return a compiled module that has the attribute `wanted`.
 
-    ImportError: it is not there or not usable, whatever the reason.
+    ImportError: the module is missing or unusable, for any reason.
     """
     found = find_spec(name)
     if found is not None and found.origin is not None:
@@ -32,10 +32,10 @@ def load(name: str, wanted: str) -> ModuleType:
 
 
 def _refuse_cut_off(path: Path) -> None:
-    """Raise ImportError for an ELF file that ends within what is to be mapped.
+    """Raise ImportError for an ELF file that ends before the end of a part to be mapped.
 
-    The system's loader does not look: it maps what is not there, and the process ends by SIGBUS.
-    What else is wrong, the loader says by itself.
+    The system's loader does not check this: it maps the missing part, and the process ends by
+    SIGBUS. The loader reports all other faults itself.
     """
     try:
         with path.open("rb") as file:
@@ -43,7 +43,7 @@ def _refuse_cut_off(path: Path) -> None:
             if len(head) < 64 or head[:4] != b"\x7fELF":
                 return
             order = "<" if head[5] == 1 else ">"
-            # Where the headers of the parts lie, their length and count; in each, what is mapped.
+            # Offset, length and count of the program headers; each header tells what is mapped.
             if head[4] == 2:
                 place, part = "32xQ14xHH", "I4xQ16xQ"
             else:

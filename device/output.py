@@ -1,4 +1,4 @@
-"""The one interface that vibration leaves through."""
+"""The interface of everything that takes vibration."""
 
 from typing import Protocol
 
@@ -6,11 +6,11 @@ from device.units import Float32Array, FloatArray
 
 
 class VibrationOutput(Protocol):
-    """Takes the vibration block by block, then is closed (keep it) or aborted (discard it).
+    """Takes vibration block by block; then `close` keeps it or `abort` discards it.
 
     WAV files and the simulated rig implement it. Sound-card outputs can be used instead. Use from
-    one thread at a time; after that thread has ended, another one may call `close` or `abort`.
-    Only the first call of these two has an effect.
+    one thread at a time; after that thread has ended, another one may call `close` or `abort`. Only
+    the first of these calls has an effect.
     """
 
     @property
@@ -26,19 +26,19 @@ class VibrationOutput(Protocol):
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take one block: (frames, channels), full scale ±1.0, any number of frames, also 0.
 
-        The array belongs to the caller again when this returns.
+        The array is not kept: the caller may reuse it after the return.
 
         Raises
         ------
         InternalError
             The block has another shape, or the output is closed.
         WriteError
-            The disk is full or failed; the output has discarded everything, as by `abort`.
+            The disk is full or failed; the output has discarded everything, as `abort` does.
         """
         ...
 
     def close(self) -> None:
-        """Finish: everything written is kept and, for a file, appears under its name."""
+        """Finish: all frames written are kept; a file appears under its name."""
         ...
 
     def abort(self) -> None:

@@ -15,7 +15,7 @@ Block = TypeVar("Block", FloatArray, Float32Array)
 
 
 def check_channels(block: FloatArray | Float32Array, channels: int) -> None:
-    """Nothing, for a block of (frames, channels) with so many channels; else InternalError."""
+    """Raise InternalError unless a block has shape (frames, channels) with this many channels."""
     if block.ndim != 2 or block.shape[1] != channels:
         raise InternalError(f"a block has shape {block.shape}: (frames, {channels}) was expected")
 
@@ -23,7 +23,7 @@ def check_channels(block: FloatArray | Float32Array, channels: int) -> None:
 def amplitude_to_db(ratio: float) -> float:
     """Level in dB of an amplitude ratio: 20 log10 |ratio|; -inf for 0, never a warning.
 
-    ISO 80000-3: a root-power quantity has 20 dB a decade.
+    ISO 80000-3: a root-power quantity has 20 dB per decade.
     """
     return 20.0 * math.log10(abs(ratio)) if ratio else -math.inf
 
@@ -36,9 +36,9 @@ def db_to_amplitude(level_db: float) -> float:
 def finite_or_zero(
     samples: FloatArray, limit: float = float(np.finfo(np.float64).max)
 ) -> tuple[FloatArray, int]:
-    """The samples with 0 for every NaN and every magnitude above `limit`, and how many those were.
+    """Return the samples with 0 for NaN and for magnitudes above `limit`, and how many these were.
 
-    Without any, the same array is returned; it is never changed.
+    If there are none, the array itself is returned; it is never changed.
     """
     sound = np.abs(samples) <= limit  # False for NaN
     replaced = samples.size - int(np.count_nonzero(sound))

@@ -1,11 +1,11 @@
-"""Allowed values of a field: described once, beside the field, and checked by one mechanism.
+"""Allowed values of a field: described at the field, and checked by a common mechanism.
 
     @dataclass(frozen=True)
     class Gate(Described):
         floor_db: Annotated[float, Number("level of a shut gate", -90, -30, "dB")] = -60.0
 
 `Gate(floor_db=0)` raises a UsageError that names every refused field. `Gate.refusals(values)`
-returns the same as a dict. Pure; any thread.
+returns the refusals as a dict. Pure; any thread.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from device.errors import UsageError
 
 
 def no_such(kind: str, name: str, names: Iterable[str], where_none: str) -> str:
-    """The text of an error, one line. where_none: what to do if there is nothing of that kind.
+    """Return an error text of one line. where_none: advice if nothing of that kind exists.
 
-    kind: as in "sink"; name: what was asked for; names: what there is. Any thread.
+    kind: such as "sink"; name: the requested name; names: those that exist. Any thread.
     """
     known = sorted(names)
     nearest = get_close_matches(name, known, n=3, cutoff=0.5)
@@ -39,19 +39,19 @@ def no_such(kind: str, name: str, names: Iterable[str], where_none: str) -> str:
 
 
 def counted(count: int, things: str) -> str:
-    """Return a count with its noun, of 1 in the singular: "1 buffer", "2 buffers"."""
+    """Return a count with its noun, singular for 1: "1 buffer", "2 buffers"."""
     one = f"{things[:-3]}y" if things.endswith("ies") else things.removesuffix("s")
     return f"{count} {one if count == 1 else things}"
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """The known name that is most like another, "" if none is."""
+    """Return the known name most similar to another name, "" if none is similar."""
     return next(iter(get_close_matches(name, list(names), n=1)), "")
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a value is refused, what is allowed instead, and the allowed name nearest to it."""
+    """Why a value is refused, what is allowed instead, and the most similar allowed name."""
 
     wrong: str
     allowed: str
@@ -66,10 +66,9 @@ class Refusal:
 class Description(ABC):
     """Meaning and allowed values of one field.
 
-    meaning: what the field is for, in a few words. name: the name that users know it by, where
-    that is not the field's name. section: the section of a config file that holds it, where that
-    is not its class's section. change: what a change needs while the program runs, where that is
-    not the same for the whole class.
+    meaning: what the field is for, in a few words. name: the field's name for users, if different.
+    section: the field's section in a config file, if not the section of its class. change: the
+    effect of a change while the program runs, if not that of the whole class.
     """
 
     meaning: str
@@ -81,28 +80,28 @@ class Description(ABC):
     @property
     @abstractmethod
     def allowed(self) -> str:
-        """What is allowed, in words."""
+        """The allowed values in words."""
 
     @abstractmethod
     def refuse(self, value: object) -> Refusal | None:
-        """Return why a value of any type is refused, None if it is accepted."""
+        """Return why a value is refused, None if it is accepted. The value may have any type."""
 
     @abstractmethod
     def json_schema(self) -> dict[str, Any]:
         """Return the JSON Schema of the values that are accepted."""
 
     def resolved(self, value: object, folder: Path) -> object:
-        """Return the value; a path in it becomes one below the folder."""
+        """Return the value; a relative path in it is resolved against the folder."""
         return value
 
     def typed(self, value: Any) -> Any:
-        """Return an accepted value in the type that the field has."""
+        """Return an accepted value converted to the field's type."""
         return value
 
 
 @dataclass(frozen=True)
 class Number(Description):
-    """A number from low to high, both included. `whole` allows whole numbers only."""
+    """A number from low to high, both included. With `whole`, only whole numbers are allowed."""
 
     low: float
     high: float
@@ -115,7 +114,7 @@ class Number(Description):
         return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is not a number (True is none), and what is out of range, such as NaN."""
+        """Refuse values that are no numbers (also True) or out of range (also NaN)."""
         if isinstance(value, bool) or not isinstance(value, int if self.whole else (int, float)):
             return Refusal(f"is not a {'whole ' * self.whole}number", self.allowed)
         return None if self.low <= value <= self.high else Refusal("is out of range", self.allowed)
@@ -132,7 +131,7 @@ class Number(Description):
 
 @dataclass(frozen=True)
 class Choice(Description):
-    """One of several words or whole numbers. `aliases` are accepted, too, but not offered."""
+    """One of several words or whole numbers. `aliases` are accepted but not listed."""
 
     words: tuple[str, ...] | tuple[int, ...]
     unit: str = ""
@@ -144,7 +143,7 @@ class Choice(Description):
         return f"{', '.join(map(str, self.words))} {self.unit}".rstrip()
 
     def refuse(self, value: object) -> Refusal | None:
-        """Refuse what is none of the words, or of another type."""
+        """Refuse values that are none of the words, or of another type."""
         if type(value) is type(self.words[0]) and value in (*self.words, *self.aliases):
             return None
         guess = nearest(value, map(str, self.words)) if isinstance(value, str) else ""
@@ -175,7 +174,7 @@ class Switch(Description):
 
 @dataclass(frozen=True)
 class Text(Description):
-    """A text that is not empty. `grammar` says in words how it is written."""
+    """A text that is not empty. `grammar` describes its form in words."""
 
     grammar: str = "a text that is not empty"
 
@@ -198,7 +197,7 @@ class Described:
 
     The descriptions are appended to the class's docstring.
 
-    UsageError: constructing one with refused values names all of them.
+    UsageError: the constructor got refused values; the message names all of them.
     """
 
     DESCRIPTIONS: ClassVar[Mapping[str, Description]] = {}
@@ -233,9 +232,9 @@ class Described:
 
     @classmethod
     def refusals(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return why values of any type are refused, by field; absent ones are the defaults.
+        """Return why values of any type are refused, by field; missing fields have their defaults.
 
-        None is accepted where it is the default. Unknown names are the caller's to report.
+        None is accepted if it is the default. The caller must report unknown names.
         """
         found: dict[str, Refusal] = {}
         accepted = {**values}
@@ -252,14 +251,14 @@ class Described:
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return which fields contradict others. values: those accepted one by one."""
+        """Return the fields that contradict others. values: those accepted by themselves."""
         return {}
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Self:
-        """Return an instance of values as a config file or a capture has them.
+        """Return an instance made of values from a config file or a capture.
 
-        UsageError: one of them is refused.
+        UsageError: a value is refused.
         """
         if found := cls.refusals(values):
             raise UsageError("; ".join(f"{name} {refusal}" for name, refusal in found.items()))

@@ -1,4 +1,4 @@
-"""The limit of every volume that is set on a device."""
+"""The limit for every volume that this program sets on a device."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from device.errors import UsageError
 
 MAX_VOLUME_DB = 0.0
-"""Greatest level that is ever set: above it, a device amplifies signals of full scale."""
+"""Highest level that is ever set: above it, a device amplifies full-scale signals."""
 
 
 def limit_volume_db(

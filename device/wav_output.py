@@ -1,8 +1,9 @@
-"""Vibration, or what the twin measured, as a float32 WAV file that appears whole or not at all.
+"""Writes vibration or simulated acceleration to a float32 WAV file, complete or not at all.
 
-The header is written here and not by libsndfile, for three reasons: a failed write keeps its
-reason (libsndfile tells only that fewer frames went out); a recording of unknown length may pass
-4 GB; and equal vibration gives equal files (libsndfile writes the time of day into float files).
+The header is written here and not by libsndfile, for three reasons. A failed write keeps its
+reason, while libsndfile reports only that fewer frames were written. A recording of unknown length
+may exceed 4 GB. Equal vibration gives equal files; libsndfile writes the time of day into float
+files.
 """
 
 import os
@@ -17,13 +18,13 @@ from device.units import Float32Array, FloatArray, check_channels
 _SAMPLE = np.dtype("<f4")
 _IEEE_FLOAT = 3  # WAVE_FORMAT_IEEE_FLOAT
 _IN_DS64 = 0xFFFF_FFFF
-"""What a 32-bit size says in RF64: the true one stands in the ds64 chunk."""
+"""Value of a 32-bit size in RF64; the true size is in the ds64 chunk."""
 
 
 class WavOutput:
-    """A float32 WAV file behind `VibrationOutput`; RF64 once it is larger than 4 GB.
+    """A `VibrationOutput` that writes a float32 WAV file, or RF64 above 4 GB.
 
-    Memory stays flat whatever the length. Samples are stored as given, beyond ±1.0 too.
+    Memory use does not depend on the length. Samples are stored as given, also beyond ±1.0.
 
     Parameters
     ----------
@@ -41,7 +42,7 @@ class WavOutput:
     UsageError
         The file cannot be created there, see `AtomicFile`.
     WriteError
-        The disk is full or failed, here and in `write` and `close`; then no file is left.
+        The disk is full or failed, here or in `write` and `close`; no file is left then.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class WavOutput:
         self._channels = channels
         self._comment = comment
         self._frames = 0
-        # The real header takes this one's place at the end; it has the same length.
+        # The final header replaces this one at the end; both have the same length.
         placeholder = wav_header(samplerate, channels, 0, comment)
         file = AtomicFile(path)
         file.write(placeholder)
@@ -82,7 +83,7 @@ class WavOutput:
         if self._file is None:
             raise InternalError("the WAV file is closed: nothing can be written to it")
         check_channels(vibration, self._channels)
-        if vibration.size == 0:  # a memoryview of it could not be cast to bytes
+        if vibration.size == 0:  # a memoryview of an empty array cannot be cast to bytes
             return
         samples = np.ascontiguousarray(vibration, dtype=_SAMPLE)
         self._append(samples.data)
@@ -123,10 +124,10 @@ class WavOutput:
 
 
 def wav_header(samplerate: int, channels: int, frames: int, comment: str | None = None) -> bytes:
-    """Everything before the samples of a float32 WAV file; as long for any number of frames.
+    """Return the header of a float32 WAV file; its length does not depend on `frames`.
 
     Chunks: ds64 (below 4 GB the same bytes are JUNK, EBU Tech 3306), fmt, fact, LIST INFO ICMT,
-    data. A file of more than 4 GB says RF64 in place of RIFF.
+    data. A file of more than 4 GB has RF64 in place of RIFF.
 
     InternalError: the rate or the number of channels does not fit into a WAV header.
     """
@@ -159,5 +160,5 @@ def wav_header(samplerate: int, channels: int, frames: int, comment: str | None 
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:
-    """One RIFF chunk; its content is padded to an even length, its size says the true one."""
+    """Return a RIFF chunk; the content is padded to an even length, the size is without padding."""
     return struct.pack("<4sI", name, len(content)) + content + b"\0" * (len(content) % 2)

@@ -1,9 +1,9 @@
-"""Captures: PCM buffers stored as delivered, for replay bit for bit.
+"""Captures: PCM buffers stored as delivered, for a replay that is equal bit for bit.
 
     audio thread -> recorder -> writer -> folder -> reader -> sources/capture
                     queue+thread segment   format    segment
 
-format describes the folder's files. Times are arguments.
+`format` describes the folder's files. Times are arguments; no clock is read.
 """
 
 from audioflinger_hook.capture.format import STREAMS

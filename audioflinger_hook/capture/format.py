@@ -54,16 +54,16 @@ VERSION = 1
 INDEX_NAME = "index.jsonl"
 STREAMS = ("tap", "effect", "device")
 SAMPLES_OFFSET = 94
-"""The length in bytes of `device.wav_output.wav_header` without a comment."""
+"""Length in bytes of the header from `device.wav_output.wav_header` without a comment."""
 
 LINE_BYTES_MAX = 65_536
-"""No line is longer; bytes without a line break are not searched for one in memory."""
+"""Longest line of an index; limits the memory that a damaged file can take."""
 
 FIRST_BYTES = f'{{"kind":"capture","format":"{FORMAT}"'.encode()
-"""How every index begins."""
+"""Beginning of every index."""
 
 Facts = Mapping[str, str | int | float | bool]
-"""Settings that the recorder stores, by name with its unit."""
+"""Settings that the recorder stores, by name; a name ends in its unit."""
 
 _SEGMENT_NAME = re.compile(rf"({'|'.join(STREAMS)})-(\d{{4,}})\.wav")
 _CRC = re.compile(rb'(\{.*),"crc":"([0-9a-f]{8})"\}\n?', re.DOTALL)
@@ -130,7 +130,7 @@ class EndRecord:
 
 @dataclass(frozen=True, slots=True)
 class OtherRecord:
-    """A sound line of a kind that this program does not know."""
+    """A valid line of a kind that this program does not know."""
 
     kind: str
 
@@ -144,7 +144,7 @@ def segment_name(stream: str, segment: int) -> str:
 
 
 def segment_paths(folder: Path, stream: str) -> dict[int, Path]:
-    """The segments of a stream that lie in the folder, by number, ascending."""
+    """The segments of a stream in the folder, by number, ascending."""
     numbers = []
     for name in (path.name for path in folder.iterdir()):
         found = _SEGMENT_NAME.fullmatch(name)
@@ -250,7 +250,7 @@ def _members(found: object) -> list[tuple[str, object]]:
 def records(path: Path) -> Generator[Record | None, None, None]:
     """Yield the record of every line, or None for a torn or damaged one.
 
-    Memory stays flat. Raises UsageError where the file cannot be read.
+    Memory use is constant. Raises UsageError if the file cannot be read.
     """
     try:
         with path.open("rb") as file:
@@ -266,7 +266,7 @@ def records(path: Path) -> Generator[Record | None, None, None]:
 
 
 def first_record(path: Path) -> Record | None:
-    """The first sound line: the header, or another where the header is damaged; or None."""
+    """The first valid line: the header, or if it is damaged another line; or None."""
     with contextlib.closing(records(path)) as found:
         return next((record for record in found if record is not None), None)
 

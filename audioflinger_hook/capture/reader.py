@@ -1,4 +1,4 @@
-"""Reading a capture: its buffers as they were delivered, up to the last whole one."""
+"""Reads a capture: its buffers as they were delivered, up to the last whole buffer."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ Buffers = Generator[CaptureBuffer, None, None]
 
 
 class Capture:
-    """A capture to read from, finished, cut off, damaged, or still growing.
+    """A capture to read. It may be finished, cut off, damaged, or still growing.
 
     Nothing in the folder is changed. Calls come from one thread, not the audio thread.
 
     - Cut off (kill -9, disk full): everything up to the last whole buffer, and a warning.
     - Damaged lines in the index, missing or changed samples: these buffers are left out, the next
-      one is a discontinuity, and a warning says how many.
+      buffer is a discontinuity, and a warning has the count.
     - Index missing: the segments in order, as buffers of 1024 frames.
 
     Parameters
@@ -59,7 +59,7 @@ class Capture:
     Attributes
     ----------
     streams : tuple of str
-        The streams that it holds.
+        The streams in the capture.
     facts : mapping
         Settings that the recorder stored.
     warnings : list of str
@@ -98,7 +98,7 @@ class Capture:
             )
 
     def buffers(self, stream: str = "tap") -> Buffers:
-        """The stream's buffers in order. Several iterations at a time do not disturb one another.
+        """The stream's buffers in order. Several iterations may run at a time.
 
         UsageError: there is no such stream, a file may not be read, or the index is missing and the
             order of the segments is ambiguous.
@@ -112,7 +112,7 @@ class Capture:
         return self._rebuild(stream) if self._rebuilt else self._read(stream)
 
     def frames_expected(self, stream: str = "tap") -> int:
-        """Frames of the stream by the lengths of its segments: quick, and for progress only."""
+        """Frames of the stream, from the lengths of its segments: fast, for progress only."""
         found = map(segment_format, segment_paths(self.folder, stream).values())
         return sum(segment.frames_there for segment in found if segment is not None)
 
@@ -157,7 +157,7 @@ class Capture:
 
 @dataclass
 class _Tally:
-    """What one pass over a stream has seen, for its warnings."""
+    """Counts of one pass over a stream, for its warnings."""
 
     next_buffer: int = 0
     taken_buffers: int = 0
@@ -187,13 +187,13 @@ class _Tally:
         return missing
 
     def drop(self, record: DroppedRecord) -> None:
-        """Count what the recorder could not keep."""
+        """Count buffers that the recorder could not keep."""
         self.dropped_buffers += record.buffers
         self.dropped_frames += record.frames
         self.after_drop = True
 
     def warnings(self, stream: str) -> Iterator[str]:
-        """What a user should know, a line each."""
+        """Yield warnings for the user, one line each."""
         if self.dropped_buffers:
             yield (
                 f"dropped while recording: {counted(self.dropped_buffers, 'buffers')} "
@@ -226,7 +226,7 @@ class _Tally:
 
 
 class _Samples:
-    """Samples of one buffer after another; holds the segment that is being read open."""
+    """Reads the samples of one buffer after another; keeps the present segment open."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -234,7 +234,7 @@ class _Samples:
         self._segment: SegmentReader | None = None
 
     def read(self, record: BufferRecord) -> NDArray[np.float32] | None:
-        """The buffer's samples, or None where they are not whole."""
+        """The buffer's samples, or None if they are incomplete."""
         path = self._folder / segment_name(record.stream, record.segment)
         if path != self._path:
             self.close()
@@ -248,7 +248,7 @@ class _Samples:
         return self._segment.read(record.first, record.frames, record.channels, record.samples_crc)
 
     def close(self) -> None:
-        """Let go of the segment."""
+        """Close the segment."""
         if self._segment is not None:
             self._segment.close()
         self._segment = self._path = None
@@ -259,7 +259,7 @@ def _none() -> Buffers:
 
 
 def _streams_there(folder: Path) -> tuple[str, ...]:
-    """The streams of which the folder holds a segment; UsageError where it cannot be looked at."""
+    """The streams with a segment in the folder. UsageError: the folder cannot be read."""
     try:
         if not folder.exists():
             raise UsageError(f"{folder} does not exist; give the folder of a capture")

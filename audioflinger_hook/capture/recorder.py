@@ -1,4 +1,4 @@
-"""Capturing from the audio thread: buffers are handed over and written elsewhere."""
+"""Captures from the audio thread: takes its buffers and writes them on another thread."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from audioflinger_hook.capture.writer import CaptureWriter
 from device.errors import CushionError, InternalError
 
 CAPACITY_SAMPLES = 1 << 22
-"""Samples that a stream may have waiting: 16 MB, or 43 s of 48 kHz stereo."""
+"""Largest number of waiting samples of a stream: 16 MB, or 43 s of 48 kHz stereo."""
 
 CAPACITY_BUFFERS = 1 << 14
 
 
 @dataclass(frozen=True, slots=True)
 class _Handed:
-    """A buffer on its way: where in the ring it lies and how it was delivered."""
+    """A waiting buffer: its place in the ring, and how it was delivered."""
 
     start: int
     end: int
@@ -39,9 +39,9 @@ class CaptureRecorder:
     writer : CaptureWriter
         Writes the capture; the recorder owns it from now on.
     capacity_samples : int
-        Samples that each stream may have waiting, and the limit of a buffer.
+        Largest number of waiting samples of each stream, and of samples in a buffer.
     capacity_buffers : int
-        Buffers that each stream may have waiting.
+        Largest number of waiting buffers of each stream.
 
     Attributes
     ----------
@@ -62,10 +62,10 @@ class CaptureRecorder:
         self._lanes = {
             stream: _Lane(capacity_samples, capacity_buffers) for stream in writer.streams
         }
-        # Its put never waits, and wakes the thread.
+        # Its `put` never waits, and wakes the thread.
         self._queue: SimpleQueue[tuple[str, _Handed] | None] = SimpleQueue()
         self._closed = False
-        # A daemon: a program that fails before `close` must be able to end.
+        # A daemon thread, so that a program that fails before `close` can end.
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
         self._thread.start()
 
@@ -78,10 +78,10 @@ class CaptureRecorder:
         *,
         discontinuity: bool = False,
     ) -> bool:
-        """Hand over one buffer, see `CaptureWriter.write_buffer`; False where it was dropped.
+        """Take one buffer, see `CaptureWriter.write_buffer`; return False if it was dropped.
 
-        The samples are copied: the caller may use its array again. Called by the audio thread;
-        never waits, never raises for a stream of the capture.
+        The samples are copied, so the caller may reuse its array. Called by the audio thread; never
+        waits, and never raises for a stream of the capture.
         """
         lane = self._lanes[stream]
         if frames.ndim != 2 or frames.dtype != np.float32:
@@ -103,10 +103,10 @@ class CaptureRecorder:
         return self._lanes[stream].dropped()
 
     def close(self) -> None:
-        """Write what is waiting, complete the capture, and raise what made writing end, if so.
+        """Write waiting buffers, complete the capture; raise the error that ended writing, if any.
 
-        Waits for the disk; harmless a second time. Called when the feeding threads have stopped;
-        what they offer later is dropped.
+        Waits for the disk; may be called again. Call it when the feeding threads have stopped;
+        buffers offered later are dropped.
         """
         if self._closed:
             return
@@ -166,15 +166,15 @@ class CaptureRecorder:
 
 
 class _Lane:
-    """The ring of one stream. `put` and `drop` by the feeding thread, the rest by the writing one.
+    """One stream's ring. The feeding thread calls `put` and `drop`, the writing thread the rest.
 
-    Positions count samples from the start and never wrap; a buffer lies in one piece, so the end
-    of the ring is skipped where it does not fit.
+    Positions count samples from the start and never wrap. A buffer is stored in one piece, so the
+    end of the ring is skipped if the buffer does not fit there.
     """
 
     def __init__(self, capacity_samples: int, capacity_buffers: int) -> None:
         self._ring = np.empty(capacity_samples, np.float32)
-        self._ring.fill(0.0)  # touched now, so that no page is missing later
+        self._ring.fill(0.0)  # written now, so that no memory page is missing later
         self._capacity_buffers = capacity_buffers
         self._head = self._put = 0  # moved by the feeding thread
         self._tail = self._released = 0  # moved by the writing thread, while something is waiting
@@ -188,7 +188,7 @@ class _Lane:
         """Copy a buffer into the ring, or count it as dropped and return None."""
         capacity = len(self._ring)
         if self._put == self._released:
-            # Nothing is waiting, so the writing thread moves nothing: start at the beginning.
+            # No buffer is waiting, so the writing thread moves no position: start at the beginning.
             self._head = self._tail = 0
         start = self._head
         if start % capacity + frames.size > capacity:
@@ -210,14 +210,14 @@ class _Lane:
         self.dropped_frames += frames
 
     def dropped(self) -> tuple[int, int]:
-        """Buffers and frames not kept so far, before the ring or behind it."""
+        """Buffers and frames not kept so far, because of a full ring or of the writer."""
         return (
             self.dropped_buffers + self.unwritten_buffers,
             self.dropped_frames + self.unwritten_frames,
         )
 
     def drop_unwritten(self) -> None:
-        """Call dropped what was not written; both threads have come to rest."""
+        """Count unwritten buffers as dropped; both threads must have stopped."""
         self.dropped_buffers, self.dropped_frames = self.dropped()
         self.unwritten_buffers = self.unwritten_frames = 0
 
@@ -228,11 +228,11 @@ class _Lane:
         return self.dropped_buffers - buffers, self.dropped_frames - frames
 
     def samples_of(self, handed: _Handed) -> NDArray[np.float32]:
-        """The buffer, in the ring."""
+        """The buffer's samples in the ring."""
         start = handed.start % len(self._ring)
         return self._ring[start : start + handed.end - handed.start].reshape(handed.shape)
 
     def release(self, handed: _Handed) -> None:
-        """Give the buffer's place free."""
+        """Free the buffer's place in the ring."""
         self._tail = handed.end
         self._released += 1

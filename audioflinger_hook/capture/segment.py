@@ -20,17 +20,17 @@ from device.errors import InternalError, UsageError
 from device.wav_output import wav_header
 
 _SAMPLE = np.dtype("<f4")
-_FORMAT_AT = 56  # behind RIFF, ds64 or JUNK, and the head of the fmt chunk: tag, channels, rate
+_FORMAT_AT = 56  # after RIFF, ds64 or JUNK, and the start of the fmt chunk: tag, channels, rate
 _DS64_FRAMES_AT = 36
 _FACT_FRAMES_AT = 82
 
 
 @dataclass(frozen=True)
 class SegmentFormat:
-    """What a segment holds.
+    """Format and length of a segment.
 
-    samplerate: Hz; frames: whole frames by its header, which knows whole buffers only;
-    frames_there: whole frames by its length.
+    samplerate: Hz; frames: whole frames according to the header, which counts only whole buffers;
+    frames_there: whole frames according to the file's length.
     """
 
     samplerate: int
@@ -42,9 +42,9 @@ class SegmentFormat:
 class SegmentWriter:
     """A new segment at `path`; an older file of that name is replaced.
 
-    Samples go to the operating system at once. `append` puts them behind the last buffer, `keep`
-    makes them part of the file as its header tells it, `cut` takes them away again. One thread;
-    every method may raise OSError.
+    Samples go to the operating system at once. `append` writes them after the last buffer, `keep`
+    counts them in the header, `cut` removes them again. Use from one thread; every method may raise
+    OSError.
     """
 
     def __init__(self, path: Path, samplerate: int, channels: int) -> None:
@@ -62,25 +62,25 @@ class SegmentWriter:
             raise
 
     def append(self, frames: NDArray[np.float32]) -> int:
-        """Write a buffer's samples behind those kept, and return their CRC-32."""
+        """Write a buffer's samples after those kept, and return their CRC-32."""
         samples = np.ascontiguousarray(frames, _SAMPLE).reshape(-1).view(np.uint8).data
         write_at(self._fd, samples, self._size())
         return zlib.crc32(samples)
 
     def keep(self, frames: int) -> None:
-        """Count the frames appended last, in the header too."""
+        """Count the frames appended last, also in the header."""
         self.frames += frames
         write_at(self._fd, wav_header(self.samplerate, self.channels, self.frames), 0)
 
     def cut(self, frames: int) -> None:
-        """Go back to the first `frames` frames, as far as the disk lets us."""
+        """Go back to the first `frames` frames, if the disk allows it."""
         self.frames = frames
-        with contextlib.suppress(OSError):  # what lies behind harms no reader
+        with contextlib.suppress(OSError):  # bytes after the counted frames harm no reader
             os.ftruncate(self._fd, self._size())
             write_at(self._fd, wav_header(self.samplerate, self.channels, frames), 0)
 
     def close(self) -> None:
-        """Let go of the file. May be called more than once."""
+        """Close the file. May be called more than once."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -96,16 +96,16 @@ class SegmentWriter:
 
 
 class SegmentReader:
-    """Samples of a segment, any buffer of it, also while it grows. One thread.
+    """Reads samples of any buffer of a segment, also while it grows. Use from one thread.
 
     FileNotFoundError: there is no such file.
-    UsageError: it may not be read, or is no file.
+    UsageError: no permission to read the file, or it is no regular file.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            # Opening a pipe would wait for somebody to write into it.
+            # Opening a pipe would block until a writer opens it.
             self._fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         except FileNotFoundError:
             raise
@@ -120,12 +120,12 @@ class SegmentReader:
     def read(
         self, first: int, frames: int, channels: int, crc: int | None = None
     ) -> NDArray[np.float32] | None:
-        """Return (frames, channels) samples from frame `first` on, or None if they are not whole.
+        """Return samples (frames, channels) from frame `first` on, or None if they are incomplete.
 
-        crc: what their CRC-32 must be; None where it is not known.
+        crc: the CRC-32 that the samples must have; None if it is not known.
         """
         start = SAMPLES_OFFSET + first * channels * _SAMPLE.itemsize
-        # Asked first: a damaged count must not ask for memory.
+        # Check this first: a damaged count must not allocate memory.
         if start + frames * channels * _SAMPLE.itemsize > os.fstat(self._fd).st_size:
             return None
         samples = np.empty((frames, channels), _SAMPLE)
@@ -137,7 +137,7 @@ class SegmentReader:
         return samples.astype(np.float32, copy=False)
 
     def format(self) -> SegmentFormat | None:
-        """What the segment says it holds; None where its header is not a `SegmentWriter`'s."""
+        """Format and length of the segment; None if its header is not from a `SegmentWriter`."""
         header = bytearray(SAMPLES_OFFSET)
         if not _read_at(self._fd, memoryview(header), 0):
             return None
@@ -156,20 +156,20 @@ class SegmentReader:
         return SegmentFormat(samplerate, channels, min(frames, there), there)
 
     def close(self) -> None:
-        """Let go of the file. May be called more than once."""
+        """Close the file. May be called more than once."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
 
 def segment_format(path: Path) -> SegmentFormat | None:
-    """`SegmentReader.format` of the file; raises what `SegmentReader` raises."""
+    """`SegmentReader.format` of the file; raises the errors of `SegmentReader`."""
     with contextlib.closing(SegmentReader(path)) as reader:
         return reader.format()
 
 
 def write_at(fd: int, content: bytes | memoryview, position: int) -> None:
-    """Write all of the bytes at that position, or raise OSError."""
+    """Write all bytes at that position, or raise OSError."""
     rest = memoryview(content)
     while rest:
         written = os.pwrite(fd, rest, position)
@@ -177,7 +177,7 @@ def write_at(fd: int, content: bytes | memoryview, position: int) -> None:
 
 
 def _read_at(fd: int, target: memoryview, position: int) -> bool:
-    """Fill the target from that position on; False where the file ends before."""
+    """Fill the target from that position on; return False if the file is too short."""
     while target:
         got = os.preadv(fd, [target], position)
         if got == 0:
@@ -198,7 +198,7 @@ class CaptureBuffer:
     samplerate : int
         Hz.
     time_s : float
-        Time of its delivery, seconds of the recorder's monotonic clock.
+        Time when the buffer was delivered, in seconds of the recorder's monotonic clock.
     discontinuity : bool
         Whether frames are missing before it: at the source, in the recorder or in the capture.
     """
@@ -220,13 +220,13 @@ class CaptureBuffer:
 
 
 REBUILT_FRAMES = 1_024
-"""Frames of a buffer, where nobody knows how many there were."""
+"""Frames per buffer if the recorded sizes are lost."""
 
 
 def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
     """The stream in buffers of `REBUILT_FRAMES`; the last of each segment may be shorter.
 
-    Raises UsageError where the order of the segments is ambiguous or one is not a capture's.
+    Raises UsageError if the order of the segments is ambiguous, or a segment is not from a capture.
     """
     time_s = 0.0
     for path, segment in ordered_segments(folder, stream):
@@ -234,7 +234,7 @@ def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
             for first in range(0, segment.frames, REBUILT_FRAMES):
                 count = min(REBUILT_FRAMES, segment.frames - first)
                 samples = reader.read(first, count, segment.channels)
-                if samples is None:  # it has become shorter since
+                if samples is None:  # the file has become shorter since
                     return
                 at_s = time_s + first / segment.samplerate
                 yield CaptureBuffer(samples, segment.samplerate, at_s, discontinuity=False)
@@ -242,7 +242,7 @@ def rebuilt_buffers(folder: Path, stream: str) -> Iterator[CaptureBuffer]:
 
 
 def ordered_segments(folder: Path, stream: str) -> list[tuple[Path, SegmentFormat]]:
-    """The stream's segments in order, or UsageError where there is no telling."""
+    """The stream's segments in order. UsageError: the order cannot be known."""
     paths = segment_paths(folder, stream)
     segments = []
     for expected, (number, path) in enumerate(paths.items(), 1):

@@ -1,4 +1,4 @@
-"""Writing a capture: every buffer is safe from a kill as soon as its call has returned."""
+"""Writes a capture: a buffer survives a kill once its call has returned."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ class _Stream:
 class CaptureWriter:
     """A new capture, written buffer by buffer.
 
-    `write_buffer` hands the samples and then their line of the index to the operating system
-    before it returns; `close` syncs them to the disk. Killed at any moment, the capture holds
+    `write_buffer` passes the samples and then their line of the index to the operating system
+    before it returns; `close` syncs them to the disk. If the process is killed, the capture has
     every buffer whose call had returned. After a failed write the capture stays readable, and the
-    writer is closed. Memory stays flat. Each call waits for the operating system, so one thread
-    calls, not the audio thread (see `CaptureRecorder`).
+    writer is closed. Memory use is constant. Each call waits for the operating system, so use one
+    thread, not the audio thread (see `CaptureRecorder`).
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class CaptureWriter:
     Raises
     ------
     UsageError
-        The folder is not empty, is no folder, or cannot be written.
+        The path is not empty, is no folder, or cannot be written.
     WriteError
         The disk is full or failed, here and in every method.
     """
@@ -115,11 +115,11 @@ class CaptureWriter:
         *,
         discontinuity: bool = False,
     ) -> None:
-        """Keep one buffer, (frames, channels) float32, bit for bit.
+        """Write one buffer, (frames, channels) float32, bit for bit.
 
-        samplerate: Hz; time_s: when it was delivered, in seconds of a monotonic clock;
-        discontinuity: frames are missing before it. A buffer may be empty. Another rate or number
-        of channels than the last buffer's starts a new segment.
+        samplerate: Hz; time_s: when the buffer was delivered, in seconds of a monotonic clock;
+        discontinuity: whether frames are missing before it. A buffer may be empty. Another rate or
+        number of channels than the last buffer's starts a new segment.
         """
         _check_buffer(frames, time_s)
         before, here = self._state_of(stream), self._streams[stream]
@@ -149,16 +149,16 @@ class CaptureWriter:
     def note_dropped(self, stream: str, buffers: int, frames: int) -> None:
         """Record the loss of buffers, `frames` long in all, before the next buffer of the stream.
 
-        A reader reports that one as a discontinuity.
+        A reader reports that next buffer as a discontinuity.
         """
         self._state_of(stream)
         with self._all_or_nothing():
             self._append_line(DroppedRecord(stream, buffers, frames).line())
 
     def close(self) -> None:
-        """Bring everything to the disk and mark the capture as complete.
+        """Write everything to the disk and mark the capture as complete.
 
-        Harmless a second time and after a failure.
+        May be called again, and after a failure.
         """
         if self._index_fd < 0:
             return
@@ -170,7 +170,7 @@ class CaptureWriter:
                 counts = {stream: state.buffers for stream, state in self._streams.items()}
                 self._append_line(EndRecord(counts).line())
                 os.fsync(self._index_fd)
-                with contextlib.suppress(OSError):  # not every file system can do it for folders
+                with contextlib.suppress(OSError):  # some file systems cannot sync folders
                     _fsync(self.folder)
         finally:
             self._release()
@@ -207,13 +207,13 @@ class CaptureWriter:
 
     @contextlib.contextmanager
     def _all_or_nothing(self, stream: str = "", before: _Stream | None = None) -> Iterator[None]:
-        """Undo what was written if it fails: the lines, and the stream as far as it was before."""
+        """If the block fails, undo its writes: the index lines, and the samples of the stream."""
         index_bytes = self._index_bytes
         try:
             yield
-        except BaseException as error:  # an interruption too must not leave half a buffer
+        except BaseException as error:  # even an interruption must not leave half a buffer
             self._index_bytes = index_bytes
-            with contextlib.suppress(OSError):  # a reader finds half a line by its CRC
+            with contextlib.suppress(OSError):  # a reader recognises half a line by its CRC
                 os.ftruncate(self._index_fd, index_bytes)
             if before:
                 self._go_back(stream, before)
@@ -258,7 +258,7 @@ def _check_buffer(frames: NDArray[np.float32], time_s: float) -> None:
 
 
 def _new_index(folder: Path, header: bytes) -> int:
-    """Make the folder and the index in it, and return the index, open."""
+    """Make the folder and its index, and return the descriptor of the open index."""
     made = False
     try:
         made = _make_folder(folder)
@@ -279,7 +279,7 @@ def _new_index(folder: Path, header: bytes) -> int:
 
 
 def _make_folder(folder: Path) -> bool:
-    """Whether the folder had to be made; raises where it is in use or cannot be one."""
+    """Make the folder if missing; return whether it was made. Raises if it cannot be used."""
     try:
         folder.mkdir()
     except FileExistsError:

@@ -1,4 +1,4 @@
-"""The `cushion` command: one module a subcommand."""
+"""The `cushion` command: one module per subcommand."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STDOUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code: 0, 2 to 5, or 130 when interrupted.
 
-    Whatever goes wrong is one line on stderr; `--debug` adds the traceback.
+    An error is one line on stderr; `--debug` adds the traceback.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     debug = "--debug" in arguments
@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("cushion: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output has gone; nothing more can be said to it.
+        # The reader of our output is gone, so nothing more can be printed.
         _discard_stdout()
         return 0
     except Exception as error:
@@ -55,39 +55,39 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str]) -> int:
     try:
         options = build_parser().parse_args(arguments)
-    except SystemExit as done:  # --help and --version end the parser's way
+    except SystemExit as done:  # raised by the parser for --help and --version
         return int(done.code or 0)
     return int(options.run(options))
 
 
 def _prepare_streams() -> None:
-    """Let print work where the caller has closed stdout or stderr, and on any name."""
+    """Let print work with any file name, and if the caller has closed stdout or stderr."""
     for descriptor in (0, 1, 2):
         try:
             os.fstat(descriptor)
-        except OSError:  # else the next file that is opened would take its place
+        except OSError:  # else the next opened file would get this descriptor
             os.open(os.devnull, os.O_RDWR)
     sys.stdout = sys.stdout or io.StringIO()
     sys.stderr = sys.stderr or io.StringIO()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            # A file's name may be bytes that are no text.
+            # A file's name may contain bytes that are not valid text.
             stream.reconfigure(errors="backslashreplace")
 
 
 def _discard_stdout() -> None:
-    """Drop what is buffered, so that the interpreter does not try to write it when it ends."""
+    """Drop buffered output, so that the interpreter does not try to write it at its end."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _report(error: CushionError, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    with contextlib.suppress(OSError):  # nobody may be left to read it
+    with contextlib.suppress(OSError):  # stderr may have no reader
         print(f"cushion: error: {error}", file=sys.stderr, flush=True)
     return error.exit_code
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    """Treat a request to end as an interruption, so that nothing is left half-written."""
+    """Treat a request to end as KeyboardInterrupt, so that no file is left half-written."""
     raise KeyboardInterrupt

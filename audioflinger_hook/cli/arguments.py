@@ -12,10 +12,10 @@ from device.errors import UsageError
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that reports wrong usage as every other error is reported, and guesses nothing.
+    """A parser that reports wrong usage like other errors and accepts no abbreviations.
 
-    any_order: whether options may stand between the names of files, however many these are.
-    add_options: adds the options as soon as the command is named, so that the others cost nothing.
+    any_order: whether options may be placed between the names of files, of any number.
+    add_options: adds the options once the command is known, so that others cost no time.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -26,7 +26,7 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> tuple[argparse.Namespace, list[str]]:
-        """Return what was found, and what is left over."""
+        """Return the parsed options and the arguments left over."""
         if self.add_options:
             add_options, self.add_options = self.add_options, None
             add_options(self)
@@ -34,11 +34,11 @@ class Parser(argparse.ArgumentParser):
             return super().parse_known_args(args, namespace)
         given = list(sys.argv[1:] if args is None else args)
         if "--" in given:
-            # The rest comes here again without the mark: no name may look like an option then.
+            # The rest is parsed again without the mark "--": no name may look like an option then.
             place = given.index("--")
             names = (f"./{name}" if name.startswith("-") else name for name in given[place + 1 :])
             given = [*given[:place], *names]
-        self.any_order = False  # the options first, then what is left: both come here again
+        self.any_order = False  # the options first, then the rest; both calls come here again
         try:
             return self.parse_known_intermixed_args(given, namespace)
         finally:

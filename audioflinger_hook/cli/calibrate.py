@@ -1,4 +1,4 @@
-"""`cushion calibrate`: sweep a rig, and write what was identified into its file."""
+"""`cushion calibrate`: sweep a rig, and write the identified values to the rig's file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NOT_FOR_TWIN = ("input", "channels", "shunt_ohm", "moving_mass_kg", "level", "lo
 
 
 def run(options: argparse.Namespace) -> int:
-    """Calibrate with rising levels; anything unexpected ends it before it becomes loud."""
+    """Calibrate with rising levels; anything unexpected ends the run before it becomes loud."""
     device = parse_device(options.device)
     rig = rig_by_name(options.rig)
     _check_out(options.out)
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _check_out(path: Path | None) -> None:
-    """Refuse a file that could not be written, before anything is played."""
+    """Refuse a file that cannot be written, before anything is played."""
     if path is None:
         return
     if path.suffix != SUFFIX:
@@ -91,7 +91,7 @@ def _conclude(
 
 
 def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str, object]:
-    """For --json; null is what was not measured or does not follow from it."""
+    """Return the result for --json; null: not measured, or not computable from the measurement."""
     driven, scaled = found.driven, found.level_of_x_max is not None
     return {
         "rig": rig.name,
@@ -132,7 +132,7 @@ def _quality(one: Quality) -> dict[str, object]:
 
 
 def table(found: Calibration, devices: Devices | None) -> str:
-    """For people."""
+    """Return the result as text for people."""
     rows = [
         f"{parameter:<32} {estimate.value:>12.5g}   {estimate.low:.5g} to {estimate.high:.5g}"
         for parameter, estimate in found.values.items()

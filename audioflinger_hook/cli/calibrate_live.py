@@ -33,11 +33,11 @@ from device.stream.pcms import CardDevice, ServerDevice
 from device.values import counted
 
 USUAL_LEVEL, MOST_LEVEL = 0.05, 0.25
-"""Of full scale, unless asked for, and unless --loud is."""
+"""Parts of full scale: the default level, and the highest level without --loud."""
 
 RATE_HZ = 48_000
 WEIGHED_SHARE = 0.02
-"""Half the interval of a mass that was weighed."""
+"""Half-width of the interval of a weighed mass."""
 
 INPUT_GRAMMAR = "source:NAME or hw:CARD[,DEVICE]"
 
@@ -49,7 +49,7 @@ PLAIN_MAPS = {
     6: f"{_QUAD},front-center,lfe",
     8: f"{_QUAD},front-center,lfe,side-left,side-right",
 }
-"""By number of channels, those that ALSA's way to the server asks for: others are mixed by name."""
+"""Positions that ALSA's plugin for the server requests, by channel count; others get mixed."""
 
 _HAS_TO_BE_KNOWN = (
     "dac.full_scale_v",
@@ -70,7 +70,7 @@ def calibrate_live(
     options: argparse.Namespace,
     tell: Callable[[float], None],
 ) -> tuple[Calibration, Devices]:
-    """Calibrate the rig on that device, recorded by the named input only."""
+    """Calibrate the rig on this device; record only from the named input."""
     if device.kind not in ("sink", "usb", "hw"):
         raise NotFoundError(
             f"device {str(device)!r} cannot be calibrated; allowed: sink:NAME, usb:VID:PID, "
@@ -145,7 +145,7 @@ def _inputs(options: argparse.Namespace) -> Inputs:
 
 
 def levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
-    """The sweep at the level asked for, or at the one that moves 0.15 Xmax if that is known."""
+    """Return the sweep at the requested level, reduced if it would move more than 0.15 Xmax."""
     level = USUAL_LEVEL if options.level is None else options.level
     most = 1.0 if options.loud else MOST_LEVEL
     if not 0.0 < level <= most:
@@ -165,7 +165,7 @@ def levelled(rig: Rig, sweep: Sweep, options: argparse.Namespace) -> Sweep:
 
 
 def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[StreamEndpoint, int]:
-    """Where the sweep goes, and at which rate."""
+    """Return the endpoint that plays the sweep, and its sample rate."""
     if device.kind == "hw":
         playback = find_playback(device.name)
         if refused := why_blocked(playback):
@@ -190,7 +190,7 @@ def _output(device: DeviceAddress, snapshot: ServerSnapshot | None) -> tuple[Str
 def _input(
     source: str, snapshot: ServerSnapshot | None, needed: int, output: StreamEndpoint, rate: int
 ) -> tuple[StreamEndpoint, int]:
-    """What hears it, and the rate of both."""
+    """Return the endpoint that records, and the sample rate of both."""
     kind, _, name = source.partition(":")
     if kind == "source":
         assert snapshot is not None

@@ -1,4 +1,4 @@
-"""`cushion capture`: the buffers of a tap, stored as delivered."""
+"""`cushion capture`: stores the buffers of a tap as delivered."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LIVE_TAPS = ("default", "sink")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Record until the tap ends, or for so many seconds of sound, and print a summary."""
+    """Record until the tap ends, or for `--seconds` of sound, and print a summary."""
     address = parse_tap(options.tap)
     if address.kind in LIVE_TAPS:
         writer, live = _record_live(address, options.folder, options.seconds, debug=options.debug)
@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, channels: int) -> None:
-    """Print what a capture contains; samplerate: of its last buffer, Hz, as the channels."""
+    """Print what a capture contains; samplerate (Hz), channels: of its last buffer."""
     buffers, of = counted(writer.buffers("tap"), "buffers"), counted(channels, "channels")
     print(f"{writer.folder}: {heard_s:.2f} s in {buffers}, {of} at {samplerate} Hz")
 
@@ -56,7 +56,7 @@ def _print_summary(writer: CaptureWriter, heard_s: float, samplerate: int, chann
 def _record_live(
     address: TapAddress, folder: Path, seconds: float, *, debug: bool
 ) -> tuple[CaptureWriter, LiveCapture]:
-    """Record so many seconds of sound, or until a signal; return the writer and the capture."""
+    """Record for a duration or until a signal; return the writer and the capture."""
     if not debug:
         filter_stderr()
     with (

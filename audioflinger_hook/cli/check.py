@@ -15,7 +15,7 @@ from device.errors import UsageError
 
 
 def run(options: argparse.Namespace) -> int:
-    """Check a config file; exit 2 where it has mistakes."""
+    """Check a config file; return exit code 2 if it has mistakes."""
     path: Path | None = options.config
     as_json: bool = options.json
     if options.schema:
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def load_config(path: Path) -> config.Config:
-    """Return what a config file says, and warn of keys with old names. UsageError: as `load`."""
+    """Return a config file's content and warn of keys with old names. UsageError: as `load`."""
     found = config.load(path)
     if found.warning:
         _warn_once(f"{path}: {found.warning}")

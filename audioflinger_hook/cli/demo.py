@@ -36,10 +36,10 @@ from device.units import amplitude_to_db
 from device.wav_output import WavOutput
 
 BLOCKSIZE_FRAMES = 256
-"""What a sound server delivers at a time; costs are given for it."""
+"""Frames that a sound server delivers at a time; computing times are given for this block."""
 
 FAINTEST_DB = -45.0
-"""Principal frequencies this far under full scale are drawn as the smallest dot."""
+"""Principal frequencies this far below full scale are drawn as the smallest dot."""
 
 
 @dataclass
@@ -105,7 +105,7 @@ def _make_folder(out: Path) -> None:
 
 
 def _play(chain: Pipeline, scene: Scene, rig: SimulatedRig, *, fast: bool) -> Played:
-    """Step the pipeline to its end, in real time unless `fast`, and show its levels."""
+    """Step the pipeline to its end, in real time unless `fast`, and show the levels."""
     played = Played()
     pace = RealTimePace(scene.samplerate, time.monotonic())
     frames = 0
@@ -134,7 +134,7 @@ def _draw(
     framework: Framework,
     values: Mapping[str, str],
 ) -> None:
-    """Write the picture, which needs matplotlib and carries the main values as text."""
+    """Write the picture with the main values as text; needs matplotlib."""
     from audioflinger_hook.figures.report import draw_report
 
     settings = framework.settings
@@ -174,7 +174,7 @@ def _draw(
 
 
 def _main_values(framework: Framework, rig: SimulatedRig, played: Played) -> dict[str, str]:
-    """Return what the closing table and the picture's text both say, by name."""
+    """Return the values, by name, that the final table and the picture's text both show."""
     peak = max(float(np.abs(block).max(initial=0.0)) for block in played.vibration)
     return {
         "latency of the transform": f"{framework.latency_s * 1e3:.1f} ms",
@@ -236,7 +236,7 @@ Block = NDArray[np.floating[Any]]
 
 
 class Meter:
-    """Draws while the console is a terminal, and does nothing elsewhere.
+    """Draws a meter if the console is a terminal, else does nothing.
 
     Called by the thread that steps the chain, which has time to spare in a demo.
     """
@@ -263,7 +263,7 @@ class Meter:
             self._live.stop()
 
     def show(self, frames: int, audio: Block, vibration: Block, acceleration: Block) -> None:
-        """Take in one step and redraw when it is time; `frames`: of the scene so far."""
+        """Add one step and redraw when due; `frames`: frames of the scene so far."""
         if not self._on:
             return
         peaks = [float(np.abs(block).max(initial=0.0)) for block in (audio, vibration)]

@@ -27,7 +27,7 @@ from device.usb.mapping import hw_names, sinks_of
 
 
 def run(options: argparse.Namespace) -> int:
-    """List what is there; without a sound server or a USB bus say so, and end well."""
+    """List the devices; a missing sound server or USB bus is reported and is no error."""
     filter_stderr()
     snapshot = None
     try:
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) -> dict[str, Any]:
-    """Return the data of a USB device that need no request to it; see `usb describe` for more."""
+    """Return data of a USB device that can be read without a request to the device."""
     whole, trouble = None, None
     try:
         whole = parse_whole(device.descriptors)
@@ -91,16 +91,16 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
 
 
 def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int], UsbFormat]:
-    """Return the driver's formats of a device, by interface and alternate setting.
+    """Return a device's formats as the driver lists them, by interface and alternate setting.
 
-    The driver knows the rates of class 2, which only the device's clock reports.
+    The driver knows the sample rates of devices of class 2; their descriptors do not list them.
     """
     found: dict[tuple[int, int], UsbFormat] = {}
     for name in hw_names(device):
         try:
             playback = find_playback(name.removeprefix("hw:"), root)
         except NotFoundError:
-            continue  # it was unplugged in the meantime
+            continue  # the device was unplugged in the meantime
         stream = read_usb_stream(playback)
         for each in stream.formats if stream else ():
             found[each.interface, each.altsetting] = each
@@ -110,7 +110,7 @@ def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int
 def _samplerates(
     playback: PlaybackFormat, offered: UsbFormat | None
 ) -> list[int] | dict[str, int] | None:
-    """Return rates in Hz, or their range; None where only the device's clock knows them."""
+    """Return rates in Hz, or their range; None if only the device's clock knows them."""
     rates = playback.samplerates
     if isinstance(rates, RateRange):
         return {"lowest": rates.lowest, "highest": rates.highest}

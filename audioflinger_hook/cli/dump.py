@@ -15,7 +15,7 @@ from audioflinger_hook.sources import open_client, parse_tap
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play a tap up to a moment, as fast as it goes, and print the framework as it then is."""
+    """Play a tap up to a given time, as fast as possible, and print the framework's state."""
     settings = load_config(options.config).settings if options.config else Settings()
     client = open_client(parse_tap(options.tap))
     cycle_times_s = []

@@ -1,7 +1,7 @@
 """The two streams of a measurement: one plays, the other records.
 
-A measurement cannot recover what it misses. So a lost device, a move or a late block ends it with
-the reason.
+A measurement cannot recover frames that it misses. So a lost device, a moved stream or a late block
+ends the measurement with the reason.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from device.stream.sample_format import SampleFormat
 from device.stream.streams import CaptureStream, PlaybackStream
 
 OUTPUT, INPUT = "cushion_output", "cushion_input"
-"""Names of the necessary PCMs."""
+"""Names of the two PCMs that the caller must configure."""
 
 SETTLE_S = 5.0
-"""How long the streams may take to run on their devices."""
+"""Time until both streams must run on their devices."""
 
 BLOCK_FRAMES = 1024
 """Four times the default: latency does not matter, but a late block would be lost."""
@@ -41,7 +41,7 @@ class StreamEndpoint:
 
     @property
     def guarded(self) -> bool:
-        """Whether a server could move the stream."""
+        """Whether a sound server could move the stream."""
         return isinstance(self.target, ServerDevice)
 
 
@@ -56,10 +56,10 @@ class MeasurementStreams:
     connection: PulseConnection | None  # None if neither stream is on a server
 
     def run(self, exchange: Exchange) -> None:
-        """Run both streams until the measurement ends; it keeps the reason."""
+        """Run both streams until the measurement ends; `exchange` keeps the reason."""
         with ExitStack() as stack:
             rate, out, source = self.samplerate, self.output, self.source
-            # closed last: every exit leaves silence, also Ctrl+C
+            # closed last, so that every exit, also Ctrl+C, leaves silence
             if out.guarded and self.connection is not None:
                 stack.callback(FallbackSink(self.connection).close)
             outward, inward = self.pcms.pcms[OUTPUT], self.pcms.pcms[INPUT]
@@ -122,7 +122,7 @@ class _Watch:
         return [(s.xruns, s.silenced, sum(s.errors.values())) for s in self.streams]
 
     def problem(self, now_s: float) -> CushionError | None:
-        """Return what ends the measurement, if anything."""
+        """Return the error that ends the measurement, or None."""
         for guard in self.guards:
             if not guard.hold.audible:
                 return LostError(

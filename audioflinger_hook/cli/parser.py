@@ -26,7 +26,7 @@ SINKS = f"sink:NAME or usb:VID:PID; {SEE_DEVICES}"
 
 
 def build_parser() -> Parser:
-    """Return the parser; `run` of what it parses is the function that does the command."""
+    """Return the parser; in the parsed options, `run` is the function of the command."""
     parser = Parser(prog="cushion", description=DESCRIPTION, epilog=EXIT_CODES)
     _switch(parser, "--debug", "show tracebacks")
     parser.add_argument("--version", action="version", version=f"cushion {__version__}")
@@ -42,13 +42,13 @@ def _add(
     does: str,
     add_options: Callable[[Parser], None],
 ) -> None:
-    """Add a command, which is the `run` of the module of its name."""
+    """Add a command; `run` of the module with the command's name executes it."""
     command = commands.add_parser(name, help=does, description=does, epilog=EXIT_CODES)
     command.add_options = add_options
     _switch(command, "--debug", "show tracebacks")
 
     def run(options: argparse.Namespace) -> int:
-        # Imported when it runs: what it needs may take a second to load.
+        # Imported only when run: some imports take a second.
         module = import_module(f"audioflinger_hook.cli.{name.replace('-', '_')}")
         return int(module.run(options))
 
@@ -63,7 +63,7 @@ def _demo(command: Parser) -> None:
 
 def _render(command: Parser) -> None:
     command.usage = "%(prog)s [options] IN OUT\n       %(prog)s [options] --out-dir DIR IN..."
-    # Both are one list here; `cli.render` checks how many there are.
+    # IN and OUT are parsed as one list; `cli.render` checks its length.
     command.any_order = True
     files = "a sound file; a float32 WAV to write"
     command.add_argument("files", nargs="*", type=Path, metavar="IN OUT", help=files)
@@ -178,7 +178,7 @@ def _json(command: Parser) -> None:
 
 
 def _rendering(command: Parser) -> None:
-    """Add what `render` and `replay` share."""
+    """Add the options that `render` and `replay` share."""
     _keys(command, "form", "channels", "profile", "rig", "damping", "protection")
     _value(command, "--acceleration", Path, "FILE", "also write the simulated acceleration")
     _value(command, "--config", Path, "FILE", CONFIG_HELP)
@@ -186,7 +186,7 @@ def _rendering(command: Parser) -> None:
 
 
 def _keys(command: Parser, *fields: str, **more: Any) -> None:
-    """Add the options of keys of the config file. more: what `add_argument` gets besides."""
+    """Add the options for keys of the config file. more: further arguments of `add_argument`."""
     from audioflinger_hook.config.schema import option
     from device.values import Number, Switch
 
@@ -207,7 +207,7 @@ def _value(
     meaning: str,
     default: object = None,
 ) -> None:
-    """Add an option with a value. Its help names the default, unless that is None."""
+    """Add an option with a value. Its help shows the default, unless the default is None."""
     shown = f"{default:g}" if isinstance(default, float) else default
     described = meaning if default is None else f"{meaning}; default: {shown}"
     command.add_argument(flag, type=kind, default=default, metavar=metavar, help=described)
@@ -233,4 +233,4 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str]] = {
     "install-service": (_install_service, "start the daemon at every login"),
     "check": (_check, "report every mistake of a config file"),
 }
-"""Every command: what adds its options, and what it does."""
+"""Every command: the function that adds its options, and its help."""

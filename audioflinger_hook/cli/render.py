@@ -21,7 +21,7 @@ SEE_HELP = "see `cushion render --help`"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Render a file, or several into a folder, and say what came of it."""
+    """Render a file, or several into a folder, and report the result."""
     workers = _workers(options.workers)
     if options.out_dir is not None:
         return _run_several(options, workers)
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_several(options: argparse.Namespace, workers: int) -> int:
-    """Render every file that can be, and return 0 or the exit code of the worst error."""
+    """Render all files that can be rendered; return 0 or the exit code of the worst error."""
     if not options.files:
         raise UsageError(f"the following arguments are required: IN; {SEE_HELP}")
     if options.acceleration is not None:
@@ -59,7 +59,7 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
                 complain(rendered.error)
                 continue
             for warning in rendered.report.warnings:
-                if warning not in warned:  # what is so of every file is said once
+                if warning not in warned:  # a warning that applies to every file is printed once
                     warn(warning)
                     warned.add(warning)
             if not options.json:
@@ -70,7 +70,7 @@ def _run_several(options: argparse.Namespace, workers: int) -> int:
 
 
 def _entry(rendered: Rendered) -> dict[str, object]:
-    """Return what is said of one of several files."""
+    """Return the report of one of several files."""
     head = {"input": str(rendered.source), "output": str(rendered.target)}
     if rendered.report is None:
         return {**head, "error": rendered.error, "exit_code": rendered.exit_code}
@@ -92,7 +92,7 @@ def _one_each(files: list[Path]) -> tuple[Path, Path]:
 
 
 def _workers(wanted: int | None) -> int:
-    """Return how many processes may work at once."""
+    """Return how many processes may run at once."""
     if wanted is None:
         return usable_cores()
     if not 1 <= wanted <= WORKERS_MAX:
@@ -101,9 +101,9 @@ def _workers(wanted: int | None) -> int:
 
 
 def chosen_settings(options: argparse.Namespace, recorded: Settings | None = None) -> Settings:
-    """Return what a config file says, if one is named, and over it what the options say.
+    """Return the settings of the config file, if one is named, overridden by the options.
 
-    recorded: taken where no file is named.
+    recorded: settings to use if no file is named.
     """
     settings = load_config(options.config).settings if options.config else recorded or Settings()
     given = {
@@ -117,7 +117,7 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
 def show_report(
     report: RenderReport, options: argparse.Namespace, more: Mapping[str, int] | None = None
 ) -> None:
-    """Print what came of it, as JSON where asked, with warnings on stderr; more: other counts."""
+    """Print the result, as JSON if requested, and warnings on stderr; more: other counts."""
     more = more or {}
     for warning in report.warnings:
         warn(warning)

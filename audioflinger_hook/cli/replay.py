@@ -19,7 +19,7 @@ SPEEDS = ("max", "1")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Replay a capture and say what came of it."""
+    """Replay a capture and report the result."""
     if options.speed not in SPEEDS:
         raise UsageError(f"speed={options.speed!r} is not known; allowed: {', '.join(SPEEDS)}")
     for source in (options.folder, *capture_files(options.folder)):
@@ -47,12 +47,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def capture_files(folder: Path) -> list[Path]:
-    """Return the files that a capture in that folder would be made of."""
+    """Return the files that a capture in this folder consists of."""
     segments = [path for stream in STREAMS for path in folder.glob(f"{stream}-*.wav")]
     return [folder / INDEX_NAME, *segments]
 
 
 def _in_real_time(samplerate: int) -> Wait:
-    """Return what waits until frames have been played for as long as they sound."""
+    """Return a function that waits until frames would have been played in real time."""
     pace = RealTimePace(samplerate, time.monotonic())
     return lambda frames: time.sleep(pace.wait_s(frames, time.monotonic()))

@@ -34,7 +34,7 @@ from device.stream import filter_stderr
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run for `--seconds` of sound, or until the sound ends or a signal arrives."""
+    """Run for `--seconds` of sound, until the sound ends, or until a signal arrives."""
     run_config = _run_config(options)
     if not options.debug:
         filter_stderr()
@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _run_config(options: argparse.Namespace) -> RunConfig:
-    """Return what config and options ask for; options take precedence."""
+    """Return the run's configuration from config and options; options take precedence."""
     path = options.config or config.default_path()
     found = load_config(path) if options.config or path.exists() else config.Config()
     settings, live = found.settings, found.live
@@ -126,7 +126,7 @@ def _check_config(run_config: RunConfig) -> None:
     _ = run_config.rules
     numbered = run_config.device_is_a_card or not run_config.device_is_live
     if run_config.settings.actuators and numbered:
-        # It raises if an actuator names a channel, as only sinks have names.
+        # Raises if an actuator gives a channel's name, as only channels of sinks have names.
         _ = run_config.settings.numbered_channels
     if run_config.live.drop_in and run_config.tap.kind not in ("default", "app"):
         raise UsageError(
@@ -136,7 +136,7 @@ def _check_config(run_config: RunConfig) -> None:
 
 
 def _check_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
-    """Raise UsageError if the file to write is one to play."""
+    """Raise UsageError if the file to write is also the file to play."""
     if device.kind == "wav":
         played = {"file": [Path(tap.name)], "capture": capture_files(Path(tap.name))}
         for source in played.get(tap.kind, []):
@@ -150,7 +150,7 @@ def _keep_on(
     signals: Signals,
     follow_config: Callable[[float], str],
 ) -> None:
-    """Tick until enough sound was heard or a signal arrives; report to user and systemd."""
+    """Tick until enough sound has passed or a signal arrives; report to user and systemd."""
     reporter = RunReporter()
     watchdog = Watchdog(watchdog_period_s(os.getpid()))
     reporter.begin(*(address for address, _ in supervisor.endpoints))

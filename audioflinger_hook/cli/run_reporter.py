@@ -12,17 +12,17 @@ from audioflinger_hook.service.systemd import Notifier
 from device.errors import CushionError
 
 AT_ONCE = 5
-"""Messages of one kind that may follow each other without a pause."""
+"""Number of messages of one kind that may follow each other without a pause."""
 
 EVERY_S = 10.0
-"""Time between messages of one kind in the long run."""
+"""Average time between messages of one kind."""
 
 KINDS_MAX = 100
-"""Further kinds count as one."""
+"""Largest number of kinds; all further kinds count as one."""
 
 
 class RunReporter:
-    """Reports news once. For the main thread; times are seconds of time.monotonic()."""
+    """Reports each event once. For the main thread; times are seconds of time.monotonic()."""
 
     def __init__(self) -> None:
         self.notifier = Notifier()
@@ -43,7 +43,7 @@ class RunReporter:
         news = state != self._state
         for note in notes:
             if news and note.text == report.reason:
-                continue  # the state contains it
+                continue  # the state line contains it
             left_out = self._rate_limit.left_out(note.cause, now_s)
             if left_out is not None:
                 more = f" (and {left_out} more like it before)" if left_out else ""
@@ -52,7 +52,7 @@ class RunReporter:
             self._state = state
             self.notifier.send(status=state)
             self._print(state)
-        # A warning with a count is reported at first, and by `end` with its final count.
+        # A warning with a count is reported the first time, and by `end` with its final count.
         told, self._warnings = self._warnings, {}
         for warning in warnings:
             kind = re.sub(r"\d+", "0", warning)
@@ -68,7 +68,7 @@ class RunReporter:
             self._print(f"config reloaded; changed: {follow_config(now_s)}")
         except CushionError as error:
             config_error = f"the config was not applied: {error}"
-            # It is reported as a warning, even if the same one was reported before.
+            # Reported as a warning, even if an equal warning was reported before.
             self._warnings = {k: text for k, text in self._warnings.items() if text != config_error}
         self.notifier.send("READY=1", status=self._state)
         return config_error
@@ -85,7 +85,7 @@ class RunReporter:
 
 
 class RateLimit:
-    """Limits how often messages of one kind are printed. Not for two threads at once.
+    """Limits how often messages of one kind are printed. Use from one thread at a time.
 
     Times are seconds of one clock. Its size is bounded.
     """
@@ -97,7 +97,7 @@ class RateLimit:
         self._kinds: dict[Hashable, tuple[float, float, int]] = {}
 
     def left_out(self, kind: Hashable, now_s: float) -> int | None:
-        """Return how many were left out before this one, None if this one is left out."""
+        """Return how many messages were left out before this one; None if this one is left out."""
         if kind not in self._kinds and len(self._kinds) >= KINDS_MAX:
             kind = None
         allowance, asked_s, missed = self._kinds.get(kind, (float(self._at_once), now_s, 0))

@@ -1,4 +1,4 @@
-"""The signals that a running daemon takes: none breaks into an opening or a closing."""
+"""The signals that a running daemon handles: none interrupts the opening or closing of streams."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from audioflinger_hook.daemon.wake import Wake
 
 
 class Signals:
-    """What signals asked for, for the main thread to look at; each one rings `wake`.
+    """What signals have requested, for the main thread to read; each signal wakes it by `wake`.
 
-    end: whether to end: SIGINT, SIGTERM, or a terminal that was closed. reload: whether to read
-    the config again: SIGHUP. on_spinning: called, at once, when a real-time thread has run for too
-    long: SIGXCPU. A context; leaving it gives the signals back to who had them.
+    end: whether to end, after SIGINT, SIGTERM, or if the terminal was closed. reload: whether to
+    read the config again, after SIGHUP. on_spinning: called at once after SIGXCPU, which means that
+    a real-time thread has run for too long. Use as a context manager; leaving it restores the
+    former signal handlers.
     """
 
     def __init__(self, wake: Wake) -> None:
@@ -24,7 +25,7 @@ class Signals:
         self.on_spinning: Callable[[], None] = lambda: None
         self._wake = wake
         self._terminals = [descriptor for descriptor in (0, 1, 2) if os.isatty(descriptor)]
-        # `nohup` lets a program go on without its terminal.
+        # With `nohup` a program goes on without its terminal.
         self._goes_on = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
         self._before = {
             number: signal.signal(number, take)
@@ -63,9 +64,9 @@ class Signals:
 def freeze_loaded_objects() -> None:
     """Exempt all present objects from later collections. Any thread.
 
-    A full collection visits every object and stops all threads for about 50 ms; of new objects
-    alone it takes 0.1 ms. This call takes as long as a full collection, so call it before sound
-    plays.
+    A full collection visits every object and stops all threads for about 50 ms; a collection of
+    only new objects takes 0.1 ms. This call takes as long as a full collection, so call it before
+    sound plays.
     """
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""What commands say: warnings, progress, and levels as text."""
+"""Output of the commands: warnings, progress, and levels as text."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from device.units import amplitude_to_db
 
 
 def warn(message: str) -> None:
-    """Print one line of warning on stderr."""
+    """Print a warning of one line on stderr."""
     print(f"cushion: warning: {message}", file=sys.stderr)
 
 
 def complain(message: str) -> None:
-    """Print one line of error on stderr, where others of several things go on."""
+    """Print an error of one line on stderr, if the command goes on with its other items."""
     print(f"cushion: error: {message}", file=sys.stderr, flush=True)
 
 
 def level_text(amplitude: float) -> str:
     """Return an amplitude as dBFS, or `silence` for 0."""
-    # Adding 0 makes the -0.0 of what is just under full scale a plain 0.0.
+    # An amplitude barely under full scale rounds to -0.0; adding 0 makes it 0.0.
     level_db = round(amplitude_to_db(amplitude), 1) + 0.0
     return "silence" if level_db == -math.inf else f"{level_db:.1f} dBFS"
 
 
 class LineConsole(Console):
-    """A console that leaves a reader that has gone to the caller, as print does."""
+    """A console that raises BrokenPipeError if its reader is gone, as print does."""
 
     def on_broken_pipe(self) -> None:
         """Raise BrokenPipeError."""
@@ -40,9 +40,9 @@ class LineConsole(Console):
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Callable[[float, float | None], None]]:
-    """Yield a function of the finished and the total amount (None: unknown).
+    """Yield a function that takes the finished and the total amount (None: unknown).
 
-    Drawn on stderr while it is a terminal, and gone afterwards.
+    The bar is drawn on stderr if that is a terminal, and removed at the end.
     """
     console = LineConsole(stderr=True)
     columns = (

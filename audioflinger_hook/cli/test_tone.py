@@ -32,7 +32,7 @@ class Tone:
         self.ended = threading.Event()
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write the next frames, the same in every channel. Called by the output's thread."""
+        """Write the next frames, equal in every channel. Called by the output's thread."""
         part = self._wave[self._position : self._position + len(out)]
         self._position += len(part)
         out[: len(part)] = part[:, None]
@@ -41,7 +41,7 @@ class Tone:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Play the tone on exactly that device, nowhere else."""
+    """Play the tone on this device and on no other."""
     low, high = LIMIT_HZ
     if not low <= options.hz <= high:
         raise UsageError(f"hz={options.hz:.12g} is out of range; allowed: {low:g} to {high:g} Hz")
@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _wait(tone: Tone, stream: PlaybackStream, guard: StreamGuard) -> None:
-    """Wait for the end of the tone, or of the stream, which PulseAudio lets go on elsewhere."""
+    """Wait for the tone's end, or raise if the stream is lost, even if PulseAudio moves it."""
     while not tone.ended.wait(0.1):
         if guard.hold is Hold.NO_DEVICE or stream.is_lost(time.monotonic()):
             raise LostError("the device was lost while the tone played; plug it in again")

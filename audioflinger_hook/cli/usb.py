@@ -1,4 +1,4 @@
-"""`cushion usb describe`: what a USB audio device says it is, for people and for bug reports."""
+"""`cushion usb describe`: a USB audio device's descriptors, for people and for bug reports."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from device.usb.pyusb_access import read_descriptors
 from device.usb.take_over import take_over
 
 DUMP_BYTES_MAX = 4 << 20
-"""Of a dump as text: a device has 64 kB at most."""
+"""Largest size of a dump as text; a device has at most 64 kB of descriptors."""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Decode a dump, one device or, without a name, all that are there."""
+    """Decode a dump, one device or, without a name, all connected devices."""
     if options.hex is not None and (options.device or options.take_over):
         raise UsageError("--hex decodes a file; it goes with neither DEVICE nor --take-over")
     found: list[tuple[UsbAudioDevice | None, WholeDevice, dict[str, Any] | None]]
@@ -71,7 +71,7 @@ def _read(path: Path) -> str:
 
 
 def _settings(device: UsbAudioDevice, taken: bool) -> dict[str, Any] | None:
-    """Return volumes, mutes and samplerate of a device that may be asked; None of others."""
+    """Return volumes, mutes and samplerate of a device that may be queried, else None."""
     if taken:
         with take_over(device) as control:
             return _asked(control)
@@ -86,7 +86,7 @@ def _settings(device: UsbAudioDevice, taken: bool) -> dict[str, Any] | None:
 
 
 def _asked(control: UsbControl) -> dict[str, Any]:
-    """Return the settings that the device reports; print the reason for missing ones."""
+    """Return the settings that the device reports; print why others are missing."""
     volumes = []
     for channel in control.volume_channels:
         try:
@@ -194,7 +194,7 @@ def _document(
 
 
 def _plain(item: Any) -> Any:
-    """Return what JSON can hold: bytes in hex, enums by name, dataclasses with their kind."""
+    """Return an item in JSON's types: bytes in hex, enums by name, dataclasses with kind."""
     if is_dataclass(item) and not isinstance(item, type):
         kind = {"kind": item.kind} if hasattr(item, "kind") else {}
         return kind | {each.name: _plain(getattr(item, each.name)) for each in fields(item)}
@@ -212,8 +212,8 @@ def _plain(item: Any) -> Any:
 def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
     """Return the controls of a device's cards, for JSON.
 
-    Levels in dB by channel, None for silence; of a volume whose steps mean nothing in dB they are
-    left out. problem: why something could not be read, None where nothing speaks against it.
+    Levels are in dB, by channel, None for silence; they are left out if the steps of a volume are
+    not known in dB. problem: why something could not be read, else None.
     """
     volumes: list[dict[str, Any]] = []
     mutes: list[dict[str, Any]] = []
@@ -239,7 +239,7 @@ def mixer_of(device: UsbAudioDevice) -> dict[str, Any]:
 
 
 def mixer_lines(mixer: dict[str, Any]) -> list[str]:
-    """Return the same for people."""
+    """Return the controls of `mixer_of` as lines for people."""
     lines = []
     for each in mixer["volumes"]:
         shown = "in steps of unknown size"
@@ -256,7 +256,7 @@ def mixer_lines(mixer: dict[str, Any]) -> list[str]:
 
 
 def volume_now(mixer: dict[str, Any]) -> str:
-    """Return the loudest channel's level, or "muted"; "" where it is unknown."""
+    """Return the level of the loudest channel, or "muted"; "" if it is unknown."""
     if any(each["muted"] and all(each["muted"]) for each in mixer["mutes"]):
         return "muted"
     levels = [level for each in mixer["volumes"] for level in each.get("db", ())]

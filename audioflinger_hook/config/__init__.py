@@ -1,1 +1,1 @@
-"""What a user may choose: the config file, its keys and ranges, and named profiles."""
+"""The user's choices: the config file, its keys and ranges, and named profiles."""

@@ -1,4 +1,4 @@
-"""The config file: TOML, every mistake found at once, each with its line."""
+"""The config file, in TOML: one reading finds every mistake, each with its line."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Mistake:
     key: the key as `section.key`.
     line: its line, counted from 1; 0 if it has none.
     value, problem, allowed, nearest: the value, what is wrong with it, what is allowed, and the
-        known name most like it.
+        known name that is most similar.
     """
 
     key: str
@@ -50,8 +50,8 @@ class Config:
     """The content of a config file.
 
     settings: of the transform, the effects and the rig.
-    live: where live sound comes from, and where the vibration goes.
-    warning: which keys have old names, "" if none has.
+    live: where live sound comes from and where the vibration goes.
+    warning: the keys with old names, "" if there are none.
     """
 
     settings: Settings = field(default_factory=Settings)
@@ -60,7 +60,7 @@ class Config:
 
 
 def default_path() -> Path:
-    """Return where the config is looked for: $XDG_CONFIG_HOME/cushion/config.toml."""
+    """Return the path of the user's config: $XDG_CONFIG_HOME/cushion/config.toml."""
     base = os.environ.get("XDG_CONFIG_HOME") or "~/.config"
     return Path(base).expanduser() / "cushion" / "config.toml"
 
@@ -68,7 +68,7 @@ def default_path() -> Path:
 def load(path: Path) -> Config:
     """Return the content of a config file.
 
-    UsageError: the file cannot be read, or has mistakes; the message names the first and how many.
+    UsageError: the file cannot be read or has mistakes; the message has the first and the count.
     """
     config, mistakes = check(path)
     if config is None:
@@ -101,7 +101,7 @@ class _Reading:
         self.mistakes = mistakes
         self.shown: dict[str, str] = {}
         self.renamed: list[str] = []
-        # By class, the accepted values of its fields; of actuators, those of the last one.
+        # The accepted values of fields, by class; for actuators, the values of the last actuator.
         self.accepted: dict[type[Described], dict[str, Any]] = {key.owner: {} for key in KEYS}
         self.actuators: list[dict[str, Any]] = []
         self.refused: set[tuple[type[Described], str]] = set()
@@ -173,12 +173,12 @@ class _Reading:
                 self._add(f"{section}.{name}" if section else name, refusal)
         wired = [actuator.get("channels", ()) for actuator in self.actuators]
         for number, refusal in wiring_refusals(wired).items():
-            if wired[number - 1]:  # others are reported already
+            if wired[number - 1]:  # its other mistakes are reported already
                 self._add(f"{ACTUATOR}[{number}].channels", refusal)
 
     @property
     def profile(self) -> str:
-        """The profile that is named, the default where none is that exists."""
+        """The profile that is named, or the default if none or an unknown one is named."""
         return str(self.accepted[Settings].get("profile", DEFAULT_PROFILE))
 
     def config(self) -> Config:
@@ -209,7 +209,7 @@ class _Reading:
 
 
 def _unknown(section: str, name: str, is_section: bool) -> Refusal:
-    """Return the refusal of an unknown key or section, with the nearest that exists."""
+    """Return the refusal of an unknown key or section, with the most similar known name."""
     known = [*keys_of(section), *(HEADERS.values() if not section else ())]
     elsewhere = [
         f"{name} in {HEADERS[key.section]}" if key.section else f"{name} at the top level"
@@ -242,10 +242,10 @@ def _text_of(path: Path) -> str:
 
 
 def _parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
-    """Return what can be read, and the syntax errors: each line that has one is left out.
+    """Return what can be read, and the syntax errors; lines with a syntax error are left out.
 
-    Of a section's broken headline the name is kept where there is one, so that the keys below
-    are still taken for that section's.
+    If the header of a section is broken, its name is kept if it has one, so that the keys below
+    still belong to that section.
     """
     lines = text.split("\n")
     mistakes: list[Mistake] = []
@@ -274,11 +274,11 @@ def _parse(text: str) -> tuple[dict[str, Any], list[Mistake]]:
 
 
 def _line_of_error(message: str, lines: list[str]) -> int:
-    """Return the number from 1 of the line that a message of the parser is about."""
+    """Return the number, from 1, of the line that a message of the parser refers to."""
     filled = [number for number, line in enumerate(lines, 1) if line.strip()] or [1]
     if at := re.search(r"\(at line (\d+)", message):
         number = int(at[1])
-        # The parser is behind a line break where a line ended too early.
+        # If a line ended too early, the parser is already on the next line.
         while number > 1 and not lines[number - 1].strip():
             number -= 1
         return number
@@ -287,9 +287,9 @@ def _line_of_error(message: str, lines: list[str]) -> int:
 
 
 def _lines_of_keys(text: str) -> dict[str, int]:
-    """Return the line of every `key` and `section.key`, as far as one can tell from its start.
+    """Return the line of every `key` and `section.key` that the start of a line reveals.
 
-    Of an array of tables it is `section[1].key`, `section[2].key` and so on.
+    In an array of tables the names are `section[1].key`, `section[2].key` and so on.
     """
     lines: dict[str, int] = {}
     section = ""
@@ -316,7 +316,7 @@ def _bare(key: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    """Return a value as one would write it in TOML, near enough for a message of one line."""
+    """Return a value roughly as TOML would write it, for a message of one line."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -330,6 +330,6 @@ def _shown(value: Any) -> str:
 
 
 def _printable(text: str) -> str:
-    """Return text that neither breaks the line nor commands the terminal, at most 200 long."""
+    """Return text without line breaks and terminal commands, at most 200 characters."""
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return shown if len(shown) <= SHOWN_MAX else shown[:SHOWN_MAX] + "..."

@@ -1,7 +1,7 @@
 """Profiles: named sets of the transform's parameters, each value with its reason.
 
-`paper` changes nothing. Other profiles change the named parameters; a config file overrides the
-profile. docs/decisions.md has the measurements behind the reasons.
+The profile `paper` changes no parameter. Other profiles change some parameters; a config file
+overrides the profile. docs/decisions.md has the measurements behind the reasons.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ DEFAULT_PROFILE = "paper"
 def parameters_of(profile: str, said: Mapping[str, Any] | None = None) -> TransformParameters:
     """Return a profile's parameters, overridden by those set individually.
 
-    UsageError: they are out of range or contradict one another; see `TransformParameters`.
+    UsageError: parameters are out of range or contradict each other; see `TransformParameters`.
     KeyError: there is no such profile.
     """
     return TransformParameters(**(values_of(profile) | dict(said or {})))

@@ -1,4 +1,4 @@
-"""Every key of the config file: one list for the check, the command line, editors and README."""
+"""Every key of the config file: one list for check, command line, editors and README."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from device.values import Choice, Described, Description, Switch
 
 ACTUATOR = "actuator"
 SECTIONS = ("", "transform", "applications", ACTUATOR)
-"""Sections of a config file. The keys of "" come first; [[actuator]] is an array of tables."""
+"""Sections of a config file. "" is the top level, [[actuator]] an array of tables."""
 
 HEADERS = {name: f"[[{name}]]" if name == ACTUATOR else f"[{name}]" for name in SECTIONS[1:]}
-"""Header of each section but the first."""
+"""Header of each section except the first, ""."""
 
 CHANGES = {
     "nothing": "no interruption",
@@ -25,7 +25,7 @@ CHANGES = {
     "transform": "restarts the vibration",
     "engine": "restarts all but the connection",
 }
-"""What a change of a key needs while the daemon runs, with its explanation."""
+"""The effects of changing a key while the daemon runs, each with its explanation."""
 
 OPTIONS = {
     "form": "",
@@ -40,9 +40,9 @@ OPTIONS = {
     "drop_in": "",
     "device_volume_db": "DB",
 }
-"""Fields that a command-line option sets, each with what help shows for its value.
+"""Fields that a command-line option sets, each with the name of its value in help.
 
-"" means the words of a choice, or a switch.
+"" means that help lists the words of a choice, or that the option is a switch.
 """
 
 RENAMED_PARAMETERS = {
@@ -52,10 +52,10 @@ RENAMED_PARAMETERS = {
     "follower_floor_db": "loudness_floor_db",
     "follower_gate_db": "loudness_gate_db",
 }
-"""The new name of each parameter with another name in older configs and captures."""
+"""New names of renamed parameters, by the names in older configs and captures."""
 
 RENAMED = {"transform": {"form": "transform", **RENAMED_PARAMETERS}}
-"""By section, the new name of each renamed key. Old names work for one release."""
+"""New names of renamed keys, by section and old name. Old names work for one release."""
 
 _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
     (Settings, "", "engine"),
@@ -63,18 +63,18 @@ _OWNERS: tuple[tuple[type[Described], str, str], ...] = (
     (TransformParameters, "transform", "transform"),
     (ActuatorSettings, ACTUATOR, "nothing"),
 )
-"""The classes that hold the keys, each with the section and change of fields that name none."""
+"""The classes that hold the keys, each with the default section and change of its fields."""
 
 
 @dataclass(frozen=True)
 class Key:
     """One key of the config file.
 
-    section, name: its section ("" at the top level) and its name there.
-    owner, field: the class and its field that hold the value.
-    description: its meaning and allowed values.
-    default: None if it has no default.
-    change: what a change of it needs while the daemon runs, one of `CHANGES`.
+    section, name: the key's section ("" for the top level) and its name in that section.
+    owner, field: the class and the field that hold the value.
+    description: the key's meaning and allowed values.
+    default: the default value; None if there is none.
+    change: the effect of changing the key while the daemon runs, one of `CHANGES`.
     """
 
     section: str
@@ -87,19 +87,19 @@ class Key:
 
     @property
     def flag(self) -> str:
-        """The command-line option that sets it, "" if none does."""
+        """The command-line option that sets the key, "" if there is none."""
         has_one = self.field in OPTIONS and self.owner is not ActuatorSettings
         return f"--{self.name.replace('_', '-')}" if has_one else ""
 
     @property
     def metavar(self) -> str:
-        """What help shows in place of the option's value."""
+        """The name of the option's value in help."""
         words = self.description.words if isinstance(self.description, Choice) else ()
         return OPTIONS[self.field] or "|".join(map(str, words))
 
     @property
     def shown_default(self) -> str:
-        """The default as help and README show it, "" where there is none."""
+        """The default as help and README show it, "" if there is none."""
         if self.default is None:
             return ""
         if isinstance(self.default, bool):
@@ -110,7 +110,7 @@ class Key:
 
     @property
     def help(self) -> str:
-        """Its meaning, what is allowed and the default, for the command line."""
+        """The key's meaning, allowed values and default, for the command line's help."""
         described = self.description
         parts = [described.meaning]
         if not isinstance(described, Switch):
@@ -120,7 +120,7 @@ class Key:
         return "; ".join(parts)
 
     def json_schema(self) -> dict[str, Any]:
-        """Return the JSON Schema of its value."""
+        """Return the JSON Schema of the key's value."""
         schema = {"description": self.help, **self.description.json_schema()}
         if self.default is None:
             return schema

@@ -1,4 +1,4 @@
-"""What a user may set: the transform, the rig, and where sound and vibration come from and go."""
+"""What a user may set: the transform, the rig, the source of sound and the target of vibration."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ Channels = Literal["mono", "each"]
 
 OFFSET_MIN_MS, OFFSET_MAX_MS = -1e3 * MAX_DELAY_S, 1_000.0  # below 0, the sound is delayed
 DEVICE_VOLUME_MIN_DB = -96.0
-"""Of any volume control of 16 bits; a device that cannot go so low takes its lowest."""
+"""Lowest volume of a 16-bit volume control; a device without it uses its own lowest volume."""
 
 BLOCK_FRAMES = (128, 256, 512, 1024)
-"""Frames a callback, of the streams on both sides; fewer are less delay and more work."""
+"""Frames per callback of the input and output streams; fewer frames: less delay, more work."""
 
 OF_PROFILE = TransformParameters()
 """Marks that the chosen profile's parameters apply; compared by identity."""
@@ -42,7 +42,7 @@ OF_PROFILE = TransformParameters()
 
 @dataclass(frozen=True)
 class _RigName(Text):
-    """A rig that ships, or a rig file, which must be readable and right."""
+    """A bundled rig or a rig file, which must be readable and valid."""
 
     grammar: str = f"{', '.join(SHIPPED)}, or a file, NAME{SUFFIX}"
 
@@ -59,14 +59,14 @@ class _RigName(Text):
             return Refusal("is not known", self.allowed)
         try:
             read_rig(value)
-        except (UsageError, ValueError) as error:  # ValueError: a path that cannot be
+        except (UsageError, ValueError) as error:  # ValueError: an impossible path
             return Refusal(f"cannot be used ({error})", self.allowed)
         return None
 
 
 @dataclass(frozen=True)
 class _FileName(Text):
-    """The path of a file. One that is a `Path` already is checked by whoever opens it."""
+    """The path of a file. A value of type `Path` is checked only when the file is opened."""
 
     def resolved(self, value: object, folder: Path) -> object:
         return str(folder / value) if isinstance(value, str) and value else value
@@ -85,7 +85,7 @@ class _FileName(Text):
 
 @dataclass(frozen=True)
 class _Address(Text):
-    """A tap or a device as the user writes it."""
+    """The address of a tap or a device, as the user writes it."""
 
     parse: Callable[[str], object] = str
     what: str = "address"
@@ -103,7 +103,7 @@ class _Address(Text):
 
 @dataclass(frozen=True)
 class _Taps(_Address):
-    """One tap, or a list of applications."""
+    """The address of one tap, or a list of applications."""
 
     def refuse(self, value: object) -> Refusal | None:
         taps = [value] if isinstance(value, str) else value
@@ -116,7 +116,7 @@ class _Taps(_Address):
                 return refusal
         if len(taps) > 1 and {parse_tap(tap).kind for tap in taps} != {"app"}:
             return Refusal(
-                "are several taps that are not all applications", "one tap, or app:NAME each"
+                "are several taps, but not all are applications", "one tap, or app:NAME each"
             )
         return None
 
@@ -158,16 +158,16 @@ class Settings(Described):
     Raises
     ------
     UsageError
-        Names every choice that is refused.
+        The settings contain refused choices; the message names all of them.
 
     Attributes
     ----------
     parameters : TransformParameters
         Default: those of the profile.
     said : tuple of str
-        Parameters set individually; they override any profile.
+        Names of parameters set individually; they override any profile.
     actuators : tuple of ActuatorSettings
-        What each actuator plays, and where. Without any, all channels get the same vibration.
+        What each actuator plays, and where. Without actuators, all channels play one vibration.
     """
 
     profile: Annotated[
@@ -218,7 +218,7 @@ class Settings(Described):
 
     @classmethod
     def refusals(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return why values are refused, those of the actuators' rigs and wiring included."""
+        """Return why values are refused, including values of the actuators' rigs and wiring."""
         found, actuators = super().refusals(values), values.get("actuators", ())
         for number, one in enumerate(actuators, 1):
             if one.rig is not None and (refusal := cls.DESCRIPTIONS["rig"].refuse(one.rig)):
@@ -229,18 +229,18 @@ class Settings(Described):
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return `channels` where actuators say what is transformed."""
+        """Refuse `channels` if actuators define what is transformed."""
         if not values.get("actuators") or values.get("channels") != "each":
             return {}
         allowed = "mono: the source of every [[actuator]] says what it plays"
-        return {"channels": Refusal("cannot be with actuators", allowed)}
+        return {"channels": Refusal("cannot be used with actuators", allowed)}
 
     def choosing(self, **given: Any) -> Settings:
-        """Return these settings with others of the given names.
+        """Return a copy of these settings with the given ones changed.
 
         A profile brings its parameters, except those that were set individually.
 
-        UsageError: as upon making them.
+        UsageError: as for the constructor.
         """
         if given.get("profile") in PROFILES and "parameters" not in given:
             kept = {name: getattr(self.parameters, name) for name in self.said}
@@ -249,14 +249,14 @@ class Settings(Described):
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """The sources that the actuators play, one vibration each; none without actuators."""
+        """The actuators' sources, each with its own vibration; empty without actuators."""
         return sources_of(self.actuators)
 
     @property
     def numbered_channels(self) -> ChannelMap:
-        """The actuators on a device of as many channels as they need, such as a file.
+        """The actuators on a device with exactly the channels that they need, such as a file.
 
-        UsageError: one of them goes by a name, and a file's channels have none.
+        UsageError: an actuator's channel is given by name, but a file's channels have no names.
         """
         wiring = wiring_of(self.actuators)
         return ChannelMap.of(
@@ -266,11 +266,11 @@ class Settings(Described):
 
 @dataclass(frozen=True)
 class LiveSettings(Described):
-    """Where live sound comes from, where the vibration goes, and how.
+    """Where live sound comes from, where the vibration goes, and the settings of the streams.
 
-    `device` is None where none is chosen, `device_volume_db` where the volume stays as it is.
+    `device` is None if none is chosen; `device_volume_db` is None if the volume stays unchanged.
 
-    UsageError: names every choice that is refused.
+    UsageError: some choices are refused; the message names all of them.
     """
 
     tap: Annotated[
@@ -322,7 +322,7 @@ class LiveSettings(Described):
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return an offset below 0 that cannot be had: only drop-in mode delays the sound."""
+        """Refuse an offset below 0 without drop-in mode: only drop-in mode delays the sound."""
         if values.get("drop_in") is not False or values.get("offset_ms", 0.0) >= 0.0:
             return {}
         allowed = f"0 to {OFFSET_MAX_MS:g} ms, or drop_in = true"

@@ -1,4 +1,4 @@
-"""Buffers of one tap on the way to the engine: at once, or queued until the output asks."""
+"""Passes buffers of one tap to the engine: at once, or queued until the output asks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from audioflinger_hook.sources import PushTap, TapClient
 from device.units import Float32Array
 
 UNASKED_S = 0.05
-"""After so long without a call of the output, the capture's thread mixes."""
+"""If the output has not called for this time, the capture's thread mixes."""
 
 
 class FrameReceiver(Protocol):
@@ -61,7 +61,7 @@ class Feed:
         self.engine = engine
 
     def opened(self, samplerate: int, channels: int, *, discontinuity: bool = True) -> bool:
-        """See `FrameReceiver`; discontinuity: whether frames are missing before the next one."""
+        """See `FrameReceiver`; discontinuity: whether frames are missing before the next buffer."""
         if self._tap is None:
             return False
         if discontinuity:
@@ -105,7 +105,7 @@ class CaptureQueue(Feed):
     This saves CPU time, because one thread wakes up with warm caches instead of two, and adds no
     latency: the output reads several blocks at once, and new buffers are mixed before each read.
 
-    The capture's thread calls `push`, the output's thread `pull`; whichever finds the other one
+    The capture's thread calls `push`, the output's thread `pull`; a thread that finds the other one
     mixing continues at once. The supervising thread calls `opened` and `moved`.
     """
 
@@ -122,7 +122,7 @@ class CaptureQueue(Feed):
     def opened(self, samplerate: int, channels: int, *, discontinuity: bool = True) -> bool:
         """See `FrameReceiver`."""
         with self._mixing:
-            self._arrived.clear()  # they precede the gap and may have another format
+            self._arrived.clear()  # the queued buffers precede the gap and may have another format
             return super().opened(samplerate, channels, discontinuity=discontinuity)
 
     def moved(self) -> None:
@@ -141,7 +141,7 @@ class CaptureQueue(Feed):
             self.pull()
 
     def pull(self) -> None:
-        """Mix all queued buffers, unless the other thread does."""
+        """Mix all queued buffers, unless the other thread is mixing."""
         engine = self.engine
         if not self._arrived or engine is None:
             return

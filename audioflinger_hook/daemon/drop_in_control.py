@@ -17,7 +17,7 @@ class DropInControl:
 
     @classmethod
     def of(cls, config: RunConfig) -> DropInControl | None:
-        """Return what controls drop-in mode, None unless it is on."""
+        """Return the control of drop-in mode, or None if the mode is off."""
         return cls(max(0.0, -config.live.offset_s)) if config.live.drop_in else None
 
     def __init__(self, delay_s: float) -> None:
@@ -34,12 +34,12 @@ class DropInControl:
 
     @property
     def warnings(self) -> list[str]:
-        """Why the sound does not pass as configured, one line at most."""
+        """Why the sound is not forwarded as configured; at most one line."""
         reason = self._drop_in.reason if self._drop_in else self._refusal
         return [f"drop-in: {reason}"] if reason else []
 
     def maintain(self, connection: PulseConnection, haptic_sink: str | None, now_s: float) -> None:
-        """Make the sink if it is missing; raises nothing. haptic_sink: never forwarded to."""
+        """Make the sink if it is missing; raises nothing. haptic_sink: gets no forwarded sound."""
         if self._drop_in is not None:
             self._drop_in.spare(haptic_sink)
             self._target = self._drop_in.target_name or self._target

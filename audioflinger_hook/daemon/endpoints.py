@@ -1,4 +1,4 @@
-"""The input and output that a `RunConfig` asks for, and what they share."""
+"""The input and output for a `RunConfig`, and what they share."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from device.stream import AudioPriority, PcmConfig
 class Endpoints:
     """Input and output of one run. For the supervising thread alone.
 
-    needs_server: whether one of them uses the sound server. feed: takes the input's buffers.
+    needs_server: whether input or output uses the sound server. feed: takes the input's buffers.
 
     UsageError, NotFoundError: a file cannot be used, or a rule for applications has a mistake.
     """
@@ -87,12 +87,12 @@ class Endpoints:
         _ = new.rules  # raises if a rule has a mistake
 
     def configure(self, config: RunConfig) -> None:
-        """Take what applies to the present input and output."""
+        """Apply a config to the present input and output."""
         self.input.configure(config)
         self.output.configure(config)
 
     def retarget_input(self, config: RunConfig) -> bool:
-        """Take sound from another tap; return whether that needs another engine."""
+        """Change to another tap; return whether that needs another engine."""
         if self.input.retarget(config):
             return False
         self.input.close()
@@ -100,13 +100,13 @@ class Endpoints:
         return True
 
     def retarget_output(self, config: RunConfig) -> None:
-        """Play to another device; it then needs its format."""
+        """Change to another device, whose format must then be set."""
         if not self.output.retarget(config):
             self.output.close()
             self.output = self._make_output(config)
 
     def close(self) -> None:
-        """Close both, until they are maintained again. May be repeated."""
+        """Close both until the next `maintain`. May be repeated."""
         self.output.close()
         self.input.close()
 

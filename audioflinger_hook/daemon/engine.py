@@ -1,4 +1,4 @@
-"""What the audio threads run: sound through mixer, effect and drive to the delay line, and out."""
+"""The code of the audio threads: sound passes mixer, effect and drive into a delay line."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
 LATENESS_LEAST_S = 0.0125
-"""Callbacks of an idle machine are sometimes late by some ms, which the delay must not follow. It
-also lets the output read four blocks of 256 frames at once in most cases."""
+"""Even on an idle machine callbacks are sometimes late by some ms, and the delay must not follow
+such lateness. This time also lets the output usually read four blocks of 256 frames at once."""
 
 CYCLE_BLOCKS = 8
-"""Most blocks mixed in one cycle."""
+"""Largest number of blocks mixed in one cycle."""
 
 READ_BLOCKS = 4
-"""Most blocks read from the delay line at once."""
+"""Largest number of blocks read from the delay line at once."""
 
 FADED = 1e-6
-"""Vibration below this share of full scale (-120 dB) counts as none."""
+"""Vibration below this share of full scale (-120 dB) counts as silence."""
 
 
 @dataclass(frozen=True)
@@ -45,25 +45,25 @@ class Clocks:
 
 
 OnStep = Callable[[Float32Array, Float32Array, float], None]
-"""Takes (sound as mixed, vibration as sent, time) of one cycle."""
+"""Called with (sound as mixed, vibration as sent, time) of one cycle."""
 
 OnMix = Callable[[Float32Array, float], None]
-"""Takes (sound before all effects, time)."""
+"""Called with (sound before all effects, time)."""
 
 
 class Engine:
-    """Sound of one client through mixer, effect and drive into a delay line, and out of it.
+    """Processes a client's sound by mixer, effect and drive, through a delay line to the output.
 
-    One thread at a time calls `advance`, the capture's or the output's; the output's thread calls
-    `fill`. Neither waits for the other. Any thread may read the attributes.
+    The capture's or the output's thread calls `advance`, one of them at a time; the output's thread
+    calls `fill`. No thread waits for the other. Any thread may read the attributes.
 
     client: plays into the mix, which has its sample rate and channels. offset_s: the user's
-    addition to the delay. block_frames: of the streams on both sides. bypass_late: whether to
-    bypass an effect that takes too long; for sound that is also played elsewhere. on_step:
-    receives each cycle's sound and vibration, which it may keep. on_mix: receives the mix before
-    all effects, which it must copy. last_sound_s: when the latest frames that were not silent
-    arrived. faded: whether the latest measured vibration is below FADED. sound, vibration: levels
-    of the mix, and of the vibration before the drive. driven: level of each named actuator.
+    addition to the delay. block_frames: block length of the input and output streams. bypass_late:
+    whether to bypass an effect that takes too long; for sound that is also played elsewhere.
+    on_step: receives each cycle's sound and vibration, which it may keep. on_mix: receives the mix
+    before all effects, which it must copy. last_sound_s: when the latest frames that were not
+    silent arrived. faded: whether the latest measured vibration is below FADED. sound, vibration:
+    levels of the mix, and of the vibration before the drive. driven: level of each named actuator.
     before_fill: called by `fill` before it reads; set it before the first `fill`.
     """
 
@@ -92,7 +92,7 @@ class Engine:
             self.channels,
             settings,
             hal_frames=CYCLE_BLOCKS * block_frames,
-            # CPU time of the thread: other programs' load must not count against an effect.
+            # CPU time of the thread: other programs' load must not count as an effect's time.
             clock=clocks.used_s if bypass_late else None,
         )
         chosen = self.framework.settings
@@ -128,7 +128,7 @@ class Engine:
         )
 
     def retarget(self, samplerate: int, block_frames: int | None = None) -> None:
-        """Change the output's sample rate in Hz, or the block length on both sides.
+        """Change the output's sample rate in Hz, or the block length of input and output.
 
         Call it while no thread calls `fill` and, for other blocks, none calls `advance`.
         """
@@ -140,7 +140,7 @@ class Engine:
             self._drop_ahead()
 
     def follow(self, settings: Settings, offset_s: float) -> None:
-        """Take other levels, parameters and offset while it runs; for the supervising thread.
+        """Change levels, parameters and offset while running; for the supervising thread.
 
         Actuators may change level, polarity, delay, and swap sources. UsageError: nothing changed.
         """
@@ -154,7 +154,7 @@ class Engine:
         self.drive.change(settings.actuators)
 
     def advance(self, now_s: float, earlier: Sequence[tuple[float, int]] = ()) -> bool:
-        """Run one cycle with what the client has; return False at its end.
+        """Run one cycle with the client's waiting sound; return False at the end of the sound.
 
         now_s: when the sound arrived; earlier: arrival of earlier parts, see `DelayLine.write`.
         """
@@ -203,12 +203,12 @@ class Engine:
 
     @property
     def read_ahead(self) -> Float32Array:
-        """View of the vibration that was read ahead, valid until the next `fill` of that thread."""
+        """View of the vibration read ahead, valid until the output's thread calls `fill`."""
         return self._read[self._start : self._end]
 
     def fill(self, out: Float32Array, now_s: float) -> None:
         """Write what is played next into `out`, (frames, actuators)."""
-        if now_s - self.filled_s > STALLED_S:  # it is older than the gap
+        if now_s - self.filled_s > STALLED_S:  # the vibration read ahead is older than the gap
             self._drop_ahead()
         self.filled_s = now_s
         frames = len(out)
@@ -219,7 +219,7 @@ class Engine:
         out[:] = self._read[start : self._start]
 
     def _read_on(self, frames: int, now_s: float) -> None:
-        """Read `frames` from the delay line, and more if it has them already."""
+        """Read `frames` frames from the delay line, and more if they are already available."""
         kept = self.read_ahead
         held = len(kept)
         missing = frames - held
@@ -242,8 +242,8 @@ class Engine:
 class _DriveOutput:
     """The drive and the delay line as an output of the chain.
 
-    now_s, earlier: arrival of the frames of this cycle. held: takes the blocks instead if it is
-    not None.
+    now_s, earlier: arrival times of this cycle's frames. held: if not None, collects the blocks
+    instead of the delay line.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -266,7 +266,7 @@ class _DriveOutput:
         engine.delay_line.write(vibration, self.now_s, self.earlier)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing, as no resource is held."""
 
     def abort(self) -> None:
         """Drop what is waiting."""

@@ -1,4 +1,4 @@
-"""`cushion capture` of what plays: the buffers of a live tap in a capture."""
+"""`cushion capture` of live sound: records the buffers of a live tap."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ LOST_LIMIT_S = 10.0
 """Longest wait for a lost server or sink."""
 
 LONGEST_WAIT_S = 0.5
-"""Between attempts to reach the server."""
+"""Time between attempts to reach the server."""
 
 
 class LiveCapture:
-    """Records one sink's monitor, or the default sink's as it changes.
+    """Records the monitor of one sink, or of the present default sink.
 
     Its thread calls `tick` whenever `wake` rings, and at least every TICK_S. The stream is guarded,
-    so it never captures a microphone, and reopened if it is lost. After each reopening and move
-    the capture has a discontinuity.
+    so that it never captures a microphone. If lost, it is reopened. After each reopening and each
+    move the capture has a discontinuity.
 
     heard_s: seconds of sound so far. format: rate in Hz and channels of the latest buffer; zeros
     before the first.
@@ -60,7 +60,7 @@ class LiveCapture:
         self._recorder = recorder
 
     def tick(self, now_s: float) -> None:
-        """Bring the tap nearer to where it should be.
+        """Open, check or reopen the tap, as needed.
 
         LostError: server or tap were lost, and no sound arrived for LOST_LIMIT_S.
         """

@@ -7,17 +7,17 @@ from collections.abc import Callable
 from typing import Protocol
 
 BURST = 64
-"""Most late blocks done in a row, before other threads get a turn."""
+"""Largest number of late blocks done in a row, before other threads get a turn."""
 
 BREATH_S = 0.001
 """Length of that turn."""
 
 LATE_MAX_S = 2.0
-"""Lateness that is not caught up, because it was a pause."""
+"""Lateness above this counts as a pause and is not caught up."""
 
 
 class PacedJob(Protocol):
-    """Something done block by block. error: what ended it, None if nothing did."""
+    """A job done block by block. error: the error that ended it, or None."""
 
     error: Exception | None
 
@@ -32,7 +32,7 @@ class PacedJob(Protocol):
 
 
 class FrameTime:
-    """Duration of all frames so far, from their count, as a sum of durations would drift."""
+    """Duration of all frames so far, computed from their count; a sum of durations would drift."""
 
     def __init__(self, samplerate: int) -> None:
         self._before_s = 0.0
@@ -40,13 +40,13 @@ class FrameTime:
         self._samplerate = samplerate
 
     def after(self, frames: int, samplerate: int) -> float:
-        """Return the duration in seconds with so many more frames of that rate, Hz."""
+        """Return the duration in seconds after `frames` more frames at `samplerate` Hz."""
         if samplerate != self._samplerate:
             return self._before_s + self._frames / self._samplerate + frames / samplerate
         return self._before_s + (self._frames + frames) / samplerate
 
     def add(self, frames: int, samplerate: int) -> None:
-        """Count frames of that rate, Hz."""
+        """Count frames at `samplerate` Hz."""
         if samplerate != self._samplerate:
             self._before_s += self._frames / self._samplerate
             self._frames, self._samplerate = 0, samplerate
@@ -56,10 +56,10 @@ class FrameTime:
 class Pacer:
     """Does jobs at their due times, earliest first, on a thread that the first job starts.
 
-    Due times are absolute, so nothing drifts. After a stall, blocks are caught up in bursts; after
-    a longer one, all jobs are shifted alike. An exception ends its job and stays in `error`.
-    The supervising thread begins and ends jobs. exact: whether to pass jobs their due times instead
-    of the time, for jobs that depend on each other only.
+    Due times are absolute, so nothing drifts. After a stall, late blocks are done in bursts; after
+    a longer stall, all jobs are shifted by the same time. An exception ends its job and stays in
+    `error`. The supervising thread begins and ends jobs. exact: whether to pass jobs their due
+    times instead of the present time, for jobs that depend only on each other.
     """
 
     def __init__(self, now_s: Callable[[], float], *, exact: bool = False) -> None:
@@ -76,7 +76,7 @@ class Pacer:
         with self._lock:
             self._jobs[job] = now_s - job.due_s
         if self._thread is None and not self._closed:
-            # As a daemon thread, it does not keep a program alive that fails before `close`.
+            # A daemon thread does not keep a program alive that fails before `close`.
             self._thread = threading.Thread(target=self._keep_pace, name="pacer", daemon=True)
             self._thread.start()
         self._changed.set()
@@ -86,7 +86,7 @@ class Pacer:
         return job in self._jobs
 
     def end(self, job: PacedJob) -> None:
-        """Stop a job. When this returns it does not run; it may begin again later."""
+        """Stop a job. After the return the job does not run; it may begin again later."""
         with self._lock:
             self._jobs.pop(job, None)
 
@@ -99,7 +99,7 @@ class Pacer:
             thread.join()
 
     def step(self, now_s: float) -> float:
-        """Do what is due, a burst at most; return the seconds until the next block is due."""
+        """Do the due blocks, at most a burst; return the seconds until the next block is due."""
         for _ in range(BURST):
             with self._lock:
                 if not self._jobs:

@@ -19,10 +19,10 @@ ASTRAY_S = 0.4
 """Time for another program to move a stream back."""
 
 GONE_S = 3.0
-"""Time for which the server may not list a running stream, as during a series of underruns."""
+"""A running stream may be missing from the server's list for this time, as in underruns."""
 
 LONGEST_WAIT_S = 0.5
-"""Between attempts to open; an attempt costs next to nothing."""
+"""Time between attempts to open a stream; an attempt costs almost nothing."""
 
 StreamT = TypeVar("StreamT", CaptureStream, PlaybackStream)
 
@@ -73,8 +73,8 @@ class ReconnectingStream(Generic[StreamT]):
     ) -> bool:
         """Open a closed stream if an attempt is due; return whether it was opened.
 
-        connection: to the device's server, None for a card, whose stream is audible at once.
-        Errors of `make` and of the guard are raised, and delay the next attempt.
+        connection: to the device's server; None for a card, whose stream is audible at once. Errors
+        of `make` and of the guard are raised and delay the next attempt.
         """
         if self.stream is not None or self._backoff.wait_s(now_s) > 0.0:
             return False
@@ -103,5 +103,5 @@ class ReconnectingStream(Generic[StreamT]):
 
 
 def _is_misplaced(guard: StreamGuard, now_s: float) -> bool:
-    """Return whether the stream has been elsewhere for too long."""
+    """Return whether the stream has been on another device for too long."""
     return guard.misplaced_s(now_s) > (GONE_S if guard.hold is Hold.NO_STREAM else ASTRAY_S)

@@ -25,7 +25,7 @@ from device.units import Float32Array
 from device.values import counted
 
 NESTED = "parameters"
-"""Field of `Settings` whose own fields are stored beside the others."""
+"""Field of `Settings` whose own fields are stored like the others."""
 
 SAID = "said"
 """Field stored as names separated by commas, omitted if there are none."""
@@ -53,9 +53,9 @@ def facts_of(settings: Settings) -> Facts:
 
 
 def settings_from(facts: Facts) -> Settings | None:
-    """Return the settings that a run's capture names, None where it names none.
+    """Return the settings stored in a run's capture, or None if it has none.
 
-    UsageError: this version cannot use them.
+    UsageError: this version cannot use the stored settings.
     """
     if "form" not in facts:
         return None
@@ -151,10 +151,10 @@ class RunRecording:
         ]
 
     def hooks(self, samplerate: int, channels: int, *, of_mix: bool) -> tuple[OnStep, OnMix | None]:
-        """Return the engine's `on_step` and `on_mix`, for a mix of this format (Hz, channels).
+        """Return functions for the engine's `on_step` and `on_mix`, for a mix of this format.
 
-        of_mix: whether to record the mix instead of buffers; a replay could not repeat the mix of
-        several sounds. Call it before the first buffer.
+        samplerate: Hz. of_mix: whether to record the mix instead of buffers, since a replay could
+        not repeat the mixing of several sounds. Call it before the first buffer.
         """
         self._mix = (samplerate, channels)
 
@@ -174,7 +174,7 @@ class RunRecording:
         if self._ended or recorder is None:
             return
         if not self._begun and self._mix not in (None, (samplerate, frames.shape[1])):
-            # A replay mixes in the format of the first buffer, so an empty one sets it.
+            # A replay mixes in the format of the first buffer, so an empty buffer sets the format.
             mix_samplerate, mix_channels = self._mix or (samplerate, 1)
             nothing = np.zeros((0, mix_channels), np.float32)
             recorder.offer("tap", nothing, mix_samplerate, now_s)
@@ -192,7 +192,7 @@ class RunRecording:
         self._offer("device", frames, samplerate, now_s)
 
     def end(self, why: str) -> None:
-        """Stop recording, because a replay could not reproduce what follows."""
+        """Stop recording, because a replay could not reproduce the later sound."""
         self._ended = self._ended or f"the recording {self._folder} has ended: {why}"
 
     def close(self) -> None:

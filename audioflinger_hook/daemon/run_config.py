@@ -1,4 +1,4 @@
-"""What one run of the daemon is asked for, and the difference between two such configs."""
+"""The configuration of one run of the daemon, and the difference between two of them."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ LEVELS = tuple(name for name, key in Settings.DESCRIPTIONS.items() if key.change
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that the config and the options ask for.
+    """Everything that the config file and the options request.
 
-    tap: where sound comes from. device: where vibration goes. settings: how vibration is made of
-    sound. live: everything else; its device does not count here, and its tap only for
-    applications. recording: records the run; its creator begins and closes it. past_server:
-    whether a USB device is opened as a card, because no sound server answers.
+    tap: where sound comes from. device: where vibration goes. settings: how vibration is made from
+    sound. live: all other settings; its device is not used here, and its tap only for applications.
+    recording: records the run; the code that made it begins and closes it. past_server: whether a
+    USB device is opened as a card, because no sound server answers.
     """
 
     tap: TapAddress
@@ -82,13 +82,12 @@ class RunConfig:
 
 @dataclass(frozen=True)
 class ConfigDiff:
-    """What differs between two configs, grouped by what a change interrupts.
+    """The differences of two configs, grouped by what the change interrupts.
 
-    Nothing is interrupted by level, volume (of the device), priority (for streams opened later),
-    actuators (faded) and offset (the delay jumps, faded over 5 ms).
-    A change of transform fades out and restarts after the transform's latency. tap and device
-    affect one stream, drop_in the virtual sink, blocks both streams, engine everything but the
-    connection.
+    These changes interrupt nothing: level, volume (of the device), priority (used for streams
+    opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A change of
+    transform fades out and restarts after the transform's latency. tap and device reopen one
+    stream, drop_in the virtual sink, blocks both streams, engine everything except the connection.
     """
 
     level: bool = False
@@ -107,7 +106,7 @@ class ConfigDiff:
     def between(cls, old: RunConfig, new: RunConfig) -> ConfigDiff:
         """Return the difference from `old` to `new`."""
         before, after = old.settings, new.settings
-        # While it runs, the effect takes another level and other parameters; a profile is a set of
+        # A running effect accepts another level and other parameters; a profile is a set of
         # parameters.
         levels = {name: getattr(before, name) for name in LEVELS}
         unaffected = replace(
@@ -159,7 +158,7 @@ class ConfigDiff:
 
 
 def _can_change(before: Settings, after: Settings) -> bool:
-    """Whether the actuators can change while they play: same number, rigs and sources."""
+    """Whether the actuators can change while they play: equal number, rigs and sources."""
     were, are = before.actuators, after.actuators
     return before.sources == after.sources and [_fixed_settings(a) for a in were] == [
         _fixed_settings(a) for a in are

@@ -8,14 +8,14 @@ from device.server import FallbackSink, PulseConnection
 from device.server.snapshot import Listener
 
 LONGEST_WAIT_S = 0.5
-"""Between attempts to reach the server; an attempt costs next to nothing."""
+"""Time between attempts to reach the server; an attempt costs almost nothing."""
 
 
 class ServerLink:
     """Connection to the server and its silent fallback sink. For the supervising thread alone.
 
-    listener: what each connection tells of changes and of its loss. connection: None while there
-    is none; it may be lost, see `lost`.
+    listener: is told by each connection of changes and of the loss of the connection. connection:
+    None if not connected; a connection may be lost, see `lost`.
     """
 
     def __init__(self, listener: Listener) -> None:
@@ -26,19 +26,19 @@ class ServerLink:
 
     @property
     def lost(self) -> str:
-        """Why the connection was lost; "" if it is well, or if there is none."""
+        """Why the connection was lost; "" if it works, or if there is none."""
         return str((self.connection and self.connection.lost) or "")
 
     @property
     def warning(self) -> str:
-        """What is missing if the haptic device vanishes, in one line; usually ""."""
+        """One line on what would fail if the haptic device vanished; usually ""."""
         fallback, connection = self._fallback, self.connection
         if fallback is None or connection is None or fallback.active:
             return ""
         return "" if connection.latest.kind == "PipeWire" else fallback.reason
 
     def open(self, now_s: float) -> bool:
-        """Connect if there is no connection and an attempt is due; return whether it was made.
+        """Connect if not connected and an attempt is due; return whether a connection was made.
 
         CushionError: the server cannot be reached.
         """

@@ -29,7 +29,8 @@ class Supervisor:
     """One daemon, from tap to device.
 
     Its thread calls `tick` whenever `wake` rings, and at least every `rest_s` seconds. Lost servers
-    and devices raise nothing: it waits and recovers. An unreadable or unwritable file ends it.
+    and devices raise nothing: the daemon waits and recovers. An unreadable or unwritable file ends
+    the daemon.
 
     config: what to do. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
     wake: rung when something changes. states: the daemon's state and its recoveries. engine: what
@@ -122,7 +123,7 @@ class Supervisor:
 
     @property
     def warnings(self) -> list[str]:
-        """Problems that the user should know, one line each."""
+        """Problems to tell the user, one line each."""
         recording = self._config.recording
         warnings = list(self.engine.framework.warnings) if self.engine else []
         warnings += self._drop_in.warnings if self._drop_in else []
@@ -137,7 +138,7 @@ class Supervisor:
     def look(self) -> None:
         """Check once that the server, device and tap that the config needs are available.
 
-        LostError, NotFoundError: the first one that is missing, and advice.
+        LostError, NotFoundError: the first missing item, with advice.
         """
         if not self._output.needs_server:
             self._output.locate(None)
@@ -189,16 +190,16 @@ class Supervisor:
                 self._lose_server(now_s, str(error))
             return
         except NotFoundError:
-            return  # it vanished just now; the next snapshot shows it
+            return  # the device or tap has vanished; the next snapshot shows that
         if self._input.name and self._output.name:
             self.states.enter(DaemonState.RUNNING, now_s)
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
         """Apply another config and return the difference.
 
-        Only what it affects is closed, and the next `tick` reopens it; see `ConfigDiff`.
+        Only the affected parts are closed, and the next `tick` reopens them; see `ConfigDiff`.
 
-        UsageError: it cannot be applied while the daemon runs; nothing has changed.
+        UsageError: the config cannot be applied while the daemon runs; nothing has changed.
         """
         changes, engine = ConfigDiff.between(self._config, config), self.engine
         self._endpoints.check_change(self._config, config)
@@ -301,7 +302,7 @@ class Supervisor:
     def _rests(
         self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
     ) -> bool:
-        """Rest if nothing plays; return whether so."""
+        """Rest if nothing plays; return whether the daemon rests."""
         if not (self._input.may_rest and self._output.may_rest):
             self._idle_policy.wake(now_s)
             return False
@@ -320,7 +321,7 @@ class Supervisor:
         return True
 
     def _prepare_engine(self, source: AudioNode, device: AudioNode, now_s: float) -> None:
-        """Make the engine for the first source; later ones are converted to its format."""
+        """Make the engine for the first source; later sources are converted to the first format."""
         engine = self.engine
         if engine is None:
             recording, feed = self._config.recording, self._endpoints.feed

@@ -1,4 +1,4 @@
-"""What follows from time alone: waits between attempts, rest, stalls and suspends."""
+"""Decisions that depend only on time: waits between attempts, rest, stalls and suspends."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ LONGEST_S = 2.0
 
 
 class Backoff:
-    """Waits between attempts: FIRST_S, doubled after every failure, `longest_s` at most.
+    """Waits between attempts: FIRST_S, doubled after every failure, at most `longest_s`.
 
-    Times are seconds of any one clock. Not to be used from two threads at once.
+    Times are seconds of one clock of any kind. Use from one thread at a time.
     """
 
     def __init__(self, longest_s: float = LONGEST_S) -> None:
@@ -22,7 +22,7 @@ class Backoff:
         self._due_s: float | None = None
 
     def failed(self, now_s: float) -> float:
-        """Count a failure; return the wait from `now_s` on."""
+        """Count a failure; return the seconds to wait from `now_s` on."""
         wait_s = self._next_wait_s
         self._next_wait_s = min(self._longest_s, 2.0 * wait_s)
         self._due_s = now_s + wait_s
@@ -82,18 +82,18 @@ class StallDetector:
 
 
 QUIET_S = 5.0
-"""Silence before resting if no application plays; a new one causes an event."""
+"""Silence before resting if no application plays; a new application causes an event."""
 
 SILENT_S = 10.0
-"""Silence before resting although an application plays. Its sound may begin without an event, and
-waking up then costs its first tenths of a second."""
+"""Silence before resting although an application plays. Its sound may begin without an event;
+waking up then loses the first tenths of a second."""
 
 AWAKE_S = 8.0
 """Shortest time awake, as applications may open a stream some time before they play."""
 
 
 class IdlePolicy:
-    """Decides whether the streams rest; pure. resting: the current decision."""
+    """Decides whether the streams rest, without side effects. resting: the current decision."""
 
     def __init__(self, now_s: float) -> None:
         self.resting = False
@@ -118,6 +118,6 @@ class IdlePolicy:
         return self.resting
 
     def wake(self, now_s: float) -> None:
-        """Wake, because something has changed that concerns the streams."""
+        """Wake, because of a change that concerns the streams."""
         self.resting = False
         self._woke_s = now_s

@@ -13,7 +13,7 @@ from device.server.snapshot import Listener
 class Wake:
     """`ring`, from any thread or signal handler, ends the current or next `wait`.
 
-    Several rings count as one. One thread waits, and closes it when no thread rings any more.
+    Several rings count as one. One thread waits, and calls `close` when no thread rings any more.
     """
 
     def __init__(self) -> None:
@@ -27,7 +27,7 @@ class Wake:
             os.eventfd_write(self._bell, 1)
 
     def wait(self, limit_s: float) -> bool:
-        """Wait for a ring, `limit_s` at most; return whether it rang."""
+        """Wait for a ring, at most `limit_s` seconds; return whether there was a ring."""
         if not self._poll.poll(max(0.0, limit_s) * 1e3):
             return False
         os.eventfd_read(self._bell)

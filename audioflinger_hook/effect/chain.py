@@ -1,4 +1,4 @@
-"""Effect chains: one a session, in the order in which AudioFlinger runs them."""
+"""Effect chains: one per session, in the order in which AudioFlinger runs them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BUDGET_SHARE = 0.5
 """Share of a buffer's length that one effect may take."""
 
 READINGS_EVERY_S = 1.0
-"""Interval in which effects are asked for their state; a dump shows the last answer."""
+"""Interval at which effects are asked for their state; a dump shows the last answer."""
 
 
 class EffectChains:
@@ -36,9 +36,9 @@ class EffectChains:
     `modules`, `bypassed` and `dump`, which only read. `process` and `end_of_cycle` neither raise,
     block nor log.
 
-    clock: seconds, read before and after each effect. budget_share: share of a buffer's length
-    that one effect may take before it counts as an overrun. With inf, for offline work, time
-    bypasses nothing, and the same input gives the same bytes.
+    clock: seconds, read before and after each effect. budget_share: one effect may take this share
+    of a buffer's length; more counts as an overrun. With inf, for offline work, no effect is
+    bypassed for its time, and equal input gives equal bytes.
     """
 
     def __init__(self, clock: Callable[[], float], *, budget_share: float = BUDGET_SHARE) -> None:
@@ -52,11 +52,11 @@ class EffectChains:
         self._read_s = float("-inf")
 
     def add(self, engine: EffectEngine, session: int) -> EffectModule:
-        """Return the module of an effect, put where its flags ask for; it is not enabled yet.
+        """Return the module of an effect, placed as its flags ask; it is not enabled yet.
 
         session: a player's from 1 up, `OUTPUT_MIX`, `OUTPUT_STAGE` or `DEVICE`.
 
-        UsageError: there is no such session, or the effect cannot stand there.
+        UsageError: there is no such session, or the effect cannot be in its chain.
         """
         try:
             descriptor: object = engine.descriptor
@@ -90,7 +90,7 @@ class EffectChains:
         self._order()
 
     def sessions(self) -> tuple[int, ...]:
-        """Return the sessions that have effects, in running order: players falling, 0, -1, -2."""
+        """Return the sessions with effects in running order: players (highest first), 0, -1, -2."""
         return self._sessions
 
     def modules(self, session: int) -> tuple[EffectModule, ...]:
@@ -111,8 +111,8 @@ class EffectChains:
     ) -> None:
         """Run a session's chain over a buffer, in place, or add the result to `target`.
 
-        With a separate `target` the chain's last effect is configured to ACCUMULATE. Without an
-        effect that runs, the buffer itself is added. Call it once a cycle for each of `sessions()`.
+        With a separate `target` the chain's last effect is configured to ACCUMULATE. If no effect
+        runs, the buffer itself is added. Call it once per cycle for each of `sessions()`.
         """
         self._now_s = now_s
         output = buffer if target is None else target
@@ -125,7 +125,7 @@ class EffectChains:
             np.add(output.samples, buffer.samples, out=output.samples)
 
     def end_of_cycle(self, now_s: float) -> None:
-        """Send every effect the requests since the last cycle."""
+        """Send every effect the requests made since the last cycle."""
         self._now_s = now_s
         self._cycles += 1
         for session in self._sessions:
@@ -139,7 +139,7 @@ class EffectChains:
                         module.readings = asked_lines(module)
 
     def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
-        """Configure every effect: rate in Hz, channels of sound and vibration, frames a buffer."""
+        """Configure all effects: rate in Hz, channels of sound and vibration, frames per buffer."""
         self._config = EffectConfig(samplerate, channels, haptic_channels, frames)
         budget_s = self._budget_s()
         for session in self._sessions:
@@ -148,7 +148,7 @@ class EffectChains:
                 module.set_config(self._config)
 
     def dump(self) -> list[str]:
-        """Return the lines that `dumpsys media.audio_flinger` would show of effects."""
+        """Return the lines that `dumpsys media.audio_flinger` would show about effects."""
         sessions = self._sessions
         lines = [f"{len(sessions)} Effect Chains"]
         lines.append(f"  cycles: {self._cycles}, last at {self._now_s:.3f} s")
@@ -166,7 +166,7 @@ class EffectChains:
 
 
 def misplaced(flags: EffectFlag, session: object) -> str:
-    """Return why an effect of these flags cannot stand in a session, or "" where it can."""
+    """Return why an effect with these flags cannot be in a session's chain, or "" if it can."""
     if type(session) is not int or session < DEVICE:
         return f"session {session!r} does not exist; allowed: {DEVICE} to 0, or a player's"
     kind = flags & EffectFlag.TYPE_MASK
@@ -178,10 +178,10 @@ def misplaced(flags: EffectFlag, session: object) -> str:
 
 
 def insert_index(new: EffectDescriptor, chain: Sequence[EffectDescriptor]) -> int:
-    """Return where in a chain a new effect goes, by its flags and theirs.
+    """Return the index of a new effect in a chain, by its flags and those of the chain's effects.
 
-    EXCLUSIVE stands alone; LAST before the first LAST, else at the end; FIRST and ANY after the
-    last FIRST, else before the first insert. (AudioFlinger, EffectChain::getInsertIndex.)
+    An EXCLUSIVE effect is alone. LAST goes before the first LAST, else to the end. FIRST and ANY go
+    after the last FIRST, else before the first insert. (AudioFlinger, EffectChain::getInsertIndex.)
 
     UsageError: an EXCLUSIVE effect is or would be beside another.
     """
@@ -222,7 +222,7 @@ PLACE_NAMES = {
 
 
 def chain_lines(session: int, modules: Sequence[EffectModule]) -> list[str]:
-    """Return one chain's lines. From any thread: it only reads what is there."""
+    """Return the lines of one chain in a dump. Any thread may call it, as it only reads."""
     lines = [f"{len(modules)} effects for session {session}"]
     for place, module in enumerate(modules):
         lines += [f"  {line}" for line in effect_lines(place, module)]
@@ -230,7 +230,7 @@ def chain_lines(session: int, modules: Sequence[EffectModule]) -> list[str]:
 
 
 def effect_lines(place: int, module: EffectModule) -> list[str]:
-    """Return one effect's lines; place: in its chain, from 0."""
+    """Return the lines of one effect in a dump; place: its index in the chain, from 0."""
     descriptor = module.descriptor
     lines = [
         f"Effect {place}: {descriptor.name}",
@@ -258,9 +258,9 @@ def effect_lines(place: int, module: EffectModule) -> list[str]:
 
 
 def asked_lines(module: EffectModule) -> tuple[str, ...]:
-    """Return what the effect itself says: its parameters and its own dump.
+    """Return what the effect itself reports: its parameters and its own dump.
 
-    Called by the thread that steps the mixer, as every command.
+    Called by the thread that steps the mixer, like every command.
     """
     lines = []
     for parameter in module.descriptor.parameters:

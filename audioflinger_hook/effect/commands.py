@@ -55,7 +55,7 @@ class CommandCheck:
         self._takes = {vendor.code: vendor.takes for vendor in descriptor.vendor_commands}
 
     def status(self, code: object, data: object) -> int:
-        """Return OK for a valid command, else EINVAL, or ENOSYS if the effect did not ask for it.
+        """Return OK if the command is valid, ENOSYS if the effect did not ask for it, else EINVAL.
 
         Never raises, since only values of exact types are examined.
         """
@@ -72,7 +72,7 @@ class CommandCheck:
         return OK
 
     def parameter(self, name: object) -> Parameter | None:
-        """Return the parameter of a name, or None."""
+        """Return the parameter with this name, or None."""
         return self._parameters.get(name) if type(name) is str else None
 
     def _fits(self, code: Command, data: object) -> bool:

@@ -1,4 +1,4 @@
-"""An effect's lifecycle and commands, as AudioFlinger's EffectModule keeps them."""
+"""An effect's lifecycle and commands, as in AudioFlinger's EffectModule."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ TAIL_MAX_S = 10.0
 """Seconds of sound for which a stopped effect may continue its tail."""
 
 READING = frozenset({Command.GET_PARAM, Command.GET_CONFIG, Command.DUMP})
-"""Commands whose failure is counted but bypasses nothing, since they change no sound."""
+"""Commands whose failure is counted but causes no bypass, since they change no sound."""
 
 STATUSES = frozenset({OK, EINVAL, ENODATA, ENOSYS})
 REASON_MAX = 200
-"""Characters kept of what an engine says."""
+"""Characters of an engine's message that are kept."""
 
 FRAMEWORK_ONLY = frozenset({Command.INIT, Command.SET_CONFIG})
 """Commands that only the framework itself sends."""
 
 
 class EffectState(Enum):
-    """Where an effect stands. ENABLE is sent on leaving STARTING, DISABLE on leaving STOPPING."""
+    """State of an effect. ENABLE is sent on leaving STARTING, DISABLE on leaving STOPPING."""
 
     IDLE = auto()
     STARTING = auto()
@@ -61,8 +61,8 @@ class EffectControl:
     `enable` and `disable` only set the state. `update_state` sends it to the engine at the end of
     the next cycle, so it takes effect with the buffer after that cycle. An engine that refuses its
     configuration (`refusal`) is bypassed until it accepts one. An engine with a `fault` is bypassed
-    until it is enabled again, after a new INIT and SET_CONFIG. `complaint` is the last of either;
-    `readings` are the lines of its own state when it was last asked.
+    until it is enabled again, after a new INIT and SET_CONFIG. `complaint` is the last refusal or
+    fault. `readings` are the lines with which the engine last described its own state.
 
     All calls come from the thread that steps the mixer, between buffers. None raises, except
     KeyboardInterrupt, which is the user's. Any thread may read the attributes.
@@ -87,12 +87,12 @@ class EffectControl:
 
     @property
     def enabled(self) -> bool:
-        """Whether its client wants it to run."""
+        """Whether the client wants the effect to run."""
         return self.state in ENABLED
 
     @property
     def bypassed(self) -> str:
-        """Why it is bypassed although it may be enabled; "" while it is not."""
+        """Why the effect is bypassed, whether enabled or not; "" if it is not bypassed."""
         return self.fault or self.refusal
 
     def enable(self) -> int:
@@ -110,9 +110,9 @@ class EffectControl:
         return OK
 
     def set_config(self, config: EffectConfig) -> int:
-        """Send it the format of the stream, if that is new, and return its status.
+        """Send the engine the stream's format, if the format is new; return the engine's status.
 
-        `access` stays unchanged. A refusal bypasses it until one is accepted.
+        `access` stays unchanged. An engine that refuses is bypassed until it accepts a format.
         """
         if self.state is EffectState.DESTROYED or not is_config(config):
             return EINVAL
@@ -126,7 +126,7 @@ class EffectControl:
     def command(self, code: int, data: object = None) -> tuple[int, object]:
         """Return status and reply of a client's command.
 
-        Wrong codes, types, sizes, names and ranges are EINVAL and never reach the engine.
+        Wrong codes, types, sizes, names and ranges give EINVAL and never reach the engine.
         """
         status = self._check.status(code, data)
         if status != OK:
@@ -148,7 +148,7 @@ class EffectControl:
         return status, reply
 
     def set_parameters(self, values: Values) -> int:
-        """Set several parameters at once, or none. Returns OK or why not."""
+        """Set several parameters at once, or none. Return OK or the status of the failure."""
         for name, value in values.items():
             status = self._check.status(Command.SET_PARAM, (name, value))
             if status != OK:
@@ -160,7 +160,7 @@ class EffectControl:
         return self.command(Command.SET_PARAM_COMMIT)[0]
 
     def send(self, code: int, data: object = None) -> tuple[int, object]:
-        """Return the engine's status and reply to any command; EINVAL and None where it failed."""
+        """Return the engine's status and reply to a command; EINVAL and None if it failed."""
         bypass = code not in READING
         name = Command(code).name if code < Command.FIRST_PROPRIETARY else f"command {code:#x}"
         try:
@@ -177,7 +177,7 @@ class EffectControl:
         return answer
 
     def update_state(self) -> None:
-        """Send what enable, disable and the end of a tail ask for. Called at a cycle's end."""
+        """Send the commands due after enable, disable or the end of a tail, at a cycle's end."""
         match self.state:
             case EffectState.STARTING | EffectState.RESTART:
                 self._start()
@@ -206,14 +206,14 @@ class EffectControl:
         self.fault = ""
 
     def _blame(self, reason: str, *, bypass: bool = True) -> None:
-        """Count a failure, keep its reason and, where asked, bypass the engine."""
+        """Count a failure, keep its reason and, if asked to, bypass the engine."""
         self.faults += 1
         self.complaint = reason
         if bypass and not self.fault:
             self.fault = reason
 
     def _refused(self, what: str, status: int, *, bypass: bool = True) -> None:
-        """Count and name a refusal that was not a fault."""
+        """Count and name a refusal, which is not a fault."""
         if self.fault:
             return
         self.refusals += 1
@@ -253,7 +253,7 @@ class EffectControl:
             self.state = EffectState.IDLE
             return
         if not self._accepted:
-            return  # it starts once it has a format
+            return  # the effect starts once it has a format
         if self.state is EffectState.RESTART:
             self.send(Command.RESET)
         status, _ = self.send(Command.ENABLE)

@@ -1,4 +1,4 @@
-"""The haptic effect: reads the mix, leaves it unchanged, and writes the vibration beside it."""
+"""The haptic effect: reads the mix, leaves it unchanged, and fills the haptic channels."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from device.blocks import peak
 
 
 class Vibration:
-    """Vibration of one stream, scaled, in all haptic channels of the buffer.
+    """Vibration of one stream, scaled by a gain and written to all haptic channels of a buffer.
 
-    gain: 0 to 1; a new one is reached linearly over the next block, without a click. clip:
-    whether samples beyond full scale are limited and counted. frames: of the largest block. Use
-    from the thread that steps the mixer.
+    gain: 0 to 1; a new gain is reached linearly over the next block, without a click. clip: whether
+    samples beyond full scale are limited and counted. frames: length of the largest block. Use from
+    the thread that steps the mixer.
     """
 
     def __init__(self, transform: HapticTransform, gain: float, frames: int) -> None:
@@ -53,23 +53,23 @@ class Vibration:
         self.prepare(frames)
 
     def prepare(self, frames: int) -> None:
-        """Make room for blocks of up to `frames`; the sound goes on."""
+        """Make room for blocks of up to `frames` frames, without an interruption of the stream."""
         self._column = np.zeros(frames)
         self._counted = np.arange(1.0, frames + 1.0)
 
     @property
     def latency_frames(self) -> int:
-        """Frames by which vibration comes after its sound, of the newest transform."""
+        """Frames by which vibration comes after its sound, with the newest transform."""
         return (self._next or self._transform).latency_frames
 
     @property
     def limited_samples(self) -> int:
-        """Samples that the limiter or full scale has changed so far."""
+        """Samples changed so far by the limiter or the cut at full scale."""
         return self._limited_before + self._transform.limited_samples + self._clipped
 
     @property
     def replaced_samples(self) -> int:
-        """Unusable samples of sound that were taken for 0 so far."""
+        """Unusable samples of sound so far, which were replaced by 0."""
         return self._replaced_before + self._transform.replaced_samples
 
     def change(self, transform: HapticTransform) -> None:
@@ -80,18 +80,18 @@ class Vibration:
         self._next = transform
 
     def restart(self, transform: HapticTransform) -> None:
-        """Change to another transform at once, for streams that are new or silent."""
+        """Change to another transform at once, with no fade; for streams that are new or silent."""
         self._adopt(transform)
 
     def reset(self) -> None:
-        """Forget all sound at once; counters go on."""
+        """Forget all sound at once; the counters keep their values."""
         if self._next is not None:
             self._adopt(self._next)
         self._transform.reset()
         self._level = self.gain
 
     def process(self, audio: Frames, out: NDArray[np.float32]) -> None:
-        """Write to `out` (frames, haptic channels) the vibration due; `audio` is only read."""
+        """Write the vibration now due to `out` (frames, haptic channels); `audio` is only read."""
         owed = self._transform.process(audio)
         if self._next is None:
             self._write(owed, out, self.gain)
@@ -100,7 +100,7 @@ class Vibration:
             self._adopt(self._next)
 
     def drain(self, haptic_channels: int) -> NDArray[np.float32]:
-        """Return the rest after the end of the sound, (latency_frames, haptic_channels)."""
+        """Return the vibration left after the sound ends, (latency_frames, haptic_channels)."""
         owed = self._transform.finish()
         out = np.zeros((len(owed), haptic_channels), np.float32)
         self._write(owed, out, self.gain)
@@ -116,11 +116,12 @@ class Vibration:
         self._level = self.gain
 
     def _write(self, owed: FloatArray, out: NDArray[np.float32], goal: float) -> None:
-        """Write vibration (frames, voices) to the haptic channels and arrive at the level `goal`.
+        """Write vibration (frames, voices) to the haptic channels and end at the gain `goal`.
 
-        Where there are more haptic channels than voices, voices repeat: haptic channel h plays
-        voice h mod voices. Where there are fewer, each plays the mean of voices h, h +
-        haptic_channels, ...: none is left out, and equal voices keep their level.
+        A voice is one channel of vibration from the transform. If there are more haptic channels
+        than voices, haptic channel h plays voice h mod voices. If there are fewer, channel h plays
+        the mean of voices h, h + haptic_channels, ...: no voice is left out, and equal voices keep
+        their level.
         """
         level, self._level = self._level, goal
         if level == goal == 0.0:
@@ -148,7 +149,7 @@ class Vibration:
 
 
 def cut_to_full_scale(samples: FloatArray) -> int:
-    """Limit samples to +-1 in place and return how many were beyond."""
+    """Limit samples to +-1 in place and return how many exceeded it."""
     if peak(samples) <= 1.0:
         return 0
     beyond = int(np.count_nonzero(np.abs(samples) > 1.0))
@@ -160,12 +161,12 @@ class HapticEffect:
     """One instance of the effect, an `EffectEngine`.
 
     - The sound passes bit for bit; vibration comes `latency_frames` after its sound.
-    - Every buffer's haptic channels are overwritten, with silence while it is disabled. With
-      ACCUMULATE they are added to and limited to full scale. No stale vibration can remain.
-    - A new gain, or mute, is reached linearly over the next buffer.
+    - Every buffer's haptic channels are overwritten, with silence while the effect is disabled.
+      With ACCUMULATE the vibration is added, and the sum limited to full scale. None is stale.
+    - A change of gain or mute is linear over the next buffer.
     - A new parameter of the transform fades the vibration out over the next buffer; the new
       transform then starts from silence. GET_PARAM returns the new value at once.
-    - A new sample rate or channel count restarts it without a fade, as it does the sound.
+    - A new sample rate or channel count restarts vibration and sound without a fade.
     - A stream without a haptic channel is refused.
 
     Use from the thread that steps the mixer.
@@ -200,7 +201,7 @@ class HapticEffect:
         }
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
-        """Write the vibration of a buffer beside its sound. ENODATA while it is disabled."""
+        """Write the vibration of a buffer to its haptic channels. ENODATA while disabled."""
         vibration, config = self._vibration, self._config
         if vibration is None or config is None:
             return EINVAL
@@ -285,7 +286,7 @@ class HapticEffect:
         return self._take(self._values | deferred)
 
     def _take(self, values: dict[str, Value]) -> tuple[int, object]:
-        """Apply a set of values, or change nothing if they are not possible together."""
+        """Apply a set of values, or change nothing if the values contradict each other."""
         if not is_possible(values):
             return EINVAL, None
         transform = None

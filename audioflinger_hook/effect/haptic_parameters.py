@@ -1,4 +1,4 @@
-"""What the haptic effect declares: its descriptor, and its parameters with their meaning."""
+"""What the haptic effect declares: its descriptor and its parameters."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _parameter(name: str, described: Description, default: Value, meaning: str =
 
 
 RESTARTING = frozenset({*TRANSFORM_FIELDS, "form", "per_channel", "sources"})
-"""Parameters whose change takes another transform."""
+"""Parameters whose change needs a new transform."""
 
 HAPTIC_PARAMETERS = (
     *(
@@ -57,7 +57,7 @@ HAPTIC_PARAMETERS = (
         "sources",
         str,
         "",
-        meaning="what each haptic channel is made of instead, such as left,right; empty: the above",
+        meaning="source of each haptic channel instead, such as left,right; empty: see per_channel",
     ),
     _parameter(
         "gain_db",
@@ -78,17 +78,17 @@ HAPTIC_PARAMETERS = (
     Parameter("limited_samples", int, meaning="of vibration, changed by limiter or full scale"),
     Parameter("replaced_samples", int, meaning="of sound, unusable and taken for 0"),
 )
-"""All of them; the last three can only be read, and only while there is a stream (ENODATA)."""
+"""All parameters; the last three can only be read. Without a stream, reading them gives ENODATA."""
 
 
 def transform_parameters(values: Values) -> TransformParameters:
-    """Return the transform's share of the effect's parameters."""
+    """Return those of the effect's parameters that belong to the transform."""
     chosen: dict[str, Any] = {name: values[name] for name in TRANSFORM_FIELDS}
     return TransformParameters(**chosen)
 
 
 def is_possible(values: Values) -> bool:
-    """Return whether the values go together."""
+    """Return whether the values can be used together."""
     if not {*sources(values)} <= {*SOURCES} or (values["sources"] and values["per_channel"]):
         return False
     try:
@@ -99,20 +99,20 @@ def is_possible(values: Values) -> bool:
 
 
 def sources(values: Values) -> tuple[str, ...]:
-    """Return the source of each haptic channel, nothing where none is chosen."""
+    """Return the source of each haptic channel; empty if no sources are chosen."""
     chosen = values["sources"]
     return tuple(chosen.split(",")) if isinstance(chosen, str) and chosen else ()
 
 
 def amplitude(values: Values) -> float:
-    """Return the factor that gain and mute make, 0 to 1."""
+    """Return the factor that results from gain and mute, 0 to 1."""
     gain_db = values["gain_db"]
     assert isinstance(gain_db, (int, float))
     return 0.0 if values["mute"] else db_to_amplitude(gain_db)
 
 
 def from_settings(settings: Settings) -> dict[str, Value]:
-    """Return the parameters that a user's settings mean."""
+    """Return the effect's parameters for a user's settings."""
     return {
         **asdict(settings.parameters),
         "form": settings.form,
@@ -123,9 +123,9 @@ def from_settings(settings: Settings) -> dict[str, Value]:
 
 
 def transform_for(config: EffectConfig, values: Values) -> HapticTransform | None:
-    """Return a transform for a stream, about 6 ms of work, or None where none can be."""
+    """Return a transform for a stream (takes about 6 ms), or None if none can be made."""
     chosen = sources(values)
-    # A transform without weights makes the mix alone.
+    # Without weights the transform treats only the mix.
     mixed = chosen not in ((), ("mix",))
     try:
         return HapticTransform(
@@ -135,7 +135,7 @@ def transform_for(config: EffectConfig, values: Values) -> HapticTransform | Non
             form=cast(Form, values["form"]),
             per_channel=values["per_channel"] is True,
             weights=source_weights(config.channels, chosen) if mixed else None,
-            # The haptic channels are float32; only a level would be multiplied before.
+            # The haptic channels are float32; only a gain would be multiplied before.
             single=amplitude(values) == 1.0,
         )
     except (UsageError, ValueError):

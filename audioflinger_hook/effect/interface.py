@@ -17,7 +17,7 @@ from uuid import UUID
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 
 Value = bool | int | float | str
-"""What a parameter may hold. Plain Python values: a NumPy scalar is not one."""
+"""What a parameter may hold: plain Python values, no NumPy scalars."""
 
 Values = Mapping[str, Value]
 
@@ -49,11 +49,11 @@ class Parameter:
 
     @property
     def read_only(self) -> bool:
-        """Whether it can only be read."""
+        """Whether the parameter can only be read."""
         return self.default is None
 
     def accepts(self, value: object) -> bool:
-        """Return whether it may hold a value; never raises, whatever that is."""
+        """Return whether the parameter may hold this value; never raises, whatever the value is."""
         if type(value) not in KINDS.get(self.kind, ()):
             return False
         if isinstance(value, str):
@@ -134,7 +134,7 @@ class Command(IntEnum):
 
 
 class Access(IntEnum):
-    """How an effect writes its output: over the buffer's samples, or added to them."""
+    """How an effect writes its output: it replaces the buffer's samples or adds to them."""
 
     WRITE = 1
     ACCUMULATE = 2
@@ -142,7 +142,7 @@ class Access(IntEnum):
 
 @dataclass(frozen=True)
 class VendorCommand:
-    """A vendor's command: its code from FIRST_PROPRIETARY up, and the type of its data.
+    """A vendor's command: its code, at least FIRST_PROPRIETARY, and the type of its data.
 
     takes: `NoneType` for a command without data; other types never reach the engine.
     """
@@ -154,9 +154,9 @@ class VendorCommand:
 
 @dataclass(frozen=True)
 class EffectDescriptor:
-    """Identity of an effect, with its parameters and commands.
+    """What identifies an effect, and its parameters and vendor commands.
 
-    The framework refuses all other parameters and vendor commands before the engine sees them.
+    The framework refuses parameters and vendor commands that are not listed here.
 
     type_uuid: what the effect does, shared by all implementations. uuid: this implementation.
     cpu_load: load in 0.1 MIPS, as on Android. memory_kb: memory in KB, as on Android.
@@ -176,7 +176,7 @@ class EffectDescriptor:
 
 @dataclass(frozen=True)
 class EffectConfig:
-    """Data of SET_CONFIG: the format of the stream, up to `frames` a buffer."""
+    """Data of SET_CONFIG: the format of the stream; a buffer has at most `frames` frames."""
 
     samplerate: int
     channels: int
@@ -190,15 +190,15 @@ class EffectEngine(Protocol):
 
     @property
     def descriptor(self) -> EffectDescriptor:
-        """Its identity, which never changes."""
+        """The effect's descriptor, which never changes."""
         ...
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
-        """Treat one buffer; both may be the same object. Returns OK or ENODATA (tail ended).
+        """Treat one buffer; source and target may be one object. Return OK or ENODATA (tail ended).
 
-        With Access.WRITE the target is overwritten, with ACCUMULATE added to. The arrays belong
-        to the caller; only their contents may change. Called by the thread that steps the mixer,
-        which must not wait.
+        With Access.WRITE the target is overwritten, with ACCUMULATE the result is added to it. The
+        arrays belong to the caller; only their contents may change. Called by the thread that steps
+        the mixer, which must not wait.
         """
         ...
 

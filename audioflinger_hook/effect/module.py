@@ -1,4 +1,4 @@
-"""One effect in a chain: gives each buffer to its engine so that the sound cannot be harmed."""
+"""One effect in a chain: passes buffers to its engine and protects the sound from the engine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from audioflinger_hook.mixer.mix_buffer import MixBuffer
 from device.blocks import peak
 
 LATE_IN_A_ROW = 3
-"""Consecutive buffers over the time allowed, after which an engine counts as too slow."""
+"""An engine that exceeds its time in this many consecutive buffers counts as too slow."""
 
 PROCESSING = (
     EffectState.ACTIVE,
@@ -30,12 +30,13 @@ PROCESSING = (
 
 
 class EffectModule(EffectControl):
-    """The framework's side of one engine; its client holds it. See `EffectControl`.
+    """The framework's side of one engine, held by the effect's client. See `EffectControl`.
 
-    An engine never touches the mixer's buffers. It works on copies, which are taken only if they
-    are valid. One that raises, answers nonsense, spoils arrays or overruns its time is bypassed
-    and counted, and the sound passes unchanged. `misfits` counts buffers of another layout than
-    the configuration's. budget_s: time that a whole buffer may take by `clock`; inf offline.
+    An engine never touches the mixer's buffers. It works on copies, and only valid copies are used.
+    An engine that raises, answers nonsense, spoils arrays or overruns its time is bypassed and
+    counted, and the sound passes unchanged. `misfits` counts buffers whose layout is not the
+    configured one. budget_s: seconds that a whole buffer may take, measured by `clock`; inf
+    offline.
     """
 
     def __init__(
@@ -55,10 +56,10 @@ class EffectModule(EffectControl):
         super().__init__(engine, session)
 
     def process(self, source: MixBuffer, target: MixBuffer) -> None:
-        """Treat one buffer: in place where both are the same, else `target` is added to.
+        """Treat one buffer: in place if both are the same object, else add the result to `target`.
 
-        Where it does not run, the sound passes: in place nothing happens, else `source` is
-        added to `target`. Called once a cycle.
+        If the effect does not run, the sound passes: in place nothing happens, else `source` is
+        added to `target`. Called once per cycle.
         """
         in_place = source is target
         if not in_place and not same_layout(source, target):
@@ -74,7 +75,7 @@ class EffectModule(EffectControl):
             np.add(target.samples, source.samples, out=target.samples)
 
     def _ready(self, source: MixBuffer, in_place: bool) -> bool:
-        """Return whether the engine can be given a buffer: configured, sound, of its size."""
+        """Return whether the engine can take a buffer: engine configured, no fault, sizes match."""
         if self.config is None or not self._accepted or self.fault:
             return False
         access = Access.WRITE if in_place else Access.ACCUMULATE
@@ -94,7 +95,7 @@ class EffectModule(EffectControl):
         return True
 
     def _run(self, source: MixBuffer, target: MixBuffer) -> int | None:
-        """Return the engine's OK or ENODATA, or None where `target` is unchanged."""
+        """Return the engine's OK or ENODATA, or None if `target` is unchanged."""
         lent = self._lent.of(source)
         mixed = lent if source is target else self._mixed.of(target)
         began = self._clock()
@@ -146,9 +147,9 @@ class EffectModule(EffectControl):
 
 
 class Loan:
-    """A copy of a buffer, lent to an engine, in memory that the next copy uses again.
+    """A copy of a buffer, lent to an engine; the next copy uses the same memory.
 
-    samples: of the largest buffer. An engine that keeps its arrays and changes them later harms
+    samples: of the largest buffer. An engine that keeps the arrays and changes them later harms
     only its own next copy.
     """
 

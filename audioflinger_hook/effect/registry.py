@@ -1,4 +1,4 @@
-"""Libraries of effects: the bundled one, and those that other packages bring."""
+"""Libraries of effects: the bundled library and those of other installed packages."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ ENTRY_POINTS = "audioflinger_hook.effects"
 class EffectRegistry:
     """All known effects, by UUID.
 
-    `problems` names each library that was left out, with the reason. It is used while chains are
-    set up, never by the thread that steps the mixer.
+    `problems` names each library that was left out, with the reason. The registry is used while
+    chains are set up, never by the thread that steps the mixer.
     """
 
     def __init__(self, libraries: Iterable[EffectLibrary] = ()) -> None:
@@ -42,7 +42,7 @@ class EffectRegistry:
 
     @classmethod
     def installed(cls) -> EffectRegistry:
-        """Return a registry of the bundled library and those of installed packages.
+        """Return a registry of the bundled library and the libraries of installed packages.
 
         A package that cannot be loaded is left out and named in `problems`.
         """
@@ -78,7 +78,7 @@ class EffectRegistry:
     def add(self, library: EffectLibrary) -> None:
         """Add all effects of a library, or none.
 
-        UsageError: a name or UUID is taken, or a descriptor is wrong.
+        UsageError: a name or UUID is already in use, or a descriptor is wrong.
         """
         if type(library.name) is not str or not library.name:
             raise UsageError(f"effect library name {library.name!r} is not a name")
@@ -112,8 +112,8 @@ class EffectRegistry:
     def create(self, uuid: UUID) -> EffectEngine:
         """Return a new engine of the effect with this implementation UUID.
 
-        NotFoundError: no effect has it.
-        InternalError: its library fails to make an engine, or makes another effect.
+        NotFoundError: no effect has this UUID.
+        InternalError: the library fails to make an engine, or makes another effect.
         """
         if uuid not in self._effects:
             known = ", ".join(f"{d.uuid} ({d.name})" for d in self.descriptors)
@@ -137,8 +137,8 @@ class EffectRegistry:
 def entry_points(problems: list[str]) -> list[tuple[str, EntryPoint]]:
     """Return (package, entry point) of every effect library that installed packages name.
 
-    A package whose metadata cannot be read is left out and named in `problems`. Of packages with
-    the same name only the first on the path counts, as for imports.
+    A package whose metadata cannot be read is left out and named in `problems`. If several packages
+    have one name, only the first on the path counts, as for imports.
     """
     found: list[tuple[str, EntryPoint]] = []
     seen: set[str] = set()

@@ -1,4 +1,4 @@
-"""audio_effects.xml, version 2.0: which effects there are, and where they run."""
+"""audio_effects.xml, version 2.0: a file that lists effects and the streams they run on."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from audioflinger_hook.effect.registry import EffectRegistry
 from device.errors import UsageError
 
 SIZE_MAX = 2**20
-"""Bytes of a file; Android's own have about 10 KB."""
+"""Largest size of a file in bytes; Android's own files have about 10 KB."""
 
 VERSION = "2.0"
 
 OUTPUT_MIX_STREAM = "output_mix"
-"""Our own name, beside Android's kinds of players, for what all players make together."""
+"""Our own stream name, added to Android's kinds of players: the mix of all players."""
 
 STREAMS = frozenset(
     {
@@ -40,12 +40,12 @@ CHILDREN: dict[str, tuple[str, ...]] = {
     "stream": ("apply",),
 }
 NOT_EMULATED = ("preprocess", "deviceEffects", "effectProxy")
-"""Elements of Android's that are passed over, with all that is in them."""
+"""Elements of Android's files that are skipped with all their contents."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about a file: its line, from 1, and what is there."""
+    """A problem in a file: its line, from 1, and what is wrong."""
 
     line: int
     text: str
@@ -56,10 +56,10 @@ class Finding:
 
 @dataclass
 class DeclaredEffects:
-    """What a file declares and can be had.
+    """Effects that a file declares and the registry has.
 
-    effects: UUID by name; postprocess: UUIDs by stream, in order. problems: what was left out
-    and why; its length is the count.
+    effects: UUID by name; postprocess: UUIDs by stream, in order. problems: what was left out and
+    why, one entry per problem.
     """
 
     effects: dict[str, UUID] = field(default_factory=dict)
@@ -80,8 +80,7 @@ def _bundled() -> bytes:
 def read_effects(path: Path, registry: EffectRegistry) -> DeclaredEffects:
     """Return what a file declares and the registry has.
 
-    UsageError: the file cannot be read or is far too large. What is wrong inside is no error: see
-    `problems`.
+    UsageError: the file cannot be read or is far too large. Mistakes inside it: see `problems`.
     """
     try:
         with path.open("rb") as stream:
@@ -98,8 +97,8 @@ def read_effects(path: Path, registry: EffectRegistry) -> DeclaredEffects:
 def parse_effects(xml: bytes, registry: EffectRegistry) -> DeclaredEffects:
     """Return what XML declares and the registry has; never raises, whatever the bytes are.
 
-    Elements are taken one by one: a wrong one is left out and named, the others count. After a
-    syntax error nothing more is read.
+    Elements are read one by one. A wrong element is left out and named; the others are used. After
+    a syntax error nothing more is read.
     """
     declared = DeclaredEffects()
     elements = _Elements(declared)
@@ -117,11 +116,11 @@ class _Element:
 
 
 class _Refused(Exception):
-    """The document holds what no such file needs."""
+    """The document contains something that is not allowed."""
 
 
 class _Elements:
-    """The elements of a document that stand where they belong, with their lines."""
+    """The elements of a document that are in the right place, with their lines."""
 
     def __init__(self, declared: DeclaredEffects) -> None:
         self.found: list[_Element] = []
@@ -131,7 +130,7 @@ class _Elements:
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler = self._start
         self._parser.EndElementHandler = self._end
-        # No entities: a few lines of them can stand for gigabytes.
+        # No entities: a few lines of entities can expand to gigabytes.
         self._parser.StartDoctypeDeclHandler = self._doctype
 
     def read(self, xml: bytes) -> None:
@@ -173,7 +172,7 @@ class _Elements:
 
 
 class _Resolver:
-    """Fills in what elements declare, against what the registry has."""
+    """Looks up what the elements declare in the registry."""
 
     def __init__(self, registry: EffectRegistry, declared: DeclaredEffects) -> None:
         self._registry = registry
@@ -182,7 +181,7 @@ class _Resolver:
         self._applied: list[UUID] | None = None
 
     def resolve(self, elements: list[_Element]) -> None:
-        """Take all elements. What refers to another may stand before it."""
+        """Use all elements. An element may refer to a later one."""
         self._each(elements, {ROOT: self._root})
         self._each(elements, {"library": self._library})
         self._each(elements, {"effect": self._effect})

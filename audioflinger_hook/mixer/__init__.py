@@ -2,7 +2,7 @@
 
 `Mixer` makes tracks and steps; `dump` shows it as text.
 
-    pcm, track                     what a client writes into
+    pcm, track                     the formats and tracks that a client writes to
     layouts, kaiser, resampler     steps from a track into the mix
     track_mixer                    one track on the mixer's side, with its volume
     session, mixer                 the cycle

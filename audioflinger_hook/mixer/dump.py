@@ -22,9 +22,9 @@ def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
     Parameters
     ----------
     mixer : Mixer
-        What is described.
+        The mixer to describe.
     cycle_times_s : sequence of float
-        Durations of the last cycles, seconds, where they were measured.
+        Durations of the last cycles in seconds, if they were measured.
     """
     lines = [*_thread(mixer), *_cycle_times(mixer, cycle_times_s), *_tracks(mixer)]
     lines += [f"  {line}" for line in mixer.effects.dump()]
@@ -32,7 +32,7 @@ def dump(mixer: Mixer, cycle_times_s: Sequence[float] = ()) -> str:
 
 
 def _thread(mixer: Mixer) -> list[str]:
-    """Describe what AudioFlinger calls the output thread."""
+    """Describe the mixer's thread, which AudioFlinger calls the output thread."""
     lines = [
         "Output thread (MIXER):",
         f"  Standby: {_yes_no(mixer.state is MixerState.STANDBY)}",
@@ -57,7 +57,7 @@ def _thread(mixer: Mixer) -> list[str]:
 def _cycle_times(mixer: Mixer, times_s: Sequence[float]) -> list[str]:
     if not len(times_s):
         return []
-    # as long as they were on average: a tap's buffers may be shorter than the normal one
+    # the average length: a tap's buffers may be shorter than the normal buffer
     written = mixer.cycles_written
     frames = mixer.frames_written / written if written else mixer.frames
     buffer_s = frames / mixer.samplerate

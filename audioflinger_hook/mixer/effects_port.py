@@ -1,4 +1,4 @@
-"""What the mixer asks of the effects, by session: the one face of all their chains."""
+"""The interface of all effect chains, by session, as the mixer uses it."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Protocol
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 
 OUTPUT_MIX, OUTPUT_STAGE, DEVICE = 0, -1, -2
-"""The sessions of no single player, in running order: the mix of all players, the stage after it,
-and the device. A player's session is a number from 1 up."""
+"""The sessions that belong to no player, in running order: the mix of all players, the stage after
+the mix, and the device. A player's session is a number from 1 up."""
 
 
 class EffectsPort(Protocol):
@@ -22,20 +22,20 @@ class EffectsPort(Protocol):
     def process(self, session: int, buffer: MixBuffer, now_s: float) -> None:
         """Run the session's chain over the buffer, in place.
 
-        `buffer.audio` holds the sound, `buffer.haptic` zeros or what chains before have written.
+        `buffer.audio` holds the sound, `buffer.haptic` zeros or the output of earlier chains.
         """
         ...
 
     def end_of_cycle(self, now_s: float) -> None:
-        """Do what waits for the end of a cycle that wrote: ENABLE, the end of a tail."""
+        """Do the work due at the end of a cycle that wrote, such as ENABLE or the end of a tail."""
         ...
 
     def set_format(self, samplerate: int, channels: int, haptic_channels: int, frames: int) -> None:
-        """Take the format of all buffers from now on: before the first, and at every change."""
+        """Set the format of all buffers from now on: before the first buffer, and at changes."""
         ...
 
     def dump(self) -> list[str]:
-        """How many chains there are, as a heading, then each with its effects. From any thread."""
+        """Return the number of chains as a heading, then each chain's effects. Any thread."""
         ...
 
 

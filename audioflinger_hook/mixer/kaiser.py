@@ -1,4 +1,4 @@
-"""The resampler's filter: a windowed sinc, laid out for block products or for interpolation.
+"""The resampler's filter: a windowed sinc, stored for block products or for interpolation.
 
 J. F. Kaiser, Nonrecursive digital filter design using the I0-sinh window function, ISCAS 1974; for
 the interpolated form J. O. Smith and P. Gossett, A flexible sampling-rate conversion method, 1984.
@@ -19,21 +19,21 @@ PASS_EDGE = 0.9
 """The pass band's end as a part of the lower rate's Nyquist; the stop band starts at 1."""
 
 STOP_BAND_DB = 98.0
-"""What the Kaiser window is made for: by his formula 127 taps reach it over that transition."""
+"""Attenuation of the Kaiser window, dB: by Kaiser's formula 127 taps reach it."""
 
 PHASES_EXACT = 1024
-"""Up to so many phases each has its own row of coefficients; above that they are interpolated."""
+"""Up to this many phases, each has its own row of coefficients; beyond, rows are interpolated."""
 
 ROWS_AT_ONCE = 128
 BLOCK_FLOATS = 1 << 15
 FLOATS_AT_MOST = 1 << 21
-"""Bounds of the block matrices: output frames in one; rows x taps in one, so that OpenBLAS does not
-start threads for a stereo block; float32 values in all (8 MB)."""
+"""Limits of the block matrices: output frames in one; rows x taps in one, so that OpenBLAS starts
+no threads for a stereo block; float32 values in all of them (8 MB)."""
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """The change of rate in lowest terms, and the filter that it needs.
+    """The ratio of two rates in lowest terms, and the filter that the conversion needs.
 
     up: output frames to `down` input frames; taps: input frames under the filter, even.
     """
@@ -51,13 +51,13 @@ class Ratio:
 
     @property
     def is_exact(self) -> bool:
-        """Whether each phase has a row of its own, in no more memory than is allowed."""
+        """Whether each phase has its own row of coefficients, within the memory allowed."""
         return self.up <= PHASES_EXACT and 2 * self.up * self.taps <= FLOATS_AT_MOST
 
     def coefficients(self, offset: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The filter for outputs that lie `offset` (0 to 1) input frames after one: rows of taps.
+        """The filter for outputs `offset` (0 to 1) input frames after an input frame: rows of taps.
 
-        The last tap belongs to the input frame just at or before the output's own position. Each
+        The last tap belongs to the input frame at or directly before the output's position. Each
         row sums to 1, so a constant stays constant.
         """
         distance = offset[:, None] + np.arange(self.taps // 2 - 1, -self.taps // 2 - 1, -1)
@@ -75,10 +75,10 @@ class Ratio:
 class BlockMatrices:
     """The filter of an exact ratio as products of one shape.
 
-    The outputs are cut into periods of `period_out` frames, those into blocks of `rows`. Block b
-    is `matrices[b] @ inputs`, with the inputs from `offsets[b] - taps + 1` after the period's
-    own start (`period_in` input frames a period); matrices: (blocks, rows, columns) float32. The
-    last block of a period may have rows of zeros at its end.
+    The outputs are cut into periods of `period_out` frames, and periods into blocks of `rows`.
+    Block b is `matrices[b] @ inputs`; its inputs begin at `offsets[b] - taps + 1` after the
+    period's start (`period_in` input frames per period); matrices: (blocks, rows, columns) float32.
+    The last block of a period may have rows of zeros at its end.
     """
 
     matrices: NDArray[np.float32]
@@ -90,10 +90,10 @@ class BlockMatrices:
 
 @lru_cache(maxsize=16)
 def block_matrices(ratio: Ratio) -> BlockMatrices:
-    """The block matrices of an exact ratio; shared by all tracks of that ratio, not to be changed.
+    """The block matrices of an exact ratio. Tracks of one ratio share them: do not change them.
 
-    A product of one fixed shape adds in one fixed order: that, and a grid of blocks that hangs on
-    the stream alone, makes the output independent of how the stream is split.
+    A product of fixed shape adds in a fixed order, and the grid of blocks depends only on the
+    stream. So the output does not depend on how the stream is split.
     """
     up, down, taps = ratio.up, ratio.down, ratio.taps
     rows_at_once = max(1, min(ROWS_AT_ONCE, BLOCK_FLOATS // taps))

@@ -1,4 +1,4 @@
-"""Where channels stand, by Android's layouts, and tracks laid over another layout."""
+"""Positions of channels in Android's layouts, and the mapping of one layout to another."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 MINUS_3_DB = 0.5**0.5
 
 CHANNELS_MAX = 64
-"""Android stops at 32; sound files do not."""
+"""Largest channel count; Android stops at 32, sound files do not."""
 
 # AOSP's canonical positions by channel count, in the order of their mask bits.
 _FRONT = "FL FR FC LFE BL BR SL SR"
@@ -33,10 +33,10 @@ _CANONICAL = {
 
 @cache
 def layout(channels: int) -> tuple[str, ...]:
-    """The positions of 1 to 64 channels: those of AOSP where it knows that count.
+    """The positions of 1 to 64 channels, from AOSP if AOSP has a layout for that count.
 
-    For the others (9 to 11, 13, 15, 17 to 23, from 25) 7.1 is followed by pairs `L9 R10`, ...
-    and, for an odd count, one `C`.
+    Other counts (9 to 11, 13, 15, 17 to 23, from 25) have the positions of 7.1, then pairs `L9
+    R10`, ... and, for an odd count, one `C`.
     """
     if channels in _CANONICAL:
         return tuple(_CANONICAL[channels].split())
@@ -48,10 +48,10 @@ def layout(channels: int) -> tuple[str, ...]:
 
 @cache
 def sides(channels: int) -> str:
-    """One letter a channel: on whose volume it hangs, L, R, or C for the mean of both.
+    """One letter per channel: the volume that it follows, L, R, or C for the mean of both.
 
-    As in AudioFlinger, except that the one channel of a mono mix is C there L: a sound panned
-    right must not vanish. With two LFE channels (22.2) the first is L, the second R.
+    As in AudioFlinger, except for the one channel of a mono mix: it is C here and L there, since a
+    sound panned right must not vanish. With two LFE channels (22.2) the first is L, the second R.
     """
     positions = layout(channels)
     two_lfe = "LFE2" in positions
@@ -74,7 +74,7 @@ _FRONT_PREFIXES = ("F", "TF", "BF")
 
 @cache
 def depths(channels: int) -> str:
-    """One letter a channel: F in front, B behind, C for both: the sides, above, and the bass."""
+    """One letter per channel: F in front, B behind, C for both (sides, above, bass)."""
     return "".join(
         "B" if name in _BACK else "F" if name.startswith(_FRONT_PREFIXES) else "C"
         for name in layout(channels)
@@ -84,11 +84,12 @@ def depths(channels: int) -> str:
 def source_weights(channels: int, sources: Sequence[str]) -> NDArray[np.float64]:
     """How much each channel counts in each source of vibration: (channels, sources).
 
-    sources: of "mix", "left", "right", "front", "back". The mix is the mean of all channels. The
-    others are means too, of the channels on that side, with those that belong to both sides, such
-    as the centre, at -3 dB of the others. The weights of a source add up to 1: none exceeds full
-    scale, and what is the same in all channels has the same level in every source. "front" and
-    "back" are the mix where no channel is behind, as all are where no channel is on a side.
+    sources: each "mix", "left", "right", "front" or "back". The mix is the mean of all channels.
+    The other sources are means of the channels on that side and of the channels that belong to both
+    sides, such as the centre; the latter are weighted 3 dB lower. The weights of a source add up to
+    1. So no source exceeds full scale, and a sound that is equal in all channels has the same level
+    in every source. If no channel is behind, "front" and "back" are the mix; if no channel is on a
+    side, all sources are.
     """
     letters = {"left": sides, "right": sides, "front": depths, "back": depths}
     weights = np.ones((channels, len(sources)))
@@ -109,12 +110,13 @@ _OPPOSITES = {"L": "LR", "R": "LR", "F": "FB", "B": "FB"}
 
 
 class ChannelMap:
-    """How the channels of one track stand in the mix.
+    """How the channels of one track are placed in the mix.
 
-    Same count: untouched. One: into every channel. Into one: the mean of all. Otherwise a
-    channel goes to its own position; one that the mix lacks goes to the front of its side at
-    -3 dB, a centre to both sides at -3 dB; then everything is lowered by the same factor until
-    no mix channel can exceed full scale. Mix channels that the track lacks are silent.
+    With equal counts, channels stay unchanged. One track channel goes to every mix channel; one mix
+    channel gets the mean of all track channels. Otherwise a channel goes to its own position. If
+    the mix lacks that position, the channel goes to the front of its side at -3 dB, and a centre to
+    both sides at -3 dB. Then all gains are lowered by one factor until no mix channel can exceed
+    full scale. Mix channels that the track lacks are silent.
     """
 
     def __init__(self, track_channels: int, mix_channels: int) -> None:
@@ -132,10 +134,11 @@ class ChannelMap:
     def apply(
         self, frames: NDArray[np.float32], mapped: NDArray[np.float32], spare: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """The frames (n, track channels) in the mix's channels, in the memory of `mapped`.
+        """Return the frames (n, track channels) in the mix's channels, in the memory of `mapped`.
 
-        Where nothing is to be done the frames themselves; mono stays (n, 1), to be broadcast.
-        mapped: (n, mix channels); spare: (n,) to be overwritten. Called by the mixer's thread.
+        If nothing is to be done, the frames themselves are returned; mono stays (n, 1), to
+        broadcast.
+        mapped: (n, mix channels); spare: (n,), overwritten. Called by the mixer's thread.
         """
         if self.is_identity or self.broadcasts:
             return frames

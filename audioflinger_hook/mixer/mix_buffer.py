@@ -1,4 +1,4 @@
-"""The buffer that travels through mix, effects and sinks, its length, and what a sink is."""
+"""The buffer that passes mix, effects and sinks, its length, and what a sink is."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 NORMAL_MIN_MS = 20
 NORMAL_MAX_MS = 24
 ALIGNMENT = 16
-"""The bounds and the grid in frames of AudioFlinger's normal mix buffer."""
+"""AudioFlinger's normal mix buffer: its limits in ms, and frames of which it is a multiple."""
 
 
 def normal_buffer_frames(samplerate: int, hal_frames: int) -> int:
-    """The frames of a normal mix buffer: whole HAL buffers of 20 to 24 ms where there are any.
+    """Return the frames of a normal mix buffer: whole HAL buffers of 20 to 24 ms if possible.
 
-    samplerate: Hz; hal_frames: of the buffer that the hardware takes at once. The result is a
-    multiple of 16; a HAL buffer above 20 ms stays unchanged.
+    samplerate: Hz; hal_frames: frames that the hardware takes at once (a HAL buffer). The result is
+    a multiple of 16; a HAL buffer above 20 ms stays unchanged.
     """
     shortest = _round_up(NORMAL_MIN_MS * samplerate // 1000)
     longest = max(NORMAL_MAX_MS * samplerate // 1000 // ALIGNMENT * ALIGNMENT, shortest)
     if shortest <= hal_frames:
         return _round_up(hal_frames)
     if shortest <= 2 * hal_frames:
-        # two HAL buffers, or where those are too long as much as is allowed
+        # two HAL buffers, or the longest length allowed if two are too long
         return _round_up(min(2 * hal_frames, longest))
     return _round_up(shortest // hal_frames * hal_frames)
 
@@ -50,9 +50,9 @@ class MixBuffer:
         self.hold(frames)
 
     def hold(self, frames: int) -> None:
-        """Hold n frames from now on, at most the initial number; contents are undefined.
+        """Hold this many frames from now on, at most the initial number; contents are undefined.
 
-        A shorter buffer lies at the start of the same memory, its haptic region right behind its
+        A shorter buffer uses the start of the same memory; its haptic samples directly follow its
         audio.
         """
         boundary = frames * self._channels
@@ -78,5 +78,5 @@ class Sink(Protocol):
         ...
 
     def standby(self) -> None:
-        """Drop what was kept, since nothing follows for a while. The next `write` ends it."""
+        """Drop all frames kept, since none follow for a while. The next `write` ends this."""
         ...

@@ -1,4 +1,4 @@
-"""The mixer: tracks, one mix, effect chains and sinks; one step function, one cycle a call."""
+"""The mixer: tracks, one mix, effect chains and sinks; each call of `cycle` does one cycle."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ from device.errors import UsageError
 from device.units import Float32Array
 
 STANDBY_DELAY_S = 3.0
-"""From the last mix with a track in it to standby, if no track is active."""
+"""Time from the last mix with a track in it to standby, if no track is active."""
 
 HAL_FRAMES_MAX = 1 << 16
 
 
 class MixerState(Enum):
-    """What a cycle found."""
+    """What a cycle found and wrote."""
 
     STANDBY = "standby"
     """Nothing was written."""
     IDLE = "idle"
     """No active track; silence was written."""
     ENABLED = "enabled"
-    """Active tracks, none of them with a whole period; silence was written."""
+    """No active track had a whole period of frames; silence was written."""
     READY = "ready"
     """At least one track was mixed."""
 
@@ -60,13 +60,13 @@ class CycleReport(NamedTuple):
     state : MixerState
         What the cycle found.
     frames_written : int
-        Frames that the sinks got, 0 in standby.
+        Frames written to the sinks, 0 in standby.
     tracks_mixed : int
         Tracks in the mix.
     underruns : int
-        Tracks that could not deliver.
+        Active tracks that had less than a whole period of frames.
     buffer : MixBuffer
-        What the sinks got, silence in standby; the mixer reuses it in the next cycle.
+        The buffer written to the sinks, silence in standby; the next cycle reuses it.
     """
 
     state: MixerState
@@ -93,7 +93,7 @@ class Mixer:
     haptic_channels : int
         Haptic channels behind the audio.
     sinks : sequence of Sink
-        Each takes every buffer that is written.
+        Each sink takes every buffer that is written.
     effects : EffectsPort or None
         The effect chains; None for none.
     standby_delay_s : float
@@ -111,7 +111,7 @@ class Mixer:
     Raises
     ------
     UsageError
-        Numbers are out of range; the message names all of them.
+        Numbers are out of range; the message names all such numbers.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class Mixer:
 
     @property
     def tracks(self) -> tuple[Track, ...]:
-        """The tracks that the mixer holds, in the order of their making."""
+        """The tracks that the mixer holds, in the order in which they were made."""
         return tuple(lane.track for lane in self._lanes)
 
     def create_track(
@@ -163,7 +163,7 @@ class Mixer:
     ) -> Track:
         """Make a track, which is mixed from the next cycle on. From any client's thread.
 
-        `Track` describes the parameters, and raises UsageError naming all that is wrong.
+        `Track` describes the parameters. Its UsageError names all that is wrong.
         """
         track = Track(
             next(self._track_ids),
@@ -187,7 +187,7 @@ class Mixer:
         return track
 
     def remove_track(self, track: Track) -> None:
-        """Take a track out of the mix: it ramps down first, or drains if its client stopped it.
+        """Remove a track from the mix: it ramps down first, or plays to its end if it was stopped.
 
         Called by the track's client, which stops using it. A second call changes nothing.
         """
@@ -196,7 +196,7 @@ class Mixer:
     def post(self, event: Callable[[], None]) -> None:
         """Have `event` called by the mixer's thread at the start of the next cycle.
 
-        If it raises, that is counted and shown in the dump, and the sound goes on.
+        If `event` raises, the failure is counted and shown in the dump, and the sound goes on.
         """
         self._events.append(event)
 
@@ -204,9 +204,9 @@ class Mixer:
         """Do one cycle and report it.
 
         config events -> standby or wait -> prepare tracks -> mix -> effect chains -> convert ->
-        write to the sinks. now_s: seconds of any clock that does not run backwards. frames:
-        length of the cycle, 1 to `self.frames` (the default). A tap may so set the pace by the
-        length of its buffers, and the mixer adds no delay.
+        write to the sinks. now_s: seconds of any clock that does not run backwards. frames: length
+        of the cycle, 1 to `self.frames` (the default). So a cycle can be as long as a tap's buffer,
+        and the mixer adds no delay.
         """
         self.cycles += 1
         self._take_events()
@@ -228,7 +228,7 @@ class Mixer:
         return CycleReport(self.state, frames, mixed, underruns, self.buffer)
 
     def _take_events(self) -> None:
-        # only those that were posted before: an event may post another one
+        # only events posted before: an event may post another event
         for _ in range(len(self._events)):
             event = self._events.popleft()
             try:
@@ -238,7 +238,7 @@ class Mixer:
                 self.last_failure = f"{type(failure).__name__}: {failure}"
 
     def _active_lanes(self) -> list[Lane]:
-        """Carry out the clients' requests and return the tracks that take part."""
+        """Carry out the clients' requests and return the tracks that take part in this cycle."""
         for lane in self._lanes:
             lane.update()
         if any(lane.gone for lane in self._lanes):
@@ -262,7 +262,7 @@ class Mixer:
         return self.state is MixerState.STANDBY
 
     def _mix(self, active: list[Lane], frames: int) -> tuple[int, int]:
-        """Mix the tracks, each into the mix or its session's; return those mixed and missed."""
+        """Mix each track into the mix or its session's mix; count those mixed and those missed."""
         self._follow_sessions()
         if self.buffer.frames != frames:
             self.buffer.hold(frames)
@@ -298,7 +298,7 @@ class Mixer:
             }
 
     def _process(self, now_s: float) -> None:
-        """Run the chains: players by falling ids, each then joins the mix, and the mix's own."""
+        """Run the players' chains, highest session first, add each to the mix; then the mix's."""
         buffer = self.buffer
         for session, session_mix in self._sessions.items():
             if not session_mix.begin():

@@ -1,4 +1,4 @@
-"""Sample formats of tracks and sinks: bytes to float frames, and back with one rounding rule."""
+"""Sample formats of tracks and sinks: bytes to float frames and back, with one rounding rule."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from device.blocks import whole_steps
 from device.errors import UsageError
 
 FLOAT_LIMIT = 2.0
-"""Float sinks take up to this, 6 dB over full scale, as AudioFlinger's do."""
+"""Largest sample of float sinks, 6 dB over full scale, as in AudioFlinger."""
 
 
 class PcmFormat(Enum):
-    """How one sample is stored, little endian; the value is its name in a dump.
+    """How one sample is stored, little endian; the enum value is the format's name in a dump.
 
-    bytes_per_sample: 1, 2, 3 (packed), 4, 4. dtype: what an array of such samples is made of; for
-    I24 its bytes. full_scale: the stored step count of 1.0: 2^7, 2^15, 2^23, 2^31; 1 for float.
+    bytes_per_sample: 1, 2, 3 (packed), 4, 4. dtype: type of an array of such samples; bytes for
+    I24. full_scale: the stored number that means 1.0: 2^7, 2^15, 2^23, 2^31; 1 for float.
     """
 
     U8 = "u8", 1, "u1", 2.0**7
@@ -47,13 +47,13 @@ PcmData = bytes | bytearray | memoryview | NDArray[Any]
 
 
 def stored_frames(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDArray[Any]:
-    """The stored samples, one row a frame: (frames, channels), for I24 (frames, channels x 3).
+    """The stored samples, one row per frame: (frames, channels), for I24 (frames, channels x 3).
 
-    A view of `stored` wherever its memory allows.
+    A view of `stored` if the memory layout allows, else a copy.
 
     stored: bytes, or an array of the format's `dtype`, flat or in rows.
 
-    UsageError: the array is of another type or shape, or the bytes are no whole number of frames.
+    UsageError: the array has another type or shape, or the bytes are not whole frames.
     """
     bytes_per_frame = channels * pcm_format.bytes_per_sample
     items = bytes_per_frame // pcm_format.dtype.itemsize
@@ -98,11 +98,11 @@ def decode_rows(rows: NDArray[Any], pcm_format: PcmFormat, frames: NDArray[np.fl
     elif pcm_format is PcmFormat.I24:
         triples = rows.reshape(len(rows), frames.shape[1], 3)
         words = np.zeros((*frames.shape, 4), np.uint8)
-        # into the upper bytes, so that the sign stands where int32 has it
+        # into the upper bytes, so that the sign bit is the sign bit of int32
         words[..., 1:] = triples
         np.multiply(words.view("<i4")[..., 0], np.float32(2.0**-31), out=frames, casting="unsafe")
     else:
-        # a power of two: in float64 exact, so that only the store rounds
+        # a power of two: exact in float64, so rounding happens only when stored
         np.multiply(rows, 1.0 / pcm_format.full_scale, out=frames, casting="unsafe")
 
 
@@ -120,8 +120,8 @@ def decode(stored: PcmData, pcm_format: PcmFormat, channels: int) -> NDArray[np.
 def encode(frames: NDArray[np.floating[Any]], pcm_format: PcmFormat) -> bytes:
     """The frames as a sink of that format stores them: clamped, rounded, never dithered.
 
-    Integers: round(clip(x 2^n, -2^n, 2^n - 1)) with n = 7, 15, 23, 31, half away from zero; u8
-    lies around 128. Float: clamped at ±2.0. What is not a number is stored as 0.
+    Integers: round(clip(x 2^n, -2^n, 2^n - 1)) with n = 7, 15, 23, 31, half away from zero; u8 lies
+    around 128. Float: clamped at ±2.0. NaN is stored as 0.
     """
     if pcm_format is PcmFormat.FLOAT:
         clamped = np.clip(frames, -FLOAT_LIMIT, FLOAT_LIMIT).astype("<f4")

@@ -1,4 +1,4 @@
-"""The resampler: one stream from one rate to another, whatever the split, to the bit."""
+"""The resampler: converts a stream's rate; any split into blocks gives the same bits."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from audioflinger_hook.mixer.kaiser import BlockMatrices, Ratio, block_matrices,
 
 OUTPUTS_AT_ONCE = 64
 WINDOW_FLOATS_AT_ONCE = 1 << 16
-"""Bounds of one step of the interpolated form."""
+"""Limits of one step of the interpolated form."""
 
 
 class Resampler:
     """A polyphase Kaiser resampler between two rates in Hz.
 
-    Stop band from the lower rate's Nyquist on: 98 dB; pass band to 0.9 of it: ripple 0.001 dB.
-    The position is a fraction of integers and never drifts. Up to 1024 phases every one has its
-    own coefficients, above that they are interpolated (error -118 dB). Any split of the input and
-    of the output gives the same bits. Samples that are not finite count as 0.
+    Stop band from the lower rate's Nyquist on: 98 dB; pass band to 0.9 of it: ripple 0.001 dB. The
+    position is a fraction of integers and never drifts. With up to 1024 phases every phase has its
+    own coefficients; with more, coefficients are interpolated (error -118 dB). Any split of the
+    input and of the output gives the same bits. Samples that are not finite count as 0.
 
     One cycle: `frames_needed(n)` says how many frames to `feed`, in any pieces; `produce` then
     fills exactly n. Output frame j lies at input frame j rate_in/rate_out - `latency_frames`.
 
-    max_frames: the most that will be produced at once; memory is allocated for that and grows
-    only if more is fed than needed. Use from one thread.
+    max_frames: largest number of frames produced at once. Memory is allocated for that number and
+    grows only if more is fed than needed. Use from one thread.
     """
 
     def __init__(self, rate_in: int, rate_out: int, channels: int, max_frames: int) -> None:
@@ -36,7 +36,7 @@ class Resampler:
             self._kernel = _InterpolatingKernel(self._ratio)
         self.latency_frames = self._ratio.taps // 2
         self.latency_s = self.latency_frames / rate_in
-        # so many frames of silence bring out all that was fed before
+        # this many frames of silence bring out all sound that was fed before
         self.tail_frames = self._ratio.taps
         # behind the fed frames lies memory that a block's zero coefficients may touch
         most_in = -(-max_frames * self._ratio.down // self._ratio.up) + 1
@@ -52,7 +52,7 @@ class Resampler:
         self._next = 0
 
     def frames_needed(self, frames_out: int) -> int:
-        """How many more input frames `produce` of so many output frames takes."""
+        """How many more input frames are needed to `produce` this many output frames."""
         if frames_out == 0:
             return 0
         last = (self._next + frames_out - 1) * self._ratio.down // self._ratio.up
@@ -95,7 +95,7 @@ class Resampler:
 
 
 def frames_out(frames_in: int, rate_in: int, rate_out: int) -> int:
-    """How many output frames a stream's first `frames_in` input frames suffice for."""
+    """How many output frames can be made from a stream's first `frames_in` input frames."""
     return -(-frames_in * rate_out // rate_in)
 
 
@@ -107,7 +107,7 @@ def tail_frames_out(rate_in: int, rate_out: int) -> int:
 
 
 class _BlockKernel:
-    """Outputs as matrix products of one shape, on a grid of blocks that hangs on the stream."""
+    """Outputs as matrix products of one shape, on a grid of blocks fixed to the stream's start."""
 
     def __init__(self, ratio: Ratio, channels: int) -> None:
         self._taps = ratio.taps
@@ -139,8 +139,8 @@ class _BlockKernel:
             if count == blocks.rows:
                 np.matmul(blocks.matrices[block], window, out=frames[done : done + count])
             else:
-                # A part of a block is cut from the whole one. Its other rows may see frames
-                # that are not fed yet; its own rows have zeros there.
+                # A part of a block is cut from the whole block. The rows left out may use frames
+                # that are not fed yet; the rows of the part have zeros there.
                 np.matmul(blocks.matrices[block], window, out=self._whole)
                 frames[done : done + count] = self._whole[row : row + count]
             done += count
@@ -152,7 +152,7 @@ class _BlockKernel:
 
 
 class _InterpolatingKernel:
-    """Outputs one by one, their coefficients interpolated between the rows of a table."""
+    """Computes outputs one by one; coefficients are interpolated between the rows of a table."""
 
     def __init__(self, ratio: Ratio) -> None:
         self._ratio = ratio

@@ -1,4 +1,4 @@
-"""The mix of one player session, which passes that session's effects before it joins the mix."""
+"""The mix of one player session, which passes the session's effects, then joins the whole mix."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SessionMix:
         self._empty = True
 
     def add(self, lane: Lane, scratch: NDArray[np.float32]) -> None:
-        """Mix one track that is ready."""
+        """Add one track that is ready."""
         lane.mix(self.buffer.audio, scratch, first=self._empty)
         self._empty = False
 
@@ -31,9 +31,9 @@ class SessionMix:
         self.buffer.hold(frames)
 
     def begin(self) -> bool:
-        """Make the buffer ready for the effects; False if their tail is over.
+        """Prepare the buffer for the effects; return False if the effects' tail is over.
 
-        Call once a cycle, after the tracks.
+        Call once per cycle, after the tracks.
         """
         self.buffer.haptic[...] = 0.0
         if not self._empty:

@@ -16,7 +16,7 @@ from device.errors import UsageError
 
 
 class TrackState(Enum):
-    """Where a track stands. Only the mixer's thread moves it on."""
+    """State of a track. Only the mixer's thread changes it."""
 
     IDLE = "idle"
     """Made, never started."""
@@ -25,7 +25,7 @@ class TrackState(Enum):
     PAUSING = "pausing"
     """Its next buffer ramps down."""
     PAUSED = "paused"
-    """Silent; what is left in the ring stays."""
+    """Silent; the frames left in the ring stay."""
     RESUMING = "resuming"
     """Its next buffer ramps up."""
     STOPPING = "stopping"
@@ -46,7 +46,7 @@ class Request(Enum):
     REMOVE = "remove"
 
 
-# No set: every look into one would run Enum's own hash function, in Python.
+# No set: every lookup in a set would run Enum's hash function, which is Python code.
 PLAYING = (TrackState.ACTIVE, TrackState.PAUSING, TrackState.RESUMING, TrackState.STOPPING)
 """The states in which a track may be part of the mix."""
 
@@ -75,10 +75,10 @@ _AFTER = {
 
 
 def after(state: TrackState, request: Request) -> TrackState:
-    """The state that a request leads to; the same one where it means nothing.
+    """Return the state after a request; the state is unchanged if the request has no effect in it.
 
-    As in AudioFlinger: a playing track ignores a flush, a draining one ignores a pause. A stop
-    from a pause drops what is left.
+    As in AudioFlinger: a playing track ignores a flush, a draining one ignores a pause. A stop from
+    a pause drops the frames left.
     """
     return _AFTER.get((state, request), state)
 
@@ -102,7 +102,7 @@ class FrameRing:
         return self.capacity_frames - (self.written - self.read)
 
     def spans_to_write(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The memory of the next `count` <= `room` frames, in order, the second may be empty."""
+        """Memory of the next `count` <= `room` frames, in two parts; the second may be empty."""
         return self._spans(self.written, count)
 
     def commit(self, count: int) -> None:
@@ -110,11 +110,11 @@ class FrameRing:
         self.written += count
 
     def spans_to_read(self, count: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The next `count` written frames, in order, the second may be empty."""
+        """The next `count` written frames, in two parts; the second may be empty."""
         return self._spans(self.read, count)
 
     def consume(self, count: int) -> None:
-        """Give the room of `count` frames back to the writer. Called by the reading thread."""
+        """Free the room of `count` frames for the writer. Called by the reading thread."""
         self.read += count
 
     def skip_to(self, position: int) -> None:
@@ -131,7 +131,7 @@ SAMPLERATE_MIN = 1_000
 SAMPLERATE_MAX = 768_000
 
 PERIODS_IN_RING = 2
-"""Mix periods that a ring holds if nothing is said."""
+"""Mix periods that a ring holds by default."""
 
 __all__ = ["Track", "TrackState"]
 
@@ -148,9 +148,9 @@ class Track:
     track_id : int
         Number of the track, unique in its mixer.
     name : str
-        What the dump shows.
+        Name of the track in the dump.
     session : int
-        The player session whose effect chain it passes, 0 for none.
+        The player session whose effect chain the track passes, 0 for none.
     pcm_format : PcmFormat
         Sample format of what the client writes.
     samplerate : int
@@ -169,7 +169,7 @@ class Track:
     Raises
     ------
     UsageError
-        Values are out of range; the message names all of them.
+        Values are out of range; the message names all such values.
     """
 
     def __init__(
@@ -224,7 +224,7 @@ class Track:
 
     @property
     def state(self) -> TrackState:
-        """Where the track stands, or will once the mixer has carried out what was asked."""
+        """The track's state once the mixer has carried out all requests made so far."""
         state = self.mixed_state
         for request, _ in tuple(self.requests):
             state = after(state, request)
@@ -246,16 +246,16 @@ class Track:
         return self.ring.room
 
     def write(self, samples: PcmData) -> int:
-        """Store as many frames as there is room for and return how many; never waits.
+        """Store as many frames as there is room for and return their number; never waits.
 
-        samples: whole frames of the track's format, as bytes or as an array of that type, flat
-        or (frames, channels). Offer the rest again after a cycle. The memory is the caller's
-        again at once.
+        samples: whole frames of the track's format, as bytes or as an array of that type, flat or
+        (frames, channels). Offer the frames not stored again after a cycle. The samples are copied,
+        so the caller may reuse their memory.
 
         Raises
         ------
         UsageError
-            They are of another type or shape; nothing is stored then.
+            The samples have another type or shape; nothing is stored then.
         """
         if self._is_float_block(samples):
             taken = min(len(samples), self.ring.room)
@@ -272,34 +272,34 @@ class Track:
         return taken
 
     def start(self) -> None:
-        """Play: from the start threshold on, or at once with a ramp after a pause."""
+        """Play: once the ring holds `start_threshold` frames; after a pause at once, ramping up."""
         self._ask(Request.START)
 
     def pause(self) -> None:
-        """Ramp down over one buffer, then keep still; what is in the ring stays."""
+        """Ramp down over one buffer, then be silent; the frames in the ring stay."""
         self._ask(Request.PAUSE)
 
     def stop(self) -> None:
-        """Play to the last frame written so far, then stop. From a pause: drop what is left."""
+        """Play to the last frame written so far, then stop. In a pause: drop the frames left."""
         self._ask(Request.STOP)
 
     def flush(self) -> None:
-        """Drop what was written so far; a playing track ignores it, as on Android.
+        """Drop the frames written so far; a playing track ignores a flush, as on Android.
 
-        What still sounds ramps down first. The room is free after that.
+        A track that still sounds ramps down first. The room in the ring is free after that.
         """
         self._ask(Request.FLUSH)
 
     def set_volume(self, volume: float | Sequence[float]) -> None:
         """Set the gain, 0 to 1, reached over the next buffer.
 
-        volume: one gain for all channels; or (left, right); or one for each channel of the mix.
+        volume: one gain for all channels, or (left, right), or one gain per channel of the mix.
         NaN, negative and subnormal gains are 0, gains above 1 are 1.
 
         Raises
         ------
         UsageError
-            No gain at all, or more than 64.
+            No gain is given, or more than 64.
         """
         gains = (float(volume),) if isinstance(volume, int | float) else tuple(map(float, volume))
         if not 1 <= len(gains) <= CHANNELS_MAX:
@@ -310,7 +310,7 @@ class Track:
         self.volume = gains
 
     def _is_float_block(self, samples: PcmData) -> TypeGuard[NDArray[np.float32]]:
-        """Return whether samples are stored as they come, as those of a tap are."""
+        """Return whether samples need no conversion, like the samples of a tap."""
         return (
             self.format is PcmFormat.FLOAT
             and isinstance(samples, np.ndarray)
@@ -323,14 +323,14 @@ class Track:
 
 
 def period_frames(samplerate: int, mix_samplerate: int, mix_frames: int) -> int:
-    """The most frames of a track that one mix period of `mix_frames` takes."""
+    """Return the most frames of a track that one mix period of `mix_frames` takes."""
     if samplerate == mix_samplerate:
         return mix_frames
     return -(-mix_frames * samplerate // mix_samplerate) + 1
 
 
 def out_of_range(name: str, value: int, low: int, high: int | None, unit: str) -> list[str]:
-    """What is wrong with a number, as no or one line: no int, or out of its range."""
+    """Return a list with one line if a number is no int or out of its range, else an empty list."""
     if isinstance(value, bool) or not isinstance(value, int):
         return [f"{name}={value!r} is not a whole number"]
     if value < low or (high is not None and value > high):

@@ -1,4 +1,4 @@
-"""A track as the mixer's thread sees it: requests carried out, frames taken, one period mixed."""
+"""The mixer's side of a track: carries out requests, takes frames, mixes one period."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ Gains = tuple[float, ...]
 
 
 def usable_gain(gain: float) -> float:
-    """The gain that is used for one asked for: 0 for NaN, negative and subnormal, at most 1."""
+    """Return the usable gain: 0 for NaN, negative and subnormal gains, else at most 1."""
     # not max(0, gain): NaN has to fail this test
     return min(gain, 1.0) if gain >= SMALLEST_NORMAL else 0.0
 
 
 def gains_of(volume: Sequence[float], channels: int) -> Gains:
-    """One usable gain for each of `channels` of the mix, rounded to float32.
+    """Return one usable gain for each of the mix's `channels`, rounded to float32.
 
-    volume: one gain for all channels; or two, left and right, whose mean the centre takes; or one
-    for each channel, where the last also holds for further channels.
+    volume: one gain for all channels; or two, left and right, with their mean for the centre; or
+    one per channel, and the last gain also for further channels.
     """
     usable = [float(np.float32(usable_gain(gain))) for gain in volume]
     if len(usable) == 2:
@@ -42,8 +42,8 @@ class VolumeRamp:
     """The gains with which one track enters the mix, held by the mixer's thread.
 
     A change goes linearly over exactly one buffer: frame i of n has old + (new - old) i/n, so the
-    next buffer starts at the new gain. A track's first buffer has no ramp. frames: of the buffers
-    that come most, for which the ramp is kept ready.
+    next buffer starts at the new gain. A track's first buffer has no ramp. frames: usual length of
+    a buffer, for which the ramp is kept ready.
     """
 
     def __init__(self, channels: int, frames: int) -> None:
@@ -55,11 +55,11 @@ class VolumeRamp:
 
     @property
     def gains(self) -> Gains | None:
-        """The gains reached, one a channel; None before the first buffer."""
+        """The gains reached, one per channel; None before the first buffer."""
         return self._now
 
     def restart(self) -> None:
-        """Make the next buffer a first one."""
+        """Treat the next buffer as the first."""
         self._now = None
 
     def mute(self) -> None:
@@ -75,7 +75,7 @@ class VolumeRamp:
         *,
         first: bool,
     ) -> None:
-        """Bring one whole buffer to the target: added, or written over it if it is the first.
+        """Add one whole buffer to the target, or write over the target if the buffer is the first.
 
         source: (frames, channels) or (frames, 1), only read; target, scratch: (frames,
         channels). goal: the gains to reach, None for silence. At unity gain the samples are
@@ -107,7 +107,7 @@ class VolumeRamp:
 
 
 def _rise(frames: int) -> NDArray[np.float32]:
-    """Return i/n of every frame of a buffer, as a column."""
+    """Return i/n for every frame i of a buffer of n frames, as a column."""
     return (np.arange(frames, dtype=np.float64) / frames).astype(np.float32)[:, None]
 
 
@@ -125,9 +125,9 @@ class Readiness(Enum):
 
     READY = "ready"
     WAITING = "waiting"
-    """Nothing, and nothing is missing: it is filling up or has just become silent."""
+    """No sound, as expected: the track is filling up or has just become silent."""
     UNDERRUN = "underrun"
-    """Less than a whole period: the cycle goes on without it."""
+    """Less than a whole period: the cycle goes on without the track."""
 
 
 class Lane:
@@ -182,13 +182,13 @@ class Lane:
                 break  # the ramp comes first
             if request is Request.FLUSH and self._state is TrackState.STOPPING:
                 self._move_to(TrackState.PAUSING)
-                break  # it still sounds: the same ramp, then the flush
+                break  # the track still sounds: ramp down first, then flush
             requests.popleft()
             self._carry_out(request, written)
             self._settle()
 
     def prepare(self, frames: int) -> Readiness:
-        """Decide whether a cycle of `frames` frames mixes the track. Once a cycle while active."""
+        """Decide if a cycle of `frames` frames mixes the track. Once per cycle while active."""
         resampler = self._resampler
         self._cycle_frames = frames
         self._needed = resampler.frames_needed(frames) if resampler else frames
@@ -207,7 +207,7 @@ class Lane:
     ) -> None:
         """Mix one cycle into the target, (frames, channels), after `prepare` said READY.
 
-        first: write over the target. scratch: as large, to be overwritten.
+        first: write over the target. scratch: as large as the target, overwritten.
         """
         sound = self._taken()
         if self._map.folds:
@@ -245,7 +245,7 @@ class Lane:
         return joined
 
     def _miss(self) -> Readiness:
-        """Count a cycle without the track, and disable it when there were too many in a row."""
+        """Count a cycle without the track; disable the track after too many of them in a row."""
         track = self.track
         if self._state is TrackState.PAUSING:
             self._ramp.mute()
@@ -257,7 +257,7 @@ class Lane:
             track.disabled = True
         if self._filling:
             return Readiness.WAITING
-        # AudioFlinger also counts the whole period that was not heard
+        # like AudioFlinger, count the whole period that was not heard
         track.underruns += 1
         track.underrun_frames += self._needed
         return Readiness.UNDERRUN
@@ -298,7 +298,7 @@ class Lane:
             self._rewind()
 
     def _settle(self) -> None:
-        """Leave what needs no cycle: nothing to ramp, nothing left to drain."""
+        """Finish states that need no further cycle: nothing left to ramp or to play."""
         track = self.track
         if track.disabled and track.ring.written != self._written_when_disabled:
             track.disabled = False
@@ -316,7 +316,7 @@ class Lane:
         self.gone = self._leaving and not self.is_active
 
     def _rewind(self) -> None:
-        """Make ready for another first buffer."""
+        """Prepare for another first buffer."""
         self._filling = True
         self._missed_frames = 0
         self._ramp.restart()

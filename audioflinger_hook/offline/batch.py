@@ -1,4 +1,4 @@
-"""Several files at once, each rendered on its own, on several cores."""
+"""Renders several files at once, each by itself, on several cores."""
 
 from __future__ import annotations
 
@@ -60,13 +60,13 @@ def render_files(
 ) -> Iterator[Rendered]:
     """Yield the outcome for each file, in their order, with the same bytes as `render_file`.
 
-    An error in one file does not affect the others. Ending the iteration early discards what is
-    under way. Memory grows with the workers, not with the files.
+    An error in one file does not affect the others. Ending the iteration early discards unfinished
+    files. Memory grows with the workers, not with the files.
 
-    sources, targets: the sound files, and where the vibration of each goes.
-    settings: of all files.
+    sources, targets: the sound files, and the file for the vibration of each.
+    settings: used for all files.
     workers: processes at once; 1 for this process alone.
-    report_share: takes the share of all files that is done.
+    report_share: called with the share of all files that is done.
     """
 
     def work(item: int, report_share: ReportShare) -> Rendered:
@@ -112,7 +112,7 @@ def _named(error: CushionError, source: Path) -> str:
 
 
 def _share_of(item: int, items: int, report_share: ReportShare | None) -> ReportShare:
-    """Return what takes the share of one item and reports that of all."""
+    """Return a function that takes the share of one item and reports the share of all items."""
 
     def one(share: float) -> None:
         if report_share:

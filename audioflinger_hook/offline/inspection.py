@@ -21,7 +21,7 @@ LONGEST_S = 1e9
 """Thirty years: no sound is longer, and its frames still fit a float."""
 
 PRINTED_S = 0.6e-6
-"""A time printed with six decimals may be this much too small."""
+"""A time printed with six decimals may be too small by this much."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,8 @@ def inspect_file(
 ) -> Iterator[Unit]:
     """Yield the units of a sound file in order, or only the one that contains the time `at_s`.
 
-    The channels are mixed first. Memory does not depend on the length. `warn` takes, at the end,
-    each warning about the file.
+    The channels are mixed first. Memory does not depend on the length. At the end, `warn` is called
+    with each warning about the file.
 
     UsageError: the file cannot be used, or `at_s` lies outside it.
     """
@@ -70,7 +70,7 @@ def inspect_file(
 def inspect_tap(
     tap: Tap, parameters: TransformParameters, *, at_s: float | None = None
 ) -> Iterator[Unit]:
-    """Yield the units of what a tap delivers; see `inspect_file`."""
+    """Yield the units of a tap's sound; see `inspect_file`."""
     transform = ReferenceTransform(parameters, tap.samplerate)
     window = transform.latency_frames
     exact = None if at_s is None else min(at_s, LONGEST_S) * tap.samplerate

@@ -30,10 +30,10 @@ from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
 
 Progress = Callable[[int, int | None], None]
-"""Takes, after every buffer, the frames done and the frames in all (None if not known)."""
+"""Called after every buffer with the frames done and the total frames (None if unknown)."""
 
 Wait = Callable[[int], None]
-"""Takes the frames done, and returns when the next are due."""
+"""Called with the frames done; returns when the next frames are due."""
 
 ACCELERATION_COMMENT = (
     f"predicted acceleration, full scale = {ACCELERATION_FULL_SCALE_M_S2:g} m/s^2"
@@ -42,7 +42,7 @@ ACCELERATION_COMMENT = (
 
 @dataclass(frozen=True)
 class RenderReport:
-    """What was rendered. Field names carry their units; frames and samples are counts."""
+    """What was rendered. Field names contain their units; frames and samples are counts."""
 
     frames: int
     samplerate: int
@@ -77,13 +77,14 @@ def render_file(
     target : Path
         The WAV file to create or replace.
     settings : Settings, optional
-        What a config file holds; its defaults otherwise.
+        Settings as in a config file; by default those of an empty config file.
     acceleration : Path, optional
-        Where the rig's acceleration goes, as WAV.
+        The WAV file for the rig's simulated acceleration.
     progress : callable, optional
-        Called after every buffer with the frames done and the frames in all.
+        Called after every buffer with the frames done and the total frames.
     workers : int
-        Processes that may share the work where the form allows it; the bytes are the same.
+        Processes that may share the work if the form of the transform allows it; the bytes do not
+        depend on it.
     """
     refuse_same_file(source, target, acceleration)
     settings = settings or Settings()
@@ -110,19 +111,19 @@ def render(
     wait: Wait | None = None,
     warnings: Sequence[str] = (),
 ) -> RenderReport:
-    """Write the vibration of what a client plays as float32 WAV of the mix's rate and length.
+    """Write the vibration of a client's sound as float32 WAV of the mix's rate and length.
 
-    The latency is taken out, so that vibration lies under its sound, apart from the delays that
-    actuators were given. Files appear whole or not at all, and the client is closed. Memory does
-    not depend on the length. Any one thread may call it.
+    The latency is removed, so that vibration is aligned with its sound, apart from delays set for
+    actuators. Files appear whole or not at all, and the client is closed. Memory does not depend on
+    the length. Any one thread may call it.
 
     client: plays the sound.
-    target: the vibration's file. It has the channels of the device up to the last one with an
-        actuator; without named actuators one, or with `channels` = "each" those of the mix.
+    target: the vibration's file. With named actuators it has the device's channels up to the last
+        channel with an actuator. Without them it has one channel, or with `channels` = "each" as
+        many as the mix.
     settings: how vibration is made.
-    acceleration: also simulate the rig, and write here what its accelerometer records, full scale
-        100 m/s².
-    progress: takes the progress after every buffer.
+    acceleration: file for the rig's simulated acceleration, full scale 100 m/s²; None for none.
+    progress: called after every buffer.
     wait: called before every buffer, to keep a pace.
     warnings: warnings about the source, complete when it has ended.
     UsageError: the source cannot be used, or a target cannot be written.
@@ -175,7 +176,7 @@ def _render_sections(
     acceleration: Path | None,
     progress: Progress | None,
 ) -> RenderReport:
-    """Do as `render`, with vibration that comes in sections."""
+    """Do the work of `render` with vibration that is made in sections."""
     settings = plan.settings
     outputs: list[VibrationOutput] = []
     frames = replaced = 0
@@ -185,7 +186,7 @@ def _render_sections(
         )
         rig, written = _open_outputs(outputs, target, acceleration, settings, framework)
         sink = HapticSink(*(taken for _, taken in written), clip=False)
-        # What is aligned for the framework's latency gets that before the first section.
+        # Outputs that remove the framework's latency get that many frames before the first section.
         sink.send(np.zeros((framework.latency_frames, framework.haptic_channels), np.float32))
         with closing(sections_of(plan, workers)) as sections:
             for section in sections:
@@ -224,7 +225,7 @@ def _open_outputs(
     settings: Settings,
     framework: Framework,
 ) -> tuple[SimulatedRig | None, list[tuple[AlignedOutput, VibrationOutput]]]:
-    """Add what is written to `outputs`; return the simulated rig, and each output as `_driven`."""
+    """Add the files to `outputs`; return the simulated rig and a pair as `_driven` per file."""
     rate = framework.samplerate
     channel_map = channel_map_of(settings, framework.haptic_channels)
     outputs.append(WavOutput(target, rate, channel_map.channels))
@@ -239,13 +240,13 @@ def _open_outputs(
 def _driven(
     output: VibrationOutput, channel_map: ChannelMap, framework: Framework
 ) -> tuple[AlignedOutput, VibrationOutput]:
-    """Return what knows the peak of all that is written, and what takes the vibration.
+    """Return the object that knows the peak of all samples written, and the one to write to.
 
-    The drive stands between them, and the latency of transform and drive is taken out.
+    The drive is between the two, and the latency of transform and drive is removed.
     """
     drive = drive_of(framework.settings, framework.samplerate, framework.haptic_channels)
     if drive.sources:
-        # Behind the drive: a delayed actuator starts with what precedes the sound.
+        # After the drive: a delayed actuator starts with frames from before the sound.
         written = AlignedOutput(output, framework.latency_frames + drive.latency_frames)
         return written, DrivenOutput(written, drive, channel_map)
     written = AlignedOutput(output, drive.latency_frames)
@@ -254,7 +255,7 @@ def _driven(
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:
-    """Raise UsageError where one of the files would overwrite another."""
+    """Raise UsageError if one of the files would overwrite another."""
     named = {"the input": source, "the vibration": target}
     if acceleration is not None:
         named["the acceleration"] = acceleration

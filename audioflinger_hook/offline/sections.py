@@ -1,7 +1,8 @@
-"""One long file in the reference form on several cores, cut into sections of whole units.
+"""Renders one long file in the reference form on several cores, in sections of whole units.
 
-A section starts some seconds early, in which two band-passes forget their different pasts to the
-last bit. One whose state then differs from that at the end of the section before is rendered again.
+A section's rendering starts some seconds early. In this time the band-pass forgets its start,
+usually to the last bit. If the state then differs from the state at the end of the previous
+section, the section is rendered again.
 """
 
 from __future__ import annotations
@@ -25,18 +26,18 @@ SECTION_SAMPLES = 1_500_000
 """Samples of vibration in a section, in all channels: 6 MB."""
 
 EARLY_S = 5.0
-"""How much earlier a section starts. Measured: other pasts are forgotten within 3 s."""
+"""Time by which a section starts early. Measured: the band-pass forgets within 3 s."""
 
 WORTH_EARLY = 3.0
 """Least ratio of a section's length to its early start; below this, sections gain nothing."""
 
 UNRELATED = ("channels", "parameters", "rig", "damping", "protection", "exposure_cap", "said")
-"""Settings that apply to sections too, or only after the transform."""
+"""Settings that also apply to sections, or only after the transform."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Where a file is cut: every `frames`, each section `early_frames` before; both whole units."""
+    """How a file is cut: every `frames` frames; each section starts `early_frames` early."""
 
     source: Path
     settings: Settings
@@ -55,7 +56,7 @@ class Section:
     before, after: state of the transform at both ends.
     replaced_samples: unusable samples of the sound.
     ended: whether the sound ended in this section.
-    warnings: what is wrong with the file, where that is known.
+    warnings: what is known to be wrong with the file.
     """
 
     vibration: NDArray[np.float32]
@@ -67,7 +68,7 @@ class Section:
 
 
 def plan_for(source: Path, settings: Settings) -> Plan | None:
-    """Return how to cut a file; None where that gains nothing or would change anything.
+    """Return how to cut a file; None if cutting gains no time or would change the result.
 
     The form must be "reference", with nothing but the transform between sound and vibration, and
     the file must be readable from any frame on. Raises UsageError as `FileTap` does.
@@ -94,7 +95,7 @@ def plan_for(source: Path, settings: Settings) -> Plan | None:
 def sections_of(
     plan: Plan, workers: int, report_share: ReportShare | None = None
 ) -> Generator[Section, None, None]:
-    """Yield every section in order, as one stream from the beginning gives them.
+    """Yield every section in order, equal to the parts of one uncut rendering.
 
     workers: processes at once, 2 or more; report_share: takes the share of the file that is done.
 
@@ -127,7 +128,7 @@ def _try_section(plan: Plan, index: int, _share: ReportShare) -> Section | Cushi
 
 
 def render_section(plan: Plan, index: int, past: tuple[bytes, ...] | None = None) -> Section:
-    """Return one section. past: the transform's state at its start, where that is known."""
+    """Return one section. past: the transform's state at its start, if known."""
     first = index * plan.frames
     begin = first if past is not None else max(0, first - plan.early_frames)
     end = None if index == plan.sections - 1 else first + plan.frames

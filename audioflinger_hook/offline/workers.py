@@ -1,6 +1,6 @@
-"""Work spread over processes: results in order, and a process that dies costs its own item only.
+"""Work spread over processes: results in order; if a process dies, only its item is lost.
 
-The pool of `concurrent.futures` breaks as a whole when one process dies.
+The pool of `concurrent.futures`, in contrast, breaks as a whole when one process dies.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from typing import Generic, TypeVar
 Result = TypeVar("Result")
 
 ReportShare = Callable[[float], None]
-"""Takes the share of the work that is done, 0 to 1, as often as it likes."""
+"""Called with the share of the work that is done, 0 to 1, at any time."""
 
 SHARE_STEP = 0.02
-"""Smaller steps of a share are not passed on."""
+"""Smaller steps of the share are not reported."""
 
 END_S = 5.0
-"""How long a process that is ended may take to clean up."""
+"""Time that a process may take to clean up when it is ended."""
 
 WORKERS_MAX = 256
 
 AHEAD = 2
-"""Items a process that may start before the first of them has been taken."""
+"""Items per process that may be started before the result of the first has been taken."""
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class WorkerLost(Exception):
-    """A process ended before its work did; the text says why."""
+    """A process ended before its work was done; the text says why."""
 
 
 def usable_cores() -> int:
@@ -58,17 +58,17 @@ class _Worker:
 class Workers(Generic[Result]):
     """Calls `work(item, report_share)` for every item, each in a separate process.
 
-    Use it as a context manager, from one thread. Leaving it ends work that is under way, by
-    KeyboardInterrupt in the process, and waits for it. The processes ignore SIGINT.
+    Use it as a context manager, from one thread. Leaving it ends unfinished work by
+    KeyboardInterrupt in the process, and waits for the process. The processes ignore SIGINT.
 
     work: any function whose result can be pickled. It runs in a fork of this process. An error that
         it raises counts as `WorkerLost`.
     items: items are numbered from 0.
-    count: the most processes at once.
+    count: largest number of processes at once.
     """
 
     def __init__(self, work: Callable[[int, ReportShare], Result], items: int, count: int) -> None:
-        # A fork starts at once; any other method would import everything again.
+        # A fork starts at once; the other methods would import everything again.
         self._context = multiprocessing.get_context("fork")
         self._work = work
         self._items = items
@@ -81,7 +81,7 @@ class Workers(Generic[Result]):
         self._start_more()
 
     def results(self, report_share: ReportShare | None = None) -> Iterator[Result | WorkerLost]:
-        """Yield the result of each item, in their order. report_share: takes that of all items."""
+        """Yield the results in the order of items. report_share: takes the share of all items."""
         for item in range(self._items):
             while item not in self._done:
                 self._listen()
@@ -123,8 +123,8 @@ class Workers(Generic[Result]):
         before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
         try:
             with warnings.catch_warnings():
-                # Python warns of forks beside threads. The only ones are those of BLAS, which
-                # handles forks, and of a progress bar, which the work does not use.
+                # Python warns of forks in a process with threads. The only threads are those of
+                # BLAS, which handles forks, and of a progress bar, which the work does not use.
                 warnings.simplefilter("ignore", DeprecationWarning)
                 process.start()
         finally:
@@ -137,7 +137,7 @@ class Workers(Generic[Result]):
         # With these closed, `theirs` breaks as soon as the parent process is gone.
         for connection in (ours, *(worker.messages for worker in self._running)):
             connection.close()
-        # Another thread may have held the locks of these when the process was forked.
+        # Another thread may have held the locks of these streams when the process was forked.
         sys.stdout = sys.stderr = io.StringIO()
         sent = 0.0
 
@@ -155,7 +155,7 @@ class Workers(Generic[Result]):
             theirs.send((True, self._work(item, report_share)))
 
     def _listen(self) -> None:
-        """Wait for messages, and start the next item where one is done."""
+        """Wait for messages, and start the next item whenever an item is done."""
         ready = wait([worker.messages for worker in self._running])
         for worker in [worker for worker in self._running if worker.messages in ready]:
             try:

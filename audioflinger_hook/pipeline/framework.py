@@ -26,26 +26,26 @@ from device.rig import rig_by_name
 from device.rig.simulated_rig import SimulatedRig
 
 HAL_FRAMES = 240
-"""Frames that the output is assumed to take at once; a cycle is 20 ms of them."""
+"""Frames that the output is assumed to take at once; a cycle is 20 ms of such frames."""
 
 OFFLINE_HAL_FRAMES = 32_768
 """Offline, long cycles cost least."""
 
 
 class Framework:
-    """One mix with its effects, the haptic effect among them, as audio_effects.xml lists them.
+    """One mix with the effects that audio_effects.xml lists, including the haptic effect.
 
     The thread that steps the mix calls all methods but `change`, which another thread calls; any
     thread may call `dump` and the properties.
 
-    samplerate: rate of the mix in Hz. channels: channels of the mix. It has one haptic channel;
-    with `settings.channels` = "each" as many as channels; with named actuators one for each of
-    their sources. settings: how vibration is made. hal_frames: frames that the output takes at
-    once. clock: seconds, by which an effect that takes too long is bypassed. None offline, where
-    the result must not depend on time. standby_delay_s: see `Mixer`; infinite for files, which
-    keep their silence. warnings: effects that were left out, or are slower than they could be.
-    UsageError: format and settings cannot be combined, or the effects file cannot be read or does
-    not apply the haptic effect.
+    samplerate: rate of the mix in Hz. channels: channels of the mix. The mix has one haptic
+    channel; with `settings.channels` = "each", as many as it has channels; with named actuators,
+    one for each of their sources. settings: how vibration is made. hal_frames: frames that the
+    output takes at once. clock: returns seconds; an effect that takes too long by this clock is
+    bypassed. None offline, as the result must not depend on time. standby_delay_s: see `Mixer`;
+    infinite for files, which keep their silence. warnings: effects that were left out, or are
+    slower than they could be. UsageError: format and settings cannot be combined, or the effects
+    file cannot be read or does not apply the haptic effect.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class Framework:
 
     @property
     def latency_s(self) -> float:
-        """The same in seconds."""
+        """Seconds by which the vibration comes after its sound."""
         return self.latency_frames / self.samplerate
 
     @property
@@ -113,13 +113,13 @@ class Framework:
         return self._reading("replaced_samples")
 
     def change(self, settings: Settings) -> None:
-        """Take other parameters and another level from the next cycle on.
+        """Use other parameters and another gain from the next cycle on.
 
-        All other settings must be unchanged. A level is reached within one buffer. With other
+        All other settings must be unchanged. A new gain is reached within one buffer. With other
         parameters the vibration fades out within one buffer and restarts `latency_frames` later.
         Parameters are checked here, on the calling thread.
 
-        UsageError: they cannot be used with this mix, and nothing has changed.
+        UsageError: the settings cannot be used with this mix; nothing has changed.
         """
         if settings.parameters != self.settings.parameters:
             self._try(self.mixer.samplerate, self.mixer.channels, settings)
@@ -157,14 +157,14 @@ class Framework:
         return self._chains.bypassed()
 
     def dump(self, cycle_times_s: Sequence[float] = ()) -> str:
-        """Return thread, tracks, chains and effects as `dumpsys media.audio_flinger` would.
+        """Describe thread, tracks, chains and effects as `dumpsys media.audio_flinger` would.
 
         cycle_times_s: durations of the last cycles, if measured.
         """
         return dump(self.mixer, cycle_times_s)
 
     def _add_effects(self) -> EffectModule:
-        """Add what the effects file applies to the output mix and return ours."""
+        """Add the effects that the file applies to the output mix; return the haptic effect."""
         registry = EffectRegistry.installed()
         path = self.settings.effects_file
         declared = read_effects(path, registry) if path else bundled_effects(registry)
@@ -196,7 +196,7 @@ class Framework:
         return parameters
 
     def _take_wanted(self) -> None:
-        """Give the effect the last of the changes, on the thread that steps the mixer."""
+        """Give the effect the latest settings, on the thread that steps the mixer."""
         wanted = self._wanted
         if wanted is not self._taken:
             self._taken = wanted
@@ -222,7 +222,7 @@ class Framework:
 
 
 def drive_of(settings: Settings, samplerate: int, haptic_channels: int) -> Drive:
-    """Return the drive for a mix of this rate in Hz and as many channels of vibration.
+    """Return the drive for a mix with this sample rate in Hz and this many channels of vibration.
 
     UsageError: there is no such rig, or the sample rate is too low for its processing.
     """
@@ -240,8 +240,8 @@ def drive_of(settings: Settings, samplerate: int, haptic_channels: int) -> Drive
 def channel_map_of(settings: Settings, haptic_channels: int) -> ChannelMap:
     """Return which actuator each channel of a file or simulated rig plays.
 
-    Where no actuators are named, each channel of the vibration has its own. UsageError: an
-    actuator's channel goes by a position, which files do not have.
+    If no actuators are named, each channel of the vibration has its own. UsageError: an actuator's
+    channel is named by a position, and files have no positions.
     """
     if not settings.actuators:
         return ChannelMap.repeated(haptic_channels, haptic_channels)

@@ -1,4 +1,4 @@
-"""Client -> mixer -> effect -> outputs, one cycle a step."""
+"""Client -> mixer -> effect -> outputs; each step is one cycle."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from device.output import VibrationOutput
 class Step(NamedTuple):
     """The sound as mixed and the vibration as sent in one step, float32.
 
-    The last step has no sound, only the vibration that was held back. Both are empty where the
-    client has nothing yet.
+    The last step has no sound, only the vibration that was held back. Both arrays are empty while
+    the client has nothing yet.
     """
 
     audio: NDArray[np.float32]
@@ -27,7 +27,7 @@ class Step(NamedTuple):
 
 
 class HapticSink:
-    """Splits off the haptic region of a mix and sends it to the outputs; the clip comes last.
+    """Takes the haptic channels out of a mix and sends them to the outputs, after a final clip.
 
     Samples that are not a number are sent as 0. clip: whether samples are limited to ±1, as for
     every device. Use from the thread that steps the mixer.
@@ -44,11 +44,11 @@ class HapticSink:
         self.send(buffer.haptic)
 
     def send(self, vibration: NDArray[np.float32]) -> None:
-        """Send frames that are in no buffer, such as the effect's rest at the end."""
+        """Send frames that are in no buffer, such as the effect's last vibration at the end."""
         if self.sent.shape != vibration.shape:
             self.sent = np.empty(vibration.shape, np.float32)
         self.sent[...] = vibration
-        if not peak(vibration) <= self._limit:  # NaN is within no limit
+        if not peak(vibration) <= self._limit:  # also true for NaN
             np.clip(vibration, -self._limit, self._limit, out=self.sent)
             self.sent[np.isnan(self.sent)] = 0.0
         for output in self._outputs:
@@ -67,7 +67,7 @@ class RealTimePace:
         self._start_s = start_s
 
     def wait_s(self, frames: int, now_s: float) -> float:
-        """Return how long to wait until `frames` would have been played; 0 if that is over."""
+        """Return the seconds until `frames` will have been played; 0 if they have been."""
         return max(0.0, self._start_s + frames / self._samplerate - now_s)
 
 
@@ -111,7 +111,7 @@ class Pipeline:
     def close(self) -> None:
         """Close the client and finish every output, the first one last.
 
-        If another output cannot be finished, the first has not replaced a file yet.
+        So if another output cannot be finished, the first output has not replaced its file yet.
         """
         self._client.close()
         for output in reversed(self._outputs):

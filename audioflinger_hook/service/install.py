@@ -110,12 +110,12 @@ def remove(environ: Mapping[str, str] = os.environ) -> Installed:
 
 
 def _written_before(path: Path) -> str | None:
-    """Return the text of the installed unit, None if there is none."""
+    """Return the text of the installed unit, or None."""
     text = ""
     with suppress(OSError, UnicodeDecodeError):
         try:
             found = path.lstat()
-        except (FileNotFoundError, NotADirectoryError):  # `install` reports the latter
+        except (FileNotFoundError, NotADirectoryError):  # `install` reports NotADirectoryError
             return None
         if stat.S_ISREG(found.st_mode) and found.st_size <= UNIT_BYTES_MAX:
             text = path.read_text(encoding="utf-8")

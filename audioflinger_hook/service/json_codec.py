@@ -19,7 +19,7 @@ _SCALARS = {str: "a text", int: "a whole number", float: "a number", bool: "true
 
 
 def to_json(document: Any) -> str:
-    """Return a dataclass as one line of JSON, enums by their value.
+    """Return a dataclass as one line of JSON, with enums as their values.
 
     ValueError: a number is not finite, which JSON cannot express.
     """
@@ -81,7 +81,7 @@ def _typed(kind: Any, value: Any, where: str) -> Any:
 
 
 def _typed_items(kinds: dict[str, Any], value: Any, where: str) -> dict[str, Any]:
-    """Return an object's values, typed; it has to have exactly these keys."""
+    """Return an object's values, typed. The object must have exactly these keys."""
     if not isinstance(value, dict):
         raise _wrong(where, value, "an object")
     path = f"{where}." if where else ""

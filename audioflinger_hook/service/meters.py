@@ -12,7 +12,7 @@ from device.blocks import peak
 from device.units import Float32Array, amplitude_to_db
 
 FLOOR_DBFS = -150.0
-"""Silence; lower levels are reported as this, so that every level is a number."""
+"""The level of silence; lower levels are reported as this, so that every level is a number."""
 
 RMS_TIME_S = 0.3
 """Time constant of the RMS."""
@@ -21,7 +21,7 @@ PEAK_FALL_DB_PER_S = 20.0
 """How fast a peak falls."""
 
 GATHERED_S = 0.06
-"""Least amount of sound that a `BufferedLevelMeter` measures at once, which costs less."""
+"""Least sound that a `BufferedLevelMeter` measures at once; longer blocks cost less CPU time."""
 
 SHORTEST_S = 1e-6
 LONGEST_S = 10.0
@@ -85,8 +85,8 @@ class LevelMeter:
 class BufferedLevelMeter:
     """The level of frames that are measured in blocks of 60 ms or more.
 
-    One thread calls `add`; any thread may read `meter`. loudest: peak of the latest measured
-    block; measured: whether the last `add` measured one.
+    One thread calls `add`; any thread may read `meter`. loudest: peak of the latest measured block;
+    measured: whether the last `add` measured a block.
     """
 
     def __init__(self, samplerate: int) -> None:
@@ -117,7 +117,7 @@ class BufferedLevelMeter:
 class BufferTimes:
     """Computing times of buffers in ms: median, 99th percentile and maximum; 0 before the first.
 
-    buffer_ms: playing time of the last buffer; share_percent: computing time by playing time.
+    buffer_ms: playing time of the last buffer; share_percent: computing time in % of playing time.
     """
 
     p50_ms: float = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 SHOWN_MAX = 200
-"""Most characters of a foreign text, such as a reason or a name."""
+"""Largest length of a foreign text, such as a reason or a name."""
 
 
 def one_line(text: str, limit: int = SHOWN_MAX) -> str:

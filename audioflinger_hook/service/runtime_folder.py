@@ -31,10 +31,11 @@ _OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLO
 class RuntimeFolder:
     """The open folder `$XDG_RUNTIME_DIR/cushion`; renaming its path does not redirect it.
 
-    Any thread may use it until whoever opened it closes it. create: whether to create a missing
+    Any thread may use the folder until its opener closes it. create: whether to create a missing
     folder. path: for messages. fd: for calls that take a folder's descriptor.
 
-    UsageError: the variable is unusable, or the folder is a link, not ours, or open to others.
+    UsageError: the variable is unusable, or the folder is a link, has another owner, or is
+    accessible to other users.
     NotFoundError: the folder does not exist, and `create` is False.
     """
 
@@ -106,12 +107,12 @@ class Holder:
 
 
 class DaemonLock:
-    """The lock, held until `release` or the end of the process, `kill -9` included.
+    """The lock, held until `release` or the end of the process, even by `kill -9`.
 
     Programs that the daemon starts do not inherit it. One thread makes and releases it. holder:
-    what a second daemon is told.
+    described to a second daemon.
 
-    UsageError: another daemon holds the lock, or the lock file is not a file of ours.
+    UsageError: another daemon holds the lock, or the lock file is no regular file of this user.
     WriteError: the disk is full.
     """
 
@@ -125,7 +126,7 @@ class DaemonLock:
             raise
 
     def write(self, holder: Holder) -> None:
-        """Write who holds the lock. WriteError: the disk is full."""
+        """Write the holder to the lock file. WriteError: the disk is full."""
         try:
             os.ftruncate(self._fd, 0)
             os.pwrite(self._fd, to_json(holder).encode() + b"\n", 0)
@@ -194,7 +195,7 @@ def _held(fd: int) -> UsageError:
     who = ""
     with contextlib.suppress(OSError, OverflowError, UsageError):
         holder = from_json(Holder, os.pread(fd, HOLDER_BYTES_MAX, 0))
-        # The file names a dead holder until the next one has written.
+        # The file may still name a former holder, until the new holder has written.
         os.kill(max(1, holder.pid), 0)
         started, device = one_line(holder.started, 40), one_line(holder.device, 80)
         who = f" (process {holder.pid}, started {started}, device {device})"

@@ -1,4 +1,4 @@
-"""The daemon's state, its start and reason, and counts of recoveries by cause."""
+"""The daemon's state with its start and reason, and counts of recoveries by cause."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class DaemonState(Enum):
     IDLE = "idle"
     """Everything is available, and nothing plays."""
     RECOVERING = "recovering"
-    """Something was lost or has changed, and is being reopened."""
+    """A lost or changed stream or server is being reopened."""
     STOPPING = "stopping"
     """The last state."""
 
@@ -65,7 +65,7 @@ class Note:
 
 @dataclass(frozen=True)
 class StateReport:
-    """One consistent picture: the state, why and for how long, and recoveries by cause."""
+    """A consistent report: the state, its reason and duration, and recoveries by cause."""
 
     state: DaemonState
     reason: str
@@ -77,13 +77,13 @@ class StateKeeper:
     """The state of one daemon, which starts with STARTING at `now_s`.
 
     One thread changes it and takes the notes; any thread may call `report`. Times are seconds of
-    one clock; if that runs backwards, it counts as standing still. Its size is constant.
+    one clock; a clock that runs backwards counts as standing still. The object's size is constant.
     """
 
     def __init__(self, now_s: float) -> None:
         self._counts = dict.fromkeys(Cause, 0)
         self._notes: deque[Note] = deque(maxlen=NOTES_MAX)
-        # State, reason and start are replaced as one object, so a reader sees one picture.
+        # State, reason and start are replaced as one object, so a reader sees a consistent report.
         self._current = (DaemonState.STARTING, "", now_s)
 
     @property
@@ -92,14 +92,14 @@ class StateKeeper:
         return self._current[0]
 
     def enter(self, state: DaemonState, now_s: float, reason: str = "") -> bool:
-        """Enter a state, or change the reason of the current one; return whether it is new."""
+        """Enter a state, or change the current state's reason; return whether the state is new."""
         before, _, began_s = self._current
         is_new = state is not before
         self._current = (state, one_line(reason), now_s if is_new else began_s)
         return is_new
 
     def recover(self, cause: Cause, now_s: float, reason: str = "") -> bool:
-        """Count a cause and enter or keep RECOVERING; return whether that is new.
+        """Count a cause and enter or keep RECOVERING; return whether the state is new.
 
         A daemon that does not play yet, or is stopping, only counts.
         """
@@ -114,13 +114,13 @@ class StateKeeper:
         self._notes.append(Note(cause, one_line(text) or cause.value))
 
     def notes(self) -> list[Note]:
-        """Return what was counted since the last call, the latest NOTES_MAX of it."""
+        """Return the recoveries since the last call, at most the latest NOTES_MAX."""
         notes = list(self._notes)
         self._notes.clear()
         return notes
 
     def report(self, now_s: float) -> StateReport:
-        """Return the picture at `now_s`."""
+        """Return the report at `now_s`."""
         state, reason, began_s = self._current
         recoveries = MappingProxyType(self._counts.copy())
         return StateReport(state, reason, max(0.0, now_s - began_s), recoveries)

@@ -12,7 +12,7 @@ from audioflinger_hook.service.state import Cause, DaemonState
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A tap or a device: the configured address, and the name of what is available or None."""
+    """A tap or a device: the configured address, and the name of the available node, or None."""
 
     address: str
     name: str | None = None
@@ -31,8 +31,8 @@ class LatencyBudget:
     """Parts of the delay between a sound and its vibration, in ms.
 
     offset_ms: the user's offset, less the delay of the sound in drop-in mode. driving_ms: latency
-    of damping and protection. delay_ms: longest delay of an actuator's settings. total_ms: delay of
-    that actuator behind the sound.
+    of damping and protection. delay_ms: the longest delay set for an actuator. total_ms: delay of
+    that actuator relative to the sound.
     """
 
     tap_ms: float = 0.0
@@ -54,8 +54,8 @@ class LatencyBudget:
 class DelayLineFigures:
     """State of the delay line: target and actual delay in ms.
 
-    ratio_ppm: how much faster than nominal it is read. resyncs, underflows, overflows: counts of
-    jumps, of missing and of lost frames. state: value of `DelayState`.
+    ratio_ppm: how much faster than nominal the delay line is read. resyncs, underflows, overflows:
+    counts of jumps, of missing frames and of lost frames. state: value of `DelayState`.
     """
 
     target_ms: float = 0.0
@@ -101,10 +101,10 @@ class ExposureFigures:
     """Predicted vibration of the seat since the start, weighted by Wk of ISO 2631-1.
 
     time_s: duration of vibration; running_m_s2: r.m.s. of the last second; a8_m_s2: A(8); vdv:
-    m/s^1.75; above_action, above_limit: by the values of 2002/44/EC; extrapolated: share of energy
-    above 80 Hz, where the weighting is extrapolated. knows_seat: whether the rig file describes the
-    seat, which otherwise is assumed to move as the mass. cap, cap_gain: the setting `exposure_cap`
-    and its gain, 0 to 1.
+    m/s^1.75; above_action, above_limit: whether the action value and the limit value of 2002/44/EC
+    are exceeded; extrapolated: share of energy above 80 Hz, where the weighting is extrapolated.
+    knows_seat: whether the rig file describes the seat; if not, the seat is assumed to move like
+    the mass. cap, cap_gain: the setting `exposure_cap` and its gain, 0 to 1.
     """
 
     time_s: float
@@ -124,7 +124,7 @@ class ActuatorFigures:
     """One of several actuators: its settings and readings.
 
     channels: as the config names them; rig: name or file; level: after protection and gain.
-    protection, exposure: None if its rig has neither.
+    protection, exposure: None if the actuator's rig has neither.
     """
 
     source: str
@@ -144,8 +144,9 @@ class Status:
 
     since_s: duration of the state. recoveries: counts by cause. effects_bypassed: names of effects.
     limited_samples, replaced_samples: as in `cushion render --json`, since the start. protection,
-    exposure: None without protection; of several actuators, those with the least gain and with the
-    largest dose. actuators: in the config's order. profile: "" before the first sound.
+    exposure: None without protection; with several actuators, the figures with the least gain and
+    with the largest dose. actuators: in the order of the config. profile: "" before the first
+    sound.
     """
 
     version: str

@@ -22,12 +22,12 @@ NO_DAEMON = "no daemon is running; start one with `cushion run`"
 def ask_status(
     timeout_s: float, clock: Callable[[], float], environ: Mapping[str, str] = os.environ
 ) -> Status:
-    """Return the status of this user's daemon, within a time; not for an audio thread.
+    """Return the status of this user's daemon within `timeout_s`; not for an audio thread.
 
     NotFoundError: no daemon is running.
     UsageError: $XDG_RUNTIME_DIR is not usable, or folder or socket belong to another user.
-    InternalError: the daemon does not answer in time, or not in the form that this version
-    expects.
+    InternalError: the daemon does not answer in time, or its answer has another form than this
+    version expects.
     """
     end_s = clock() + timeout_s
     try:
@@ -86,7 +86,7 @@ def _set_timeout(client: socket.socket, option: int, left_s: float) -> None:
 
 
 def _error_in(line: bytes) -> str:
-    """Return what a line `{"error": ...}` says, "" for any other line."""
+    """Return the text of a line `{"error": ...}`, "" for any other line."""
     try:
         answer = json.loads(line)
     except (ValueError, RecursionError):

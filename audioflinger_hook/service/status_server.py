@@ -1,4 +1,4 @@
-"""The status server: a socket in the daemon's folder that answers the same user only."""
+"""The status server: a socket in the daemon's folder that answers only the daemon's user."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ CLIENTS_MAX = 8
 """Clients served at a time; others wait in the socket's queue."""
 
 REQUEST_BYTES_MAX = 4096
-"""Of one request, its line break included."""
+"""Largest size of one request, including its line break."""
 
 REQUEST_TIME_S = 1.0
-"""For a whole request to arrive, and for its answer to be read."""
+"""Time for a whole request to arrive, and for its answer to be read."""
 
 LIFETIME_S = 10.0
-"""Longest connection; then the client makes room for others."""
+"""Longest connection; then it is closed to make room for other clients."""
 
 PAUSE_S = 0.01
-"""Pause of a client's place after each answer, which limits the CPU time that clients can cause."""
+"""Pause after each answer to a client, which limits the CPU time that clients can cause."""
 
 STOP_S = 2.0
 """Longest wait of `stop` for a status function that hangs."""
@@ -65,11 +65,11 @@ def peer_uid(connected: socket.socket) -> int:
 class StatusServer:
     """Answers lines of `{"ask": "status"}` within a `with`; each of its threads serves one client.
 
-    No client can raise an error, or keep others waiting. One thread makes, enters and leaves it.
-    Hold the `DaemonLock` before: the lock, not the socket, ensures that there is one daemon.
-    `read` is called on the server's threads; if it raises, the client is told.
+    No client can raise an error or keep others waiting. One thread makes, enters and leaves the
+    server. Hold the `DaemonLock` first: the lock, not the socket, ensures that only one daemon
+    runs. `read` is called on the server's threads; if it raises, the client is told.
 
-    UsageError: a living daemon answers there, or the socket's name is taken by something else.
+    UsageError: a running daemon answers there, or another kind of file has the socket's name.
     InternalError: the system provides no socket.
     """
 
@@ -94,7 +94,7 @@ class StatusServer:
         self._stopping.set()
         end_s = self._clock() + STOP_S
         for connected in (self._listener, *self._clients):
-            with contextlib.suppress(OSError):  # a client that has gone
+            with contextlib.suppress(OSError):  # the client is gone
                 connected.shutdown(socket.SHUT_RDWR)  # wakes the threads that wait for it
         for thread in self._threads:
             thread.join(max(0.0, end_s - self._clock()))
@@ -124,7 +124,7 @@ class StatusServer:
                         self._clients.discard(client)
 
     def _converse(self, client: socket.socket) -> None:
-        """Answer this user until it ends; raises TimeoutError if it takes too long."""
+        """Answer this client until it disconnects; raises TimeoutError if it takes too long."""
         if peer_uid(client) != os.geteuid():
             return
         last_s = self._clock() + LIFETIME_S
@@ -163,7 +163,7 @@ def _listen(folder: RuntimeFolder) -> tuple[socket.socket, tuple[int, int]]:
     """Return a listening socket and its device and inode; a dead daemon's socket is replaced."""
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        os.fchmod(listener.fileno(), 0o600)  # the file has this mode from its first moment
+        os.fchmod(listener.fileno(), 0o600)  # so the file has this mode from the start
         _remove_dead(folder)
         listener.bind(folder.address(NAME))
         listener.listen(CLIENTS_MAX)
@@ -193,7 +193,7 @@ def _remove_dead(folder: RuntimeFolder) -> None:
         except ConnectionRefusedError:
             os.unlink(NAME, dir_fd=folder.fd)
             return
-        except BlockingIOError:  # a living daemon whose queue is full
+        except BlockingIOError:  # a running daemon whose queue is full
             pass
     raise UsageError(
         f"another cushion daemon answers at {path}; allowed: one per user; "

@@ -139,7 +139,7 @@ def _actuator(number: int, actuator: ActuatorFigures) -> list[tuple[str, Text]]:
         f"{one_line(actuator.source)} on {', '.join(one_line(c, 40) for c in actuator.channels)}",
         one_line(actuator.rig),
     ]
-    # Settings that are the usual ones go without saying.
+    # Default settings are not shown.
     words += [f"{actuator.gain_db:.1f} dB"] if actuator.gain_db else []
     words += [one_line(actuator.polarity)] if actuator.polarity != "normal" else []
     words += [f"{actuator.delay_ms:.1f} ms later"] if actuator.delay_ms else []

@@ -1,4 +1,4 @@
-"""Messages to systemd, and the rule for its watchdog; no library needed."""
+"""Messages to systemd, and the rule for its watchdog; needs no library."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ SEND_TIMEOUT_S = 0.2
 """Longest wait for room in systemd's queue."""
 
 CHECKS_PER_PERIOD = 4
-"""Feeding after a quarter of the period leaves time for a late check."""
+"""The watchdog is fed after this part of its period, which leaves time for a late check."""
 
 
 class Notifier:
     """Messages to the service manager at $NOTIFY_SOCKET, if it names a path or an abstract socket.
 
-    A message may take 0.2 s, so none is for an audio thread. Not for two threads at once.
+    A message may take 0.2 s, so audio threads must not send. Use from one thread at a time.
     """
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
@@ -30,7 +30,7 @@ class Notifier:
         self._address = b"\0" + address[1:] if name.startswith("@") else address
 
     def send(self, *assignments: str, status: str = "") -> bool:
-        """Send such as READY=1; return whether it was sent. Raises nothing.
+        """Send assignments such as READY=1; return whether they were sent. Raises nothing.
 
         status: what the daemon does, in one line that `systemctl status` shows.
         """
@@ -38,7 +38,7 @@ class Notifier:
             return False
         if status:
             assignments = (*assignments, f"STATUS={one_line(status)}")
-        # A reason may hold a file name that is not valid UTF-8.
+        # The text may contain a file name that is not valid UTF-8.
         message = "\n".join(assignments).encode("utf-8", "replace")
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
@@ -50,10 +50,10 @@ class Notifier:
 
 
 class Watchdog:
-    """When to feed systemd's watchdog: while sound flows, or has a reason not to.
+    """Decides when to feed systemd's watchdog: while sound flows, or has a reason not to flow.
 
-    period_s: from `watchdog_period_s`; None never feeds. check_s: the longest time between calls
-    of `due`. Not for two threads at once.
+    period_s: from `watchdog_period_s`; with None, never feed. check_s: longest time between calls
+    of `due`. Use from one thread at a time.
     """
 
     def __init__(self, period_s: float | None) -> None:
@@ -64,7 +64,7 @@ class Watchdog:
     def due(self, buffers: int, state: DaemonState, now_s: float) -> bool:
         """Return whether to feed now, which the caller then does.
 
-        buffers: count since the start; if it stands still while running, the daemon hangs.
+        buffers: count since the start; if it stays unchanged in state RUNNING, the daemon hangs.
         """
         if self.check_s is None:
             return False
@@ -82,7 +82,7 @@ def watchdog_period_s(pid: int, environ: Mapping[str, str] = os.environ) -> floa
     if environ.get("WATCHDOG_PID", str(pid)) != str(pid):
         return None
     text = environ.get("WATCHDOG_USEC", "")
-    # Accept ASCII digits only, few enough for a time.
+    # Accept only ASCII digits, and no more than a time can have.
     if not (text.isascii() and text.isdigit() and len(text) < 20) or not int(text):
         return None
     return int(text) * 1e-6

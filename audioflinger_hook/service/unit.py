@@ -11,10 +11,10 @@ from device.errors import UsageError
 
 NAME = "cushion.service"
 MARK = "# Written by `cushion install-service`."
-"""First words of every unit that this program wrote."""
+"""Beginning of every unit that this program wrote."""
 
 UDEV_PATH = "/etc/udev/rules.d/70-cushion.rules"
-"""The number is below that of 73-seat-late.rules, which reads the tag."""
+"""The number must be below that of 73-seat-late.rules, which reads the tag."""
 
 _TEMPLATE = string.Template("""\
 $mark Changes belong into a drop-in: systemctl --user edit cushion
@@ -82,7 +82,8 @@ NOTIFY_RELOAD = 253
 def unit_text(command: Sequence[str], state_folder: Path, systemd: int = 0) -> str:
     """Return the unit that runs a command, which begins with an absolute path.
 
-    state_folder: the daemon may write here and in the runtime folder; systemd: version, 0 for any.
+    state_folder: the daemon may write here and in the runtime folder. systemd: its version; 0: a
+    unit for any version.
 
     UsageError: systemd does not accept a path or argument.
     """
@@ -130,7 +131,7 @@ UDEV_RULE = """\
 ACTION!="remove", SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", \
 ENV{ID_USB_INTERFACES}=="*:0101??:*", TAG+="uaccess"
 """
-"""For devices of the audio class, by its control interface."""
+"""Applies to devices of the audio class, recognised by their control interface."""
 
 UDEV_COMMAND = (
     f"sudo tee {UDEV_PATH} >/dev/null <<'END'\n{UDEV_RULE}END\n"

@@ -45,7 +45,7 @@ class TapAddress:
 
 
 def parse_tap(text: str) -> TapAddress:
-    """Return the address that a text means.
+    """Return the address that a text stands for.
 
     A word without a colon is the name of a sink. Names are taken literally.
 
@@ -57,7 +57,7 @@ def parse_tap(text: str) -> TapAddress:
     Raises
     ------
     UsageError
-        The kind is unknown, a name is missing, or `default` has one.
+        The kind is unknown, a name is missing, or `default` has a name.
     """
     if text == "default":
         return TapAddress("default")
@@ -79,7 +79,7 @@ def parse_tap(text: str) -> TapAddress:
 
 
 def open_client(address: TapAddress) -> Client:
-    """Return a client of the mixer: one track a sound for a scene, else one track.
+    """Return a client of the mixer: one track per sound for a scene, else one track.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def open_client(address: TapAddress) -> Client:
     Raises
     ------
     UsageError, NotFoundError
-        As `open_tap`.
+        As for `open_tap`.
     """
     return SceneClient(_scene(address)) if address.kind == "scene" else TapClient(open_tap(address))
 

@@ -1,4 +1,4 @@
-"""Several sounds that come by themselves as a client: a track each, mixed at one of them's pace."""
+"""A client for several independent sounds: one track per sound; one sound sets the pace."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 from audioflinger_hook.mixer import Mixer, PcmFormat, Track
 
 PACE_LOST_S = 0.05
-"""Another voice sets the pace if the one that did has been silent for so long."""
+"""If the voice that sets the pace is silent for this long, another voice takes over."""
 
 WAITING_S = 0.04
-"""What a voice may have waiting; older frames are dropped, or its delay would only ever grow."""
+"""Limit of a voice's waiting frames; older frames are dropped, else the delay would grow."""
 
 _Frames = NDArray[np.float32]
 
 
 @dataclass(eq=False)
 class Voice:
-    """One sound: its frames wait here until a cycle takes them. dropped: frames left out."""
+    """One sound, whose frames wait here until a cycle takes them. dropped: count of frames lost."""
 
     name: str
     track: Track
@@ -30,7 +30,7 @@ class Voice:
     dropped: int = 0
 
     def take(self, count: int) -> _Frames:
-        """Return the next `count` frames, with silence in front of them where there are fewer."""
+        """Return the next `count` frames; if there are fewer, silence precedes them."""
         out = np.zeros((count, self.track.channels), np.float32)
         at = count - min(count, self.frames)
         while at < count:
@@ -47,9 +47,9 @@ class Voice:
 class VoicesClient:
     """Mixes sounds that arrive independently, such as applications.
 
-    The first voice sets the pace: its frames become cycles, and the frames of the others join
-    them. The supervising thread calls `add` and `remove`. The thread on which all sounds arrive
-    calls the rest and steps the pipeline.
+    The first voice sets the pace: its frames become cycles, and the frames of other voices are
+    mixed into them. The supervising thread calls `add` and `remove`. The thread on which all sounds
+    arrive calls the other methods and steps the pipeline.
 
     Parameters
     ----------
@@ -73,11 +73,11 @@ class VoicesClient:
 
     @property
     def pending_frames(self) -> int:
-        """Frames that cycles are due for."""
+        """Frames for which cycles are due."""
         return self._due
 
     def connect(self, mixer: Mixer) -> None:
-        """Take the mixer; voices can be added from now on."""
+        """Keep the mixer; voices can be added from now on."""
         self._mixer = mixer
 
     def add(self, name: str) -> Voice:
@@ -101,7 +101,7 @@ class VoicesClient:
         self._mixer.remove_track(voice.track)
 
     def push(self, voice: Voice, frames: _Frames, now_s: float) -> None:
-        """Take frames of one voice, (frames, channels) float32, which came at now_s.
+        """Take frames of one voice, (frames, channels) float32, which arrived at now_s.
 
         The array is kept, not copied. `pending_frames` then says whether cycles are due.
         """

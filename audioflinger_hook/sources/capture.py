@@ -15,7 +15,7 @@ from device.errors import UsageError
 class CaptureTap:
     """The sound of a capture, buffer by buffer as delivered, with every change of format.
 
-    The thread that steps the pipeline reads it; it reads from disk.
+    Use from the thread that steps the pipeline; reads are from disk.
 
     Parameters
     ----------
@@ -25,19 +25,19 @@ class CaptureTap:
     Attributes
     ----------
     samplerate, channels : int
-        Format of the buffer read last; before the first, the format that it will have.
+        Format of the buffer read last; before the first buffer, the format of the first.
     format_changed : bool
-        Whether the buffer read last has another format than the one before it.
+        Whether the format of the buffer read last differs from the format before.
     discontinuity : bool
         Whether frames are missing before the buffer read last.
     time_s : float
-        Time of its delivery, seconds of the recorder's monotonic clock.
+        Time when that buffer was delivered, in seconds of the recorder's monotonic clock.
     warnings : list of str
         Warnings for the user, one line each; complete once `read` has returned None.
     facts : mapping
         Settings that the recorder stored, by name.
     frames_expected : int
-        The frames that the capture's WAV files hold.
+        Total frames in the capture's WAV files.
 
     Raises
     ------

@@ -18,14 +18,14 @@ from audioflinger_hook.transform.parameters import check_format
 from device.errors import UsageError
 
 BLOCKSIZE_FRAMES = 32_768
-"""Long enough that the cost of a call vanishes, short enough that 64 channels take 8 MB."""
+"""Frames per buffer: long enough to make the cost of a call negligible; 64 channels take 8 MB."""
 
 EXACT_FORMATS = frozenset({"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF"})
 EXACT_SUBTYPES = frozenset({"PCM_U8", "PCM_S8", "PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE"})
-"""Formats in which the place of a frame follows from its number."""
+"""Formats in which a frame's position in the file follows from the frame's number."""
 
 FRAMES_UNKNOWN = 1 << 40
-"""libsndfile gives a number like this for a stream whose header does not say its length."""
+"""libsndfile reports such a number for a stream whose header does not state its length."""
 
 
 class FileTap:
@@ -38,7 +38,7 @@ class FileTap:
     blocksize : int
         Frames of a buffer.
     first : int
-        The frame to begin with, only for a file that is `divisible`.
+        The frame to begin with; other than 0 only for a file that is `divisible`.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class FileTap:
             if first:
                 self._skip_to(first)
             check_format(self.samplerate, self.channels)
-            # The header may promise what is not there: only a first buffer proves sound.
+            # The header may promise frames that are missing: only a first buffer proves sound.
             self._next = self._read()
             if not len(self._next):
                 raise UsageError(f"{path} has no sound (0 frames); give a file with sound in it")
@@ -79,13 +79,13 @@ class FileTap:
 
     @property
     def frames_expected(self) -> int | None:
-        """Frames that the header promises, or None where it does not say."""
+        """Frames that the header promises, or None if the header has no number."""
         frames = int(self._file.frames)
         return frames if 0 < frames < FRAMES_UNKNOWN else None
 
     @property
     def divisible(self) -> bool:
-        """Whether a part of the file can be read alone, with the same frames as in the whole."""
+        """Whether a part of the file, read alone, has the same frames as in the whole file."""
         return self._file.format in EXACT_FORMATS and self._file.subtype in EXACT_SUBTYPES
 
     def read(self) -> NDArray[np.float32] | None:
@@ -109,7 +109,7 @@ class FileTap:
             raise UsageError(f"{self.path} has no frame {frame} ({_reason(error)})") from None
 
     def _read(self) -> NDArray[np.float32]:
-        if self.warnings:  # nothing follows a place that cannot be decoded
+        if self.warnings:  # no frames follow one that cannot be decoded
             return np.zeros((0, self.channels), np.float32)
         buffer = np.empty((self._blocksize, self.channels), np.float32)
         before = self._file.tell()
@@ -133,10 +133,10 @@ class FileTap:
 
 
 def _open(path: Path) -> soundfile.SoundFile:
-    """Return the opened file, or say what is wrong with it."""
+    """Return the opened file, or raise UsageError with what is wrong with it."""
     try:
-        # By descriptor, not by name: libsndfile would take a name's ending for a promise and
-        # text called .vox for sound.
+        # By descriptor, not by name: libsndfile would trust a name's ending and read text named
+        # .vox as sound.
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except (FileNotFoundError, NotADirectoryError):
         raise UsageError(f"{path} does not exist; give the path of a sound file") from None
@@ -171,7 +171,7 @@ def _reason(error: Exception) -> str:
 
 @contextmanager
 def _quiet_decoder() -> Iterator[None]:
-    """Keep what decoders print on stderr from the user: its gist comes as our own error."""
+    """Hide what decoders print on stderr; our own error reports it."""
     sys.stderr.flush()
     kept = os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
@@ -188,14 +188,14 @@ PROMISES = (
     r"^\s*(?:data|SSND|Data Size|riff)\s*:\s*(?P<promised>\d+) \(should be (?P<there>\d+)\)",
     r"frame count (?P<there>\d+) does not match value from 'ds64' chunk of (?P<promised>\d+)",
 )
-"""How libsndfile's log says that a WAV, AIFF, AU, W64 or RF64 body is shorter than promised."""
+"""Lines in libsndfile's log if a WAV, AIFF, AU, W64 or RF64 body is shorter than promised."""
 
 UNKNOWN_LENGTH = 0xFFFF_0000
-"""Lengths from here to 4 GB are what a recorder writes when it cannot know better."""
+"""A recorder that does not know the length writes a length from here to 4 GB."""
 
 
 def _body_is_short(log: str) -> bool:
-    """Return whether libsndfile's log of a file notes that its body ends too early."""
+    """Return whether libsndfile's log says that a file's body ends too early."""
     for pattern in PROMISES:
         if found := re.search(pattern, log, re.MULTILINE):
             promised, there = int(found["promised"]), int(found["there"])
@@ -235,4 +235,4 @@ class FramesTap:
         return self._frames[first : self._position]
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing, as no resource is held."""

@@ -1,4 +1,4 @@
-"""A scene as a client: one track a sound, each started, paused and resumed at its time."""
+"""A client for a scene: one track per sound, each started, paused and resumed at its time."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ CYCLE_FRAMES = 256
 class SceneClient:
     """Plays a scene: each sound has its own track, as an application would have.
 
-    Tracks start on their frame; a pause begins with the cycle that it falls into and ramps over
-    that cycle.
+    A track starts on its exact frame. A pause begins with the cycle that contains its time, and
+    ramps over that cycle.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class SceneClient:
         self._voices = [_Voice.on(mixer, track) for track in self._scene.tracks]
 
     def play(self) -> int | None:
-        """Write what the next cycle needs of every sound and return the cycle's frames."""
+        """Write the frames of every sound for the next cycle and return the cycle's length."""
         first = self._position
         frames = min(self._cycle_frames, self._scene.frame_count - first)
         if frames <= 0:
@@ -56,12 +56,12 @@ class SceneClient:
         return frames
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing, as no resource is held."""
 
 
 @dataclass
 class _Voice:
-    """One sound on its way into its track."""
+    """One sound that is played into its track."""
 
     track: Track
     stored: bytes
@@ -72,7 +72,7 @@ class _Voice:
 
     @classmethod
     def on(cls, mixer: Mixer, sound: SceneTrack) -> _Voice:
-        """Make the track; times become frames of the mix."""
+        """Make the track; convert times to frames of the mix."""
         rate, channels = sound.samplerate, sound.frames.shape[1]
         period = period_frames(rate, mixer.samplerate, mixer.frames)
         start = round(sound.start_s * mixer.samplerate)
@@ -93,7 +93,7 @@ class _Voice:
         )
 
     def play(self, first: int, last: int) -> None:
-        """Do what is due in the mix's frames from first up to last."""
+        """Do what is due in the mix's frames from `first` up to `last`."""
         if first <= self.start < last:
             self._start(self.start - first)
         if first <= self.pause < last:

@@ -15,17 +15,17 @@ class Tap(Protocol):
 
     samplerate: int
     channels: int
-    """Format of the buffer read last; before the first, the format that it will have."""
+    """Format of the buffer read last; before the first buffer, the format of the first."""
 
     format_changed: bool
-    """Whether the buffer read last has another format than the one before it."""
+    """Whether the format of the buffer read last differs from the format before."""
 
     discontinuity: bool
     """Whether frames are missing before the buffer read last."""
 
     @property
     def frames_expected(self) -> int | None:
-        """How many frames will come in all, where that is known; for progress only."""
+        """Total number of frames, if known; only for showing progress."""
         ...
 
     def read(self) -> NDArray[np.float32] | None:
@@ -45,19 +45,19 @@ class Client(Protocol):
 
     samplerate: int
     channels: int
-    """Format of a mix that suits its sound, Hz and channels."""
+    """Format of a mix that suits the client's sound: Hz and channels."""
 
     @property
     def frames_expected(self) -> int | None:
-        """Frames of the mix in all, where that is known; for progress only."""
+        """Total frames of the mix, if known; only for showing progress."""
         ...
 
     def connect(self, mixer: Mixer) -> None:
-        """Make its tracks. Called once, before the first `play`."""
+        """Make the client's tracks. Called once, before the first `play`."""
         ...
 
     def play(self) -> int | None:
-        """Write the sound of the next cycle and return its frames; 0: not yet, None: the end."""
+        """Write the sound of the next cycle and return its frames; 0: none yet, None: the end."""
         ...
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""A tap as a client, its buffers on one track; and the tap that is handed its buffers."""
+"""A client that plays a tap on one track, and a tap whose buffers are pushed to it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class PushTap:
     Parameters
     ----------
     samplerate : int
-        Rate of the next buffers, Hz; `change` sets another one.
+        Rate of the next buffers, Hz; `change` sets another rate.
     channels : int
         Channels of the next buffers.
 
@@ -45,7 +45,7 @@ class PushTap:
 
     @property
     def waiting(self) -> bool:
-        """Whether a buffer was pushed and not read."""
+        """Whether a buffer was pushed but not read."""
         return self._buffer is not None
 
     @property
@@ -60,7 +60,7 @@ class PushTap:
         return changed
 
     def interrupt(self) -> None:
-        """Mark the next buffer as a discontinuity, unless it is the first one."""
+        """Mark the next buffer as a discontinuity, unless it is the first buffer."""
         self._interruption = object()
 
     def push(self, frames: NDArray[np.float32]) -> bool:
@@ -96,7 +96,7 @@ class PushTap:
 
 
 class TapClient:
-    """Plays every buffer of a tap as it comes; the mix has the tap's first format.
+    """Plays every buffer of a tap as it arrives; the mix has the tap's first format.
 
     At the mixer's rate each buffer is one cycle, or several if it is longer than a cycle. So
     nothing is delayed, and the sound passes bit for bit. When the tap's format changes, a track
@@ -110,7 +110,7 @@ class TapClient:
     Attributes
     ----------
     buffers, format_changes, discontinuities : int
-        Numbers so far.
+        Counts so far.
     """
 
     def __init__(self, tap: Tap) -> None:
@@ -127,12 +127,12 @@ class TapClient:
 
     @property
     def frames_expected(self) -> int | None:
-        """As the tap says."""
+        """Frames that the tap expects."""
         return self._tap.frames_expected
 
     @property
     def pending_frames(self) -> int:
-        """Frames of the buffer read last that are still to be played."""
+        """Frames of the buffer read last that have not been played."""
         return len(self._pending)
 
     def connect(self, mixer: Mixer) -> None:
@@ -141,9 +141,9 @@ class TapClient:
         self._begin(self._tap.samplerate, self._tap.channels)
 
     def play(self) -> int | None:
-        """Write the next buffer, or what is left of one, and return the frames of its cycle.
+        """Write the next buffer, or the rest of a buffer, and return the frames of its cycle.
 
-        0 where a tap that is pushed to has no more yet.
+        Return 0 if a `PushTap` has no buffer yet.
         """
         while True:
             if not len(self._pending):
@@ -179,7 +179,7 @@ class TapClient:
         return True
 
     def _begin(self, samplerate: int, channels: int) -> None:
-        """Play on a new track; the one before drains."""
+        """Play on a new track; the track before plays to its end."""
         if self._track is not None:
             self._stop()
             self._mixer.remove_track(self._track)
@@ -196,13 +196,13 @@ class TapClient:
         self._track.start()
 
     def _stop(self) -> None:
-        """Let the track drain, and note how long a resampler's rest of it sounds."""
+        """Let the track play to its end; keep how long frames in its resampler will sound."""
         assert self._track is not None
         self._track.stop()
         self._tail = max(self._tail, tail_frames_out(self._rate, self._mixer.samplerate))
 
     def _play_tail(self) -> int | None:
-        """Return the frames of one of the last cycles, for what resamplers still hold."""
+        """Return the frames of one of the last cycles, which play what resamplers still hold."""
         if not self._ended:
             self._ended = True
             self._stop()

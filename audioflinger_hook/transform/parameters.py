@@ -26,16 +26,16 @@ HALF_POWER_WIDTH_BINS = 1.30
 
 @dataclass(frozen=True)
 class TransformParameters(Described):
-    """Everything that shapes the vibration; the defaults are the paper's.
+    """All parameters that shape the vibration; the defaults are the paper's.
 
-    The fields `loudness_*` and `speech_suppression_db` act in the live form only. Without
-    `loudness_db` the other four mean nothing. In all levels a full-scale tone is at 0 dB; for
-    loudness, one of 1 kHz.
+    The fields `loudness_*` and `speech_suppression_db` act only in the live form. If `loudness_db`
+    is 0, the other four loudness fields have no effect. For all levels, 0 dB is a full-scale tone;
+    for loudness, a full-scale tone of 1 kHz.
 
     Raises
     ------
     UsageError
-        Names every parameter that is out of range or contradicts another, all at once.
+        Parameters are out of range or contradict each other; the message names all of them.
     """
 
     window_s: Annotated[float, Number("length of the analysis window (T)", 0.01, 0.2, "s")] = (
@@ -100,7 +100,7 @@ class TransformParameters(Described):
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:
-        """Return which frequencies leave no room for one another."""
+        """Return the frequency limits that are too close to each other."""
         found: dict[str, Refusal] = {}
         low, high = values.get("band_low_hz"), values.get("band_high_hz")
         if low is not None and high is not None and high < 2 * low:
@@ -122,19 +122,19 @@ class TransformParameters(Described):
 
     @property
     def scale_hz(self) -> float:
-        """B_c: vibration Hz for each factor e of audio frequency, from s(f_h) = the top."""
+        """B_c: vibration Hz per factor e of audio frequency; s(f_h) is `vibration_top_hz`."""
         span = math.log(self.band_high_hz / self.band_low_hz)
         return (self.vibration_top_hz - self.vibration_bottom_hz) / span
 
     @property
     def scale_ratio(self) -> float:
-        """The factor e of vibration frequency for each of audio frequency, with equal JNDs."""
+        """Factors e of vibration frequency per factor e of audio frequency, for mapping "jnd"."""
         span = math.log(self.band_high_hz / self.band_low_hz)
         return math.log(self.vibration_top_hz / self.vibration_bottom_hz) / span
 
     @property
     def live_threshold_hz(self) -> float:
-        """C_th of the live form: lower with the follower, by what that lifts. Its gate is soft."""
+        """C_th of the live form: lower by `loudness_db`, the most that loudness may add."""
         lowered = self.threshold_hz * math.pow(10.0, -self.loudness_db / 20.0)
         return max(lowered, THRESHOLD_MIN_HZ)
 
@@ -143,16 +143,16 @@ class TransformParameters(Described):
         return round(self.window_s * samplerate)
 
     def fft_length(self, samplerate: int) -> int:
-        """The zero-padded spectrum's length: the first fast one from 2 N up."""
+        """Length of the zero-padded FFT: the smallest fast length of at least 2 N."""
         return int(next_fast_len(2 * self.window_frames(samplerate), real=True))
 
     def unit_strength_hz(self, samplerate: int) -> float:
-        """r of a steady full-scale tone, 1.30 fs/N: the divisor that brings it to full scale."""
+        """r of a steady full-scale tone, 1.30 fs/N: r divided by it is 1 for this tone."""
         return HALF_POWER_WIDTH_BINS * samplerate / self.window_frames(samplerate)
 
 
 def check_format(samplerate: int, channels: int) -> None:
-    """Raise UsageError where a stream's rate or channel count is outside what is supported."""
+    """Raise UsageError if a stream's rate or channel count is not supported."""
     problems = []
     if not SAMPLERATE_MIN_HZ <= samplerate <= SAMPLERATE_MAX_HZ:
         problems.append(

@@ -1,4 +1,4 @@
-"""The delay line between the tap's clock and the output's."""
+"""The delay line between the tap's clock and the output's clock."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ _PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
 
 
 class DelayStatus(NamedTuple):
-    """One consistent picture of a delay line, as of the last read.
+    """A consistent report of a delay line, from the last read.
 
-    target_s: the delay that is steered to. delay_s: from the capture of a frame to its place in
+    target_s: the delay that is aimed at. delay_s: time from the capture of a frame to its place in
     the output, without the latencies of the sound cards; 0 unless SETTLING or LOCKED. ratio_ppm:
     how much faster than nominal frames are read, within ±2000, and 1000 more while the target
     moves. resyncs: jumps because the delay was too far off, without those to a new offset.
@@ -64,7 +64,7 @@ class DelayStatus(NamedTuple):
 
 
 class DelayLine:
-    """Gives the frames that were written at the output's rate, after a delay that stays constant.
+    """Gives the written frames at the output's rate, after a constant delay.
 
     The target is 1.5 capture blocks + one output block + lateness + offset (see `TargetDelay` and
     `Lateness`). A delay further off than max(256 frames, half a capture block) is corrected by a
@@ -86,14 +86,14 @@ class DelayLine:
     capture_block, output_block : int
         Frames of a usual `write` and `read`. Other lengths work and count as lateness.
     offset_s : float
-        Delay added to the necessary one, in seconds, 0 or more.
+        Delay added to the necessary delay, in seconds, 0 or more.
     lateness_least_s : float
-        Least lateness to provide for, so that the first late callbacks do not move the delay.
+        Least lateness to plan for, so that the first late callbacks do not move the delay.
 
     Attributes
     ----------
     status : DelayStatus
-        As of the last read. Any thread may read it.
+        Status after the last read. Any thread may read it.
 
     Raises
     ------
@@ -165,7 +165,7 @@ class DelayLine:
 
     @property
     def offset_s(self) -> float:
-        """Delay added to the necessary one, in seconds. A change takes effect in the next read."""
+        """Delay added to the necessary delay, s. A change takes effect in the next read."""
         return self._offset_s
 
     @offset_s.setter
@@ -193,8 +193,8 @@ class DelayLine:
     ) -> None:
         """Store a copy of (frames, channels), any number of frames, captured until now_s.
 
-        earlier: if they were captured in parts, (time, frames until then) of each part but the
-        last, in order. Called by one thread at a time.
+        earlier: if the frames were captured in parts, (time, frames until then) of each part except
+        the last, in order. Called by one thread at a time.
         """
         check_channels(frames, self.channels)
         if len(frames):
@@ -203,7 +203,7 @@ class DelayLine:
 
     @property
     def readable(self) -> int:
-        """How many frames a `read` would give now; 0 while it does not play. For its thread."""
+        """Frames that a `read` would give now; 0 while not playing. For the reading thread."""
         written = self._writes.written
         if written is None or self._state not in _PLAYING:
             return 0

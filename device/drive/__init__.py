@@ -3,11 +3,11 @@
 | module                | holds                                                                |
 | --------------------- | -------------------------------------------------------------------- |
 | drive.py              | `Drive`: vibration of the sources in, what each actuator plays out;  |
-|                       | `ChannelRouter`: that on the channels of a device                    |
+|                       | `ChannelRouter`: routes this to the channels of a device             |
 | actuator_feed.py      | the last half second; one actuator's source, delay, level, polarity  |
 | rig_processor.py      | damping, protection and exposure meter of one rig                    |
 | channel_map.py        | which actuator each channel of a device plays                        |
-| channel_positions.py  | the same for a sink of a sound server                                |
+| channel_positions.py  | channel maps for a sink of a sound server                            |
 | outputs.py            | outputs behind a drive, and without the latency                      |
 | settings.py           | what a user may choose for one actuator                              |
 | damping, protection, exposure | what is done for a rig                                       |

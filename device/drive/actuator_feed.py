@@ -9,7 +9,7 @@ import numpy as np
 from device.units import Float32Array, FloatArray
 
 FADE_S = 0.01
-"""Duration of a change of gain, source or delay: too slow to click, too fast to notice."""
+"""Duration of a change of gain, source or delay: slow enough not to click, too fast to notice."""
 
 
 class DelayBuffer:
@@ -33,7 +33,7 @@ class DelayBuffer:
         self._end = (self._end + frames) % size
 
     def read(self, source: int, delay: int, out: FloatArray) -> None:
-        """Fill `out`, as long as the last block, with that source `delay` frames earlier.
+        """Fill `out`, as long as the last block, with a source, `delay` frames earlier.
 
         Frames before the first block are 0.
         """
@@ -49,21 +49,21 @@ class DelayBuffer:
 
 
 class TapPoint(NamedTuple):
-    """Where a feed reads: the source's column, and the delay in frames."""
+    """The place where a feed reads: the source's column, and the delay in frames."""
 
     source: int
     delay: int
 
 
 class ActuatorFeed:
-    """What one actuator plays: a source, delayed, times a factor. One thread uses it.
+    """The signal of one actuator: a delayed source times a factor. One thread uses it.
 
-    A change fades linearly. A second change of source or delay starts when the first has ended; of
-    several that wait, the last one counts. The result does not depend on the lengths of blocks,
-    only on the frame at which a change came.
+    A change fades linearly. A second change of source or delay starts when the first has ended; if
+    several wait, only the last is used. The result does not depend on the lengths of blocks, only
+    on the frames at which changes were made.
 
-    tap: where it reads.
-    factor: what the source is multiplied by, -1 to 1.
+    tap: the place where the feed reads.
+    factor: multiplies the source, -1 to 1.
     fade_frames: length of a fade.
     """
 
@@ -81,7 +81,7 @@ class ActuatorFeed:
             self._from, self._factor, self._factor_faded = self._current_factor(), factor, 0
 
     def read(self, delay_buffer: DelayBuffer, out: FloatArray, spare: FloatArray) -> None:
-        """Fill `out`, (frames,), with what belongs to the last block of `delay_buffer`.
+        """Fill `out`, (frames,), with the signal for the last block of `delay_buffer`.
 
         spare: scratch memory of the same length.
         """

@@ -12,10 +12,10 @@ from device.errors import UsageError
 from device.units import Float32Array, FloatArray
 
 CHANNELS_MAX = 32
-"""The most channels that a stream can have."""
+"""Largest number of channels of a stream."""
 
 Wiring = tuple[tuple[int | str, ...], ...]
-"""The device's channels of each actuator: numbers from 0, or positions such as "front-left"."""
+"""The device's channels for each actuator: numbers from 0, or positions such as "front-left"."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class ChannelMap:
     actuators : int
         Number of actuators.
     sources : tuple[int | None, ...]
-        For every channel of the device its actuator, counted from 0; None for silence.
+        The actuator of every channel of the device, counted from 0; None for silence.
     """
 
     actuators: int
@@ -35,7 +35,7 @@ class ChannelMap:
 
     @classmethod
     def repeated(cls, actuators: int, channels: int) -> ChannelMap:
-        """Return the map where no channel is silent: actuators repeat over the channels."""
+        """Return a map without silent channels: actuators repeat over the channels."""
         return cls(actuators, tuple(channel % actuators for channel in range(channels)))
 
     @classmethod
@@ -46,11 +46,11 @@ class ChannelMap:
         positions: Sequence[str] = (),
         device: str = "the device",
     ) -> ChannelMap:
-        """Return the map of actuators by their channels; channels without actuator are silent.
+        """Return the map for the actuators' channels; channels without an actuator are silent.
 
         wiring: the channels of each actuator.
         channels: channels of the device.
-        positions: names of the device's channels in their order; empty where they have none.
+        positions: names of the device's channels in order; empty if they have no names.
         device: the device's name, for messages.
         UsageError: an actuator has no channel, a channel has two actuators, or the device has no
             such channel.
@@ -88,7 +88,7 @@ class ChannelMap:
             out[:, channel] = np.float32(0.0) if source is None else vibration[:, source]
 
     def mapped(self, vibration: Float32Array | FloatArray) -> Float32Array | FloatArray:
-        """Return vibration, (frames, actuators), as (frames, channels); itself if identical."""
+        """Return vibration, (frames, actuators), as (frames, channels); unchanged if equal."""
         if self.is_identity:
             return vibration
         out = np.empty((len(vibration), self.channels), np.float32)
@@ -97,7 +97,7 @@ class ChannelMap:
 
 
 def channels_needed(wiring: Sequence[Sequence[int | str]]) -> int:
-    """Return the least number of channels that a device needs; 1 if all go by position.
+    """Return the least number of channels that a device needs; 1 if all have positions.
 
     Parameters
     ----------

@@ -15,8 +15,8 @@ _POSITIONS = (
 )
 
 STREAM_POSITIONS = {1: ("mono",)} | {count: _POSITIONS[:count] for count in (2, 4, 5, 6, 8)}
-"""Positions that ALSA's plugin gives the channels of a stream, by their number. The server matches
-them with the sink's positions, and mixes the channels where the sink has others."""
+"""Positions that ALSA's plugin gives to a stream's channels, by channel count. The server matches
+these with the sink's positions. If the sink has other positions, the server mixes the channels."""
 
 
 def sink_channel_map(
@@ -24,7 +24,7 @@ def sink_channel_map(
 ) -> ChannelMap:
     """Return which actuator each channel of a stream to this sink plays.
 
-    haptic_channels: of the vibration, which repeat over the sink's where no actuators are named.
+    haptic_channels: channels of the vibration; without named actuators they repeat over the sink's.
 
     UsageError: the sink has no such channel, or a stream cannot reach its channels one by one.
     """
@@ -32,7 +32,7 @@ def sink_channel_map(
         return ChannelMap.repeated(haptic_channels, sink.channels)
     name = f"the sink {sink.name!r}"
     wanted = ChannelMap.of(wiring_of(actuators), sink.channels, sink.positions, name)
-    if len({*wanted.sources}) == 1:  # any order of the channels gives the same
+    if len({*wanted.sources}) == 1:  # all channels are equal, so their order has no effect
         return wanted
     stream = STREAM_POSITIONS.get(sink.channels, ())
     if not stream or sorted(stream) != sorted(sink.positions):

@@ -1,4 +1,4 @@
-"""From the vibration of the sources to what each actuator plays: the one drive path."""
+"""The drive path: turns the vibration of the sources into the signal of each actuator."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from device.errors import InternalError
 from device.units import Block, Float32Array, FloatArray, check_channels
 
 PART_FRAMES = 4_096
-"""Longer blocks are routed in parts of this length, so that memory stays bounded."""
+"""Longer blocks are routed in parts of this length, to limit the memory."""
 
 WHOLE_DEVICE = (ActuatorSettings((0,)),)
 """Placeholder if no actuator is named: one actuator with all channels, whatever is listed."""
 
 
 class Drive:
-    """Routes, delays, scales and protects what the actuators of one device play.
+    """Routes, delays, scales and protects the signals of one device's actuators.
 
     Blocks come as (frames, inputs) and leave as (frames, outputs). Apart from `delay_ms`, all
     actuators have the same latency: one whose rig needs less waits for the others. Without named
@@ -75,7 +75,7 @@ class Drive:
             ActuatorFeed(self._tap_point(index, actuator), actuator.factor, fade_frames)
             for index, actuator in enumerate(actuators)
         ]
-        # Nothing is delayed where nothing is routed.
+        # Without routing there are no delays.
         longest = round(1e-3 * DELAY_MAX_MS * samplerate) + self.latency_frames if actuators else 0
         part_frames = PART_FRAMES if actuators else 0
         self._delay_buffer = DelayBuffer(len(self.sources), longest, part_frames)
@@ -83,39 +83,38 @@ class Drive:
 
     @property
     def settings(self) -> tuple[ActuatorSettings, ...]:
-        """The named actuators, as they were asked for last."""
+        """The latest settings of the named actuators."""
         return self._settings
 
     @property
     def delays_frames(self) -> tuple[int, ...]:
-        """Delay that each named actuator was asked to have, in frames."""
+        """Delay set for each named actuator, in frames."""
         return tuple(self._delay(actuator) for actuator in self._settings)
 
     def change(self, settings: Sequence[ActuatorSettings]) -> None:
-        """Fade to other levels, polarities, delays and sources, from the next block on.
+        """Fade to other levels, polarities, delays and sources, starting with the next block.
 
-        InternalError: there are more or fewer actuators, or a source is new.
+        InternalError: the number of actuators differs, or a source is new.
         """
         if len(settings) != len(self._feeds) or not {*sources_of(settings)} <= {*self.sources}:
             raise InternalError("the number of actuators, or their sources, cannot change")
         self._settings = tuple(settings)
 
     def process(self, vibration: Block) -> Block | Float32Array:
-        """Return what the actuators play, (frames, outputs), for a block of (frames, inputs).
+        """Return the actuators' signals, (frames, outputs), for a block of (frames, inputs).
 
-        The block does not change. What is routed comes as float32, all else in the block's own
-        precision.
+        The block does not change. A routed result is float32, else it has the block's precision.
         """
         check_channels(vibration, self.inputs)
         return self._routed(vibration) if self._feeds else self._unrouted(vibration)
 
     def drain(self) -> Float32Array:
-        """Return what is still held back when the signal has ended, the longest delay included."""
+        """Return the frames still held back at the signal's end, including the longest delay."""
         frames = self.latency_frames + max(self.delays_frames, default=0)
         return self.process(np.zeros((frames, self.inputs))).astype(np.float32, copy=False)
 
     def flush(self) -> None:
-        """Drop what is held back; counts and doses stay. Call it only while nothing plays."""
+        """Drop the frames held back; counts and doses stay. Call it only while nothing plays."""
         self._delay_buffer.reset()
         for feed in self._feeds:
             feed.settle()
@@ -154,15 +153,15 @@ class Drive:
 
 
 Fill = Callable[[Float32Array, float], None]
-"""(out, now_s): writes the next vibration, (frames, actuators)."""
+"""Called with (out, now_s); writes the next vibration, (frames, actuators), into `out`."""
 
 
 class ChannelRouter:
-    """The actuators on one output's channels, kept while streams come and go.
+    """Routes actuators to one output's channels; outlives the output's streams.
 
     For the supervising thread alone.
 
-    actuators: the named actuators; empty where the vibration's channels repeat over the device's.
+    actuators: the named actuators; if empty, the vibration's channels repeat over the device's.
     """
 
     def __init__(self, actuators: Sequence[ActuatorSettings]) -> None:
@@ -170,14 +169,14 @@ class ChannelRouter:
         self._routed: RoutedFill | None = None
 
     def connect(self, fill: Fill, channel_map: ChannelMap, block_frames: int) -> Fill:
-        """Return what fills the device's channels, for a stream that opens now."""
+        """Return the function that fills the device's channels, for a stream that opens now."""
         self._routed = RoutedFill(fill, channel_map, block_frames)
         return self._routed.fill
 
     def change(self, actuators: Sequence[ActuatorSettings], channel_map: ChannelMap | None) -> bool:
-        """Take other actuators; return whether the open stream can go on with them.
+        """Change the actuators; return whether the open stream can continue with them.
 
-        channel_map: theirs on the open channels, None where there is none.
+        channel_map: of the new actuators on the open channels, None if there is none.
         """
         before, self.actuators = self.actuators, actuators
         if before == actuators:
@@ -196,9 +195,9 @@ class RoutedFill:
 
     The output's thread calls `fill`; any thread may call `change`.
 
-    fill: writes what the actuators play.
+    fill: writes the actuators' signals.
     channel_map: which actuator each channel plays.
-    block_frames: usual length of a block; another length takes new memory.
+    block_frames: usual length of a block; another length allocates new memory.
     """
 
     def __init__(self, fill: Fill, channel_map: ChannelMap, block_frames: int) -> None:
@@ -212,7 +211,7 @@ class RoutedFill:
         return self._wanted.channels
 
     def change(self, channel_map: ChannelMap) -> None:
-        """Fade within the next block to another map of as many actuators and channels."""
+        """Fade within the next block to a map of equally many actuators and channels."""
         old = self._wanted
         if (old.actuators, old.channels) != (channel_map.actuators, channel_map.channels):
             raise InternalError(

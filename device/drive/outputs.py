@@ -1,4 +1,4 @@
-"""Outputs in front of another output: without the latency, or with a drive's processing."""
+"""Outputs that wrap another output: they remove the latency, or apply a drive."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from device.units import Float32Array, FloatArray
 
 
 class Driver(Protocol):
-    """What an output can have in front of it; `Drive` is one."""
+    """Processing before an output, such as `Drive`."""
 
     @property
     def inputs(self) -> int:
-        """Columns of a block that comes."""
+        """Columns of an input block."""
         ...
 
     @property
@@ -26,19 +26,18 @@ class Driver(Protocol):
         ...
 
     def process(self, vibration: FloatArray) -> FloatArray | Float32Array:
-        """Return the driven vibration for a block, which does not change."""
+        """Return the driven vibration for a block; the block does not change."""
         ...
 
 
 class AlignedOutput:
-    """An output without the first `latency_frames`, so that vibration starts with its sound.
+    """Drops the first `latency_frames` of an output, so that vibration starts with its sound.
 
-    Meant for files; a device that plays takes the delay line instead. The thread that delivers
-    the vibration calls it.
+    For files; a playing device uses the delay line instead. The delivering thread calls it.
 
     output: gets all later frames.
     latency_frames: number of frames to drop.
-    peak: largest magnitude so far, of full scale.
+    peak: largest magnitude so far; 1.0 is full scale.
     """
 
     def __init__(self, output: VibrationOutput, latency_frames: int) -> None:
@@ -67,13 +66,13 @@ class AlignedOutput:
 
 
 class DrivenOutput:
-    """An output behind a drive, for outputs that are not live.
+    """Applies a drive before an output that is not live.
 
-    The drive's latency stays in the vibration. Closing first writes what the rigs' processing
-    still holds, but not what a `delay_ms` carries past the end. The thread that delivers the
-    vibration calls it.
+    The drive's latency stays in the vibration. `close` first writes the frames that the rigs'
+    processing still holds, but no frames that a `delay_ms` moves past the end. The thread that
+    delivers the vibration calls it.
 
-    output: gets what the device's channels play.
+    output: gets the signals of the device's channels.
     drive: processes the vibration.
     channel_map: which of the drive's columns each channel of the output plays.
     """
@@ -91,15 +90,15 @@ class DrivenOutput:
         self.channels = drive.inputs
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
-        """Take a block, (frames, channels), which does not change."""
+        """Take a block, (frames, channels); the block does not change."""
         if self._closed:
             raise InternalError("the output is closed: nothing can be written to it")
-        # In double precision, so that nothing is rounded between the stages.
+        # In double precision, to avoid rounding between the stages.
         driven = self._drive.process(vibration.astype(np.float64))
         self._output.write(self._map.mapped(driven))
 
     def close(self) -> None:
-        """Write what is still held back, and finish the output."""
+        """Write the frames still held back, and finish the output."""
         if not self._closed:
             self.write(np.zeros((self._drive.latency_frames, self.channels)))
             self._closed = True

@@ -1,4 +1,4 @@
-"""What one rig needs: damping, protection, and a meter of the exposure."""
+"""The processing of one rig: damping, protection, and a meter of the exposure."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ CAPS: dict[str, tuple[float, float] | None] = {
     "action": (ACTION_A8_M_S2, ACTION_VDV),
     "limit": (LIMIT_A8_M_S2, LIMIT_VDV),
 }
-"""A(8) in m/s² and VDV in m/s^1.75 that each exposure cap keeps to, from 2002/44/EC."""
+"""Limits of each exposure cap, from 2002/44/EC: A(8) in m/s² and VDV in m/s^1.75."""
 
 
 class RigProcessor:
     """Damper, protector and exposure meter of one rig, in that order.
 
-    Protection is always on: a damped signal overshoots full scale, and must not be clipped. One
+    Protection is always on, since a damped signal exceeds full scale and must not be clipped. One
     thread calls `process`, `reset` and `drain`; any thread may call the rest.
 
-    rig: what is driven, one actuator a channel.
+    rig: the driven rig, with one actuator per channel.
     samplerate: rate in Hz, 6000 or more.
     channels: number of channels, 1 or more.
     damped: whether to damp, with the damping that `choose_damping` finds for the rig's amplifier.
-    exposure_cap: one of `CAPS`. From half of that dose on the gain falls slowly.
-    knows_seat: whether the rig describes its seat; else the seat is taken to move as the mass does.
+    exposure_cap: one of `CAPS`. Above half of the cap's dose the gain falls slowly.
+    knows_seat: whether the rig describes its seat; if not, the seat is taken to move like the mass.
     UsageError: the sample rate is too low.
     """
 
@@ -63,7 +63,7 @@ class RigProcessor:
         return self._protector.latency_frames
 
     def reset(self) -> None:
-        """Come to rest; counts and doses become 0."""
+        """Return to rest; counts and doses become 0."""
         if self._damper:
             self._damper.reset()
         self._protector.reset()
@@ -78,12 +78,13 @@ class RigProcessor:
         self._protector.process(block)
         self._meter.process(block)
         if self._cap:
-            # The dose so far sets the gain of the next block; the meter adds to it every 0.1 s.
+            # The dose so far sets the gain of the next block; the meter updates the dose every 0.1
+            # s.
             self._protector.most = cap_gain(self._meter.exposure(), *self._cap)
         return block
 
     def drain(self) -> FloatArray:
-        """Return the last (latency_frames, channels), held back when a signal has ended."""
+        """Return the frames held back when a signal has ended, (latency_frames, channels)."""
         return self.process(np.zeros((self.latency_frames, self.channels)))
 
     def protection(self) -> ProtectionStatus:
@@ -109,10 +110,10 @@ def make_rig_processor(
     protection: str = "off",
     exposure_cap: str = "off",
 ) -> RigProcessor | None:
-    """Return the processor that these choices need; None where all three are "off".
+    """Return the processor for these choices; None if all three are "off".
 
     rig: a name or a file, see `rig_by_name`. UsageError: there is no such rig, or the sample rate
-    is too low for it.
+    is too low for the processing.
     """
     if (damping, protection, exposure_cap) == ("off", "off", "off"):
         return None
@@ -124,5 +125,5 @@ def make_rig_processor(
 
 @lru_cache(maxsize=8)
 def damping_for(actuator: ActuatorParameters, source_impedance_ohm: float) -> Damping:
-    """Return the damping chosen for a rig; the first call for it takes some tenths of a second."""
+    """Return the damping chosen for a rig; the first call per rig takes some tenths of a second."""
     return choose_damping(actuator, source_impedance_ohm=source_impedance_ohm)[0].damping

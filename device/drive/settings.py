@@ -1,4 +1,4 @@
-"""What a user may choose for one actuator, and for several together."""
+"""What a user may choose for one actuator, and checks of several actuators together."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from device.units import db_to_amplitude
 from device.values import Choice, Described, Description, Number, Refusal, Text
 
 SOURCES = ("mix", "left", "right", "front", "back")
-"""Vibration that an actuator may play; "all" means "mix"."""
+"""Sources that an actuator may play; "all" means the same as "mix"."""
 
 POLARITIES = ("normal", "inverted")
 DAMPING = ("off", "auto")
@@ -19,21 +19,21 @@ PROTECTION = ("off", "on")
 EXPOSURE_CAP = ("off", "action", "limit")
 
 GAIN_MIN_DB, GAIN_MAX_DB = -60.0, 0.0
-"""At 0 dB, full scale of the vibration is full scale of the device; more would be clipped."""
+"""Largest gain: 0 dB makes full-scale vibration full scale of the device; more would clip."""
 
 DELAY_MAX_MS = 500.0
-"""Sound travels 170 m in this time, further than any two seats are apart. It sets the memory that
-is allocated at the start."""
+"""Longest delay. Sound travels 170 m in this time, further than two seats are apart. The limit sets
+the memory that is allocated at the start."""
 
 ACTUATORS_MAX = CHANNELS_MAX
-"""One for each channel."""
+"""Largest number of actuators: one for each channel."""
 
 LIKE_ALL = "; default: the top-level value"
 
 
 @dataclass(frozen=True)
 class _DeviceChannels(Description):
-    """A list of channels of a device, each by number or by position, none twice."""
+    """A list of a device's channels, each by number or by position, without duplicates."""
 
     @property
     def allowed(self) -> str:
@@ -69,15 +69,15 @@ class _DeviceChannels(Description):
 
 @dataclass(frozen=True)
 class ActuatorSettings(Described):
-    """What one actuator plays, and where.
+    """What one actuator plays, and on which channels.
 
-    `rig`, `damping`, `protection` and `exposure_cap`: None means the setting of all actuators.
-    Whether the rig exists is not checked here. A delay is rounded to the nearest frame.
+    For `rig`, `damping`, `protection` and `exposure_cap`, None means the setting that applies to
+    all actuators. The rig's existence is not checked here. A delay is rounded to the nearest frame.
 
     Raises
     ------
     UsageError
-        Names every choice that is refused.
+        Some choices are refused; the message names all of them.
     """
 
     channels: Annotated[
@@ -118,7 +118,7 @@ class ActuatorSettings(Described):
 
 
 def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
-    """Return why channels of several actuators are refused, by the actuator's number from 1.
+    """Return why actuators' channels are refused, by the actuator's number, from 1.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def wiring_refusals(wired: Sequence[Sequence[int | str]]) -> dict[int, Refusal]:
 
 
 def sources_of(actuators: Sequence[ActuatorSettings]) -> tuple[str, ...]:
-    """Return the sources that actuators play, each once, in the order of `SOURCES`.
+    """Return the sources that the actuators play, without repeats, in the order of `SOURCES`.
 
     Parameters
     ----------

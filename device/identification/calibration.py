@@ -32,7 +32,7 @@ from device.identification.transfer import (
 from device.rig.rig import Rig
 
 STEPS = (0.25, 0.5, 1.0)
-"""Levels in turn, as shares of the wanted one."""
+"""The levels in order, as shares of the wanted level."""
 TOO_FAR = 1.1 * LARGEST_SHARE
 _UNEXPECTED = 1.3
 """A response may grow by this factor more or less than the level."""
@@ -97,7 +97,7 @@ COIL = ("force_factor_n_per_a", "resistance_ohm", "inductance_h", "moving_mass_k
 
 @dataclass(frozen=True)
 class Calibration:
-    """The result; None where the measurement does not show it."""
+    """The result; values are None if the measurement does not show them."""
 
     rig: Rig | None  # with the values; None if none can be written
     values: Values
@@ -156,7 +156,7 @@ def calibrate(
 def _add_direct(
     found: Calibration, rig: Rig, scaled: bool, weighed: Estimate | None
 ) -> Calibration:
-    """Add what the current shows; that needs no value of the rig's file."""
+    """Add the values that the current shows, without values of the rig's file."""
     mode, impedance = found.mode, found.impedance
     values: Values = {}
     if mode is not None:
@@ -177,7 +177,7 @@ def _add_direct(
 def _add_by_coil(
     found: Calibration, rig: Rig, there: dict[tuple[str, str], Recording]
 ) -> Calibration:
-    """Add what acceleration alone shows; the mechanics need the rig's coil."""
+    """Add the values that acceleration alone shows; the mechanics need the rig's coil."""
     assert found.driven is not None
     driving = rig
     if ("drive", "acceleration") in there:  # the amplifier's impedance reduces the damping

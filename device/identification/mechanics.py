@@ -112,7 +112,7 @@ def solve_mechanics(mode: Mode, rig: Rig) -> Values:
 
 
 def _solve_logs(logs: FloatArray, rig: Rig) -> FloatArray:
-    """Return the logs of f0 and Qms for those of the mode."""
+    """Return the logs of f0 and Qms for the logs of the mode's frequency and Q."""
     a = rig.actuator
     w, q = math.tau * math.exp(logs[0]), math.exp(logs[1])
     real = -w / (2.0 * q)

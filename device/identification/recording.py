@@ -24,8 +24,8 @@ class Recording:
     """One reference and one response, (frames,) each, at the sweep's rate and length."""
 
     sweep: Sweep
-    reference: FloatArray  # what drove the rig, V or A
-    response: FloatArray  # what the rig did, m/s^2 or A
+    reference: FloatArray  # the drive of the rig, V or A
+    response: FloatArray  # the response of the rig, m/s^2 or A
     names: tuple[str, str] = ("drive", "acceleration")  # for messages
     limits: tuple[float, float] = (float("inf"), float("inf"))  # where the inputs clip
     correction: Any = None  # frequency response of the instruments, (bins,), to divide out

@@ -133,7 +133,7 @@ _SMOOTH_HZ = 5.0
 
 @dataclass(frozen=True)
 class Harmonic:
-    """The largest share that one order adds; 0 if nothing exceeds the noise."""
+    """Largest share of one order; 0 if no order exceeds the noise."""
 
     order: int  # 2 or more
     largest_share: float  # of the linear response, by amplitude

@@ -41,7 +41,7 @@ _REPORTS = 4_096
 class BlockReport:
     """How one block was computed."""
 
-    frame: int  # its first one since the start
+    frame: int  # number of the block's first frame since the start
     frames: int
     level: ModelLevel
     estimate: float  # predicted error as a share of the peak; 0 if the model was set

@@ -36,7 +36,7 @@ _RAISE = 1.2
 _MAX_TOGETHER = 6
 """Most non-linear blocks solved together; more of them save nothing."""
 _MAX_SURE = 16
-"""Most blocks from one estimate to the next."""
+"""Largest number of blocks from one estimate to the next."""
 
 
 class Errors(NamedTuple):
@@ -92,7 +92,7 @@ class ModelSelector:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what earlier blocks needed."""
+        """Forget which models earlier blocks needed."""
         self._beyond_m = math.inf
         self._sure_for = 1
         self._left = 0

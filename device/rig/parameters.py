@@ -93,7 +93,7 @@ class AmplifierParameters(Stage):
     """A power amplifier; cuts of 0 and infinity leave an end of its band open."""
 
     gain: Positive  # volts out, without a load, per volt in
-    output_limit_v: Positive  # peak volts where it clips
+    output_limit_v: Positive  # peak volts at which it clips
     source_impedance_ohm: NotNegative  # 0: ideal voltage drive; far above R: current drive
     drive_mode: Annotated[DriveMode, _one_of(*get_args(DriveMode))] = "voltage"
     low_cut_hz: NotNegative = 0.0  # -3 dB
@@ -194,7 +194,7 @@ class LargeSignalParameters(Stage):
     stop_loss_s_per_m times the speed inwards (Hunt and Crossley 1975).
     """
 
-    stop_m: Positive  # excursion, either way, where the stops begin
+    stop_m: Positive  # excursion, in both directions, at which the stops begin
     stiffness_rise: NotNegative = 0.5  # share that k gains at Xmax
     force_factor_loss: Share = 0.25  # share that Bl loses at Xmax
     inductance_change: Share = 0.3  # L is L0 (1 - change tanh(x / Xmax))

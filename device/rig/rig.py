@@ -1,4 +1,4 @@
-"""A rig: the parameters of its stages, and where each value comes from."""
+"""A rig: the parameters of its stages, and the source of each value."""
 
 import math
 from dataclasses import dataclass, field, fields
@@ -27,7 +27,7 @@ _MIN_CURRENT_DRIVE_RATIO = 10.0
 
 @dataclass(frozen=True)
 class Source:
-    """Where the value of one parameter comes from."""
+    """The source of one parameter's value."""
 
     parameter: str  # "stage.name"
     kind: SourceKind  # given: by a paper or datasheet; identified: by a fit to a measurement

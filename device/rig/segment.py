@@ -72,7 +72,7 @@ class Correction:
         return [float(np.abs(part).max()) for part in np.array_split(self.excursions_m, parts)]
 
     def samples(self, quantity: str) -> FloatArray:
-        """Return what to add to a quantity of `Motion`."""
+        """Return the values to add to a quantity of `Motion`."""
         return self._samples[quantity]()
 
 

@@ -1,4 +1,4 @@
-"""A simulated rig where a device would be: DAC, amplifier and actuator behind each channel."""
+"""A simulated rig in place of a device: DAC, amplifier and actuator for each channel."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class SimulatedRig:
         return sum(stage.dac.replaced_samples for stage in self._stages)
 
     def reset(self) -> None:
-        """Come to rest and forget peaks and counts; what was recorded stays."""
+        """Return to rest and forget peaks and counts; recorded frames stay."""
         for stage in self._stages:
             stage.reset()
         self.acceleration_m_s2: FloatArray = np.zeros((0, self.channels))
@@ -117,7 +117,7 @@ class SimulatedRig:
         self._closed = True
 
     def abort(self) -> None:
-        """Finish, and discard what was recorded."""
+        """Finish, and discard the recorded frames."""
         if not self._closed and self._recorder:
             self._recorder.abort()
         self._closed = True

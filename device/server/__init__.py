@@ -1,4 +1,4 @@
-"""Control of PulseAudio and PipeWire: what the server holds, and what is changed there.
+"""Control of PulseAudio and PipeWire: the server's state, and changes to it.
 
 | module | contents |
 | --- | --- |

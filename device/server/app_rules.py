@@ -106,7 +106,7 @@ class AppRules:
 
 
 def app_name(stream: Stream) -> str:
-    """Return the application's name, else its binary, else the title of what it plays."""
+    """Return the application's name, else its binary, else the title of its sound."""
     return stream.application or stream.binary or stream.media
 
 

@@ -1,4 +1,4 @@
-"""The thread that owns a connection to the sound server and does what other threads ask for."""
+"""The thread that owns a connection to the sound server and does the work of other threads."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Defaults(NamedTuple):
 
     @classmethod
     def of(cls, snapshot: ServerSnapshot) -> Defaults:
-        """Return those of a snapshot."""
+        """Return the defaults of a snapshot."""
         return cls(snapshot.default_sink, snapshot.default_source)
 
 

@@ -62,7 +62,7 @@ class DropIn(Listener):
     target_name : str
         The present target, "" while there is none.
     reason : str
-        What the user should know, in one line; "" if all is well.
+        A problem to tell the user, in one line; "" if there is none.
 
     Raises
     ------
@@ -176,7 +176,7 @@ class DropIn(Listener):
                 self._stop.wait(_AGAIN_S)
 
     def _follow(self, snapshot: ServerSnapshot) -> bool:
-        """Do what is due; whether nothing remains to do until the next event."""
+        """Do what is due; return whether nothing is left to do until the next event."""
         now_s = time.monotonic()
         self._streams.free_vibration(snapshot, self._haptic_sink)
         choice = self._default.detect_choice(snapshot, now_s, self._possible_targets(snapshot))

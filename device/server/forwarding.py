@@ -16,7 +16,7 @@ from device.stream.pcms import APPLICATION_NAME, FALLBACK_SINK
 SINK = "cushion"  # name of the virtual sink
 
 MIN_DELAY_S, MAX_DELAY_S = 0.02, 0.5
-"""The least is what both servers sustain without gaps; it includes the devices' latency."""
+"""The least is the shortest that both servers play without gaps, with the devices' latency."""
 
 _MARK = "cushion.drop_in"
 _TARGET = "cushion.target"
@@ -102,7 +102,7 @@ def reachable_sinks(snapshot: ServerSnapshot, target: str) -> set[str]:
 
 
 def carries_sound_of(snapshot: ServerSnapshot, stream: Stream, sinks: Collection[str]) -> bool:
-    """Whether a playing stream is a module's that forwards one of these sinks."""
+    """Whether a playing stream belongs to a module that forwards one of these sinks."""
     if any(sink.name in sinks and _belong_together(sink, stream) for sink in snapshot.sinks):
         return True
     monitors = {source.index for source in snapshot.sources if source.monitor_of in sinks}

@@ -47,7 +47,7 @@ class Hold(Enum):
 
 @dataclass(frozen=True)
 class StreamPlacement:
-    """What is known of one stream; a value that `after_...` changes and `hold` judges.
+    """Knowledge of one stream; `after_...` returns updated knowledge, `hold` judges it.
 
     name: of the device where it belongs, a sink if it plays, else a source, which must be a monitor
     unless any_source. stream, device: their indexes. on: index of the stream's present device.

@@ -83,7 +83,7 @@ def find_tagged(streams: Iterable[Stream], tag: str) -> Stream | None:
 
 @dataclass(frozen=True)
 class DeviceIdentity:
-    """What identifies a device whenever it is plugged in; "" where unknown.
+    """A text that identifies a device whenever it is plugged in; "" if unknown.
 
     vendor_id, product_id: four hexadecimal digits of a USB device. serial: the server's, which is
     udev's VENDOR_MODEL_SERIAL. bus_path: its socket. alsa_card: ALSA's number, which may change.

@@ -1,4 +1,4 @@
-"""What drop-in mode moves: the default sink, and applications' streams. Use from one thread.
+"""Moves the default sink and applications' streams for drop-in mode. Use from one thread.
 
 Most applications follow the default sink by themselves, in both directions. Only those that are
 bound to the real sink are moved. Times are seconds of time.monotonic().
@@ -116,7 +116,7 @@ class MovedStreams:
 
 
 class DefaultSinkClaim:
-    """Makes the virtual sink the default and detects what the user chooses instead.
+    """Makes the virtual sink the default, and detects another choice by the user.
 
     stable_name: the default sink that persisted; any thread may set it. settled: whether the
     default sink is ours. contested: another program claims it, so that it is left alone.

@@ -35,7 +35,7 @@ _GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after t
 class PulseConnection(ConnectionThread):
     """A connection from the moment it is made until it is lost or closed.
 
-    Any thread but its own may call the methods. NotFoundError: what they name is gone.
+    Any thread but its own may call the methods. NotFoundError: the named object is gone.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ class PulseConnection(ConnectionThread):
         future.set_exception(error)
 
     def _refresh(self) -> ServerSnapshot:
-        """Take a snapshot and report it; events in the meantime make another one due."""
+        """Take and report a snapshot; events in the meantime cause another snapshot."""
         self._due_s = None
         with self._deadline():
             snapshot = take_snapshot(self._pulse, self._events)

@@ -1,4 +1,4 @@
-"""What a sound server holds at one moment, and the events that change it.
+"""The state of a sound server at one moment, and the events that change it.
 
 All values are immutable: any thread may keep and read them.
 """
@@ -224,7 +224,7 @@ class Event:
 
 
 class Listener:
-    """Receives what a `PulseConnection` reports, on its thread.
+    """Receives the reports of a `PulseConnection`, on the connection's thread.
 
     The methods must return at once, must not query the connection and must not raise.
     """

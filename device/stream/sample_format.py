@@ -36,8 +36,9 @@ class Encoder:
     Integers are round(clip(x 2^n, -2^n, 2^n - 1)) with n = 15, 23, 31, half away from zero, without
     dither. NaN becomes 0.
 
-    sample_format: of the bytes, not FLOAT32. channels: per frame. block_frames: of a usual block.
-    A usual block allocates its result only; another length allocates the scratch arrays again.
+    sample_format: format of the bytes, not FLOAT32. channels: per frame. block_frames: usual length
+    of a block. A block of usual length allocates only its result; another length allocates the
+    scratch arrays again.
     """
 
     def __init__(self, sample_format: SampleFormat, channels: int, block_frames: int) -> None:
@@ -66,7 +67,7 @@ class Encoder:
     def decode_last(self) -> Float32Array:
         """Return the last encoded block as float32 frames, read only; the caller may keep them.
 
-        They encode to the same bytes again. The highest step of 32 bits becomes 1.0.
+        These frames encode to the same bytes again. The highest step of 32 bits becomes 1.0.
         """
         frames = np.empty(self._steps.shape, np.float32)
         # exact in float64, as the factor is a power of two; only the store can round

@@ -47,7 +47,7 @@ OnBlock = Callable[[Float32Array, float], None]
 
 
 class CallbackCounts:
-    """What a stream's callbacks did so far. Any thread may read it; see `CaptureStream`."""
+    """Counts of a stream's callbacks. Any thread may read them; see `CaptureStream`."""
 
     def __init__(self, audible: bool) -> None:
         self.audible = audible
@@ -113,7 +113,7 @@ class _Stream(CallbackCounts):
             return False
 
     def close(self) -> bool:
-        """End the stream; whether that was in time, else it ends in the background.
+        """End the stream; return True if it ended in time, else it ends in the background.
 
         After True, no callback runs any more. Any thread but the callback's; may be repeated.
         """
@@ -169,7 +169,7 @@ class CaptureStream(_Stream):
     block_frames : int
         Frames per callback.
     priority : AudioPriority or None
-        What the callback's thread asks for; None for nothing.
+        Priority that the callback's thread requests; None for none.
 
     Attributes
     ----------
@@ -242,7 +242,7 @@ class PlaybackStream(_Stream):
     block_frames : int
         Frames per callback.
     priority : AudioPriority or None
-        What the callback's thread asks for; None for nothing.
+        Priority that the callback's thread requests; None for none.
     sample_format : SampleFormat
         Of the bytes for PortAudio; `Encoder` clamps and rounds to integers.
 

@@ -77,7 +77,7 @@ class UsbControl:
         return requests.volume_db(self._ask_feature(FeatureControl.VOLUME, channel))
 
     def volume_range(self, channel: int) -> VolumeRange:
-        """Return what a volume can be."""
+        """Return the range of a volume."""
         volume = FeatureControl.VOLUME
         if self._playback.uac > 1:
             answer = self._ask(requests.feature(self._playback, volume, channel, "range"))
@@ -103,7 +103,7 @@ class UsbControl:
         return bool(requests.number(self._ask_feature(FeatureControl.MUTE, channel), 1))
 
     def set_muted(self, channel: int, muted: bool) -> None:
-        """Mute a channel, or not."""
+        """Mute or unmute a channel."""
         self._ask(requests.set_feature(self._playback, FeatureControl.MUTE, channel, int(muted)))
 
     def samplerate(self) -> int:

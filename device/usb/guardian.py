@@ -21,7 +21,7 @@ from device.usb.sysfs import find_devices
 
 
 def main() -> int:
-    """Wait, give back; the exit code is 1 where that failed."""
+    """Wait, then give the device back; return exit code 1 if that failed."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     told: dict[str, Any] | None = None

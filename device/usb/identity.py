@@ -63,7 +63,7 @@ class UsbIdentity:
 
     @classmethod
     def parse(cls, text: str) -> UsbIdentity:
-        """Return what `str` wrote, or a user, "usb:" being optional.
+        """Return the identity in a text from `str` or from a user; "usb:" is optional.
 
         Raises
         ------
@@ -145,7 +145,7 @@ def find_one(identity: UsbIdentity, found: Found) -> UsbAudioDevice:
 
 
 def describe(devices: Iterable[UsbAudioDevice], present: Iterable[UsbAudioDevice]) -> str:
-    """Return devices on one line, each with the name that leads to it alone."""
+    """Return devices on one line, each with a name that identifies it."""
     known = tuple(present)
     return ", ".join(
         f"{identify(device, known)} ({device.label}, port {device.port}"
@@ -156,7 +156,7 @@ def describe(devices: Iterable[UsbAudioDevice], present: Iterable[UsbAudioDevice
 
 
 def is_server_serial(known: str, serial: str) -> bool:
-    """Whether what a sound server calls a serial is that of a device, or was copied from there."""
+    """Whether a sound server's serial is a device's serial, or was copied from it."""
     return any(
         known == form or known.endswith(f"_{form}") for form in (serial, udev_form(serial)) if form
     )

@@ -71,13 +71,13 @@ def device_of_sink(sink: Sink, devices: Iterable[UsbAudioDevice]) -> UsbAudioDev
 def sinks_of(
     device: UsbAudioDevice, sinks: Iterable[Sink], devices: Iterable[UsbAudioDevice]
 ) -> tuple[Sink, ...]:
-    """Return the sinks that play on a device. devices: all that are there, this one included."""
+    """Return the sinks that play on a device. devices: all present devices, also this one."""
     known = tuple(devices)
     return tuple(sink for sink in sinks if device_of_sink(sink, known) == device)
 
 
 def is_sink_of(identity: UsbIdentity, sink: Sink) -> bool:
-    """Whether a sink plays on a device of this name, by what the sink says alone.
+    """Whether a sink plays on a device of this name, judged by the sink's data alone.
 
     A name with a port needs a sink that tells its port.
     """

@@ -14,7 +14,7 @@ from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
 from device.usb.sysfs import UsbAudioDevice
 
 TIMEOUT_MS = 500
-"""Of one request: devices answer within some ms, or never."""
+"""Time limit of one request: devices answer within some ms, or never."""
 
 _DEVICE, _CONFIGURATION = 1, 2
 _DEVICE_LENGTH, _CONFIGURATION_LENGTH = 18, 9
@@ -96,7 +96,7 @@ def read_descriptors(device: UsbAudioDevice) -> bytes:
 
 
 def refusal(device: UsbAudioDevice, error: Any) -> UsbAccessError | NoUsbDeviceError:
-    """Return what PyUSB's error means for a device."""
+    """Return the error of this project for an error of PyUSB."""
     what = f"{device.label!r} at {device.node}"
     if error.errno in (errno.ENODEV, errno.ENOENT):
         return NoUsbDeviceError(f"{what} was pulled out; plug it in again")

@@ -34,7 +34,7 @@ _MOST_RANGES = 32
 
 @dataclass(frozen=True)
 class Request:
-    """One control transfer. length: of the answer; data: what is sent instead, None to ask."""
+    """One control transfer. length: of the answer; data: bytes to send, None for a query."""
 
     request_type: int
     request: int
@@ -127,7 +127,7 @@ def volume_db(answer: bytes) -> float:
 
 
 def volume_units(decibels: float) -> int:
-    """Return a volume in 1/256 dB, never above what is meant; -inf is silence."""
+    """Return a volume in 1/256 dB, rounded down; -inf is silence."""
     if decibels == -math.inf:
         return SILENCE_UNITS
     return max(SILENCE_UNITS + 1, min(32_767, math.floor(decibels * VOLUME_UNITS_PER_DB + 1e-6)))
@@ -145,7 +145,7 @@ def volume_ranges(answer: bytes) -> VolumeRange:
 
 
 def samplerate_ranges(answer: bytes) -> tuple[RateRange, ...]:
-    """Return what a clock source of 2.0 offers, Hz; one rate is a range, too."""
+    """Return the rates in Hz of a clock source of 2.0; a single rate is a range, too."""
     return tuple(
         RateRange(lowest, highest)
         for lowest, highest, _ in _ranges("samplerates", answer, "<III")

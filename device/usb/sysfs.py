@@ -78,7 +78,7 @@ class UsbAudioDevice:
     max_power_ma : int or None
         mA, None if unknown.
     descriptors : bytes
-        Device descriptor first, then the configurations; b"" where they are unreadable.
+        Device descriptor first, then the configurations; b"" if they are unreadable.
     node : Path
         The file through which it is opened.
     interfaces : tuple of AudioInterface
@@ -105,7 +105,7 @@ class UsbAudioDevice:
 
     @property
     def plays(self) -> bool:
-        """Whether sound can be played on it: not on one that is only for MIDI or recording.
+        """Whether the device can play sound, and is not only for MIDI or recording.
 
         ALSA says so once a driver has made a card of it. Without a card, an interface that streams
         counts: in which direction it does is in the descriptors, which are not read here.
@@ -164,7 +164,7 @@ def find_devices(root: Path = ROOT) -> Found:
 
 
 def names_in(folder: Path) -> frozenset[str]:
-    """Return the names in a folder, none where there is no folder or it may not be read."""
+    """Return the names in a folder; none if the folder is missing or unreadable."""
     try:
         return frozenset(os.listdir(folder))  # noqa: PTH208 - half the time of Path.iterdir
     except OSError:
@@ -191,7 +191,7 @@ def _why_none_plays(devices: Iterable[UsbAudioDevice]) -> NoUsbDeviceError | Non
 def _device(
     root: Path, port: str, interfaces: Iterable[Path], cards: dict[str, list[AlsaCard]]
 ) -> UsbAudioDevice | None:
-    """Read one device; None if it has no audio interface or is going away."""
+    """Read one device; return None if it has no audio interface or is being unplugged."""
     folder = root / "sys/bus/usb/devices" / port
     audio = tuple(filter(None, map(_interface, interfaces)))
     if not audio:

@@ -60,7 +60,7 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
 
 
 class _Guardian:
-    """The second process. `guard`: from now on it knows what to restore."""
+    """The second process. `guard` tells it what to restore."""
 
     def __init__(self, device: UsbAudioDevice, root: Path) -> None:
         numbers = [each.number for each in device.interfaces if each.driver in held_by(device)]
@@ -74,7 +74,7 @@ class _Guardian:
             cwd=Path(__file__).resolve().parents[2],
         )
         self._place = {"root": str(root), "port": device.port, "address": device.address}
-        # Before anything is detached: from here on it attaches it again.
+        # Sent before a driver is detached: from now on the process would attach it again.
         self.guard(ControlState(), numbers)
 
     def guard(self, state: ControlState, interfaces: list[int]) -> None:
@@ -85,7 +85,7 @@ class _Guardian:
         self._process.stdin.flush()
 
     def give_back(self) -> str:
-        """Have it done; return what is wrong, "" for nothing."""
+        """Let the process give the device back; return the problem, "" if there is none."""
         try:
             output, _ = self._process.communicate(timeout=RETURNS_S + 5.0)
         except subprocess.TimeoutExpired:
@@ -120,7 +120,7 @@ def _detach(device: UsbAudioDevice, handle: Any, number: int) -> None:
 
 
 def _await_card(device: UsbAudioDevice, root: Path) -> None:
-    """Wait until its sound card is there again, under whatever number."""
+    """Wait until the device's sound card is back, under any number."""
     nap = threading.Event()
     for _ in range(round(RETURNS_S / _POLL_S)):
         for other in find_devices(root).devices:

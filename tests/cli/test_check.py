@@ -125,7 +125,7 @@ def test_mistakes_of_live_keys_are_found_together_with_all_others(config):
     found = mistakes(config(TEN_LIVE_MISTAKES))
     assert [line for line, _ in found] == [1, 2, 3, 4, 5, 6, 7, 10, 11, 12, 14]
     starts = (
-        'tap = ["app:Game", "default"] are several taps that are not all applications',
+        'tap = ["app:Game", "default"] are several taps, but not all are applications',
         'device = "usb:12" is not usb:VID:PID',
         "offset_ms = -5 is below 0 without drop_in; allowed: 0 to 1000 ms, or drop_in = true",
         "block_frames = 300 is not known; allowed: 128, 256, 512, 1024 frames",
@@ -544,7 +544,7 @@ def test_mistakes_of_actuators_are_found_at_once_with_the_table_s_number(config)
         (12, 'actuator[3].polarity = "up" is not known; allowed: normal, inverted'),
         (13, 'actuator[3].rig = "loud" is not known'),
         (14, 'actuator[3].damping = "on" is not known; allowed: off, auto'),
-        (16, 'transform.channels = "each" cannot be with actuators; allowed: mono'),
+        (16, 'transform.channels = "each" cannot be used with actuators; allowed: mono'),
     ]
     assert len(found) == len(starts)
     for (line, what), (wanted, start) in zip(found, starts, strict=True):

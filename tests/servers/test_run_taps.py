@@ -83,7 +83,7 @@ def test_a_device_that_is_led_on_to_the_tapped_sink_feeds_nothing_back(
     wait_for(lambda: device in server.names("sinks"), "the device")
     with running(server, "--wait", device=device, ready=False) as daemon:
         status = daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
-        assert f"leads what '{device}' plays on to 'desktop'" in status.reason
+        assert f"forwards what '{device}' plays to 'desktop'" in status.reason
         assert TAG not in server.pactl("list", "source-outputs")
         if device == "haptic":
             server.pactl("unload-module", loaded)

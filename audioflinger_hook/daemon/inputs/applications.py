@@ -1,4 +1,4 @@
-"""Single applications before the server mixes them, each on a track of its own."""
+"""An input that captures applications before the server mixes them, each on its own track."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from device.stream import AudioPriority
 from device.units import Float32Array
 
 CAPTURES_MAX = 32
-"""Limit of the CPU load; more applications rarely play at once."""
+"""Largest number of captured applications, to limit the CPU load; more rarely play at once."""
 
 NO_APPLICATION = "no application plays"
 
@@ -78,7 +78,7 @@ class ApplicationsFeed:
         """Take frames of one application; on the thread that captures."""
         thread = threading.get_ident()
         if self._priority is not None and thread != self._thread:
-            self._thread = thread  # every connection has a new thread
+            self._thread = thread  # every connection captures on a new thread
             self._priority.claim()
         voices, engine = self.voices, self.engine
         if voices is None or engine is None or not len(frames):
@@ -89,7 +89,7 @@ class ApplicationsFeed:
 
 
 class ApplicationsInput(Input):
-    """Sound of the applications that the config's rules select, none of which need to exist.
+    """Sound of the applications that the config's rules select; there may be none.
 
     feed: takes their buffers on the thread that captures. The others methods are for the
     supervising thread.
@@ -112,7 +112,7 @@ class ApplicationsInput(Input):
 
     @property
     def may_rest(self) -> bool:
-        """Whether all applications pause; a silent one may sound at any moment."""
+        """Whether all applications are paused; a silent one that plays may sound at any moment."""
         return all(stream.corked for stream in self._found.streams)
 
     @property
@@ -136,7 +136,7 @@ class ApplicationsInput(Input):
         ]
 
     def retarget(self, config: RunConfig) -> bool:
-        """Capture other applications, if the config still selects single ones."""
+        """Capture other applications, if the config still selects applications."""
         if config.rules is None:
             return False
         self._rules, self.address = config.rules, _address(config)
@@ -163,7 +163,7 @@ class ApplicationsInput(Input):
         return frozenset(stream.index for stream in self._found.streams if not stream.corked)
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Capture exactly what was located.
+        """Capture exactly the located applications.
 
         LostError, NotFoundError: libpulse provides no second connection.
         """

@@ -1,4 +1,4 @@
-"""What every input offers to the supervisor, and what inputs and outputs share."""
+"""The supervisor's interface of all inputs, and the base of inputs and outputs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class AudioNode(Protocol):
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """The node's name in messages."""
         ...
 
     @property
@@ -41,11 +41,11 @@ class FixedNode:
 class Endpoint(ABC):
     """An input or an output. For the supervising thread alone.
 
-    address: as the user wrote it.
+    address: the address as the user wrote it.
     """
 
     needs_server = False
-    """Whether the sound server provides it."""
+    """Whether the endpoint belongs to the sound server."""
 
     def __init__(self, address: object) -> None:
         self.address = address
@@ -61,7 +61,7 @@ class Endpoint(ABC):
     @property
     @abstractmethod
     def name(self) -> str | None:
-        """What is open, None while nothing is."""
+        """Name of the open node, None while closed."""
 
     @property
     def xruns(self) -> int:
@@ -70,19 +70,19 @@ class Endpoint(ABC):
 
     @property
     def warnings(self) -> list[str]:
-        """Problems that the user should know, one line each."""
+        """Problems to tell the user, one line each."""
         return []
 
     def configure(self, config: RunConfig) -> None:  # noqa: B027
-        """Take what applies to streams that are opened later; by default nothing."""
+        """Store settings for streams that are opened later; by default none."""
 
     def retarget(self, config: RunConfig) -> bool:
-        """Take another tap or device; return False if that needs another object."""
+        """Change to another tap or device; return False if that needs another object."""
         return False
 
     @abstractmethod
     def close(self) -> None:
-        """Close what is open, until the next `maintain`. May be repeated; raises nothing."""
+        """Close the endpoint until the next `maintain`. May be repeated; raises nothing."""
 
 
 class Input(Endpoint):
@@ -97,13 +97,13 @@ class Input(Endpoint):
 
     @abstractmethod
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> AudioNode:
-        """Find what to capture. device: the sink that vibration goes to, which is never tapped.
+        """Find the node to capture. device: the sink that vibration goes to, which is never tapped.
 
-        NotFoundError: it is not available, or must not be tapped.
+        NotFoundError: the node is not available, or must not be tapped.
         """
 
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
-        """Return the streams that may play into what was located."""
+        """Return the streams that may play into the located node."""
         return frozenset()
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
@@ -115,7 +115,7 @@ class Input(Endpoint):
 
     @abstractmethod
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Open, check or reopen what was located.
+        """Open, check or reopen the stream from the located node.
 
         LostError, NotFoundError: the next call tries again; other errors are final.
         """

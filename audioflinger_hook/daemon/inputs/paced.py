@@ -1,4 +1,4 @@
-"""A file, a capture or a scene, played into the mix in real time."""
+"""An input that plays a file, a capture or a scene into the mix in real time."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from device.server import PulseConnection, ServerSnapshot
 from device.units import Float32Array
 
 BLOCK_FRAMES = 256
-"""Buffer of a file; a capture keeps its own buffers."""
+"""Buffer length for a file; a capture keeps its own buffers."""
 
 LEAD_IN_S = 0.2
 """Silence before the sound until the delay line plays, so that the beginning is not lost."""
 
 LEAD_IN_MAX_S = 5.0
-"""Longest lead-in; then the sound begins even if nothing reads the delay line."""
+"""Longest silence before the sound, even if nothing reads the delay line."""
 
 RUN_OUT_S = 0.3
 """Silence after the last vibration, until a sound server has played its buffers."""
@@ -33,8 +33,8 @@ PLAYING = (DelayState.SETTLING, DelayState.LOCKED)
 class PacedInput(Input):
     """Sound of a file, capture or scene, delivered buffer by buffer at its playing time.
 
-    A buffer is due when its last frame has been played. `close` pauses it. The pacer's thread
-    delivers; all methods are for the supervising thread.
+    A buffer is due when its last frame has been played. `close` pauses the sound. The pacer's
+    thread delivers; all methods are for the supervising thread.
 
     UsageError, NotFoundError: the sound cannot be used; see `open_tap`.
     """
@@ -72,7 +72,7 @@ class PacedInput(Input):
         return self._node
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
-        """Play, or continue. Raises the error that ended it, which is final."""
+        """Start or continue to play. Raises the error that ended the sound, which is final."""
         player, engine = self._player, self._feed.engine
         if player is None:
             assert engine is not None
@@ -95,7 +95,7 @@ class PacedInput(Input):
 
 
 class _Player:
-    """The job: silence until the delay line plays, the sound, its last vibration, silence."""
+    """The pacer's job: silence until the delay line plays, sound, last vibration, silence."""
 
     def __init__(self, tap: Tap, feed: Feed, engine: Engine) -> None:
         self.error: Exception | None = None

@@ -1,4 +1,4 @@
-"""The monitor of one sink, or of the default sink as it changes."""
+"""An input that captures the monitor of one sink, or of the present default sink."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from device.stream.portaudio import BLOCK_FRAMES
 from device.units import Float32Array
 
 LISTENING_FRAMES = 4_096
-"""Block while only listening: at 48 kHz, sound is noticed within 85 ms."""
+"""Block length while only listening: at 48 kHz, sound is noticed within 85 ms."""
 
 
 class SinkInput(Input):
-    """Sound of one sink of the server: the default one, or one by name.
+    """Sound of one sink of the server: the default sink or a named sink.
 
     receiver: takes its buffers, on PortAudio's thread. block_frames, priority: of streams that are
-    opened later. on_heard: called by PortAudio's thread if sound arrives while it only listens.
+    opened later. on_heard: called by PortAudio's thread if the listening input gets sound.
     """
 
     needs_server = True
@@ -64,7 +64,7 @@ class SinkInput(Input):
 
     @property
     def may_rest(self) -> bool:
-        """Yes: while closed, it listens."""
+        """Always True: while closed, the input listens."""
         return True
 
     @property
@@ -82,7 +82,7 @@ class SinkInput(Input):
         self.block_frames = config.live.block_frames
 
     def retarget(self, config: RunConfig) -> bool:
-        """Take sound from another sink, on the same stream if possible."""
+        """Capture another sink, with the present stream if possible."""
         if config.rules is not None:
             return False
         self._tap, self.address = config.tap, str(config.tap)
@@ -90,7 +90,7 @@ class SinkInput(Input):
         return True
 
     def locate(self, snapshot: ServerSnapshot | None, device: str | None) -> Source:
-        """Find the monitor. device: the vibration's sink; no sink it forwards to is tapped."""
+        """Find the monitor. device: the vibration's sink; a sink that it forwards to is refused."""
         assert snapshot is not None
         if self._tap.kind != "sink":
             source = default_monitor(snapshot, device)
@@ -103,8 +103,8 @@ class SinkInput(Input):
                 )
         if device is not None and source.monitor_of in reachable_sinks(snapshot, device):
             raise NotFoundError(
-                f"the server leads what {device!r} plays on to {source.monitor_of!r}, and a tap "
-                "there would feed back; tap another sink, or take that connection away"
+                f"the server forwards what {device!r} plays to {source.monitor_of!r}, and a tap "
+                "there would feed back; tap another sink, or remove that connection"
             )
         self._found = source
         return source
@@ -123,7 +123,7 @@ class SinkInput(Input):
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
         """Return whether sound arrived; listens while applications may play.
 
-        The long blocks cost next to nothing.
+        The long blocks cost almost no CPU time.
         """
         source = self._found
         if connection is None or source is None or not self.players(connection.latest):

@@ -1,4 +1,4 @@
-"""What every output offers to the supervisor, and what outputs with a PortAudio stream share."""
+"""The supervisor's interface of all outputs, and the base of outputs with a PortAudio stream."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from device.stream.sample_format import SampleFormat
 from device.units import Float32Array
 
 Fill = Callable[[Float32Array, float], None]
-"""(out, now_s): writes what is played next."""
+"""Called with (out, now_s); writes the frames to play next into `out`."""
 
 SetVolume = Callable[[float], object]
 """Sets a device to a level in dB and unmutes it; raises CushionError if it cannot."""
@@ -40,13 +40,13 @@ class Output(Endpoint):
 
     @property
     def may_rest(self) -> bool:
-        """Whether it may be closed while nothing plays."""
+        """Whether the output may be closed while nothing plays."""
         return True
 
     @property
     @abstractmethod
     def is_open(self) -> bool:
-        """Whether it plays, or did until a moment ago."""
+        """Whether the output plays, or did until a moment ago."""
 
     @property
     def summary(self) -> str:
@@ -58,12 +58,12 @@ class Output(Endpoint):
         return 0.0
 
     def configure(self, config: RunConfig) -> None:
-        """Take the actuators, and what applies to streams that are opened later."""
+        """Use the config's actuators now, and its stream settings for streams opened later."""
         self.set_actuators(config.settings.actuators)
 
     @abstractmethod
     def locate(self, snapshot: ServerSnapshot | None) -> AudioNode:
-        """Find the device. NotFoundError: it is not available; no other replaces it."""
+        """Find the device. NotFoundError: it is not available. No other device is used instead."""
 
     @abstractmethod
     def set_format(self, samplerate: int, channels: int) -> None:
@@ -83,7 +83,7 @@ class Output(Endpoint):
 
     @abstractmethod
     def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
-        """Open, check or reopen what was located.
+        """Open, check or reopen the stream to the located device.
 
         LostError, NotFoundError: the next call tries again; other errors are final.
         """
@@ -96,7 +96,7 @@ class Output(Endpoint):
 class StreamOutput(Output, Generic[NodeT]):
     """An output with a PortAudio stream, on a sink or a card.
 
-    block_frames, priority: of streams that are opened later. recording: receives what is played.
+    block_frames, priority: of streams that are opened later. recording: receives the frames played.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class StreamOutput(Output, Generic[NodeT]):
 
     @property
     def is_open(self) -> bool:
-        """Whether it plays, or did until a moment ago."""
+        """Whether the output plays, or did until a moment ago."""
         return self._stream.stream is not None
 
     @property
@@ -179,7 +179,7 @@ class StreamOutput(Output, Generic[NodeT]):
         set_volume: SetVolume,
         sample_format: SampleFormat = SampleFormat.FLOAT32,
     ) -> PlaybackStream:
-        """Return a new stream to this device, whose volume is set first."""
+        """Return a new stream to this device; the device's volume is set first."""
         self.volume.set(set_volume)
         recording, samplerate = self._recording, node.samplerate
         sent = None
@@ -205,8 +205,8 @@ class StreamOutput(Output, Generic[NodeT]):
 class DeviceVolume:
     """The device's own volume, set when the device is opened. For the supervising thread alone.
 
-    wanted_db: 0 or less, None to leave the device as it is. limit_db: the rig's limit, which
-    replaces a higher volume. warning: why the volume differs from `wanted_db`, "" if it does not.
+    wanted_db: 0 or less, None to leave the volume unchanged. limit_db: the rig's limit, which
+    replaces a higher volume. warning: why the volume differs from `wanted_db`, else "".
     """
 
     def __init__(self, wanted_db: float | None = None, limit_db: float = 0.0) -> None:
@@ -216,7 +216,7 @@ class DeviceVolume:
         self._last: tuple[float | None, float] = None, limit_db
 
     def request(self, config: RunConfig) -> None:
-        """Take the volume that a config asks for; `update` sets it."""
+        """Store the config's volume; `update` sets it."""
         settings = config.settings
         rigs = {actuator.rig or settings.rig for actuator in settings.actuators} or {settings.rig}
         self.wanted_db = config.live.device_volume_db

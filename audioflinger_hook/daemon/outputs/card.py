@@ -27,14 +27,14 @@ from device.usb.sysfs import ROOT
 
 @dataclass(frozen=True)
 class CardNode:
-    """A card, and how to open it; setup: None until the format of the mix is known."""
+    """A card and the setup to open it with; setup: None until the format of the mix is known."""
 
     playback: PlaybackDevice
     setup: CardSetup | None
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """The card's name in messages."""
         return str(self.playback)
 
     @property
@@ -99,7 +99,7 @@ class CardOutput(StreamOutput[CardNode]):
         return self._delay_s if self.is_open else 0.0
 
     def locate(self, snapshot: ServerSnapshot | None) -> CardNode:
-        """Find the card and how to open it.
+        """Find the card and a setup to open it with.
 
         NotFoundError: it is missing, in use, or offers no suitable format.
         """
@@ -120,7 +120,7 @@ class CardOutput(StreamOutput[CardNode]):
         stream, node = self._stream, self._found
         assert node is not None
         if stream.stream is not None:
-            if node != self._playing:  # plugged in again: another number
+            if node != self._playing:  # plugged in again: the card has another number
                 self.close()
             else:
                 stream.check(now_s)
@@ -163,7 +163,7 @@ class CardOutput(StreamOutput[CardNode]):
         )
 
     def _setup(self, playback: PlaybackDevice, actuators: Sequence[ActuatorSettings]) -> CardSetup:
-        """Return how to open the card; raises NotFoundError if nothing is suitable.
+        """Return the setup to open the card with; raises NotFoundError if none is suitable.
 
         Until the mix is known, this checks only whether any mix would be playable.
         """

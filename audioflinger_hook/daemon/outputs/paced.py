@@ -26,14 +26,14 @@ from device.server import PulseConnection, ServerSnapshot
 from device.wav_output import WavOutput
 
 BLOCK_FRAMES = 256
-"""Block that a sound server would ask for."""
+"""Block length that a sound server would request."""
 
 
 class PacedOutput(Output):
     """A WAV file or the simulated rig; the pacer's thread writes each block when it is due.
 
-    `end(keep=True)` completes the file, which contains a silence at its full length. `close`
-    pauses. All methods are for the supervising thread.
+    `end(keep=True)` completes the file, which contains silences at full length. `close` pauses. All
+    methods are for the supervising thread.
 
     UsageError: the file cannot be written, or there is no such rig.
     """
@@ -56,12 +56,12 @@ class PacedOutput(Output):
 
     @property
     def may_rest(self) -> bool:
-        """Not for a file, whose length is the length of the run."""
+        """Always False for a file, since the file is as long as the run."""
         return self.address.kind != "wav"
 
     @property
     def name(self) -> str | None:
-        """The address, while it is written to."""
+        """The address, while the output runs."""
         return str(self) if self.is_open else None
 
     @property
@@ -86,7 +86,7 @@ class PacedOutput(Output):
         self._format = (samplerate, channel_map_of(self._settings, channels).channels)
 
     def check_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
-        """Raise UsageError if these do not fit the file's channels, or the simulated rigs."""
+        """Raise UsageError if the actuators do not fit the file's channels or simulated rigs."""
         before, after = self._settings, replace(self._settings, actuators=tuple(actuators))
         if before.numbered_channels.channels != after.numbered_channels.channels:
             raise UsageError(
@@ -99,7 +99,7 @@ class PacedOutput(Output):
             )
 
     def set_actuators(self, actuators: Sequence[ActuatorSettings]) -> None:
-        """Take these actuators, without a gap."""
+        """Use these actuators, without a gap."""
         self._settings = replace(self._settings, actuators=tuple(actuators))
         if actuators or self._router.actuators:
             self._router.change(self._settings.actuators, self._settings.numbered_channels)
@@ -109,7 +109,7 @@ class PacedOutput(Output):
         return FixedNode(str(self), *(self._format or (0, 0)))
 
     def maintain(self, connection: PulseConnection | None, fill: Fill, now_s: float) -> None:
-        """Take vibration, or continue. Raises the final error (WriteError: disk full)."""
+        """Start or continue to take vibration. Raises the final error (WriteError: disk full)."""
         job = self._job
         if job is None:
             assert self._format is not None
@@ -140,7 +140,7 @@ class PacedOutput(Output):
 
 
 class _Writer:
-    """The job: take a block when its first frame is due; fill: set before the job begins."""
+    """The pacer's job: write a block when its first frame is due. fill: set before it begins."""
 
     def __init__(self, output: VibrationOutput, recording: RunRecording | None) -> None:
         self.error: Exception | None = None
@@ -175,9 +175,9 @@ def _rigs(settings: Settings) -> list[str | None]:
 
 
 def _maker(address: DeviceAddress, settings: Settings) -> Callable[[int, int], VibrationOutput]:
-    """Return a function of rate in Hz and channels that opens the output; errors appear here."""
+    """Return a function of rate in Hz and channels that opens the output; errors are raised now."""
     if settings.actuators:
-        _ = settings.numbered_channels  # raises if an actuator names a channel
+        _ = settings.numbered_channels  # raises if an actuator gives its channel by name
     if address.kind == "wav":
         path = Path(address.name)
         AtomicFile(path).abort()

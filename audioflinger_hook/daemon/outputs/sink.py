@@ -56,7 +56,7 @@ class SinkOutput(StreamOutput[Sink]):
         assert connection is not None
         assert sink is not None
         if stream.stream is not None and self._playing is not None:
-            if sink.index != self._playing.index:  # plugged in again: a new sink of that name
+            if sink.index != self._playing.index:  # plugged in again: a new sink with the old name
                 stream.close()
             else:
                 stream.check(now_s)

@@ -1,4 +1,4 @@
-"""The automatic choice: the least residual in the worst case, within the available volts."""
+"""The automatic choice of damping: least residual in the worst case, within available volts."""
 
 from dataclasses import dataclass
 
@@ -8,19 +8,19 @@ from device.rig import ActuatorParameters
 
 HEADROOM_DB = 5.0
 UNCERTAINTY = 0.1
-"""Share of f0 that the rig may be off in either direction: sitters alone shift it by about 10 %."""
+"""Share by which f0 may differ in either direction: sitters alone shift it by about 10 %."""
 WANTED_Q = (0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0)
 CAUTION = (1.0, 0.9, 0.8, 0.65, 0.5)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A damping and its residual, against undamped current drive.
+    """A damping and its residual, compared with undamped current drive.
 
-    as_believed: for the rig as identified.
+    as_believed: residual of the rig as identified.
     worst_db: largest residual of all possible rigs.
-    affordable: whether its peak volts for the believed rig are within the headroom.
-    makeup: factor on the drive that makes a burst as strong as without damping.
+    affordable: whether the peak volts for the identified rig are within the headroom.
+    makeup: factor on the drive that makes a burst as strong as one without damping.
     """
 
     damping: Damping
@@ -37,21 +37,21 @@ def choose_damping(
     headroom_db: float = HEADROOM_DB,
     source_impedance_ohm: float = 0.0,
 ) -> list[Candidate]:
-    """Return all candidates, that with the least residual in the worst case first.
+    """Return all candidates; the first has the least residual in the worst case.
 
-    Takes some tenths of a second. If nothing is within the headroom, the first is what needs the
-    fewest volts; `affordable` is then False.
+    Takes some tenths of a second. If no candidate is within the headroom, the first candidate needs
+    the fewest volts, and its `affordable` is False.
 
     Parameters
     ----------
     p : ActuatorParameters
         The actuator as identified.
     uncertainty : float
-        Share of f0 that it may be off in either direction, 0 to 0.5.
+        Share by which f0 may differ in either direction, 0 to 0.5.
     headroom_db : float
-        Peak volts beyond those of undamped current drive for the same vibration.
+        Available peak volts above those of undamped current drive for equal vibration.
     source_impedance_ohm : float
-        Of the amplifier.
+        Source impedance of the amplifier.
     """
     detunings = sorted({0.0, -uncertainty, uncertainty})
     references = [undamped(p, detuning=d) for d in detunings]
@@ -78,7 +78,7 @@ def choose_damping(
 
 
 def _rank(candidate: Candidate) -> tuple[bool, float]:
-    """Sort affordable ones by their worst case, then the others by their volts."""
+    """Sort key: affordable candidates by worst case, then the others by volts."""
     if candidate.affordable:
         return False, candidate.worst_db
     return True, candidate.as_believed.peak_volts_db

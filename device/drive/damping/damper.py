@@ -28,7 +28,7 @@ class Damper:
     Attributes
     ----------
     replaced_samples : int
-        Samples so far that were not finite, or beyond 1e30, and counted as 0.
+        Samples so far that were not finite or beyond 1e30, and were replaced by 0.
 
     Raises
     ------
@@ -44,7 +44,7 @@ class Damper:
         self.reset()
 
     def reset(self) -> None:
-        """Come to rest; the count becomes 0."""
+        """Return to rest; the count becomes 0."""
         self.replaced_samples = 0
         self._state = np.zeros((len(self._sections), 2, self.channels))
         self._frames_to_check = self._part_frames
@@ -63,7 +63,7 @@ class Damper:
         return block
 
     def _filtered(self, block: FloatArray | Float32Array) -> FloatArray:
-        """Return a part of a block, filtered; it ends where the state is checked, or before."""
+        """Filter and return a part of a block; the part ends at or before a check of the state."""
         samples, replaced = finite_or_zero(block.astype(np.float64), _ABSURD)
         self.replaced_samples += replaced
         samples = 0.0 + self.damping.gain * samples  # no sample is -0.0

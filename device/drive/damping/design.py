@@ -1,6 +1,6 @@
 """The resonance inverse as numbers that do not depend on the sample rate.
 
-It puts zeros on the poles of the actuator and a well damped pair in their place.
+The filter cancels the poles of the actuator by zeros and adds a well damped pair of poles.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Resonance:
     def polynomial(self, samplerate: float) -> FloatArray:
         """Return (z - e^(pT)) (z - e^(p'T)) for the poles p and p', highest power first, (3,).
 
-        The actuator's step has its poles there too, so that they cancel exactly at any rate.
+        The discrete model of the actuator has the same poles, so they cancel exactly at any rate.
         """
         w = math.tau * self.frequency_hz
         damping = 1.0 / (2.0 * self.q)
@@ -70,9 +70,10 @@ class Damping:
     name : str
         Kind of filter.
     source_impedance_ohm : float
-        Of the amplifier: 0 for voltage drive, which damps (Qts); large for current drive (Qms).
+        Source impedance of the amplifier: 0 (voltage drive) damps (Qts), large: current drive
+        (Qms).
     ringing, wanted : Resonance | None
-        Resonance that a resonance inverse removes, and the one that replaces it.
+        The resonance that the filter removes, and the resonance that replaces it.
     gain : float
         Additional factor.
     """
@@ -102,7 +103,7 @@ def inverse_damping(
     *,
     caution: float = 1.0,
 ) -> Damping:
-    """Return the resonance inverse to a chosen Q, at the frequency at which the actuator rings.
+    """Return the resonance inverse with a chosen Q at the actuator's ringing frequency.
 
     wanted_q: above 0; up to 0.5 the actuator does not swing. caution: factor on the removed Q, up
     to 1. A lower value makes the dip in the drive shallower: it needs fewer volts and tolerates

@@ -1,6 +1,6 @@
-"""What a burst leaves behind: residual energy, settling time, and the volts that it took.
+"""Measures of the ringing after a burst: residual energy, settling time and peak volts.
 
-Definitions, for a 50 ms burst of a sine at the f0 that the rig is believed to have:
+Definitions, for a 50 ms burst of a sine at the f0 of the rig as identified:
 
 - residual: energy of the acceleration after the burst's end over that within it.
 - settling: time after the end until the acceleration stays under 10 % of the burst's peak.
@@ -24,7 +24,7 @@ from device.units import FloatArray, amplitude_to_db
 BURST_S = 0.05
 SETTLED = 0.1
 CURRENT_DRIVE_OHM = 1e5
-"""A source impedance beside which the actuator's 3.3 ohm are negligible (3e-5)."""
+"""A source impedance so large that the actuator's 3.3 ohm are negligible (3e-5)."""
 
 SAMPLERATE = 48_000
 _DECAYS = 12.0
@@ -35,10 +35,10 @@ _DECAYS = 12.0
 class BurstResponse:
     """The response to one burst.
 
-    residual: energy after the burst as a share of that within it.
+    residual: energy after the burst, as a share of the energy within the burst.
     settling_s: settling time.
     peak_v: peak volts for 1 m/s² r.m.s. within the burst.
-    rms_m_s2: within the burst, for a drive of 1 V (with a current source, about 1 A).
+    rms_m_s2: r.m.s. acceleration in the burst, for a drive of 1 V (current source: about 1 A).
     """
 
     residual: float
@@ -103,7 +103,7 @@ def measured(acceleration_m_s2: FloatArray, volts: FloatArray) -> BurstResponse:
 
 
 def undamped(p: ActuatorParameters, *, detuning: float = 0.0) -> BurstResponse:
-    """Return the reference: current drive, where only the actuator's friction damps."""
+    """Return the reference: current drive, so that only the actuator's friction damps."""
     return burst_response(p, no_damping(CURRENT_DRIVE_OHM), detuning=detuning)
 
 

@@ -6,8 +6,8 @@
 
 `cap_gain` (dose.py) is the gain that keeps a day's dose under a limit.
 
-The result informs the user of a cushion. It is no measurement on the seat: the acceleration is that
-of the linear model, and above 80 Hz, where the standard ends, the weighting is extrapolated.
+The result informs the user of a cushion. It is no measurement on the seat: the acceleration comes
+from the linear model, and above 80 Hz, where the standard ends, the weighting is extrapolated.
 """
 
 from device.drive.exposure.dose import Exposure, cap_gain

@@ -1,4 +1,4 @@
-"""What accumulates over a day of weighted acceleration: r.m.s., A(8), VDV; and the cap on it."""
+"""Daily dose of weighted acceleration: r.m.s., A(8) and VDV, and the gain that caps the dose."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ RUNNING_S = 1.0
 """Time constant of the running r.m.s. (ISO 2631-1, equation 3)."""
 
 _SILENT = 1e-60
-"""Energy that counts as none, long before numbers become denormal and slow."""
+"""Energy below this counts as 0, long before numbers become denormal and slow."""
 
 _FREE = 0.5
 """Share of the allowed dose after which the cap begins to act: 71 % of the A(8) limit."""

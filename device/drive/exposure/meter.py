@@ -26,13 +26,13 @@ _KAISER_BETA = 8.0
 class ExposureMeter:
     """Predicts the seat's acceleration from the drive, weights it and accumulates it.
 
-    It computes ten times a second, which costs less than in every block. One thread calls
+    The meter computes ten times per second, which costs less than once per block. One thread calls
     `process`; any thread may call `exposure`.
 
     Parameters
     ----------
     rig : Rig
-        What is driven, one actuator a channel.
+        The driven rig, with one actuator per channel.
     samplerate : int
         Rate in Hz, 6000 or more.
     channels : int
@@ -41,7 +41,7 @@ class ExposureMeter:
     Attributes
     ----------
     knows_seat : bool
-        Whether the rig describes its seat; otherwise the seat is taken to move as the mass does.
+        Whether the rig describes its seat; if not, the seat is assumed to move like the mass.
 
     Raises
     ------
@@ -74,7 +74,7 @@ class ExposureMeter:
         self.reset()
 
     def reset(self) -> None:
-        """Begin a new day, at rest."""
+        """Start a new day, at rest."""
         self._filled = 0
         self._decimator.reset()
         for actuator in self._actuators:

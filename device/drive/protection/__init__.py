@@ -2,7 +2,7 @@
 
 | module        | holds                                                                          |
 | ------------- | ------------------------------------------------------------------------------ |
-| limits.py     | what the rig must not exceed; `ProtectionStatus`                               |
+| limits.py     | the limits of a rig; `ProtectionStatus`                                        |
 | drive_model.py | amplifier and actuator as one step from sample to sample                      |
 | prediction.py | what a block of drive does to several linear models of the actuator            |
 | governor.py   | the largest gain after which everything can still be stopped                   |

@@ -1,4 +1,4 @@
-"""What a rig must not exceed, and what its protection did."""
+"""The limits of a rig, and the readings of its protection."""
 
 import math
 from dataclasses import dataclass
@@ -28,9 +28,9 @@ class Limits:
 def limits_of(rig: Rig) -> Limits:
     """Return the limits that follow from a rig.
 
-    Those are Xmax, the amplifier's current, and full scale or the level where the amplifier clips.
-    The coil may have 120 °C if the rig says how it warms up. How much the actuator stiffens is
-    what the rig says, or the usual value.
+    The limits are Xmax, the amplifier's current, and the level: full scale, or less if the
+    amplifier clips before. If the rig describes how the coil warms up, the coil may reach 120 °C.
+    The stiffening of the actuator is the rig's value, or a usual value.
     """
     full_scale_v = rig.dac.full_scale_v * rig.amplifier.gain
     current_a, large = rig.amplifier.current_limit_a, rig.large_signal
@@ -46,7 +46,7 @@ def limits_of(rig: Rig) -> Limits:
 
 @dataclass(frozen=True)
 class ProtectionStatus:
-    """What the protection did and measures; counts since the start or `reset`.
+    """Counts, since the start or `reset`, and readings of the protection.
 
     Attributes
     ----------
@@ -55,18 +55,18 @@ class ProtectionStatus:
     limited_blocks : int
         Blocks in which the gain was below 1.
     infeasible_blocks : int
-        Blocks in which no gain kept every limit, so that it became 0.
+        Blocks in which no gain could keep every limit, so that the gain became 0.
     replaced_samples : int
         Samples that were not finite.
     gain, least_gain : float
-        Smallest of all channels now, and ever; 0 to 1.
+        Smallest gain of all channels, now and since the start; 0 to 1.
     limited_by : str
         Cause of the gain: "excursion, current or level", "temperature", "outside" (such as an
         exposure cap), or "".
     excursion_m : float
-        Amplitude for which the believed model's energy is enough.
+        Amplitude that the stored energy of the identified model could reach.
     coil_c, resistance_ohm : float | None
-        Of the warmest coil, in °C and ohm; None if the rig does not say how it warms up.
+        Of the warmest coil, in °C and ohm; None if the rig does not describe how it warms up.
     latency_s : float
         Delay of the vibration.
     """

@@ -1,4 +1,4 @@
-"""Protection in the live path: blocks leave two block lengths after they came."""
+"""Protection in the live path: every block is delayed by two block lengths."""
 
 import math
 
@@ -16,13 +16,13 @@ from device.units import Block, FloatArray, check_channels, finite_or_zero
 
 BLOCK_S = 0.002
 BLOCKS_AHEAD = 2
-"""A block leaves when the next one is known: two lengths after its start."""
+"""A block leaves when the next block is known: two block lengths after its start."""
 
 _STACK = (0.0, -1.0, -0.5, 0.5, 1.0)
-"""Detunings of the models, as shares of the limit. With the ends alone, a rig half-way between
-would swing 2 % further than both at its resonance."""
+"""Detunings of the models, as shares of `Limits.detuning`. With only the two ends, a rig half-way
+between them would swing 2 % further than both at its resonance."""
 _RESERVE = 0.015
-"""Share of the excursion that is kept for rigs between two models: 0.13 dB."""
+"""Share of the excursion that is reserved for rigs between two models: 0.13 dB."""
 _ABSURD = 1e6
 _RECOVERY_S = 0.02
 """Time in which the gain recovers from 0 to what the demand allows."""
@@ -40,7 +40,7 @@ _WANTED_RISE_S, _WANTED_FALL_S = 0.03, 2.0
 class Protector:
     """Keeps a rig inside its limits by gain alone, ahead of time; never clips.
 
-    While nothing is limited, every sample leaves unchanged `latency_frames` later. Gains change
+    While no limit is near, every sample leaves unchanged, `latency_frames` later. Gains change
     linearly over a block and recover slowly. One thread calls `process`; any thread may set `most`
     and call `status`.
 
@@ -53,7 +53,7 @@ class Protector:
     channels : int
         Number of channels, 1 or more; each has its gain.
     limits : Limits | None
-        None for those of the rig.
+        None for the limits of the rig.
 
     Attributes
     ----------
@@ -63,8 +63,8 @@ class Protector:
     Raises
     ------
     UsageError
-        The rate is too low, or the coil's temperature is limited and the rig does not say how it
-        warms up.
+        The rate is too low, or the coil's temperature is limited and the rig does not describe how
+        the coil warms up.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Protector:
             source_impedance_ohm=source,
             sections=sections,
             excursion_m=(1.0 - _RESERVE) * self.limits.excursion_m,
-            # The coil's temperature needs that of the believed model alone.
+            # The coil's temperature needs only the current of the identified model.
             current_models=1 if current_a is None else len(models),
         )
         self._governor = Governor(
@@ -131,7 +131,7 @@ class Protector:
         return BLOCKS_AHEAD * self._frames
 
     def reset(self) -> None:
-        """Come to rest and cool down; counts become 0 and held frames are dropped."""
+        """Return to rest and cool down; counts become 0 and held frames are dropped."""
         shape = (self._frames, self.channels)
         self._coming, self._leaving = np.zeros(shape), np.zeros(shape)
         self._filled = 0
@@ -139,7 +139,7 @@ class Protector:
         self._governor.reset()
         for coil in self._coils:
             coil.reset()
-        # Of the present hold time, and of the one before.
+        # Of the present hold time, and of the previous hold time.
         self._demands = [np.zeros(self.channels), np.zeros(self.channels)]
         self._demand, self._caution = np.zeros(self.channels), np.ones(self.channels)
         self._lately_w, self._wanted_w = [0.0] * self.channels, [0.0] * self.channels
@@ -150,7 +150,7 @@ class Protector:
         self._limited_by = ""
 
     def process(self, block: Block) -> Block:
-        """Replace a block, (frames, channels), by what leaves now; return it.
+        """Replace a block, (frames, channels), by the frames that leave now; return it.
 
         The output is finite and does not depend on the lengths of blocks. Samples that are not
         finite, or beyond a million times full scale, count as 0.
@@ -173,7 +173,7 @@ class Protector:
         return block
 
     def status(self) -> ProtectionStatus:
-        """Return counts and readings, which need not be of the same moment. Any thread."""
+        """Return counts and readings, which may be from slightly different times. Any thread."""
         warmest = max(self._coils, key=lambda coil: coil.coil_c, default=None)
         return ProtectionStatus(
             blocks=self._blocks,
@@ -196,7 +196,7 @@ class Protector:
         if self._silent and not self._coming.any() and self._governor.settle():
             self._sleep()
             return
-        # The governor keeps this array until it has left as the known block.
+        # The governor uses this array until its frames have left.
         ahead, self._coming = self._coming, np.empty_like(self._coming)
         governor = self._governor
         governor.take(ahead)

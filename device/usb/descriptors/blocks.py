@@ -56,7 +56,7 @@ class OtherDescriptor(Descriptor):
 
 
 class Block:
-    """The bytes of one descriptor while it is read; `name` is what problems call it."""
+    """The bytes of one descriptor while it is read; `name` is its name in problems."""
 
     __slots__ = ("findings", "name", "offset", "raw")
 
@@ -73,7 +73,7 @@ class Block:
 
     @property
     def subtype(self) -> int:
-        """The bDescriptorSubtype of a class-specific one, 0 (undefined) where it is missing."""
+        """The bDescriptorSubtype of a class-specific descriptor, 0 (undefined) if missing."""
         return self.raw[2] if len(self.raw) > 2 else 0
 
     def u16(self, at: int) -> int:
@@ -93,7 +93,7 @@ class Block:
         self.findings.note(self.offset, self.name, found, allowed)
 
     def holds(self, length: int) -> bool:
-        """Whether it has at least so many bytes; where it has not, that is a problem."""
+        """Whether the block has at least this many bytes; if not, a problem is noted."""
         if len(self.raw) >= length:
             return True
         self.note(f"it is {len(self.raw)} bytes long", f"{length} or more")
@@ -105,7 +105,7 @@ class Block:
 
 
 Reader = Callable[[Block], Descriptor | None]
-"""Makes a descriptor of a block; None, after a problem was noted, where too little is there."""
+"""Makes a descriptor from a block; notes a problem and returns None if bytes are missing."""
 
 
 def blocks(raw: bytes, at: int, findings: Findings) -> Iterator[Block]:

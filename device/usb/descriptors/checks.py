@@ -102,7 +102,7 @@ class _Function:
         self._sources = frozenset(function.entities) - clocks - ends
 
     def check(self) -> None:
-        """Note what is wrong with ids, clocks, channels."""
+        """Note problems of ids, clocks and channels."""
         for entity in self._function.control.entities:
             if not entity.id:
                 self._note(entity, "its id is 0", "1 to 255")

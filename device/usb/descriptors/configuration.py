@@ -75,7 +75,7 @@ class Interface(Descriptor):
 
     @property
     def general(self) -> StreamGeneral | None:
-        """The first description of what flows through it."""
+        """The first descriptor of the format of the stream."""
         return next((d for d in self.descriptors if isinstance(d, StreamGeneral)), None)
 
     @property
@@ -127,7 +127,7 @@ class Configuration:
 
 
 def read_interface(block: Block) -> Interface | None:
-    """The interface, without what belongs to it; None where it is too short."""
+    """The interface, without its endpoints and descriptors; None if it is too short."""
     if not block.holds(INTERFACE_BYTES):
         return None
     interface = Interface(block.offset, block.raw, *block.raw[2:INTERFACE_BYTES])

@@ -15,7 +15,7 @@ from typing import ClassVar
 from device.usb.descriptors.blocks import Descriptor
 
 USB_STREAMING = 0x0101
-"""The terminal type of what comes from, or goes to, the host."""
+"""The terminal type of streams from or to the host."""
 
 VOLUME_UNITS_PER_DB = 256
 """Volume controls count in 1/256 dB, signed 16 bit; -32768 is silence (1.0: 5.2.2.4.3.2)."""
@@ -107,7 +107,7 @@ class InputTerminal(Entity):
 
 @dataclass(frozen=True, slots=True)
 class OutputTerminal(Entity):
-    """Where sound leaves the function; fields as those of `InputTerminal`."""
+    """The place where sound leaves the function; fields as in `InputTerminal`."""
 
     terminal_type: int
     associated: int
@@ -184,7 +184,7 @@ class ExtensionUnit(ProcessingUnit):
 
 @dataclass(frozen=True, slots=True)
 class EffectUnit(Entity):
-    """An effect of 2.0. controls: one bit map a channel, the master's first, as they stand."""
+    """An effect of 2.0. controls: one bit map per channel, the master's first, undecoded."""
 
     effect_type: int
     controls: tuple[int, ...]
@@ -193,7 +193,7 @@ class EffectUnit(Entity):
 
 @dataclass(frozen=True, slots=True)
 class SampleRateConverter(Entity):
-    """Between two clock domains of 2.0: from the clock of its input to that of its output."""
+    """Converts sound between two clock domains of 2.0: the input's clock and the output's."""
 
     clock_in_id: int
     clock_out_id: int

@@ -43,7 +43,7 @@ def parse_hex(text: str) -> bytes:
         try:
             colon = None if in_comment else _ADDRESS_COLON.match(line)
             if colon:
-                # Two spaces part the bytes from what xxd shows as text.
+                # Two spaces separate the bytes from xxd's text column.
                 column = re.split(r"\s{2,}", line[colon.end() :].strip(), maxsplit=1)[0]
                 digits = _digits(column.split())
                 address: int | None = int(colon[1], 16)
@@ -65,7 +65,7 @@ def parse_hex(text: str) -> bytes:
 
 
 def _without_comments(line: str, in_comment: bool) -> tuple[str, bool]:
-    """The line without comments, and whether one goes on behind it."""
+    """The line without comments, and whether a comment continues on the next line."""
     if in_comment:
         _, end, line = line.partition("*/")
         if not end:
@@ -78,7 +78,7 @@ def _without_comments(line: str, in_comment: bool) -> tuple[str, bool]:
 
 
 def _line(content: str, with_addresses: bool) -> tuple[int | None, str]:
-    """The address and the digits of a line without a colon behind its address."""
+    """The address and the digits of a line without a colon after its address."""
     label, colon, words = content.partition(":")
     if not colon or all(_DIGITS.fullmatch(word) for word in label.split()):
         words = content
@@ -95,7 +95,7 @@ def _line(content: str, with_addresses: bool) -> tuple[int | None, str]:
 
 
 def _address(digits: str) -> int:
-    """The number that stands before a line's bytes; od counts in octal."""
+    """The number before a line's bytes; od counts in octal."""
     octal = len(digits) == _OD_ADDRESS_DIGITS
     if not (_OCTAL if octal else _DIGITS).fullmatch(digits):
         raise ValueError(f"{_shown(digits)} is not {'an octal' if octal else 'an'} address")
@@ -103,7 +103,7 @@ def _address(digits: str) -> int:
 
 
 def _shown(text: str) -> str:
-    """A word of the dump as it stands in a message, not all of a long one."""
+    """A word of the dump for a message; a long word is cut."""
     return repr(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
 
 

@@ -157,12 +157,12 @@ _POSITIONS = (
 
 
 def type_name(number: int) -> str:
-    """The name of a descriptor type, "type 0x41" of an unknown one."""
+    """The name of a descriptor type, "type 0x41" for an unknown type."""
     return _TYPES.get(number) or f"type 0x{number:02x}"
 
 
 def class_name(interface_class: int, subclass: int) -> str:
-    """The name of an interface's class, with the subclass where it is audio."""
+    """The name of an interface's class, with the subclass if the class is audio."""
     if interface_class == 0x01 and subclass in _AUDIO_SUBCLASSES:
         return _AUDIO_SUBCLASSES[subclass]
     return _CLASSES.get(interface_class) or f"class 0x{interface_class:02x}"
@@ -180,7 +180,7 @@ def midi_name(subtype: int) -> str:
 
 
 def terminal_name(terminal_type: int) -> str:
-    """The name of a terminal's type, "type 0x0999" of an unknown one."""
+    """The name of a terminal's type, "type 0x0999" for an unknown type."""
     return _TERMINALS.get(terminal_type) or f"type 0x{terminal_type:04x}"
 
 

@@ -157,7 +157,7 @@ def _playback(
 def _playable(
     samplerates: tuple[int, ...] | RateRange | None,
 ) -> tuple[int, ...] | RateRange | None:
-    """The samplerates without what cannot be meant: 0 Hz, a range upside down."""
+    """The samplerates without impossible values: 0 Hz, or a range from high to low."""
     if isinstance(samplerates, RateRange):
         lowest, highest = sorted((samplerates.lowest, samplerates.highest))
         return RateRange(max(lowest, 1), highest) if highest else ()

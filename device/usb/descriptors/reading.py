@@ -39,7 +39,7 @@ _OF_ENDPOINTS = (CS_ENDPOINT, 0x30, 0x31)
 _HID = 0x03
 
 BYTES_MAX = 0xFFFF
-"""A wTotalLength says no more; what is longer is no configuration."""
+"""Largest value of wTotalLength; longer bytes are no configuration."""
 
 
 def parse_configuration(raw: bytes, *, strict: bool = False) -> Configuration:
@@ -83,7 +83,7 @@ def parse_configuration(raw: bytes, *, strict: bool = False) -> Configuration:
 
 
 def _end(raw: bytes, header: ConfigurationHeader, findings: Findings) -> int:
-    """Where the configuration ends; who says less than is there may be wrong, and is read on."""
+    """End of the configuration: all bytes, unless another one begins at wTotalLength."""
     total, end = header.total_bytes, min(len(raw), BYTES_MAX)
     if total == len(raw):
         return end
@@ -116,7 +116,7 @@ class _Tree:
         self._endpoint_lost = False
 
     def take(self, block: Block) -> None:
-        """Read one descriptor and put it where it belongs."""
+        """Read one descriptor and add it to the object that it belongs to."""
         kind = block.type
         if kind == INTERFACE:
             self.close()

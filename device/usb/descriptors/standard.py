@@ -149,7 +149,7 @@ class Endpoint(Descriptor):
 
     @property
     def packet_bytes(self) -> int:
-        """The most bytes of one (micro)frame: packet size times transactions (USB 2.0, 9.6.6)."""
+        """Largest bytes per (micro)frame: packet size times transactions (USB 2.0, 9.6.6)."""
         return (self.max_packet & 0x7FF) * (1 + (self.max_packet >> 11 & 3))
 
 
@@ -209,14 +209,14 @@ def read_header(raw: bytes) -> ConfigurationHeader:
 
 
 def read_association(block: Block) -> InterfaceAssociation | None:
-    """The interface association, None where it is too short."""
+    """The interface association, None if it is too short."""
     if not block.holds(ASSOCIATION_BYTES):
         return None
     return InterfaceAssociation(block.offset, block.raw, *block.raw[2:ASSOCIATION_BYTES])
 
 
 def read_endpoint(block: Block) -> Endpoint | None:
-    """The endpoint, without what follows it; None where it is too short."""
+    """The endpoint, without the descriptors after it; None if it is too short."""
     if not block.holds(ENDPOINT_BYTES):
         return None
     fields = block.raw

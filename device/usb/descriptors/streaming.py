@@ -42,7 +42,7 @@ SUBSLOT_BYTES = range(1, 5)
 
 @dataclass(frozen=True, slots=True)
 class RateRange:
-    """All sample rates from a lowest to a highest one.
+    """All sample rates from a lowest to a highest rate.
 
     Attributes
     ----------

@@ -107,7 +107,7 @@ def _dump(raw: bytes) -> Iterator[str]:
 
 
 def _line(descriptor: Descriptor) -> str:
-    """One descriptor, without what belongs to it, in one line."""
+    """One descriptor as one line, without the descriptors that belong to it."""
     if isinstance(descriptor, OtherDescriptor | OtherFormat):
         details = descriptor.raw.hex(" ")
     elif isinstance(descriptor, Entity):

@@ -22,7 +22,7 @@ from device.usb.descriptors.entities import (
 )
 
 _ASSOCIATIONS_MAX = 256
-"""There are no more interface numbers, and each belongs to one association."""
+"""Largest count of interface numbers; each belongs to one association."""
 
 _HEARD_TERMINALS = (0x03, 0x04)
 """The upper byte of output and bidirectional terminal types: loudspeakers, headphones, headsets."""
@@ -47,7 +47,7 @@ class Topology:
         self._sources: dict[int, tuple[int, ...]] = {}
 
     def channels(self, entity_id: int) -> int | None:
-        """How many channels leave an entity; None where that cannot be found out."""
+        """The number of channels that leave an entity; None if it cannot be found."""
         seen: set[int] = set()
         while entity_id not in seen:
             seen.add(entity_id)
@@ -123,7 +123,7 @@ class Topology:
         return self._sources.setdefault(clock_id, tuple(sorted(found)))
 
     def circle(self) -> tuple[int, ...]:
-        """The ids of one circle, in the direction of `source_ids`; () where there is none."""
+        """The ids of one circle, in the direction of `source_ids`; () if there is no circle."""
         done: set[int] = set()
         for start in self.entities:
             way, left = [start], [self._sources_left(start, done)]

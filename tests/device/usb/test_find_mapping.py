@@ -201,7 +201,7 @@ def test_an_address_with_a_port_takes_the_sink_of_that_one_of_two_alike(server):
     assert parse_device("usb:0d8c:0014:S@1-2").sink(there) == sinks[0]
     with pytest.raises(NotFoundError, match="plug it in"):
         parse_device("usb:0d8c:0014@1-3").sink(there)
-    with pytest.raises(NotFoundError, match="not one but several") as caught:
+    with pytest.raises(NotFoundError, match="several USB devices match") as caught:
         parse_device("usb:0d8c:0014:S").sink(there)
     assert "'alsa_output.1-3.4' in port 1-3.4" in str(caught.value)
     assert "@PORT" in str(caught.value)
