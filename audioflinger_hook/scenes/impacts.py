@@ -114,7 +114,7 @@ def _debris(samplerate: int, rng: np.random.Generator) -> Signal:
 
 
 def _add(frames: Signal, mono: Signal, position: float, start_s: float, samplerate: int) -> None:
-    """Adds `mono` at `position` into `frames` from `start_s` on; what reaches past is cut."""
+    """Adds `mono` at `position` to `frames` from `start_s` on; samples after the end are cut."""
     start = round(start_s * samplerate)
     stop = min(start + mono.size, frames.shape[0])
     frames[start:stop] += pan(mono[: stop - start], position)

@@ -55,7 +55,7 @@ def band(
 
 
 def ring(excitation: Signal, frequency_hz: float, decay_s: float, samplerate: int) -> Signal:
-    """What a mode of `frequency_hz` sounds when struck by `excitation`; -60 dB after `decay_s`.
+    """The sound of a mode of `frequency_hz` struck by `excitation`; -60 dB after `decay_s`.
 
     A two-pole resonator: an impulse of height 1 gives a decaying sine that starts at amplitude 1.
     """

@@ -16,7 +16,7 @@ from audioflinger_hook.transform.reference.transform import ReferenceTransform
 
 
 class ChannelBank:
-    """Each channel through a transform of its own, or their mean through the only one.
+    """Transforms each channel separately, or the mean of the channels by one transform.
 
     transforms: one for each channel of vibration. channels: of the sound. Counts as it goes:
     `delivered_frames`, and `replaced_samples` that were unusable and counted as 0.
@@ -72,7 +72,7 @@ class ChannelBank:
         return np.concatenate(parts)
 
     def _share_programme(self) -> None:
-        """Let the loudest programme be that of all: the softer side of a sound stays softer."""
+        """Use the loudest programme level for all: the softer side of a sound stays softer."""
         loudest_db = max(follower.programme_db for follower in self._followers)
         for follower in self._followers:
             follower.programme_db = loudest_db
@@ -98,7 +98,7 @@ class ChannelBank:
         return [int(onset) for onset in loud[silent >= self._onset_after]]
 
     def finish(self) -> FloatArray:
-        """Return the last `latency_frames` of vibration, (frames, transforms); start anew."""
+        """Return the last `latency_frames` of vibration, (frames, transforms), and restart."""
         self.delivered_frames += self.latency_frames
         self._silent_frames = self._onset_after
         if len(self._followers) > 1:
@@ -110,7 +110,7 @@ class ChannelBank:
         return np.stack([one.finish() for one in self.transforms], axis=1)
 
     def reset(self) -> None:
-        """Start a new stream; the counters go on."""
+        """Start a new stream; the counters keep their values."""
         self._silent_frames = self._onset_after
         for one in self.transforms:
             one.reset()

@@ -26,7 +26,7 @@ except ImportError as error:
 
 
 def kernel_warning() -> str | None:
-    """Return why the live form is not compiled, and what that costs; None where it is."""
+    """Return why the live form is not compiled, and the cost of this; None if compiled."""
     if _kernel is not None:
         return None
     return (
@@ -101,7 +101,7 @@ class KernelStream:
         return vibration
 
     def finish(self) -> FloatArray:
-        """Return the last `latency_frames` of vibration, as if silence followed; start anew."""
+        """Return the last `latency_frames` of vibration, as if silence followed; restart."""
         rest = self.process(np.zeros((self.latency_frames, self._channels)))
         self._kernel.reset()
         return rest
@@ -242,7 +242,7 @@ class HapticTransform:
             channel.past = its
 
     def process(self, frames: Frames) -> FloatArray:
-        """Return the vibration due, (frames, channels_out) float64, full scale +-1.
+        """Return the vibration now due, (frames, channels_out) float64, full scale +-1.
 
         frames: (frames, channels), or (frames,) for one channel; float32 or float64, 0 frames
             upwards. Samples that are not finite or exceed 1e3 count as 0 and in `replaced_samples`.
@@ -260,7 +260,7 @@ class HapticTransform:
 
 
 def _choose_implementation(form: Form, wanted: Implementation | None) -> Implementation:
-    """Return how a form is computed, the faster way where there is a choice."""
+    """Return how a form is computed; if there is a choice, the faster way."""
     missing = kernel_warning()
     if wanted not in (None, "compiled", "numpy"):
         raise UsageError(

@@ -1,4 +1,4 @@
-"""The input stage: samples made usable, channels mixed, and the band-pass ahead of the analysis."""
+"""The input stage: replaces unusable samples, mixes channels, and band-passes for the analysis."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SAMPLES = (np.dtype(np.float32), np.dtype(np.float64))
 """The types of a sample, in the machine's own byte order."""
 
 MAGNITUDE_MAX = 1e3
-"""Samples above this (60 dB over full scale) count as damage, as NaN and Inf do."""
+"""Samples above this (60 dB over full scale) count as damaged, like NaN and Inf."""
 
 DENORMAL_GUARD = 1e-25
 """Added to every sample: too small for any result, large enough that no filter state, however
@@ -46,7 +46,7 @@ def fit_block(frames: Frames, channels: int) -> Frames:
 
 
 def replace_unusable(frames: Frames) -> tuple[Frames, int]:
-    """Return the frames with every unusable sample at 0, and how many there were.
+    """Return the frames with unusable samples set to 0, and the number of these samples.
 
     Unusable samples are not finite, or above `MAGNITUDE_MAX` in magnitude. Sound without one is
     returned as it is, not copied. Any shape. Called on the audio thread.
@@ -80,7 +80,7 @@ def mix_to_mono(frames: Frames) -> FloatArray:
 
 
 class Mixdown:
-    """Weighted sums of a sound's channels, each to be transformed by itself.
+    """Weighted sums of a sound's channels; each sum is transformed separately.
 
     weights: (channels, outputs). Unusable samples count as 0 before they are mixed, and in
     `replaced_samples`. Use from one thread at a time.
@@ -95,7 +95,7 @@ class Mixdown:
         ]
 
     def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, outputs) float64 for a block that `fit_block` takes, or raise as it.
+        """Return (frames, outputs) float64 for a block; raises the errors of `fit_block`.
 
         Channels are added one by one: the sum must not depend on the block's shape.
         """

@@ -30,17 +30,17 @@ class VibrationMapping:
     bottom_hz: float
     """F_b: the vibration frequency of f_m."""
     scale_hz: float
-    """B_c: Hz of vibration for each factor e of audio; 0 with equal JNDs."""
+    """B_c: Hz of vibration per factor e of audio frequency; 0 for mapping "jnd"."""
     scale_ratio: float
-    """Power of the audio frequency that vibration follows with equal JNDs; 0 for equation (4)."""
+    """Exponent: vibration follows this power of audio frequency for "jnd"; 0 for "paper"."""
     by_energy: int
-    """Level law: 1 by energy, 0 the paper's."""
+    """Level law: 1 for "energy", 0 for "tonal"."""
     full_scale_r: float
     """R: r of a full-scale tone, in Hz."""
 
     @classmethod
     def of(cls, parameters: TransformParameters, full_scale_r: float = 1.0) -> VibrationMapping:
-        """Return the mapping that parameters ask for."""
+        """Return the mapping for these parameters."""
         equal_jnds = parameters.mapping == "jnd"
         return cls(
             band_low_hz=parameters.band_low_hz,
@@ -65,7 +65,7 @@ class VibrationMapping:
         return self.scale_hz * octaves + self.bottom_hz
 
     def audio_hz(self, vibration_hz: float) -> float:
-        """Return the audio frequency in Hz that a vibration frequency in Hz stands for."""
+        """Return the audio frequency in Hz that is mapped to a vibration frequency in Hz."""
         if self.scale_ratio:
             octaves = np.log(vibration_hz / self.bottom_hz) / self.scale_ratio
         else:
@@ -89,7 +89,7 @@ class VibrationMapping:
         return strength
 
     def level_ratio(self, amplitude: FloatArray, r: FloatArray) -> float:
-        """Return the level of one window's vibration over its level by energy.
+        """Return the ratio of one window's vibration level to its level by energy.
 
         It is 1 for a steady tone, 1 / M for M equal ones by `tonal`, always 1 by `energy`. A window
         that is only partly filled by its sound gives the same ratio.

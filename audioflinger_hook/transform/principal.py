@@ -11,7 +11,7 @@ from audioflinger_hook.transform.arrays import FloatArray, IntArray
 from audioflinger_hook.transform.parameters import TransformParameters
 
 PEAK_EXPONENT = 0.2
-"""The power of A in which a Hamming main lobe is nearest to a parabola."""
+"""For this power of A a Hamming main lobe is nearest to a parabola."""
 
 HALF_POWER = 1.0 / math.sqrt(2.0)
 
@@ -32,7 +32,7 @@ class Principals:
     def take(
         self, chosen: IntArray | slice | np.ndarray[tuple[int], np.dtype[np.bool_]]
     ) -> Principals:
-        """Return the chosen ones, in their order."""
+        """Return the chosen entries, in their order."""
         return Principals(
             self.row[chosen],
             self.audio_hz[chosen],
@@ -62,7 +62,7 @@ class PrincipalFinder:
         self._first, self._last = bins_in_band(parameters, bin_hz, bins)
 
     def find(self, amplitude: FloatArray) -> Principals:
-        """Return what is principal in each row of (rows, bins), at most n a row.
+        """Return the principal frequencies of each row of (rows, bins), at most n per row.
 
         Of more than n in a row the n with the largest r are kept; of equals the lower frequency.
         Called on the audio thread.
@@ -70,7 +70,7 @@ class PrincipalFinder:
         return self.strongest(self.all_principal(amplitude))
 
     def all_principal(self, amplitude: FloatArray) -> Principals:
-        """Return everything with r > C_th in each row of (rows, bins), not cut to n."""
+        """Return all frequencies with r > C_th in each row of (rows, bins), not cut to n."""
         peaks = able_peaks(amplitude, self._peak_span_min, self._first, self._last)
         if not peaks.row.size:
             return Principals(peaks.row, *np.zeros((4, 0)))
@@ -90,12 +90,12 @@ class PrincipalFinder:
         return found if principal.all() else found.take(principal)
 
     def strongest(self, found: Principals) -> Principals:
-        """Return at most n of each row: the largest r, of equals the lower frequency."""
+        """Return at most n of each row: those of largest r; if equal, the lower frequency."""
         return strongest(found, found.r, self._partials_max)
 
 
 def strongest(found: Principals, rank: FloatArray, n: int) -> Principals:
-    """Return at most n of each row: the largest by rank, of equals the lower frequency."""
+    """Return at most n of each row: those of largest rank; if equal, the lower frequency."""
     # Entry i has more than n in its row exactly if the entry n places on is in that row too.
     if len(found) <= n or not (found.row[n:] == found.row[:-n]).any():
         return found
@@ -108,7 +108,7 @@ def strongest(found: Principals, rank: FloatArray, n: int) -> Principals:
 
 
 def bins_in_band(parameters: TransformParameters, bin_hz: float, bins: int) -> tuple[int, int]:
-    """Return the first and the last of so many bins on which a peak counts; 1 and 0 for none."""
+    """Return the first and the last bin on which a peak counts; 1 and 0 if there is none."""
     frequencies = np.arange(bins) * bin_hz
     in_band = np.flatnonzero(
         (frequencies >= parameters.band_low_hz) & (frequencies <= parameters.band_high_hz)

@@ -24,7 +24,7 @@ class Spectrum:
 
     @classmethod
     def of(cls, parameters: TransformParameters, samplerate: int) -> Spectrum:
-        """Return the spectra that parameters ask for at a samplerate in Hz."""
+        """Return the spectra for these parameters at a samplerate in Hz."""
         frames = parameters.window_frames(samplerate)
         phase = 2.0 * np.pi * np.arange(frames) / frames
         hamming = 0.54 - 0.46 * np.cos(phase)

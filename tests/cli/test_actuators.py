@@ -171,7 +171,7 @@ def test_replay_gives_what_render_gives_and_settings_come_back_from_a_recording(
     ("text", "options", "words"),
     [
         ('[[actuator]]\nchannels = ["front-left"]\n', (), "channel front-left.*numbers only"),
-        (TWO_SHAKERS, ("--channels", "each"), "'each' cannot be with .*actuator"),
+        (TWO_SHAKERS, ("--channels", "each"), "'each' cannot be used with .*actuator"),
         (TWO_SHAKERS + 'rig = "loud"\n', (), r"actuator\[2\].rig = \"loud\" is not known"),
         (TWO_SHAKERS.replace("[1]", "[0]"), (), r"line 7: actuator\[2\].channels = \[0\] wants"),
     ],

@@ -32,7 +32,7 @@ from device.errors import UsageError
 __all__ = ["LiveDesign"]
 
 BAND_MARGIN_HZ = 1_000.0
-"""Bins this far over the band's top are kept for the half-power walk of its last peaks."""
+"""Bins up to this far above the band are kept, to find the half-power width of its last peaks."""
 
 STRAIGHT_LINES = 10 ** (-0.17 / 20)
 """The reference form's half-power bandwidths, on straight lines between bins, are 0.07 to 0.27 dB
@@ -40,7 +40,7 @@ narrower than the live form's, on bells, by where between two bins a tone stands
 smaller a tone has the same level within 0.1 dB."""
 
 LATENCY_AT_HZ = 60.0
-"""Vibration frequency whose delay is declared: 78 to 95 % of the energy lies at 20 to 80 Hz."""
+"""Vibration frequency whose delay is reported: 78 to 95 % of the energy is at 20 to 80 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class LiveDesign:
         )
 
     def settings(self) -> dict[str, blob.Value]:
-        """Return what the compiled kernel takes: the numbers and tables of all sections by name."""
+        """Return the input of the compiled kernel: numbers and tables of all sections, by name."""
         found: dict[str, blob.Value] = {}
         for section in (getattr(self, name) for name in SECTIONS):
             for item in fields(section):
@@ -156,7 +156,7 @@ class LiveDesign:
         return found
 
     def to_bytes(self) -> bytes:
-        """Return the design as bytes, of the layout that `design.blob` documents.
+        """Return the design as bytes, in the layout that `design.blob` documents.
 
         The bytes hold `samplerate`, `latency_frames`, `tonal_latency_frames` and `settings()`.
         """
@@ -165,7 +165,7 @@ class LiveDesign:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> LiveDesign:
-        """Return the design that `to_bytes` has written.
+        """Return the design from bytes of `to_bytes`.
 
         data: all of it.
         UsageError: the bytes are cut, damaged, of another version, or hold something else.
@@ -207,7 +207,7 @@ def _section(kind: Any, values: dict[str, blob.Value]) -> Any:
 
 
 def _taken(values: dict[str, blob.Value], name: str, kind: type) -> Any:
-    """Take a value of a type out of those that are left."""
+    """Take a value of a type from the values that are left."""
     value = values.pop(name, None)
     if not isinstance(value, kind):
         raise UsageError(f"the design lacks {name}, or holds it as something else")

@@ -1,4 +1,4 @@
-"""Design of what listens: the input stage, the analysis of windows and the search for onsets."""
+"""Design of the listening parts: input stage, analysis of windows and search for onsets."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ NEIGHBOURS = 7
 """Bins to either side of a peak that are cleared: its main lobe, and the half-power walk on it."""
 
 TABLE_BINS_A_BIN = 32
-"""Entries of the window's table a bin: a line between them is within 0.2 % of a side lobe."""
+"""Entries of the window's table per bin; linear interpolation errs by 0.2 % of a side lobe."""
 
 SIDE_LOBE = 10 ** (-40 / 20)
-"""Side lobes of a Hamming window stand 42.7 dB under their peak."""
+"""Side lobes of a Hamming window are 42.7 dB below their peak."""
 
 SIDE_LOBE_FOLLOWED = 10 ** (-34 / 20)
 """The same with the loudness follower, whose lower C_th passes the side lobes of a low tone and of
 its image, which add up to 36.7 dB under it."""
 
 OLD_SIDE_S, NEW_SIDE_S = 0.004, 0.001
-"""The onset window rises for so long and falls for so long: what is newest counts at once."""
+"""Rise and fall times of the onset window: the newest sound counts at once."""
 
 EDGES_HZ = (200, 400, 600, 800, 1_200, 1_800, 2_600, 3_800, 5_600, 8_200, 12_000)
 """Edges of the onset bands. Under the first, a swing looks like a shift of the mean."""
@@ -61,7 +61,7 @@ class InputDesign:
     """How samples are made usable and band-passed."""
 
     silence: float
-    """A window whose peak is under this holds nothing principal."""
+    """A window whose peak is below this has no principal frequency."""
     band_b: FloatArray
     """Band-pass: the numerator."""
     band_a: FloatArray
@@ -87,7 +87,7 @@ class AnalysisDesign:
     first_bin: int
     """First bin on which a peak counts."""
     last_bin: int
-    """Last bin on which a peak counts; under the first for none."""
+    """Last bin on which a peak counts; below `first` if there is none."""
     partials_max: int
     bin_hz: float
     threshold_hz: float
@@ -97,7 +97,7 @@ class AnalysisDesign:
     weakest_image: float
     """Peaks up to this amplitude keep their image."""
     weakest_share: float
-    """So do peaks up to this share of the highest low amplitude."""
+    """Peaks up to this share of the highest low amplitude keep their image, too."""
     image_first: float
     """The window's first sample as a share of the sum of the others."""
     side_lobe: float
@@ -138,14 +138,14 @@ class AnalysisDesign:
 
 @dataclass(frozen=True, eq=False)
 class OnsetDesign:
-    """How onsets are found in short windows, and what they give birth to."""
+    """How onsets are found in short windows, and which partials they start."""
 
     find_onsets: int
-    """0 where there is only the analysis."""
+    """0 if there is only the analysis, without onsets."""
     short_frames: int
     """Frames in the onset window."""
     short_length: int
-    """Length of its spectrum."""
+    """Length of the window's spectrum."""
     short_bins: int
     """Bins that are looked at."""
     short_ticks: int
@@ -155,11 +155,11 @@ class OnsetDesign:
     short_scale: float
     """Factor from squared bins to mean squares."""
     quietest: float
-    """Power under which there are no onsets."""
+    """Power below which there are no onsets."""
     weakest: float
-    """Amplitude under which nothing is born."""
+    """Amplitude below which no partial starts."""
     fading: float
-    """Factor on the highest power of late, each tick."""
+    """Factor on the highest recent power, applied each tick."""
     short_window: FloatArray
     short_hz: FloatArray
     """Vibration frequency of each bin."""
@@ -182,15 +182,15 @@ class OnsetDesign:
     heard_ticks: int = 4
     """Ticks over which an onset's sound is measured, each better than the last."""
     groups_max: int = GROUPS_MAX
-    """Groups of bands in which one onset gives birth at most."""
+    """Largest number of groups of bands in which one onset starts partials."""
     fresh_max: int = 2 * GROUPS_MAX
-    """Onset partials at a time."""
+    """Largest number of onset partials at a time."""
     forgotten: float = 1e-30
-    """A power that counts as none."""
+    """Power that counts as zero."""
     apart_from: float = 1.0 + 1e-9
     """Ratio from which on two bands differ, so that rounding decides nothing between equals."""
     worth: float = 0.25
-    """Nothing is born where less than this share of its amplitude lacks."""
+    """No partial starts if less than this share of its amplitude is missing."""
     birth_phase: float = 0.75
     """Phase at birth in cycles: a sine, whose first swing is felt at once."""
     one_tone: FloatArray = field(default_factory=lambda: np.array((0.12, 0.28, 0.34, 0.36)))

@@ -1,4 +1,4 @@
-"""Design of what follows the sound's character: its loudness, and speech in it."""
+"""Design of the parts that follow the sound's loudness and detect speech."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ HIGH_PASS_HZ, HIGH_PASS_Q = 38.13547087602444, 0.5003270373238773
 """The analogue filters whose digital form at 48 kHz is what BS.1770-4 prints (K-weighting)."""
 
 LEVEL_AT_HZ = 1_000.0
-"""A full-scale tone of this frequency has a loudness of 0 dB here: 3.01 dB over its LKFS."""
+"""A full-scale tone of this frequency has 0 dB loudness here: 3.01 dB above its LKFS."""
 
 PROGRAMME_TOP_DB = -10.0
-"""Loudness of the loudest programmes; the quietest that are lifted are `loudness_db` under it."""
+"""Loudness of the loudest programmes; programmes down to `loudness_db` below it are lifted."""
 
 PROGRAMME_START_DB = -20.0
 """Level of the programme before any sound."""
@@ -35,19 +35,19 @@ RISE_S, FALL_S = 10.0, 5.0
 """... and by what is missing, in so many seconds: after 20 dB less it is 4 dB off in 4 s."""
 
 FLOOR_RISE_DB_A_S = 2.0
-"""The noise floor is the least loudness of late: it falls at once and rises by this."""
+"""The noise floor is the least recent loudness: it falls at once and rises at this rate."""
 
 PHONS_A_SLOPE = 20.0
 
 OCTAVES_HZ = (100.0, 200.0, 400.0, 800.0, 1_600.0, 3_200.0, 8_000.0)
-"""Edges of the six speech bands; the last holds what hisses."""
+"""Edges of the six speech bands; the last band has the hissing sounds."""
 
 PITCH_HZ = 70.0, 320.0
 """Pitches from men with deep voices to children."""
 PITCHES = 44
-"""Combs that are tried, evenly spaced in a logarithm: 3.6 % apart."""
+"""Number of combs tried, evenly spaced in logarithm: 3.6 % apart."""
 COMB_TOP_HZ, COMB_TEETH = 1_600.0, 10
-"""A comb's highest tooth, and how many it has at most."""
+"""A comb's highest tooth in Hz, and its largest number of teeth."""
 
 MEMORY_S = 0.3
 """Time constant of all averages."""
@@ -58,11 +58,11 @@ PEAK_DB_A_SECOND = 6.0
 ATTACK_S, RELEASE_S = 0.1, 0.5
 """Time in which belief in speech goes from 0 to 1, and back."""
 REST_S = 1.5
-"""After so much silence everything is forgotten."""
+"""After this much silence everything is forgotten."""
 VOICE_LEARNT_S = 0.15
-"""Time constant in which the level of the voice is learnt, octave by octave."""
+"""Time constant of learning the level of the voice, octave by octave."""
 VOICE_DB_A_SECOND = 6.0
-"""Rate at which it is forgotten."""
+"""Rate at which the level of the voice is forgotten."""
 BACKGROUND_S, BACKGROUND_DB_A_SECOND = 0.05, 8.0
 """An octave's background falls in this time constant, and rises at this rate."""
 
@@ -91,7 +91,7 @@ background. between: distance from the nearest harmonic, in pitches.
 
 @dataclass(frozen=True, eq=False)
 class LoudnessDesign:
-    """How vibration follows loudness; levels in dB, rates in dB a hop."""
+    """How vibration follows loudness; levels in dB, rates in dB per hop."""
 
     programme_start: float
     """Level of the programme before any sound."""
@@ -105,7 +105,7 @@ class LoudnessDesign:
     release: float
     """Rate at which loudness falls."""
     floor_min: float
-    """Loudness up to which nothing is felt."""
+    """Loudness up to which there is no vibration."""
     floor_rise: float
     """Rate at which the noise floor rises."""
     gate: float
@@ -117,23 +117,23 @@ class LoudnessDesign:
     gain_max: float
     """Largest factor on amplitudes."""
     loudness_weights: FloatArray
-    """Weight of each bin's squared magnitude; empty where loudness is not followed."""
+    """Weight of each bin's squared magnitude; empty if loudness is not followed."""
     programme_top: float = PROGRAMME_TOP_DB
     far: float = 20.0
     """More than this is not missing: the level rises by 4 dB a second at most and falls by 6."""
     floor_under: float = 30.0
-    """The noise floor stays so far under the programme's level: a steady sound is no noise."""
+    """The noise floor stays this far below the programme's level: a steady sound is no noise."""
     gate_margin: float = 0.01
     """Share of the gate's width that is still silent. At the floor itself, where the quietest
     recent hop stands exactly, rounding would decide."""
     nothing: float = 1e-20
-    """Energy under which a window counts as -200 dB: no logarithm of 0."""
+    """Energy below which a window counts as -200 dB, to avoid the logarithm of 0."""
 
     @classmethod
     def of(
         cls, parameters: TransformParameters, hop_s: float, weights: FloatArray | None = None
     ) -> LoudnessDesign:
-        """Return the design for hops of so many seconds; weights: of `bin_weights`."""
+        """Return the design for hops of this many seconds; weights: from `bin_weights`."""
         programme_min = PROGRAMME_TOP_DB - parameters.loudness_db
         return cls(
             programme_start=max(programme_min, PROGRAMME_START_DB),
@@ -157,7 +157,7 @@ class SpeechDesign:
     """How speech is detected and lowered. A share is what an average takes on in one hop."""
 
     speech_db: float
-    """By how much speech is lowered; 0 for off."""
+    """Reduction of speech; 0 for off."""
     speech_average: float
     speech_fast: float
     speech_slow: float
@@ -181,20 +181,20 @@ class SpeechDesign:
     """Quiet hops tell nothing of pitch, and count this share where swings are averaged: else a
     pause would be enough to forget who spoke."""
     speech_swing_max_db: float = 12.0
-    """Swings count up to here: a sound that starts is not taken for a syllable for long."""
+    """Swings are limited to this, so that a start of sound counts only briefly as a syllable."""
     speech_silent_power: float = 1e-9
     """All levels are in dB above this power, 50 dB under that of the weakest tone that can be
     principal in silence."""
     speech_unheard: float = 1e-5
-    """Share of the loudest power under which no octave's level falls."""
+    """An octave's level stays above this share of the loudest power."""
     speech_even: float = 1e-14
     """Share of the highest power that every bin has at least: less is rounding beside a line."""
     speech_equal: float = 1e-9
-    """Combs this near to the best are equals, of which the lowest is taken."""
+    """Combs this near to the best count as equal; the lowest of them is used."""
     speech_flat: float = 1e-6
     """The three combs around the best are curved at least by this."""
     speech_steady_pitch: float = 0.004
-    """A pitch rests where its logarithm changes by less in a hop: a 15th of a semitone."""
+    """A pitch rests if its logarithm changes by less than this per hop: a 15th of a semitone."""
     speech_likely: float = 0.5
     """Belief rises where the four cues say more than this, ..."""
     speech_likely_still: float = 0.25
@@ -209,7 +209,7 @@ class SpeechDesign:
 
     @classmethod
     def of(cls, suppression_db: float, bin_hz: float, bins: int, hop_s: float) -> SpeechDesign:
-        """Return the design for spectra of so many bins, one in each hop."""
+        """Return the design for spectra with this many bins, one spectrum per hop."""
         octaves_hz = np.array(OCTAVES_HZ)
         edges = [min(bins, max(1, round(hz / bin_hz))) for hz in OCTAVES_HZ]
         log_pitches = np.linspace(math.log(PITCH_HZ[0]), math.log(PITCH_HZ[1]), PITCHES)
@@ -242,7 +242,7 @@ def k_weight(audio_hz: FloatArray) -> FloatArray:
 
 
 def bin_weights(spectrum: Spectrum, bins: int) -> FloatArray:
-    """Return what the squared magnitude of each of the first bins counts, (bins,).
+    """Return the weights of the squared magnitudes of the first bins, (bins,).
 
     The sum over a tone's bins is its squared amplitude, times `k_weight`.
     """

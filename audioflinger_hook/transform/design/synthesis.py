@@ -1,4 +1,4 @@
-"""Design of what plays: the time grid, the tracking of partials, oscillators and low-pass."""
+"""Design of the playing parts: time grid, tracking of partials, oscillators and low-pass."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HOPS_A_WINDOW = 2.55
 """The hop is about 18 ms. Onsets do not wait for it, and a shorter one costs more."""
 
 TICK_S = 0.002
-"""Onsets are looked for, and vibration is computed, once in this time."""
+"""Interval at which onsets are searched and vibration is computed."""
 
 ATTACK_HOPS = 0.35
 """Share of a hop in which amplitudes glide where their sum rises: an onset is felt 5 ms earlier
@@ -35,7 +35,7 @@ MATCH_HZ_A_WINDOW = 2.0
 ORDER = 6
 RIPPLE_DB = 0.5
 STOP_DB = 40.0
-"""Of the elliptic low-pass."""
+"""Order, ripple and attenuation of the elliptic low-pass."""
 
 EDGE_MARGIN = 1.01
 """The pass band ends at the top vibration frequency times this."""
@@ -60,7 +60,7 @@ class LiveGrid:
     decimation: int
     """Frames in one step of the low rate."""
     tick_steps: int
-    """Steps from one look for onsets to the next."""
+    """Steps from one search for onsets to the next."""
     ticks: int
     """Ticks in one hop."""
     steps: int
@@ -102,7 +102,7 @@ class TrackingDesign:
     """How partials are matched, averaged and held from hop to hop."""
 
     hold_hops: int
-    """Hops for which a partial that was born of an onset is held."""
+    """Hops for which a partial from an onset is held."""
     match_audio_hz: float
     """A partial may move by this in one hop, in Hz of audio, ..."""
     match_ratio: float = 0.12
@@ -121,11 +121,11 @@ class TrackingDesign:
     fresh_reach: float = 2.0
     """Factor on the reach of a partial that is held, of which little is known yet."""
     worth_holding: float = 0.05
-    """Share of its amplitude under which a partial is not held any more."""
+    """Share of its amplitude below which a partial is no longer held."""
 
     @classmethod
     def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:
-        """Return the design for hops of so many seconds."""
+        """Return the design for hops of this many seconds."""
         return cls(
             hold_hops=max(1, round(parameters.window_s / hop_s)),
             match_audio_hz=MATCH_HZ_A_WINDOW / parameters.window_s,
