@@ -72,6 +72,6 @@ bench:
 	.venv/bin/python -m tools.bench --out docs/benchmarks.md $$(.venv/bin/python -c 'import matplotlib' 2>/dev/null && echo --plots docs/images)
 
 clean:
-	rm -f audioflinger_hook/transform/*.so device/*.so
+	rm -f audioflinger_hook/transform/*.so audioflinger_hook/plugin/*.so device/*.so
 	rm -rf .venv .cache .pytest_cache .mypy_cache .ruff_cache .hypothesis build dist *.egg-info
 	find audioflinger_hook device tests tools -type d -name __pycache__ -exec rm -rf {} +

@@ -29,6 +29,7 @@ cd "$(dirname "$0")/.."
 root=$(pwd -P)
 venv_python=.venv/bin/python
 transform=audioflinger_hook/transform
+plugin=audioflinger_hook/plugin
 stamp=.venv/setup-stamp
 unfinished=.venv/setup-unfinished # there while .venv is being changed: it survives a kill
 uncompiled=.venv/setup-uncompiled # there where the transform could not be compiled
@@ -277,7 +278,7 @@ require_system() {
 # What the stamp says of a finished set-up; the extras follow on a line of their own.
 stamp_head() {
     echo "$root"
-    cksum pyproject.toml tools/setup.sh "$transform"/native/* device/native/*
+    cksum pyproject.toml setup.py tools/setup.sh "$transform"/native/* "$plugin"/native/* device/native/*
 }
 
 # Whether PYTHON, where it is given, is the Python that .venv was made from.
@@ -341,7 +342,7 @@ pip_install() {
 
 install_project() {
     say "installing the Python packages (the first time takes a minute or two)"
-    rm -f "$transform"/*.so device/*.so # what was built of other sources must not stand in
+    rm -f "$transform"/*.so "$plugin"/*.so device/*.so # what was built of other sources must not stand in
     pip_install ".[$wanted]" && return
     if ! lost_network; then
         without_figures=${wanted#figures}

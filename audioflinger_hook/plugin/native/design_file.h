@@ -1,0 +1,22 @@
+/* A design of the live form, read from the file that Python wrote (transform/design/blob.py). */
+
+#ifndef CUSHION_DESIGN_FILE_H
+#define CUSHION_DESIGN_FILE_H
+
+#include <stddef.h>
+
+#include "../../transform/native/settings.h"
+
+typedef struct {
+    Settings settings; /* its tables lie in `bytes` */
+    size_t samplerate;
+    size_t latency_frames;
+    void *bytes;
+} Design;
+
+/* Read a file into a design; return NULL, or what is wrong with it: then nothing stays allocated. */
+const char *design_read(Design *design, const char *path);
+
+void design_close(Design *design);
+
+#endif

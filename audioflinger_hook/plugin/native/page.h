@@ -1,0 +1,59 @@
+/* The page of memory that the daemon and the plugin share; plugin/page.py reads the same layout.
+ *
+ * The daemon names the file in HAPTIC_CUSHION_PAGE. Each value has one writer and is written at
+ * once, so neither side waits for the other. Readings are the plugin's, wishes the daemon's. */
+
+#ifndef CUSHION_PAGE_H
+#define CUSHION_PAGE_H
+
+#include <stdint.h>
+
+#define PAGE_MAGIC UINT64_C(0x3145474150485543) /* "CUHPAGE1" */
+#define PAGE_SOURCES 8
+#define PAGE_ACTUATORS 64
+#define SECTION_NUMBERS 6
+
+typedef struct {
+    uint64_t frames, replaced, limited;
+    double sound_peak, sound_square;         /* of the input */
+    double vibration_peak, vibration_square; /* of the transform */
+} SourceReadings;
+
+typedef struct {
+    double gain;      /* -1 to 1 */
+    double delay_s;   /* 0 to 1 */
+    uint64_t audible; /* 0 or 1 */
+    uint64_t damped;  /* whether the section below is in use; read when the stream starts */
+    double damping_gain;
+    double section[SECTION_NUMBERS]; /* b0 b1 b2 1 a1 a2 */
+} ActuatorWishes;
+
+typedef struct {
+    uint64_t frames;
+    double peak, square;
+    double level; /* of the fade, 0 to 1 */
+} ActuatorReadings;
+
+typedef struct {
+    uint64_t magic;
+    uint64_t size; /* of all of it */
+    SourceReadings sources[PAGE_SOURCES];
+    ActuatorWishes wishes[PAGE_ACTUATORS];
+    ActuatorReadings actuators[PAGE_ACTUATORS];
+} Page;
+
+/* Aligned words are read and written whole; the compiler must neither leave out nor repeat it. */
+#define PAGE_LOAD(place, into) __atomic_load(&(place), &(into), __ATOMIC_RELAXED)
+#define PAGE_STORE(place, value)                                                                   \
+    do {                                                                                           \
+        __typeof__(place) word_ = (value);                                                         \
+        __atomic_store(&(place), &word_, __ATOMIC_RELAXED);                                        \
+    } while (0)
+
+/* The page that the environment names, NULL where it names none or nothing that fits. Each call
+ * maps it anew. */
+Page *page_open(void);
+
+void page_close(Page *page);
+
+#endif
