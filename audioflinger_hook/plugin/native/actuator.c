@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define DELAY_MAX_S 1.0
+#define DELAY_MAX_S 2.0
 #define AUDIBLE_FADE_S 0.02
 #define REST_S 0.05
 #define SILENT 1e-30
@@ -124,6 +124,6 @@ void actuator_process(Actuator *actuator, size_t slot, const float *input, float
         PAGE_STORE(readings->frames, actuator->frames);
         PAGE_STORE(readings->peak, actuator->meter.peak);
         PAGE_STORE(readings->square, actuator->meter.square);
-        PAGE_STORE(readings->level, actuator->audible.now);
+        PAGE_STORE(readings->audible, actuator->audible.now);
     }
 }

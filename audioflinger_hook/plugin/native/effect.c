@@ -21,7 +21,6 @@ Effect *effect_open(const char *profile, unsigned long samplerate, size_t channe
         effect_close(effect);
         return NULL;
     }
-    effect->page = page_open();
     effect_reset(effect);
     return effect;
 }
@@ -30,7 +29,6 @@ void effect_close(Effect *effect)
 {
     if (!effect)
         return;
-    page_close(effect->page);
     delay_close(&effect->delay);
     source_close(effect->source);
     free(effect);
@@ -48,21 +46,6 @@ static double within(double value, double least, double most, double otherwise)
     if (isnan(value))
         return otherwise;
     return value < least ? least : value > most ? most : value;
-}
-
-static void show_readings(const Effect *effect, size_t slot)
-{
-    const Source *source = effect->source;
-    if (!effect->page || slot >= PAGE_SOURCES)
-        return;
-    SourceReadings *readings = &effect->page->sources[slot];
-    PAGE_STORE(readings->frames, source->frames);
-    PAGE_STORE(readings->replaced, source->live.replaced);
-    PAGE_STORE(readings->limited, source->live.limited);
-    PAGE_STORE(readings->sound_peak, source->sound.peak);
-    PAGE_STORE(readings->sound_square, source->sound.square);
-    PAGE_STORE(readings->vibration_peak, source->vibration.peak);
-    PAGE_STORE(readings->vibration_square, source->vibration.square);
 }
 
 void effect_process(Effect *effect, EffectControls controls, const float *const *inputs,
@@ -96,7 +79,6 @@ void effect_process(Effect *effect, EffectControls controls, const float *const 
                 memcpy(outputs[output] + done, effect->vibration, part * sizeof(float));
         done += part;
     }
-    show_readings(effect, controls.page_slot);
 }
 
 double effect_latency_frames(const Effect *effect)

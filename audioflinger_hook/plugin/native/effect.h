@@ -5,7 +5,6 @@
 
 #include "delay_line.h"
 #include "fade.h"
-#include "page.h"
 #include "source.h"
 
 #define EFFECT_CHANNELS_MAX CHANNELS_MAX
@@ -15,7 +14,6 @@ typedef struct {
     Source *source;
     DelayLine delay;
     Fade gain, open;
-    Page *page;
     float vibration[PIECE_FRAMES];
     int fresh; /* nothing was processed since the last reset */
 } Effect;
@@ -24,7 +22,6 @@ typedef struct {
     double gain_db;
     double delay_ms;
     int bypass; /* silence */
-    size_t page_slot; /* of the readings */
 } EffectControls;
 
 /* Make an effect, NULL after one line on stderr. Allocates. */

@@ -1,24 +1,25 @@
 /* The LADSPA face.
  *
  * For any host: haptic_cushion_paper, _cinema, _game and _music (stereo to stereo), and _mono.
- * For the daemon: haptic_cushion_source_1 to _8, whose number is that of the channels of sound, and
- * haptic_cushion_actuator. Their control `slot` is a place in the page that the daemon shares. */
+ * For the daemon: haptic_cushion_daemon and haptic_cushion_actuator, which follow the page that the
+ * daemon shares. The control `slot` of an actuator is its place there. */
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "actuator.h"
+#include "daemon_transform.h"
 #include "effect.h"
 #include "ladspa_abi.h"
 
 #define FIRST_ID 5180 /* of the range for development; LADSPA gives out no other any more */
-#define PORTS_MAX (EFFECT_CHANNELS_MAX + 8)
+#define PORTS_MAX (2 * PAGE_CHANNELS)
 #define MONO_PROFILE "paper"
 
 /* ---------------------------------------------------------------------------------- what there is */
 
-typedef enum { EFFECT, SOURCE, ACTUATOR } Kind;
+typedef enum { EFFECT, TRANSFORM, ACTUATOR } Kind;
 
 typedef struct {
     const char *label, *name, *profile;
@@ -32,11 +33,8 @@ static const Face FACES[] = {
     {"haptic_cushion_game", "Haptic Cushion (game)", "game", EFFECT, 2, 2},
     {"haptic_cushion_music", "Haptic Cushion (music)", "music", EFFECT, 2, 2},
     {"haptic_cushion_mono", "Haptic Cushion (mono)", MONO_PROFILE, EFFECT, 1, 1},
-#define SOURCE_FACE(count)                                                                         \
-    {"haptic_cushion_source_" #count, "Haptic Cushion source, channels: " #count, MONO_PROFILE,    \
-     SOURCE, count, 1}
-    SOURCE_FACE(1), SOURCE_FACE(2), SOURCE_FACE(3), SOURCE_FACE(4),
-    SOURCE_FACE(5), SOURCE_FACE(6), SOURCE_FACE(7), SOURCE_FACE(8),
+    {"haptic_cushion_daemon", "Haptic Cushion of the daemon", MONO_PROFILE, TRANSFORM, PAGE_CHANNELS,
+     PAGE_CHANNELS},
     {"haptic_cushion_actuator", "Haptic Cushion actuator", "", ACTUATOR, 1, 1},
 };
 
@@ -68,6 +66,7 @@ typedef struct {
     float *ports[PORTS_MAX];
     Effect *effect;
     Actuator *actuator;
+    DaemonTransform *transform;
 } Instance;
 
 static void cleanup(void *instance)
@@ -75,6 +74,7 @@ static void cleanup(void *instance)
     Instance *made = instance;
     effect_close(made->effect);
     actuator_close(made->actuator);
+    daemon_transform_close(made->transform);
     free(made);
 }
 
@@ -87,9 +87,11 @@ static void *instantiate(const LadspaDescriptor *descriptor, unsigned long sampl
     made->face = face;
     if (face->kind == ACTUATOR)
         made->actuator = actuator_open(samplerate);
+    else if (face->kind == TRANSFORM)
+        made->transform = daemon_transform_open(samplerate);
     else
         made->effect = effect_open(face->profile, samplerate, face->inputs);
-    if (!made->effect && !made->actuator) {
+    if (!made->effect && !made->actuator && !made->transform) {
         cleanup(made);
         return NULL;
     }
@@ -109,6 +111,8 @@ static void activate(void *instance)
         effect_reset(made->effect);
     if (made->actuator)
         actuator_reset(made->actuator);
+    if (made->transform)
+        daemon_transform_reset(made->transform);
 }
 
 static float control_of(const Instance *made, unsigned which, float otherwise)
@@ -133,23 +137,19 @@ static size_t slot_of(const Instance *made)
 static void run_effect(Instance *made, unsigned long frames)
 {
     const Face *face = made->face;
-    const int is_public = face->kind == EFFECT;
     const EffectControls controls = {
-        .gain_db = is_public ? control_of(made, GAIN, 0.0f) : 0.0,
-        .delay_ms = is_public ? control_of(made, DELAY, 0.0f) : 0.0,
-        .bypass = is_public && control_of(made, BYPASS, 0.0f) > 0.0f,
-        .page_slot = is_public ? PAGE_SOURCES : slot_of(made),
+        .gain_db = control_of(made, GAIN, 0.0f),
+        .delay_ms = control_of(made, DELAY, 0.0f),
+        .bypass = control_of(made, BYPASS, 0.0f) > 0.0f,
     };
     const float *inputs[EFFECT_CHANNELS_MAX] = {NULL};
     for (unsigned channel = 0; channel < face->inputs; channel++)
         inputs[channel] = made->ports[channel];
     effect_process(made->effect, controls, inputs, face->inputs, made->ports + face->inputs,
                    face->outputs, frames);
-    if (is_public) {
-        report(made, LATENCY, effect_latency_frames(made->effect));
-        report(made, SOUND_PEAK, peak_dbfs(&made->effect->source->sound));
-        report(made, VIBRATION_PEAK, peak_dbfs(&made->effect->source->vibration));
-    }
+    report(made, LATENCY, effect_latency_frames(made->effect));
+    report(made, SOUND_PEAK, peak_dbfs(&made->effect->source->sound));
+    report(made, VIBRATION_PEAK, peak_dbfs(&made->effect->source->vibration));
 }
 
 static void run(void *instance, unsigned long frames)
@@ -157,6 +157,8 @@ static void run(void *instance, unsigned long frames)
     Instance *made = instance;
     if (made->effect)
         run_effect(made, frames);
+    else if (made->transform)
+        daemon_transform_process(made->transform, made->ports, made->ports + PAGE_CHANNELS, frames);
     else
         actuator_process(made->actuator, slot_of(made), made->ports[0], made->ports[1], frames);
 }
@@ -170,7 +172,8 @@ static LadspaDescriptor descriptors[FACES_COUNT];
 
 static const char *const INPUT_NAMES[] = {"In 1", "In 2", "In 3", "In 4",
                                           "In 5", "In 6", "In 7", "In 8"};
-static const char *const OUTPUT_NAMES[] = {"Out 1", "Out 2"};
+static const char *const OUTPUT_NAMES[] = {"Out 1", "Out 2", "Out 3", "Out 4",
+                                           "Out 5", "Out 6", "Out 7", "Out 8"};
 
 static void describe(size_t which)
 {
@@ -189,7 +192,7 @@ static void describe(size_t which)
         port_names[which][port] = CONTROLS[control].name;
         port_ranges[which][port] = CONTROLS[control].range;
     }
-    if (face->kind != EFFECT) {
+    if (face->kind == ACTUATOR) {
         port_descriptors[which][port] = LADSPA_INPUT | LADSPA_CONTROL;
         port_names[which][port] = "slot";
         port_ranges[which][port] =

@@ -9,21 +9,29 @@
 #include <stdint.h>
 
 #define PAGE_MAGIC UINT64_C(0x3145474150485543) /* "CUHPAGE1" */
-#define PAGE_SOURCES 8
-#define PAGE_ACTUATORS 64
+#define PAGE_CHANNELS 8
+#define PAGE_ACTUATORS 32
 #define SECTION_NUMBERS 6
+
+/* What the transform is to do; read once, when it is made. */
+typedef struct {
+    uint64_t channels; /* of the tap */
+    uint64_t outputs;  /* vibrations */
+    uint64_t mixed;    /* 1: each output is a mix by the weights; 0: the mean, or each channel */
+    double weights[PAGE_CHANNELS][PAGE_CHANNELS]; /* of a channel in an output */
+} TransformWishes;
 
 typedef struct {
     uint64_t frames, replaced, limited;
-    double sound_peak, sound_square;         /* of the input */
+    double sound_peak, sound_square;         /* of the tap */
     double vibration_peak, vibration_square; /* of the transform */
-} SourceReadings;
+} TransformReadings;
 
 typedef struct {
     double gain;      /* -1 to 1 */
-    double delay_s;   /* 0 to 1 */
+    double delay_s;   /* 0 to 2 */
     uint64_t audible; /* 0 or 1 */
-    uint64_t damped;  /* whether the section below is in use; read when the stream starts */
+    uint64_t damped;  /* whether the section below is in use */
     double damping_gain;
     double section[SECTION_NUMBERS]; /* b0 b1 b2 1 a1 a2 */
 } ActuatorWishes;
@@ -31,13 +39,14 @@ typedef struct {
 typedef struct {
     uint64_t frames;
     double peak, square;
-    double level; /* of the fade, 0 to 1 */
+    double audible; /* the fade's factor, 0 to 1 */
 } ActuatorReadings;
 
 typedef struct {
     uint64_t magic;
     uint64_t size; /* of all of it */
-    SourceReadings sources[PAGE_SOURCES];
+    TransformWishes transform;
+    TransformReadings readings;
     ActuatorWishes wishes[PAGE_ACTUATORS];
     ActuatorReadings actuators[PAGE_ACTUATORS];
 } Page;

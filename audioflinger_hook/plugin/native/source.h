@@ -20,7 +20,7 @@ typedef struct {
 } Source;
 
 /* Make the transform of a profile for a samplerate; NULL after one line on stderr that says why.
- * Allocates. profile: name of the design file, unless HAPTIC_CUSHION_DESIGN names one. */
+ * Allocates. */
 Source *source_open(const char *profile, unsigned long samplerate, size_t channels);
 
 void source_close(Source *source);

@@ -1,0 +1,151 @@
+/* The daemon's transform. */
+
+#include "daemon_transform.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "../../transform/native/live.h"
+#include "design_file.h"
+#include "level_meter.h"
+
+#define PIECE_FRAMES 1024
+
+struct DaemonTransform {
+    Page *page;
+    TransformWishes wishes;
+    Design design;
+    Live live;
+    LevelMeter sound, vibration;
+    uint64_t frames, replaced;
+    float samples[PIECE_FRAMES * PAGE_CHANNELS];
+    double mixed[PIECE_FRAMES * PAGE_CHANNELS];
+    double computed[PIECE_FRAMES * PAGE_CHANNELS];
+};
+
+static int wishes_fit(const TransformWishes *wishes)
+{
+    const uint64_t channels = wishes->channels, outputs = wishes->outputs;
+    return channels >= 1 && channels <= PAGE_CHANNELS && outputs >= 1 && outputs <= PAGE_CHANNELS &&
+           (wishes->mixed || outputs == 1 || outputs == channels);
+}
+
+DaemonTransform *daemon_transform_open(unsigned long samplerate)
+{
+    DaemonTransform *transform = calloc(1, sizeof *transform);
+    if (!transform)
+        return NULL;
+    transform->page = page_open();
+    if (transform->page)
+        transform->wishes = transform->page->transform;
+    else
+        transform->wishes = (TransformWishes){.channels = 2, .outputs = 1};
+    const TransformWishes *wishes = &transform->wishes;
+    if (!wishes_fit(wishes)) {
+        fprintf(stderr, "haptic_cushion: the daemon's page does not fit this plugin\n");
+        daemon_transform_close(transform);
+        return NULL;
+    }
+    const size_t channels = (size_t)(wishes->mixed ? wishes->outputs : wishes->channels);
+    const int each = wishes->mixed || wishes->outputs > 1;
+    if (!design_find(&transform->design, "paper", samplerate) ||
+        live_open(&transform->live, &transform->design.settings, channels, each)) {
+        daemon_transform_close(transform);
+        return NULL;
+    }
+    transform->sound.samplerate = transform->vibration.samplerate = (double)samplerate;
+    return transform;
+}
+
+void daemon_transform_close(DaemonTransform *transform)
+{
+    if (!transform)
+        return;
+    live_close(&transform->live);
+    design_close(&transform->design);
+    page_close(transform->page);
+    free(transform);
+}
+
+void daemon_transform_reset(DaemonTransform *transform) { live_reset(&transform->live); }
+
+/* Mix by the weights, channel by channel in order, as transform/input_stage.py does. */
+static void mix(DaemonTransform *transform, size_t frames)
+{
+    const TransformWishes *wishes = &transform->wishes;
+    const size_t channels = (size_t)wishes->channels, outputs = (size_t)wishes->outputs;
+    const double most = transform->design.settings.magnitude_max;
+    for (size_t at = 0; at < frames * channels; at++) {
+        if (!(fabsf(transform->samples[at]) <= most)) {
+            transform->samples[at] = 0.0f;
+            transform->replaced++;
+        }
+    }
+    for (size_t frame = 0; frame < frames; frame++) {
+        for (size_t output = 0; output < outputs; output++) {
+            double sum = 0.0;
+            for (size_t channel = 0; channel < channels; channel++)
+                if (wishes->weights[channel][output] != 0.0)
+                    sum += (double)transform->samples[frame * channels + channel] *
+                           wishes->weights[channel][output];
+            transform->mixed[frame * outputs + output] = sum;
+        }
+    }
+}
+
+static void process_piece(DaemonTransform *transform, float *const *inputs, float *const *outputs,
+                          size_t done, size_t frames)
+{
+    const TransformWishes *wishes = &transform->wishes;
+    const size_t channels = (size_t)wishes->channels, count = (size_t)wishes->outputs;
+    for (size_t channel = 0; channel < channels; channel++)
+        for (size_t frame = 0; frame < frames; frame++)
+            transform->samples[frame * channels + channel] =
+                inputs[channel] ? inputs[channel][done + frame] : 0.0f;
+    level_add(&transform->sound, transform->samples, frames * channels, channels);
+    if (wishes->mixed)
+        mix(transform, frames);
+    const size_t width = wishes->mixed ? sizeof(double) : sizeof(float);
+    const size_t taken = wishes->mixed ? count : channels;
+    const Sound sound = {
+        .at = wishes->mixed ? (const char *)transform->mixed : (const char *)transform->samples,
+        .frame_bytes = (ptrdiff_t)(taken * width),
+        .channel_bytes = (ptrdiff_t)width,
+        .channels = taken,
+        .is_float = !wishes->mixed,
+    };
+    live_process(&transform->live, sound, frames, transform->computed);
+    for (size_t at = 0; at < frames * count; at++)
+        transform->samples[at] = (float)transform->computed[at];
+    level_add(&transform->vibration, transform->samples, frames * count, count);
+    for (size_t output = 0; output < PAGE_CHANNELS; output++) {
+        if (!outputs[output])
+            continue;
+        for (size_t frame = 0; frame < frames; frame++)
+            outputs[output][done + frame] =
+                output < count ? transform->samples[frame * count + output] : 0.0f;
+    }
+}
+
+void daemon_transform_process(DaemonTransform *transform, float *const *inputs,
+                              float *const *outputs, size_t frames)
+{
+    for (size_t done = 0; done < frames;) {
+        const size_t left = frames - done, part = left < PIECE_FRAMES ? left : PIECE_FRAMES;
+        process_piece(transform, inputs, outputs, done, part);
+        done += part;
+    }
+    transform->frames += frames;
+    if (transform->page) {
+        TransformReadings *readings = &transform->page->readings;
+        PAGE_STORE(readings->frames, transform->frames);
+        PAGE_STORE(readings->replaced, transform->replaced + transform->live.replaced);
+        PAGE_STORE(readings->limited, transform->live.limited);
+        PAGE_STORE(readings->sound_peak, transform->sound.peak);
+        PAGE_STORE(readings->sound_square, transform->sound.square);
+        PAGE_STORE(readings->vibration_peak, transform->vibration.peak);
+        PAGE_STORE(readings->vibration_square, transform->vibration.square);
+    }
+}
