@@ -103,7 +103,7 @@ def _run(command: Parser) -> None:
     _keys(command, "tap", action="append")
     _keys(command, "device")
     _value(command, "--record", Path, "DIR", "record the run in a new folder")
-    _keys(command, "drop_in")
+    _keys(command, "drop_in", "engine")
     _value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
     stop = "stop after S seconds; default: never"
     command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)

@@ -34,7 +34,7 @@ from device.stream import filter_stderr
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run for `--seconds` of sound, until the sound ends, or until a signal arrives."""
+    """Run for `--seconds` since it was ready, until the sound ends, or until a signal arrives."""
     run_config = _run_config(options)
     if not options.debug:
         filter_stderr()
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
             addresses = str(run_config.tap), str(run_config.device)
             recording = RunRecording(options.record, run_config.settings, *addresses)
             run_config = dataclasses.replace(run_config, recording=recording)
-        supervisor = Supervisor(run_config, clocks, wake)
+        supervisor = Supervisor(run_config, clocks, wake, folder.path)
         signals.on_spinning = supervisor.priority.revoke
 
         def follow_config(now_s: float) -> str:
@@ -93,6 +93,7 @@ def _run_config(options: argparse.Namespace) -> RunConfig:
         "device": options.device and str(parse_device(options.device)),
         "offset_ms": options.offset_ms,
         "drop_in": options.drop_in,
+        "engine": options.engine,
         "device_volume_db": options.device_volume_db,
     }
     live = dataclasses.replace(
@@ -156,10 +157,12 @@ def _keep_on(
     reporter.begin(*(address for address, _ in supervisor.endpoints))
     freeze_loaded_objects()
     try:
-        while supervisor.heard_s < seconds and not supervisor.ended:
+        while not supervisor.ended:
             if signals.end:
                 raise KeyboardInterrupt
             now_s = time.monotonic()
+            if supervisor.played_s(now_s) >= seconds:
+                break
             if signals.reload:
                 signals.reload = False
                 supervisor.config_error = reporter.reload(follow_config, now_s)

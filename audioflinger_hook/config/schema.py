@@ -38,6 +38,7 @@ OPTIONS = {
     "device": "DEVICE",
     "offset_ms": "MS",
     "drop_in": "",
+    "engine": "",
     "device_volume_db": "DB",
 }
 """Fields that a command-line option sets, each with the name of its value in help.

@@ -36,6 +36,9 @@ DEVICE_VOLUME_MIN_DB = -96.0
 BLOCK_FRAMES = (128, 256, 512, 1024)
 """Frames per callback of the input and output streams; fewer frames: less delay, more work."""
 
+ENGINES = ("auto", "native", "python")
+"""What computes the vibration of live sound."""
+
 OF_PROFILE = TransformParameters()
 """Marks that the chosen profile's parameters apply; compared by identity."""
 
@@ -301,6 +304,12 @@ class LiveSettings(Described):
     realtime: Annotated[
         bool, Switch("ask for real-time priority for the audio threads", change="next stream")
     ] = True
+    engine: Annotated[
+        str,
+        Choice(
+            "native: inside PipeWire, 7 ms after the sound; auto: native wherever it can", ENGINES
+        ),
+    ] = ENGINES[0]
     device_volume_db: Annotated[
         float | None,
         Number(

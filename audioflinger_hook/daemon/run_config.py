@@ -88,6 +88,7 @@ class ConfigDiff:
     opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A change of
     transform fades out and restarts after the transform's latency. tap and device reopen one
     stream, drop_in the virtual sink, blocks both streams, engine everything except the connection.
+    way is the choice of the native or the Python engine, which hands over without a gap.
     """
 
     level: bool = False
@@ -100,6 +101,7 @@ class ConfigDiff:
     device: bool = False
     drop_in: bool = False
     blocks: bool = False
+    way: bool = False
     engine: bool = False
 
     @classmethod
@@ -129,6 +131,7 @@ class ConfigDiff:
             tap=_selected_sound(old) != _selected_sound(new),
             device=old.device != new.device,
             drop_in=old.live.drop_in != new.live.drop_in,
+            way=old.live.engine != new.live.engine,
             blocks=old.live.block_frames != new.live.block_frames,
             engine=before != unaffected,
         )
@@ -150,6 +153,7 @@ class ConfigDiff:
             "the tap": self.tap,
             "the device": self.device,
             "the virtual sink": self.drop_in,
+            "the engine": self.way,
             "the block length, which reopens both streams": self.blocks and not self.engine,
             "the effects, which restart everything": self.engine,
         }

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from audioflinger_hook import __version__
 from audioflinger_hook.daemon.engine import Engine
+from audioflinger_hook.daemon.native.figures import with_native
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.status import (
     ActuatorFigures,
@@ -26,7 +27,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     """Return the status at `now_s`. Any thread may call it; audio threads do not wait for it."""
     report = supervisor.states.report(now_s)
     tap, device = supervisor.endpoints
-    engine = supervisor.engine
+    engine, native = supervisor.engine, supervisor.switch.native
     status = Status(
         version=__version__,
         pid=os.getpid(),
@@ -38,7 +39,11 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         xruns=Xruns(*supervisor.xruns),
         recoveries=report.recoveries,
         warnings=tuple(supervisor.warnings),
+        engine_reason=supervisor.switch.reason,
+        engine_pid=native.process_id if native else 0,
     )
+    if native is not None and native.audible:
+        return with_native(status, native, supervisor.settings, supervisor.offset_s)
     if engine is None:
         return status
     line = engine.delay_line.status
@@ -73,6 +78,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         exposure=_worst_exposure(engine),
         actuators=_actuators(engine),
         profile=engine.framework.settings.profile,
+        engine="python",
     )
 
 

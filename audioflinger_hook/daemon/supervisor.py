@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
+
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.daemon.engine_switch import EngineSwitch
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
-from audioflinger_hook.daemon.outputs.base import Output
+from audioflinger_hook.daemon.outputs.base import Output, StreamOutput
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.server_link import ServerLink
 from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from device.drive.settings import GAIN_MIN_DB
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
@@ -24,6 +30,12 @@ TICK_S = 0.1
 RESTING_TICK_S = 1.0
 """Time between ticks while idle."""
 
+NATIVE_TICK_S = 0.25
+"""Time between ticks while the native engine plays; what it waits for rings `wake`."""
+
+HANDOVER_S = 0.25
+"""From a lowered level until the Python engine's last loud frame has been played."""
+
 
 class Supervisor:
     """One daemon, from tap to device.
@@ -34,12 +46,16 @@ class Supervisor:
 
     config: what to do. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
     wake: rung when something changes. states: the daemon's state and its recoveries. engine: what
-    the audio threads run; None before the first sound. priority: of the audio threads.
+    the audio threads run; None before the first sound, and while the native engine plays. folder:
+    private, for files of the native engine; None: only the Python engine. ready_s: when both ends
+    were first there. priority: of the audio threads.
     config_error: why the latest config was not applied, "" if it was.
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
 
-    def __init__(self, config: RunConfig, clocks: Clocks, wake: Wake) -> None:
+    def __init__(
+        self, config: RunConfig, clocks: Clocks, wake: Wake, folder: Path | None = None
+    ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
         self.engine: Engine | None = None
@@ -52,6 +68,10 @@ class Supervisor:
         self._link = ServerLink(Nudge(wake))
         self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
+        self.switch = EngineSwitch(config, folder, self.states, wake.ring)
+        self.ready_s: float | None = None
+        self._python_ends_s: float | None = None
+        self._native_ends_s: float | None = None
         self._stalls = StallDetector(self.states, clocks.slept_s)
         self._heard_before_s = 0.0
 
@@ -66,7 +86,10 @@ class Supervisor:
     @property
     def rest_s(self) -> float:
         """Longest time until the next tick, unless `wake` rings."""
-        return RESTING_TICK_S if self.states.state is DaemonState.IDLE else TICK_S
+        if self.states.state is DaemonState.IDLE:
+            return RESTING_TICK_S
+        native = self.switch.native
+        return NATIVE_TICK_S if native and native.is_steady else TICK_S
 
     @property
     def heard_s(self) -> float:
@@ -74,10 +97,17 @@ class Supervisor:
         engine = self.engine
         return self._heard_before_s + (engine.frames / engine.samplerate if engine else 0.0)
 
+    def played_s(self, now_s: float) -> float:
+        """Return the seconds since both ends were first there; of a file's sound, its own time."""
+        if not (self._config.tap_is_live or self._config.device_is_live):
+            return self.heard_s
+        return 0.0 if self.ready_s is None else now_s - self.ready_s
+
     @property
     def heard_buffers(self) -> int:
         """Buffers since the start of the engine."""
-        return self.engine.buffers if self.engine else 0
+        readings = self.switch.native and self.switch.native.readings()
+        return readings.frames if readings else self.engine.buffers if self.engine else 0
 
     @property
     def ended(self) -> bool:
@@ -104,9 +134,14 @@ class Supervisor:
         return self._input.xruns, self._output.xruns
 
     @property
+    def settings(self) -> Settings:
+        """The settings of the vibration."""
+        return self._config.settings
+
+    @property
     def offset_s(self) -> float:
         """The user's offset in seconds, less the delay of the sound in drop-in mode."""
-        line_s = self.engine.delay_line.offset_s if self.engine else 0.0
+        line_s = max(0.0, self._config.live.offset_s)
         return line_s - (self._drop_in.delay_s if self._drop_in else 0.0)
 
     @property
@@ -147,6 +182,7 @@ class Supervisor:
         connection = PulseConnection()
         try:
             self._locate_tap(connection.latest, self._output.locate(connection.latest))
+            self.switch.check(connection.latest)
         finally:
             connection.close()
 
@@ -174,8 +210,11 @@ class Supervisor:
             return
         except NotFoundError as error:
             self._input.close()
+            self.switch.lose_links(Cause.TAP_LOST, now_s, str(error))
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
+            return
+        if self._native_plays(connection, source, device, now_s):
             return
         if self._rests(connection, snapshot, now_s):
             return
@@ -192,7 +231,10 @@ class Supervisor:
         except NotFoundError:
             return  # the device or tap has vanished; the next snapshot shows that
         if self._input.name and self._output.name:
+            self._note_ready(now_s)
             self.states.enter(DaemonState.RUNNING, now_s)
+            if self.switch.native is not None and self.engine.delay_line.status.delay_s > 0.0:
+                self._end_native(now_s)
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
         """Apply another config and return the difference.
@@ -211,6 +253,7 @@ class Supervisor:
         elif engine:
             engine.follow(config.settings, offset_s)
         self._config = config
+        self.switch.follow(config)
         self._endpoints.configure(config)
         if changes.priority:
             self.priority.set_wanted(config.live.realtime)
@@ -243,6 +286,7 @@ class Supervisor:
         WriteError: the file cannot be kept; everything else is closed by then.
         """
         self.states.enter(DaemonState.STOPPING, now_s)
+        self.switch.close()
         self._endpoints.close()
         if self._drop_in:
             self._drop_in.close()
@@ -253,6 +297,7 @@ class Supervisor:
         if self._stalls.woke(now_s, self.rest_s):
             # Devices and servers return one by one after a suspend, so reopen what is available.
             self._endpoints.close()
+            self.switch.close()
             self._idle_policy.wake(now_s)
         if self.engine:
             self._stalls.count_resyncs(self.engine.delay_line.status.resyncs)
@@ -277,6 +322,7 @@ class Supervisor:
                 self._output.close()
             if self._drop_in:
                 self._drop_in.close()
+            self.switch.close()
             self._link.close()
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
@@ -292,12 +338,57 @@ class Supervisor:
             if self._output.is_open:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
             self._output.close()
+            self.switch.lose_links(Cause.DEVICE_LOST, now_s, str(error))
             if not self._input.needs_server:  # a file waits for the device
                 self._input.close()
             self._found = (None, None)
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
             return None
+
+    def _native_plays(
+        self,
+        connection: PulseConnection | None,
+        source: AudioNode,
+        device: AudioNode,
+        now_s: float,
+    ) -> bool:
+        """Keep the native engine, if it is chosen; return False while the Python engine plays."""
+        switch = self.switch
+        if connection is None or not switch.takes_native(source, connection.latest):
+            return False
+        self._native_ends_s = None
+        assert isinstance(self._output, StreamOutput)
+        players = self._input.players(connection.latest)
+        plays = switch.maintain(source, device, players, connection, self._output.volume, now_s)
+        if plays:
+            self._note_ready(now_s)
+        if self.engine is None:
+            return not switch.reason
+        if not plays:
+            return False
+        # The Python engine ends softly before its streams close.
+        if self._python_ends_s is None:
+            self._python_ends_s = now_s
+            quiet = dataclasses.replace(self._config.settings, gain_db=GAIN_MIN_DB)
+            self.engine.follow(quiet, max(0.0, self._config.live.offset_s))
+        elif now_s - self._python_ends_s > HANDOVER_S:
+            self._endpoints.close()
+            self._heard_before_s, self.engine, self._python_ends_s = self.heard_s, None, None
+        return True
+
+    def _end_native(self, now_s: float) -> None:
+        """End the native engine softly, now that the Python engine plays."""
+        if self._native_ends_s is None:
+            self._native_ends_s = now_s
+            self.switch.fade_out()
+        elif now_s - self._native_ends_s > HANDOVER_S:
+            self.switch.close()
+            self._native_ends_s = None
+
+    def _note_ready(self, now_s: float) -> None:
+        if self.ready_s is None:
+            self.ready_s = now_s
 
     def _rests(
         self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float

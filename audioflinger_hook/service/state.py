@@ -42,6 +42,8 @@ class Cause(Enum):
     TAP_MOVED = "tap-moved"
     DEFAULT_CHANGED = "default-changed"
     FORMAT_CHANGED = "format-changed"
+    ENGINE_LOST = "engine-lost"
+    """The native engine ended or hung, and was started again."""
     STALL = "stall"
     RESYNC = "resync"
     RESUMED = "resumed"

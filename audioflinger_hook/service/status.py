@@ -146,7 +146,8 @@ class Status:
     limited_samples, replaced_samples: as in `cushion render --json`, since the start. protection,
     exposure: None without protection; with several actuators, the figures with the least gain and
     with the largest dose. actuators: in the order of the config. profile: "" before the first
-    sound.
+    sound. engine: "native" or "python", "" before one plays; engine_reason: why not the native one.
+    engine_pid: the native engine's process, 0 for none.
     """
 
     version: str
@@ -171,4 +172,7 @@ class Status:
     exposure: ExposureFigures | None = None
     actuators: tuple[ActuatorFigures, ...] = ()
     profile: str = ""
+    engine: str = ""
+    engine_reason: str = ""
+    engine_pid: int = 0
     warnings: tuple[str, ...] = ()

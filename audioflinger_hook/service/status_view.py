@@ -42,7 +42,6 @@ def status_view(status: Status) -> Table:
 
 
 def _rows(status: Status) -> list[tuple[str, Text]]:
-    line, buffers, xruns = status.delay_line, status.buffer_times, status.xruns
     rows = [
         ("cushion", Text(f"{one_line(status.version)}, process {status.pid}")),
         ("state", _state(status)),
@@ -51,23 +50,9 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
         ("sound", _level(status.levels.sound, "cyan")),
         ("vibration", _level(status.levels.vibration, "yellow")),
         *([("profile", Text(one_line(status.profile)))] if status.profile else []),
+        *([("engine", _engine(status))] if status.engine else []),
         ("latency", _latency(status)),
-        (
-            "delay line",
-            Text(
-                f"{one_line(line.state)}, {line.delay_ms:.1f} of {line.target_ms:.1f} ms, "
-                f"{line.ratio_ppm:+.1f} ppm; {_count(line.resyncs, 'resync')}, "
-                f"{_count(line.underflows, 'underflow')}, {_count(line.overflows, 'overflow')}"
-            ),
-        ),
-        ("xruns", Text(f"tap {xruns.tap}, output {xruns.output}")),
-        (
-            "buffers",
-            Text(
-                f"{buffers.share_percent:.1f} % of {buffers.buffer_ms:.1f} ms; "
-                f"p50 {buffers.p50_ms:.2f}, p99 {buffers.p99_ms:.2f}, max {buffers.max_ms:.2f} ms"
-            ),
-        ),
+        *([] if status.engine == "native" else _python_rows(status)),
         ("recoveries", _recoveries(status)),
         (
             "samples",
@@ -91,12 +76,40 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
     return rows
 
 
+def _python_rows(status: Status) -> list[tuple[str, Text]]:
+    """Return the rows of the Python engine's streams and buffers."""
+    line, buffers, xruns = status.delay_line, status.buffer_times, status.xruns
+    return [
+        (
+            "delay line",
+            Text(
+                f"{one_line(line.state)}, {line.delay_ms:.1f} of {line.target_ms:.1f} ms, "
+                f"{line.ratio_ppm:+.1f} ppm; {_count(line.resyncs, 'resync')}, "
+                f"{_count(line.underflows, 'underflow')}, {_count(line.overflows, 'overflow')}"
+            ),
+        ),
+        ("xruns", Text(f"tap {xruns.tap}, output {xruns.output}")),
+        (
+            "buffers",
+            Text(
+                f"{buffers.share_percent:.1f} % of {buffers.buffer_ms:.1f} ms; "
+                f"p50 {buffers.p50_ms:.2f}, p99 {buffers.p99_ms:.2f}, max {buffers.max_ms:.2f} ms"
+            ),
+        ),
+    ]
+
+
 def _state(status: Status) -> Text:
     colour = _COLOURS.get(status.state, "bold yellow")
     text = Text.assemble((status.state.value, colour), f" for {duration(status.since_s)}")
     if status.reason:
         text.append(f": {one_line(status.reason)}")
     return text
+
+
+def _engine(status: Status) -> Text:
+    why = f" ({one_line(status.engine_reason)})" if status.engine_reason else ""
+    return Text(f"{one_line(status.engine)}{why}")
 
 
 def _endpoint(endpoint: Endpoint) -> Text:

@@ -76,7 +76,8 @@ static void damp(Actuator *actuator, const ActuatorWishes *wishes, float *sample
         const double damped = section[0] * sample + state[0];
         state[0] = section[1] * sample - section[4] * damped + state[1];
         state[1] = section[2] * sample - section[5] * damped;
-        samples[at] = (float)damped;
+        /* Damping may ask for more than full scale. */
+        samples[at] = (float)(damped > 1.0 ? 1.0 : damped < -1.0 ? -1.0 : damped);
         if (--actuator->until_check == 0) {
             actuator->until_check = period;
             if (fabs(state[0]) < SILENT && fabs(state[1]) < SILENT)

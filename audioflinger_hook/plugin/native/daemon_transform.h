@@ -3,6 +3,8 @@
 #ifndef CUSHION_DAEMON_TRANSFORM_H
 #define CUSHION_DAEMON_TRANSFORM_H
 
+#include <stddef.h>
+
 #include "page.h"
 
 typedef struct DaemonTransform DaemonTransform;

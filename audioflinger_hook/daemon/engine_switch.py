@@ -1,0 +1,185 @@
+"""Which engine computes the vibration, native or Python, and the change from one to the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from audioflinger_hook.daemon.inputs.base import AudioNode
+from audioflinger_hook.daemon.native.abilities import (
+    missing_parts,
+    why_not_config,
+    why_not_server,
+    why_not_tap,
+)
+from audioflinger_hook.daemon.native.engine import NativeEngine
+from audioflinger_hook.daemon.outputs.base import DeviceVolume
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.timing import QUIET_S
+from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from device.errors import CushionError, LostError, NotFoundError
+from device.server import PulseConnection, ServerSnapshot
+from device.server.snapshot import Sink, Source
+
+FAILURES_MAX = 3
+"""Starts of the native engine that may fail in a row until `auto` takes the Python engine."""
+
+UNSEEN_S = 2.0
+"""How long tap or device may be missing in PipeWire's graph until `auto` gives up."""
+
+
+class EngineSwitch:
+    """Chooses the engine, and runs the native one. For the supervising thread alone.
+
+    config: what to do. folder: private, for files of the native engine; None: Python always.
+    states: the daemon's state. on_change: called by another thread when the graph changes.
+    reason: why the Python engine computes, "" while the native one does.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        folder: Path | None,
+        states: StateKeeper,
+        on_change: Callable[[], None],
+    ) -> None:
+        self._config = config
+        self._folder = folder
+        self._states = states
+        self._on_change = on_change
+        self._problem = ""
+        self._failures = 0
+        self._seen_s: float | None = None
+        self._played_s = -QUIET_S
+        self._refused: dict[str, str] = {}
+        self._volume_of: int | None = None
+        self.native: NativeEngine | None = None
+        self.reason = "nothing has played yet"
+
+    @property
+    def is_required(self) -> bool:
+        """Whether the config allows no other engine than the native one."""
+        return self._config.live.engine == "native"
+
+    def follow(self, config: RunConfig) -> None:
+        """Use another config."""
+        if config != self._config:
+            self._problem, self._failures = "", 0
+            self._refused.clear()
+        self._config = config
+        if self.native is not None:
+            self.native.follow(config)
+
+    def check(self, snapshot: ServerSnapshot | None) -> None:
+        """Raise NotFoundError if the native engine is required and impossible."""
+        reason = self._why_python(snapshot) if self.is_required else ""
+        if reason:
+            raise NotFoundError(
+                f"engine = 'native' is impossible: {reason}; allowed then: auto, python"
+            )
+
+    def takes_native(self, source: AudioNode, snapshot: ServerSnapshot | None) -> bool:
+        """Return whether the native engine is to compute; sets `reason`."""
+        reason = self._why_python(snapshot) or why_not_tap(source.channels) or self._problem
+        if self.is_required and reason == self._problem:
+            reason = ""
+        self.reason = reason
+        return not reason and isinstance(source, Source)
+
+    def maintain(
+        self,
+        source: AudioNode,
+        device: AudioNode,
+        players: frozenset[int],
+        connection: PulseConnection,
+        volume: DeviceVolume,
+        now_s: float,
+    ) -> bool:
+        """Keep the native engine running; return whether it plays.
+
+        Raises nothing: a lost engine starts again, and `auto` gives up after some failures.
+        """
+        assert isinstance(source, Source)
+        assert isinstance(device, Sink)
+        try:
+            native = self._opened()
+            self._set_volume(device, connection, volume)
+            plays = native.maintain(source, device, players, now_s, felt=True)
+        except CushionError as error:
+            self._fail(error, now_s)
+            return False
+        if native.plan is not None:
+            self._failures = 0
+        self._note_unseen(native, source, device, now_s)
+        if players:
+            self._played_s = now_s
+        if plays:
+            quiet = now_s - self._played_s > QUIET_S
+            state = DaemonState.IDLE if quiet else DaemonState.RUNNING
+            self._states.enter(state, now_s, "nothing plays" if quiet else "")
+        return plays
+
+    def lose_links(self, cause: Cause, now_s: float, reason: str) -> None:
+        """Note that the tap or the device has vanished."""
+        if self.native is not None and self.native.lose_links():
+            self._states.recover(cause, now_s, reason)
+
+    def fade_out(self) -> None:
+        """Let the native engine's vibration end softly."""
+        if self.native is not None:
+            self.native.fade_out()
+
+    def close(self) -> None:
+        """End the native engine until the next `maintain`. May be repeated; raises nothing."""
+        if self.native is not None:
+            self.native.close()
+        self.native = None
+        self._seen_s = None
+
+    def _why_python(self, snapshot: ServerSnapshot | None) -> str:
+        if self._config.live.engine == "python":
+            return "engine = 'python'"
+        if self._folder is None or snapshot is None:
+            return why_not_config(self._config) or "there is no sound server"
+        if "config" not in self._refused:
+            self._refused["config"] = why_not_config(self._config) or missing_parts()
+        return self._refused["config"] or why_not_server(snapshot)
+
+    def _opened(self) -> NativeEngine:
+        if self.native is None:
+            assert self._folder is not None
+            self.native = NativeEngine(self._config, self._folder, self._states, self._on_change)
+        return self.native
+
+    def _set_volume(self, device: Sink, connection: PulseConnection, volume: DeviceVolume) -> None:
+        set_volume = partial(connection.set_sink_volume_db, device.name)
+        if self._volume_of != device.index:
+            self._volume_of = device.index
+            volume.set(set_volume)
+        else:
+            volume.update(set_volume)
+
+    def _fail(self, error: CushionError, now_s: float) -> None:
+        lost = isinstance(error, LostError)
+        played = self.native is not None and self._failures == 0 and lost
+        self._failures += 1
+        if played:
+            self._states.recover(Cause.ENGINE_LOST, now_s, str(error))
+        if self.native is not None and self.native.is_lost:
+            self.close()
+        if not lost or self._failures >= FAILURES_MAX:
+            self._problem = f"the native engine failed: {error}"
+            self.close()
+            if self.is_required:
+                self._states.enter(DaemonState.RECOVERING, now_s, self._problem)
+
+    def _note_unseen(
+        self, native: NativeEngine, source: Source, device: Sink, now_s: float
+    ) -> None:
+        missing = native.unseen(source, device)
+        if not missing or self._seen_s is None:
+            self._seen_s = now_s
+        elif now_s - self._seen_s > UNSEEN_S:
+            self._problem = f"PipeWire's graph has no node {missing!r}: it is of another server"
+            self.close()

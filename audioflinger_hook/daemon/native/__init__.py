@@ -1,0 +1,1 @@
+"""The engine inside PipeWire: the plugin runs in the graph, and the daemon only watches it."""

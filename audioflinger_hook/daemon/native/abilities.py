@@ -1,0 +1,84 @@
+"""What the native engine can do, and why it cannot do the rest."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from audioflinger_hook.daemon.native.page import ACTUATORS, CHANNELS
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.plugin import plugin_path
+from device.server import ServerSnapshot
+from device.server.graph import PROGRAM
+
+SERVER = "PipeWire"
+VERSION_MIN = (0, 3, 50)
+"""Older versions of filter-chain read another syntax."""
+
+FILTER_CHAIN = "libpipewire-module-filter-chain.so"
+MODULE_FOLDERS = ("/usr/lib/*/pipewire-*", "/usr/lib/pipewire-*", "/usr/lib64/pipewire-*")
+
+
+def missing_parts() -> str:
+    """Return what this machine lacks for the native engine, and how to get it; "" for nothing."""
+    if plugin_path() is None:
+        return "the plugin is not built; run `make run` with a C compiler"
+    for program in ("pipewire", PROGRAM):
+        if shutil.which(program) is None:
+            return f"the program {program} is missing; install pipewire and pipewire-bin"
+    folders = [folder for pattern in MODULE_FOLDERS for folder in Path("/").glob(pattern[1:])]
+    if folders and not any((folder / FILTER_CHAIN).exists() for folder in folders):
+        return f"PipeWire's module {FILTER_CHAIN} is missing; install pipewire-bin"
+    return ""
+
+
+def why_not_config(config: RunConfig) -> str:
+    """Return why the native engine cannot do what a config asks for, "" if it can."""
+    return next(_refusals(config), "")
+
+
+def why_not_server(snapshot: ServerSnapshot) -> str:
+    """Return why the native engine cannot work on a server, "" if it can."""
+    if snapshot.kind != SERVER:
+        return f"the sound server is {snapshot.kind}"
+    found = re.match(r"(\d+)\.(\d+)\.(\d+)", snapshot.version)
+    if found and tuple(map(int, found.groups())) < VERSION_MIN:
+        least = ".".join(map(str, VERSION_MIN))
+        return f"PipeWire {snapshot.version} is too old; {least} or newer is needed"
+    return ""
+
+
+def _refusals(config: RunConfig) -> Iterator[str]:
+    settings, live = config.settings, config.live
+    if not config.tap_is_live:
+        yield f"the tap {config.tap} is not on the sound server"
+    if not config.device_is_live or config.device_is_a_card:
+        yield f"the device {config.device} is not on the sound server"
+    if config.tap.kind == "app" or live.include or live.exclude:
+        yield "single applications are tapped"
+    if live.drop_in:
+        yield "drop_in is on"
+    if config.recording:
+        yield "the run is recorded"
+    if settings.form != "live":
+        yield f"transform = {settings.form!r}"
+    if settings.effects_file is not None:
+        yield "effects_file is set"
+    if len(settings.actuators) > ACTUATORS:
+        yield f"there are more than {ACTUATORS} actuators"
+    for one in settings.actuators or (settings,):
+        if (one.protection or settings.protection) != "off":
+            yield "protection is on"
+        if (one.exposure_cap or settings.exposure_cap) != "off":
+            yield "exposure_cap is on"
+        if (one.damping or settings.damping) != "off" and live.engine != "native":
+            yield "damping is on, and with it protection"
+
+
+def why_not_tap(channels: int) -> str:
+    """Return why the native engine cannot tap so many channels, "" if it can."""
+    if channels <= CHANNELS:
+        return ""
+    return f"the tap has {channels} channels, more than {CHANNELS}"

@@ -1,0 +1,216 @@
+"""One chain in PipeWire's graph: the plugin in a process of its own, and its files."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from contextlib import suppress
+from itertools import count
+from pathlib import Path
+
+from audioflinger_hook.daemon.native.page import CHANNELS, Page
+from audioflinger_hook.daemon.native.plan import ChainPlan
+from audioflinger_hook.plugin import plugin_path
+from device.errors import InternalError, LostError, NotFoundError
+from device.process import ends_with_us
+from device.server.graph import Graph, Link
+
+NAME = "haptic-cushion"
+"""Beginning of the names of all nodes and files."""
+
+END_S = 1.0
+"""Longest wait for the end of the process before it is killed."""
+
+LOG_BYTES = 2_000
+"""How much of the process's last messages is read."""
+
+_numbers = count(1)
+
+_CONFIG = """\
+# Written by `cushion run`; it is removed when the run ends.
+context.properties = {{ log.level = 1 }}
+context.spa-libs = {{
+    audio.convert.* = audioconvert/libspa-audioconvert
+    support.* = support/libspa-support
+}}
+context.modules = [
+    {realtime}
+    {{ name = libpipewire-module-protocol-native }}
+    {{ name = libpipewire-module-client-node }}
+    {{ name = libpipewire-module-adapter }}
+    {{ name = libpipewire-module-filter-chain
+        args = {{
+            node.description = "Haptic Cushion"
+            media.name = "Haptic Cushion"
+            audio.rate = {samplerate}
+            filter.graph = {{
+                nodes = [
+{nodes}
+                ]
+                links = [
+{links}
+                ]
+                inputs = [ {inputs} ]
+                outputs = [ {outputs} ]
+            }}
+            capture.props = {{
+                node.name = {tap}
+                audio.channels = {tap_channels}
+                audio.position = [ {tap_positions} ]
+                node.autoconnect = false
+                node.passive = true
+                stream.dont-remix = true
+            }}
+            playback.props = {{
+                node.name = {vibration}
+                audio.channels = {channels}
+                audio.position = [ {positions} ]
+                node.autoconnect = false
+                node.passive = true
+                stream.dont-remix = true
+            }}
+        }}
+    }}
+]
+"""
+
+_REALTIME = (
+    "{ name = libpipewire-module-rt args = { nice.level = -11 } flags = [ ifexists nofail ] }"
+)
+
+
+class Chain:
+    """A running chain, which nothing is linked to yet.
+
+    The supervising thread calls the methods.
+
+    plan: what it does. folder: private, for its files. realtime: whether to ask for real-time
+    priority. tap, vibration: names of its nodes. page: shared with the plugin.
+    InternalError: a file cannot be written. NotFoundError: PipeWire cannot be started.
+    """
+
+    def __init__(self, plan: ChainPlan, folder: Path, *, realtime: bool) -> None:
+        self.plan = plan
+        self.name = f"{NAME}-{os.getpid()}-{next(_numbers)}"
+        self.tap, self.vibration = f"{self.name}.tap", f"{self.name}.vibration"
+        files = {end: folder / f"{self.name}.{end}" for end in ("conf", "design", "page", "log")}
+        self._files = files
+        self._process: subprocess.Popen[bytes] | None = None
+        try:
+            files["design"].write_bytes(plan.design.to_bytes())
+            files["conf"].write_text(self._config(realtime), "utf-8")
+            self.page = Page(files["page"], plan.tap_channels, plan.outputs, plan.weights)
+            with files["log"].open("wb") as log:
+                self._process = subprocess.Popen(
+                    ["pipewire", "-c", str(files["conf"])],
+                    env=os.environ
+                    | {
+                        "HAPTIC_CUSHION_DESIGN": str(files["design"]),
+                        "HAPTIC_CUSHION_PAGE": str(files["page"]),
+                    },
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    preexec_fn=ends_with_us,
+                )
+        except FileNotFoundError as error:
+            self.close()
+            if error.filename == "pipewire":
+                raise NotFoundError("the program pipewire is missing; install pipewire") from None
+            raise InternalError(f"cannot write {error.filename}: {error.strerror}") from error
+        except OSError as error:
+            self.close()
+            raise InternalError(f"cannot start the native engine in {folder}: {error}") from error
+
+    @property
+    def process_id(self) -> int:
+        """The process's number."""
+        return self._process.pid if self._process else 0
+
+    def check(self) -> None:
+        """Raise LostError with the process's last words if it has ended."""
+        code = self._process.poll() if self._process else None
+        if code is not None:
+            raise LostError(f"the native engine ended ({code}){self._last_words()}")
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether somebody has stopped the process (SIGSTOP), so that it cannot play."""
+        with suppress(OSError, IndexError):
+            facts = Path(f"/proc/{self.process_id}/stat").read_text("ascii", "replace")
+            return facts.rpartition(")")[2].split()[0] in ("T", "t")
+        return False
+
+    def is_in(self, graph: Graph) -> bool:
+        """Whether all of its ports are in the graph."""
+        return len(graph.ports_of(self.tap, "input_")) >= self.plan.tap_channels and len(
+            graph.ports_of(self.vibration, "output_")
+        ) >= len(self.plan.actuators)
+
+    def links(
+        self,
+        tap_ports: tuple[str, ...],
+        device_ports: tuple[str, ...],
+        played: tuple[int | None, ...],
+    ) -> set[Link]:
+        """Return its links from the tap and to the device; played: each channel's actuator."""
+        taken = {(port, f"{self.tap}:input_AUX{n}") for n, port in enumerate(tap_ports)}
+        given = {
+            (f"{self.vibration}:output_AUX{actuator}", port)
+            for port, actuator in zip(device_ports, played, strict=True)
+            if actuator is not None
+        }
+        return taken | given
+
+    def close(self) -> None:
+        """End the process and remove its files. May be repeated; raises nothing."""
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(END_S)
+        for path in self._files.values():
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
+
+    def _last_words(self) -> str:
+        with suppress(OSError):
+            text = self._files["log"].read_bytes()[-LOG_BYTES:].decode("utf-8", "replace").strip()
+            if text:
+                return f": {text.splitlines()[-1]}"
+        return ""
+
+    def _config(self, realtime: bool) -> str:
+        plan, plugin = self.plan, json.dumps(str(plugin_path()))
+        indent = " " * 20
+        ladspa = f"type = ladspa plugin = {plugin}"
+        nodes = [f"{{ {ladspa} name = transform label = haptic_cushion_daemon }}"]
+        links = []
+        for slot, vibration in enumerate(plan.actuators):
+            nodes.append(
+                f"{{ {ladspa} name = actuator{slot} label = haptic_cushion_actuator "
+                f"control = {{ slot = {slot} }} }}"
+            )
+            links.append(
+                f'{{ output = "transform:Out {vibration + 1}" input = "actuator{slot}:In 1" }}'
+            )
+        assert plan.tap_channels <= CHANNELS
+        return _CONFIG.format(
+            realtime=_REALTIME if realtime else "",
+            samplerate=plan.samplerate,
+            nodes="\n".join(indent + line for line in nodes),
+            links="\n".join(indent + line for line in links),
+            inputs=" ".join(f'"transform:In {n + 1}"' for n in range(plan.tap_channels)),
+            outputs=" ".join(f'"actuator{n}:Out 1"' for n in range(len(plan.actuators))),
+            tap=json.dumps(self.tap),
+            vibration=json.dumps(self.vibration),
+            tap_channels=plan.tap_channels,
+            tap_positions=_positions(plan.tap_channels),
+            channels=len(plan.actuators),
+            positions=_positions(len(plan.actuators)),
+        )
+
+
+def _positions(channels: int) -> str:
+    return " ".join(f"AUX{channel}" for channel in range(channels))

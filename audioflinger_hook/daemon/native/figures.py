@@ -1,0 +1,55 @@
+"""The native engine's part of the status."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.native.engine import NativeEngine
+from audioflinger_hook.service.meters import Level
+from audioflinger_hook.service.state import DaemonState
+from audioflinger_hook.service.status import ActuatorFigures, LatencyBudget, Levels, Status
+
+
+def with_native(
+    status: Status, native: NativeEngine, settings: Settings, offset_s: float
+) -> Status:
+    """Return a status with the figures of a native engine that plays. Any thread may call it.
+
+    Tap and device belong to one cycle of the graph, so only the transform delays the vibration.
+    """
+    plan, readings = native.plan, native.readings()
+    if plan is None or readings is None:
+        return status
+    resting = status.state is DaemonState.IDLE
+    transform_ms = 1e3 * plan.design.latency_frames / plan.samplerate
+    delays_ms = [actuator.delay_ms for actuator in settings.actuators]
+    return replace(
+        status,
+        # While the graph rests, the plugin does not run, and its last levels stay.
+        levels=Levels() if resting else Levels(readings.sound, readings.vibration),
+        latency=LatencyBudget.of(
+            transform_ms=transform_ms,
+            offset_ms=1e3 * offset_s,
+            delay_ms=max(delays_ms, default=0.0),
+        ),
+        limited_samples=readings.limited_samples,
+        replaced_samples=readings.replaced_samples,
+        actuators=tuple(
+            ActuatorFigures(
+                source=actuator.source,
+                channels=tuple(map(str, actuator.channels)),
+                rig=actuator.rig or settings.rig,
+                gain_db=actuator.gain_db,
+                polarity=actuator.polarity,
+                delay_ms=actuator.delay_ms,
+                level=Level() if resting else native.level(slot),
+                protection=None,
+                exposure=None,
+            )
+            for slot, actuator in enumerate(settings.actuators)
+        ),
+        profile=settings.profile,
+        engine="native",
+        engine_reason="",
+    )

@@ -1,0 +1,173 @@
+"""The page of memory that the daemon and the plugin share; plugin/native/page.h has the layout.
+
+Each value has one writer and is written at once, so neither side waits for the other.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import mmap
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from audioflinger_hook.service.meters import FLOOR_DBFS, Level
+from device.drive.damping import Damping
+from device.units import FloatArray, amplitude_to_db
+
+MAGIC = 0x3145474150485543
+CHANNELS = 8
+"""Largest number of channels of a tap, and of vibrations."""
+
+ACTUATORS = 32
+DELAY_MAX_S = 2.0
+
+
+class _TransformWishes(ctypes.Structure):
+    _fields_ = (
+        ("channels", ctypes.c_uint64),
+        ("outputs", ctypes.c_uint64),
+        ("mixed", ctypes.c_uint64),
+        ("weights", ctypes.c_double * CHANNELS * CHANNELS),
+    )
+
+
+class _TransformReadings(ctypes.Structure):
+    _fields_ = (
+        ("frames", ctypes.c_uint64),
+        ("replaced", ctypes.c_uint64),
+        ("limited", ctypes.c_uint64),
+        ("sound_peak", ctypes.c_double),
+        ("sound_square", ctypes.c_double),
+        ("vibration_peak", ctypes.c_double),
+        ("vibration_square", ctypes.c_double),
+    )
+
+
+class _ActuatorWishes(ctypes.Structure):
+    _fields_ = (
+        ("gain", ctypes.c_double),
+        ("delay_s", ctypes.c_double),
+        ("audible", ctypes.c_uint64),
+        ("damped", ctypes.c_uint64),
+        ("damping_gain", ctypes.c_double),
+        ("section", ctypes.c_double * 6),
+    )
+
+
+class _ActuatorReadings(ctypes.Structure):
+    _fields_ = (
+        ("frames", ctypes.c_uint64),
+        ("peak", ctypes.c_double),
+        ("square", ctypes.c_double),
+        ("audible", ctypes.c_double),
+    )
+
+
+class _Layout(ctypes.Structure):
+    _fields_ = (
+        ("magic", ctypes.c_uint64),
+        ("size", ctypes.c_uint64),
+        ("transform", _TransformWishes),
+        ("readings", _TransformReadings),
+        ("wishes", _ActuatorWishes * ACTUATORS),
+        ("actuators", _ActuatorReadings * ACTUATORS),
+    )
+
+
+@dataclass(frozen=True)
+class TransformReadings:
+    """What the transform reports: frames so far, counts of samples, levels."""
+
+    frames: int
+    replaced_samples: int
+    limited_samples: int
+    sound: Level
+    vibration: Level
+
+
+class Page:
+    """The shared page in a file of its own, which `close` removes.
+
+    The supervising thread calls the methods; any thread may call `readings` and `level`.
+
+    path: of the file; it must not exist. channels: of the tap. outputs: vibrations. weights:
+    (channels, outputs) of the sources' mixes; None for the mean, or for each channel by itself.
+    """
+
+    def __init__(
+        self, path: Path, channels: int, outputs: int, weights: FloatArray | None = None
+    ) -> None:
+        self.path = path
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        file = os.open(path, flags, 0o600)
+        try:
+            os.ftruncate(file, ctypes.sizeof(_Layout))
+            self._memory = mmap.mmap(file, ctypes.sizeof(_Layout))
+        finally:
+            os.close(file)
+        self._page = page = _Layout.from_buffer(self._memory)
+        page.transform.channels, page.transform.outputs = channels, outputs
+        page.transform.mixed = weights is not None
+        if weights is not None:
+            for channel, row in enumerate(weights):
+                for output, weight in enumerate(row):
+                    page.transform.weights[channel][output] = float(weight)
+        for wishes in page.wishes:
+            wishes.gain = 1.0
+        page.size, page.magic = ctypes.sizeof(_Layout), MAGIC
+
+    def set_actuator(self, slot: int, gain: float, delay_s: float) -> None:
+        """Set an actuator's factor, -1 to 1, and its delay, 0 to DELAY_MAX_S."""
+        wishes = self._page.wishes[slot]
+        wishes.gain, wishes.delay_s = gain, min(max(0.0, delay_s), DELAY_MAX_S)
+
+    def set_damping(self, slot: int, damping: Damping, samplerate: int) -> None:
+        """Set an actuator's filter, before the plugin starts."""
+        wishes, sections = self._page.wishes[slot], damping.sections(samplerate)
+        wishes.damping_gain = damping.gain
+        wishes.section[:] = sections[0] if len(sections) else (1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
+        wishes.damped = 1
+
+    def set_audible(self, audible: bool) -> None:
+        """Fade all actuators in or out, within 20 ms."""
+        for wishes in self._page.wishes:
+            wishes.audible = int(audible)
+
+    @property
+    def frames(self) -> int:
+        """Frames that the transform has processed."""
+        return int(self._page.readings.frames)
+
+    def faded_out(self, actuators: int) -> bool:
+        """Whether the first actuators are all silent."""
+        return all(one.audible == 0.0 for one in self._page.actuators[:actuators])
+
+    def readings(self) -> TransformReadings:
+        """Return what the transform reports."""
+        found = self._page.readings
+        return TransformReadings(
+            int(found.frames),
+            int(found.replaced),
+            int(found.limited),
+            _level(found.sound_peak, found.sound_square),
+            _level(found.vibration_peak, found.vibration_square),
+        )
+
+    def level(self, slot: int) -> Level:
+        """Return the level of an actuator."""
+        found = self._page.actuators[slot]
+        return _level(found.peak, found.square)
+
+    def close(self) -> None:
+        """Remove the file; readings stay. May be repeated."""
+        self.path.unlink(missing_ok=True)
+
+
+def _level(peak: float, square: float) -> Level:
+    return Level(_dbfs(peak), _dbfs(math.sqrt(square)))
+
+
+def _dbfs(amplitude: float) -> float:
+    return max(FLOOR_DBFS, amplitude_to_db(amplitude))

@@ -1,0 +1,154 @@
+"""PipeWire's graph: which ports there are, how they are linked, and links of our own.
+
+`pw-link --monitor` reports every change, so nothing is polled. A link belongs to the ports that it
+joins: when one of them vanishes, the link vanishes, and the server makes no other one. So a stream
+that nothing else links can never play to another device.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+
+from device.errors import NotFoundError
+from device.process import ends_with_us
+
+PROGRAM = "pw-link"
+ANSWER_S = 2.0
+"""Longest time that one request may take."""
+
+RETRY_S = 0.1
+"""Time between two requests for the same link."""
+
+_LINE = re.compile(r"([=+-])\s+(\d+)\s+(.*\S)\s*$")
+_JOINS = " -> "
+
+Link = tuple[str, str]
+"""An output port and an input port, as NODE:PORT."""
+
+
+class Graph:
+    """Ports and links of the graph, kept up to date by a thread.
+
+    The thread that makes it calls the methods; any thread may read `ports`, `links` and `lost`.
+
+    on_change: called by the thread of this object after each change; must return at once.
+    ports: names of all ports, as NODE:PORT. links: all links. lost: whether the graph is gone; make
+    another object to connect again.
+    NotFoundError: `pw-link` is not installed.
+    """
+
+    def __init__(self, on_change: Callable[[], None]) -> None:
+        self.ports: frozenset[str] = frozenset()
+        self.links: frozenset[Link] = frozenset()
+        self.lost = False
+        self._on_change = on_change
+        self._known: dict[str, str | Link] = {}
+        self._requests: dict[Link, tuple[subprocess.Popen[bytes], float]] = {}
+        self._asked_s: dict[Link, float] = {}
+        try:
+            self._process = subprocess.Popen(
+                [PROGRAM, "--monitor", "--output", "--input", "--links", "--id"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                errors="replace",
+                preexec_fn=ends_with_us,
+            )
+        except OSError as error:
+            raise NotFoundError(
+                f"{PROGRAM} cannot be run ({error.strerror}); install pipewire-bin"
+            ) from None
+        self._thread = threading.Thread(target=self._read, name="graph", daemon=True)
+        self._thread.start()
+
+    def ports_of(self, node: str, prefix: str) -> frozenset[str]:
+        """Return a node's ports whose names begin with a prefix, such as "playback_"."""
+        start = f"{node}:{prefix}"
+        return frozenset(port for port in self.ports if port.startswith(start))
+
+    def ensure(self, wanted: Iterable[Link], nodes: Iterable[str], now_s: float) -> bool:
+        """Ask for exactly these links of nodes; return whether they are all there, and no others.
+
+        nodes: whose other links are removed. Does not wait: a later call shows the result.
+        """
+        self._reap(now_s)
+        wanted, links = set(wanted), self.links
+        starts = tuple(f"{node}:" for node in nodes)
+        foreign = {link for link in links - wanted if link[0].startswith(starts)}
+        foreign |= {link for link in links - wanted if link[1].startswith(starts)}
+        for link in foreign:
+            self._request(link, ("--disconnect",), now_s)
+        for link in wanted - links:
+            if link[0] in self.ports and link[1] in self.ports:
+                self._request(link, ("--passive",), now_s)
+        return not foreign and wanted <= links
+
+    def close(self) -> None:
+        """Stop watching; links stay. May be repeated; raises nothing."""
+        self._process.kill()
+        self._process.wait()
+        self._thread.join(ANSWER_S)
+        if self._process.stdout:
+            self._process.stdout.close()
+        for request, _ in self._requests.values():
+            request.kill()
+            request.wait()
+        self._requests.clear()
+
+    def _request(self, link: Link, how: tuple[str, ...], now_s: float) -> None:
+        if link in self._requests or now_s - self._asked_s.get(link, -RETRY_S) < RETRY_S:
+            return
+        self._asked_s[link] = now_s
+        with suppress(OSError):
+            request = subprocess.Popen(
+                [PROGRAM, *how, *link],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            self._requests[link] = request, now_s
+
+    def _reap(self, now_s: float) -> None:
+        for link, (request, began_s) in tuple(self._requests.items()):
+            if request.poll() is None and now_s - began_s < ANSWER_S:
+                continue
+            request.kill()
+            request.wait()
+            del self._requests[link]
+        self._asked_s = {link: s for link, s in self._asked_s.items() if now_s - s < ANSWER_S}
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with suppress(ValueError, OSError):
+            for line in self._process.stdout:
+                if found := _LINE.match(line):
+                    self._take(*found.groups())
+        self.lost = True
+        self._on_change()
+
+    def _take(self, sign: str, number: str, what: str) -> None:
+        if sign == "-":
+            self._known.pop(number, None)
+        elif _JOINS in what:
+            output, _, put = what.partition(_JOINS)
+            self._known[number] = output, put
+        else:
+            self._known[number] = what
+        known = self._known.values()
+        self.ports = frozenset(item for item in known if isinstance(item, str))
+        self.links = frozenset(item for item in known if isinstance(item, tuple))
+        self._on_change()
+
+
+def wait_for_ports(graph: Graph, wait_s: float) -> bool:
+    """Return whether the graph has shown its first ports within some seconds."""
+    end_s = time.monotonic() + wait_s
+    while not graph.ports and not graph.lost and time.monotonic() < end_s:
+        time.sleep(0.005)
+    return bool(graph.ports)
