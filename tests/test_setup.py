@@ -21,6 +21,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 SCRIPTS = ["tools/setup.sh", "tools/fetch_recordings.sh", "tools/check_kernel.sh", ".ci/run"]
 SCRIPTS += ["tools/fetch_servers.sh", "tools/fetch_usb_mock.sh", "tools/fetch_usb_vm.sh"]
 SCRIPTS += ["tools/system_packages.sh"]
+TRANSFORM_SOURCES = "audioflinger_hook/transform/native"
+PLUGIN_SOURCES = ROOT / "audioflinger_hook/plugin/native"
 SET_UP = ROOT / "tools/setup.sh"
 FETCH = ROOT / "tools/fetch_recordings.sh"
 IN_CI = os.environ.get("CI") == "true"
@@ -37,7 +39,7 @@ PROGRAMS += ["mktemp", "readlink", "rm", "sed", "sh", "sort", "tail", "tr"]
 def project_copy(tmp_path_factory):
     """A copy of the project's sources, nothing compiled in it."""
     copy = tmp_path_factory.mktemp("wheel")
-    for name in ["pyproject.toml", "README.md", "LICENSE"]:
+    for name in ["pyproject.toml", "setup.py", "README.md", "LICENSE"]:
         if (ROOT / name).exists():
             shutil.copy(ROOT / name, copy)
     for name in [*PACKAGES, "tests", "tools"]:
@@ -103,13 +105,23 @@ def test_what_is_compiled_compiles_without_a_warning(wheel):
 
 
 @pytest.mark.parametrize(
-    ("number", "folder"), [(0, "audioflinger_hook/transform/native"), (1, "device/native")]
+    ("number", "folder"), [(0, "audioflinger_hook/transform/native"), (2, "device/native")]
 )
 def test_every_source_is_built_and_every_header_rebuilds_it(number, folder):
     extension = PROJECT["tool"]["setuptools"]["ext-modules"][number]
     native = ROOT / folder
     for pattern, names in (("*.c", extension["sources"]), ("*.h", extension["depends"][:-1])):
         assert names == sorted(path.relative_to(ROOT).as_posix() for path in native.glob(pattern))
+
+
+def test_the_plugin_is_built_of_its_own_sources_and_all_of_the_kernel_but_pythons_part():
+    kernel, plugin, _ = PROJECT["tool"]["setuptools"]["ext-modules"]
+    own = {path.relative_to(ROOT).as_posix() for path in PLUGIN_SOURCES.glob("*.c")}
+    of_python = {f"{TRANSFORM_SOURCES}/{name}.c" for name in ("module", "arguments")}
+    assert set(plugin["sources"]) == own | (set(kernel["sources"]) - of_python)
+    headers = {path.relative_to(ROOT).as_posix() for path in PLUGIN_SOURCES.glob("*.h")}
+    of_kernel = {name for name in kernel["depends"][:-1] if not name.endswith("/module.h")}
+    assert set(plugin["depends"]) == headers | of_kernel | {"pyproject.toml", "setup.py"}
 
 
 @pytest.mark.exhaustive

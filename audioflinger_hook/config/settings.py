@@ -307,7 +307,9 @@ class LiveSettings(Described):
     engine: Annotated[
         str,
         Choice(
-            "native: inside PipeWire, 7 ms after the sound; auto: native wherever it can", ENGINES
+            "native: inside PipeWire, 7 ms after the sound; auto: native wherever it can",
+            ENGINES,
+            change="nothing",
         ),
     ] = ENGINES[0]
     device_volume_db: Annotated[

@@ -95,8 +95,10 @@ class EngineSwitch:
         connection: PulseConnection,
         volume: DeviceVolume,
         now_s: float,
+        *,
+        linked: bool,
     ) -> bool:
-        """Keep the native engine running; return whether it plays.
+        """Keep the native engine running; return whether it plays, or can as soon as it is linked.
 
         Raises nothing: a lost engine starts again, and `auto` gives up after some failures.
         """
@@ -105,16 +107,18 @@ class EngineSwitch:
         try:
             native = self._opened()
             self._set_volume(device, connection, volume)
-            plays = native.maintain(source, device, players, now_s, felt=True)
+            plays = native.maintain(source, device, players, now_s, linked=linked)
         except CushionError as error:
             self._fail(error, now_s)
             return False
         if native.plan is not None:
             self._failures = 0
+        if not linked:
+            return plays
         self._note_unseen(native, source, device, now_s)
         if players:
             self._played_s = now_s
-        if plays:
+        if plays and linked:
             quiet = now_s - self._played_s > QUIET_S
             state = DaemonState.IDLE if quiet else DaemonState.RUNNING
             self._states.enter(state, now_s, "nothing plays" if quiet else "")
@@ -122,13 +126,12 @@ class EngineSwitch:
 
     def lose_links(self, cause: Cause, now_s: float, reason: str) -> None:
         """Note that the tap or the device has vanished."""
-        if self.native is not None and self.native.lose_links():
+        if self.native is not None and self.native.lose_links(now_s):
             self._states.recover(cause, now_s, reason)
 
-    def fade_out(self) -> None:
-        """Let the native engine's vibration end softly."""
-        if self.native is not None:
-            self.native.fade_out()
+    def fade_out(self, now_s: float) -> bool:
+        """Let the native engine's vibration end softly; return whether it has ended."""
+        return self.native is None or self.native.fade_out(now_s)
 
     def close(self) -> None:
         """End the native engine until the next `maintain`. May be repeated; raises nothing."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
@@ -10,6 +9,7 @@ from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.engine_switch import EngineSwitch
+from audioflinger_hook.daemon.handover import Handover
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
 from audioflinger_hook.daemon.outputs.base import Output, StreamOutput
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
@@ -18,7 +18,6 @@ from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
-from device.drive.settings import GAIN_MIN_DB
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
@@ -30,11 +29,11 @@ TICK_S = 0.1
 RESTING_TICK_S = 1.0
 """Time between ticks while idle."""
 
+HANDOVER_TICK_S = 0.02
+"""Time between ticks during a change of engine."""
+
 NATIVE_TICK_S = 0.25
 """Time between ticks while the native engine plays; what it waits for rings `wake`."""
-
-HANDOVER_S = 0.25
-"""From a lowered level until the Python engine's last loud frame has been played."""
 
 
 class Supervisor:
@@ -70,8 +69,7 @@ class Supervisor:
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
         self.switch = EngineSwitch(config, folder, self.states, wake.ring)
         self.ready_s: float | None = None
-        self._python_ends_s: float | None = None
-        self._native_ends_s: float | None = None
+        self._handover = Handover()
         self._stalls = StallDetector(self.states, clocks.slept_s)
         self._heard_before_s = 0.0
 
@@ -88,6 +86,8 @@ class Supervisor:
         """Longest time until the next tick, unless `wake` rings."""
         if self.states.state is DaemonState.IDLE:
             return RESTING_TICK_S
+        if self._handover.is_under_way:
+            return HANDOVER_TICK_S
         native = self.switch.native
         return NATIVE_TICK_S if native and native.is_steady else TICK_S
 
@@ -139,10 +139,13 @@ class Supervisor:
         return self._config.settings
 
     @property
+    def _delay_s(self) -> float:
+        return max(0.0, self._config.live.offset_s)
+
+    @property
     def offset_s(self) -> float:
         """The user's offset in seconds, less the delay of the sound in drop-in mode."""
-        line_s = max(0.0, self._config.live.offset_s)
-        return line_s - (self._drop_in.delay_s if self._drop_in else 0.0)
+        return self._delay_s - (self._drop_in.delay_s if self._drop_in else 0.0)
 
     @property
     def latencies_s(self) -> tuple[float, float]:
@@ -233,8 +236,8 @@ class Supervisor:
         if self._input.name and self._output.name:
             self._note_ready(now_s)
             self.states.enter(DaemonState.RUNNING, now_s)
-            if self.switch.native is not None and self.engine.delay_line.status.delay_s > 0.0:
-                self._end_native(now_s)
+            if self.switch.reason and self.engine is not None and self._handover.is_under_way:
+                self._end_native(self.engine, now_s)
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
         """Apply another config and return the difference.
@@ -354,37 +357,40 @@ class Supervisor:
         now_s: float,
     ) -> bool:
         """Keep the native engine, if it is chosen; return False while the Python engine plays."""
-        switch = self.switch
+        switch, handover, engine = self.switch, self._handover, self.engine
         if connection is None or not switch.takes_native(source, connection.latest):
             return False
-        self._native_ends_s = None
         assert isinstance(self._output, StreamOutput)
-        players = self._input.players(connection.latest)
-        plays = switch.maintain(source, device, players, connection, self._output.volume, now_s)
-        if plays:
-            self._note_ready(now_s)
-        if self.engine is None:
+        ready = switch.maintain(
+            source,
+            device,
+            self._input.players(connection.latest),
+            connection,
+            self._output.volume,
+            now_s,
+            linked=engine is None,
+        )
+        if engine is None:
+            if ready:
+                self._note_ready(now_s)
             return not switch.reason
-        if not plays:
+        if not ready:
             return False
-        # The Python engine ends softly before its streams close.
-        if self._python_ends_s is None:
-            self._python_ends_s = now_s
-            quiet = dataclasses.replace(self._config.settings, gain_db=GAIN_MIN_DB)
-            self.engine.follow(quiet, max(0.0, self._config.live.offset_s))
-        elif now_s - self._python_ends_s > HANDOVER_S:
+        if handover.move(engine, self._config.settings, self._delay_s, now_s, down=True):
+            # What was lowered last has left the delay line by now.
             self._endpoints.close()
-            self._heard_before_s, self.engine, self._python_ends_s = self.heard_s, None, None
+            self._heard_before_s, self.engine = self.heard_s, None
+            handover.reset()
         return True
 
-    def _end_native(self, now_s: float) -> None:
-        """End the native engine softly, now that the Python engine plays."""
-        if self._native_ends_s is None:
-            self._native_ends_s = now_s
-            self.switch.fade_out()
-        elif now_s - self._native_ends_s > HANDOVER_S:
+    def _end_native(self, engine: Engine, now_s: float) -> None:
+        """End the native engine softly, once the Python engine plays evenly."""
+        if engine.delay_line.status.delay_s <= 0.0 or not self._handover.has_settled(now_s):
+            return
+        if self.switch.fade_out(now_s):
             self.switch.close()
-            self._native_ends_s = None
+        if self._handover.move(engine, self._config.settings, self._delay_s, now_s, down=False):
+            self._handover.reset()
 
     def _note_ready(self, now_s: float) -> None:
         if self.ready_s is None:
@@ -415,6 +421,8 @@ class Supervisor:
         """Make the engine for the first source; later sources are converted to the first format."""
         engine = self.engine
         if engine is None:
+            if self.switch.native is not None and self.switch.native.audible:
+                self._handover.begin_silent(now_s)
             recording, feed = self._config.recording, self._endpoints.feed
             on_step, on_mix = None, None
             if recording:
@@ -424,9 +432,9 @@ class Supervisor:
             engine = self.engine = Engine(
                 feed.client(source.samplerate, source.channels),
                 device.samplerate or source.samplerate,
-                self._config.settings,
+                self._handover.settings(self._config.settings),
                 clocks=self._clocks,
-                offset_s=max(0.0, self._config.live.offset_s),
+                offset_s=self._delay_s,
                 block_frames=self._config.live.block_frames,
                 now_s=now_s,
                 bypass_late=self._input.needs_server,

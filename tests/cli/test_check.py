@@ -12,7 +12,7 @@ from tests.support.parameters import LIMITS
 
 TOP_LEVEL = (
     "profile, damping, protection, exposure_cap, rig, gain_db, effects_file, tap, device, "
-    "offset_ms, drop_in, block_frames, realtime, device_volume_db, [transform], [applications], "
+    "offset_ms, drop_in, block_frames, realtime, engine, device_volume_db, [transform], [applications], "
     "[[actuator]]"
 )
 

@@ -377,7 +377,7 @@ def test_the_effect_has_the_ranges_of_the_schema() -> None:
 
 
 KINDS = {
-    "nothing": ("level", "actuators", "volume", "offset"),
+    "nothing": ("level", "actuators", "volume", "offset", "way"),
     "next stream": ("priority",),
     "stream": ("tap", "device", "drop_in"),
     "streams": ("blocks",),

@@ -77,7 +77,10 @@ class Daemon:
     def wait_ready(self, limit_s: float = 20.0) -> Status:
         """Its status once it plays and knows both clocks."""
         return self.wait(
-            lambda status: status.state in SOUNDING and status.delay_line.delay_ms > 0.0,
+            lambda status: (
+                status.state in SOUNDING
+                and (status.delay_line.delay_ms > 0.0 or status.engine == "native")
+            ),
             "steady vibration",
             limit_s,
         )
@@ -105,15 +108,18 @@ def running(
     server: SoundServer,
     *arguments: str,
     device: str | None = "haptic",
+    engine: str | None = "python",
     ready: bool = True,
     within: Sequence[str] = (),
     variables: Mapping[str, str] = {},
 ) -> Iterator[Daemon]:
     """`cushion run` on this server, once it plays (unless not `ready`).
 
-    device: None for the config's; within: a command that runs it; variables: of its environment.
+    device, engine: None for the config's; within: a command that runs it; variables: of its
+    environment.
     """
     named = () if device is None else ("--device", device)
+    named += () if engine is None else ("--engine", engine)
     process = subprocess.Popen(
         [*within, *CUSHION, "run", *named, *arguments],
         env=environment(server) | dict(variables),

@@ -19,7 +19,7 @@ from device.server.graph import Graph, Link
 NAME = "haptic-cushion"
 """Beginning of the names of all nodes and files."""
 
-END_S = 1.0
+END_S = 0.2
 """Longest wait for the end of the process before it is killed."""
 
 LOG_BYTES = 2_000
@@ -167,9 +167,12 @@ class Chain:
         """End the process and remove its files. May be repeated; raises nothing."""
         process, self._process = self._process, None
         if process is not None:
-            process.kill()
-            with suppress(subprocess.TimeoutExpired):
+            process.terminate()  # its nodes then leave the graph between two cycles
+            try:
                 process.wait(END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
         for path in self._files.values():
             with suppress(OSError):
                 path.unlink(missing_ok=True)

@@ -85,6 +85,7 @@ class NativeEngine:
         self._source: Source | None = None
         self._device: Sink | None = None
         self._has_played = False
+        self._faded_s = math.inf
         self.audible = False
         for left_over in folder.glob(f"{NAME}-*"):  # of a daemon that was killed
             left_over.unlink(missing_ok=True)
@@ -132,11 +133,12 @@ class NativeEngine:
             self._set_actuators(running.chain)
 
     def maintain(
-        self, source: Source, device: Sink, players: frozenset[int], now_s: float, *, felt: bool
+        self, source: Source, device: Sink, players: frozenset[int], now_s: float, *, linked: bool
     ) -> bool:
-        """Start, link and check the chain; return whether it plays.
+        """Start, link and check the chain; return whether it plays, or could if it were linked.
 
-        players: streams that play into the tap. felt: whether the vibration may be felt yet.
+        players: streams that play into the tap. linked: whether it may be linked. Links join the
+        graph's groups, which costs other streams of these devices some samples.
         LostError: the chain or the graph is gone; the next call starts again.
         UsageError: the device lacks a channel.
         """
@@ -147,24 +149,32 @@ class NativeEngine:
         plan = ChainPlan.of(self._config.settings, source)
         if self._current is None or self._current.chain.plan != plan:
             self._begin_next(plan, now_s)
+        if not linked:
+            waiting = self._current or self._next
+            return waiting is not None and waiting.chain.is_in(self._graph)
         self._link(source, device, now_s)
         self._adopt_next(now_s)
-        self._let_play(now_s, felt=felt)
+        self._let_play(now_s)
         return self.audible
 
-    def lose_links(self) -> bool:
-        """Note that tap or device is away, and the links with it; return whether it played."""
+    def lose_links(self, now_s: float) -> bool:
+        """Remove all links, as tap or device is away; return whether the engine had played."""
         played, self._has_played = self._has_played, False
+        for running in filter(None, (self._current, self._next)):
+            running.chain.page.set_audible(False)
+            self._graph.ensure((), (running.chain.tap, running.chain.vibration), now_s)
         self.audible = False
         for running in filter(None, (self._current, self._next)):
             running.linked_s = math.inf
         return played
 
-    def fade_out(self) -> None:
-        """Let the vibration end softly; `close` may follow after FADE_S."""
+    def fade_out(self, now_s: float) -> bool:
+        """Let the vibration end softly; return whether it has ended. Repeat it until then."""
         for running in filter(None, (self._current, self._next)):
             running.chain.page.set_audible(False)
         self.audible = False
+        self._faded_s = min(self._faded_s, now_s)
+        return now_s - self._faded_s > FADE_S
 
     def close(self) -> None:
         """End everything. May be repeated; raises nothing."""
@@ -259,13 +269,13 @@ class NativeEngine:
                 old.chain.close()
                 self._current, self._next = new, None
 
-    def _let_play(self, now_s: float, *, felt: bool) -> None:
+    def _let_play(self, now_s: float) -> None:
         """Fade the chains in or out: the next one takes over when it has settled."""
         takes_over = self._next is not None and self._next.is_settled(now_s)
         self.audible = False
         for running in filter(None, (self._current, self._next)):
-            plays = running is self._next if takes_over else running is self._current
-            plays = plays and felt and running.is_settled(now_s)
+            chosen = self._next if takes_over else self._current
+            plays = running is chosen and running.linked_s < math.inf
             running.chain.page.set_audible(plays)
             self.audible |= plays
         self._has_played |= self.audible

@@ -7,7 +7,7 @@
 #include <string.h>
 
 #define DELAY_MAX_S 2.0
-#define AUDIBLE_FADE_S 0.02
+#define AUDIBLE_FADE_S 0.03
 #define REST_S 0.05
 #define SILENT 1e-30
 #define ABSURD 1e30

@@ -1,0 +1,442 @@
+"""`cushion run` with the native engine: inside PipeWire's graph, through every fault."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from scipy.signal import butter, sosfilt
+
+from audioflinger_hook.service.state import Cause, DaemonState
+from device.units import Float32Array
+from tests.servers.conftest import started
+from tests.servers.daemons import (
+    FELT,
+    Daemon,
+    cpu_percent,
+    cushion,
+    felt_now,
+    pitch_hz,
+    recovered,
+    running,
+    tone,
+)
+from tests.servers.listening import RATE_HZ, noise, playing, recording, wait_for
+from tools.sound_server import SoundServer
+
+pytestmark = [pytest.mark.servers, pytest.mark.calm]
+
+BACK_S = 1.0
+"""Within this the vibration is back once a fault is over."""
+
+CLICK_DB = -50.0
+"""Loudest click of a change of engine: what is above 250 Hz, against full scale."""
+
+
+@pytest.fixture
+def pipewire(monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
+    yield from started("pipewire", monkeypatch)
+
+
+@pytest.fixture
+def pulse(monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
+    yield from started("pulse", monkeypatch)
+
+
+def engine_process(daemon: Daemon) -> int:
+    return daemon.wait(lambda status: status.engine_pid, "the native engine").engine_pid
+
+
+def is_alive(process_id: int) -> bool:
+    try:
+        return "Z" not in Path(f"/proc/{process_id}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+
+
+def back_within(felt: Callable[[], Float32Array], since_s: float, what: str) -> float:
+    wait_for(lambda: felt_now(felt), f"vibration after {what}")
+    took_s = time.monotonic() - since_s
+    print(f"native: felt {took_s:.2f} s after {what}")
+    assert took_s < BACK_S
+    return took_s
+
+
+def links_of(server: SoundServer) -> str:
+    """All links of the graph; the player itself may follow the default sink."""
+    return subprocess.run(
+        ["pw-link", "--links"], env=server.environment, capture_output=True, text=True, check=True
+    ).stdout
+
+
+def above_250_hz(frames: Float32Array) -> float:
+    """The loudest sample of what is above 250 Hz, in dB of full scale.
+
+    The first tenth of a second is left out: the filter starts from silence.
+    """
+    high_pass = butter(8, 250.0, "highpass", fs=RATE_HZ, output="sos")
+    rest = sosfilt(high_pass, frames[:, 0].astype(np.float64))[RATE_HZ // 10 :]
+    return 20.0 * float(np.log10(np.abs(rest).max() + 1e-9))
+
+
+# ------------------------------------------------------------------------------------ which engine
+
+
+def test_auto_takes_the_native_engine_on_pipewire_and_says_so(pipewire: SoundServer) -> None:
+    with running(pipewire, engine=None) as daemon:
+        status = daemon.wait_ready()
+        shown = cushion(pipewire, "status")
+    assert (status.engine, status.engine_reason) == ("native", "")
+    assert status.latency.total_ms < 12.0
+    assert "engine" in shown.stdout
+    assert "native" in shown.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("--engine", "python"), "engine = 'python'"),
+        (("--protection", "on"), "protection is on"),
+        (("--drop-in",), "drop_in is on"),
+        (("--tap", "app:player"), "single applications are tapped"),
+    ],
+)
+def test_the_status_says_why_the_python_engine_plays(
+    pipewire: SoundServer, arguments: tuple[str, ...], reason: str
+) -> None:
+    with running(pipewire, *arguments, engine=None) as daemon:
+        status = daemon.wait(lambda s: s.engine, "an engine")
+    assert (status.engine, status.engine_reason) == ("python", reason)
+
+
+def test_on_pulseaudio_auto_takes_the_python_engine_and_native_ends_with_3(
+    pulse: SoundServer,
+) -> None:
+    with running(pulse, engine=None) as daemon:
+        status = daemon.wait_ready()
+    assert (status.engine, status.engine_reason) == ("python", "the sound server is PulseAudio")
+    refused = cushion(pulse, "run", "--device", "haptic", "--engine", "native")
+    assert refused.returncode == 3
+    assert "the sound server is PulseAudio" in refused.stderr
+
+
+@pytest.mark.parametrize("program", ["pipewire", "pw-link"])
+def test_without_a_program_of_pipewire_auto_says_so_and_native_ends_with_3(
+    pipewire: SoundServer, program: str, tmp_path: Path
+) -> None:
+    for folder in os.environ["PATH"].split(":"):
+        for path in Path(folder).iterdir() if Path(folder).is_dir() else ():
+            if path.name != program and not (tmp_path / path.name).exists():
+                (tmp_path / path.name).symlink_to(path)
+    without = {"PATH": str(tmp_path)}
+    with running(pipewire, engine=None, variables=without) as daemon:
+        status = daemon.wait_ready()
+    assert status.engine == "python"
+    assert f"the program {program} is missing" in status.engine_reason
+    with running(pipewire, engine="native", ready=False, variables=without) as daemon:
+        assert daemon.wait_exit() == 3
+    assert f"the program {program} is missing" in daemon.stderr
+    assert "Traceback" not in daemon.stderr
+
+
+# ------------------------------------------------------------------------------------ what is felt
+
+
+def test_the_vibration_is_that_of_render_bit_for_bit(pipewire: SoundServer, tmp_path: Path) -> None:
+    sound = 0.5 * noise(6.0)
+    sound[: 2 * RATE_HZ] = 0.0
+    sound[-RATE_HZ:] = 0.0
+    soundfile.write(tmp_path / "sound.wav", sound, RATE_HZ, subtype="FLOAT")
+    assert (
+        cushion(
+            pipewire, "render", str(tmp_path / "sound.wav"), str(tmp_path / "vibration.wav")
+        ).returncode
+        == 0
+    )
+    wanted, _ = soundfile.read(tmp_path / "vibration.wav", dtype="float32")
+    with (
+        running(pipewire, engine="native"),
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+        playing(pipewire, "desktop", sound),
+    ):
+        wait_for(lambda: len(felt()) > 8 * RATE_HZ, "eight seconds", 20.0)
+        got = felt()
+    assert (got[:, 0] == got[:, 1]).all()
+    first, start = np.flatnonzero(got[:, 0])[0], np.flatnonzero(wanted)[0]
+    length = len(wanted) - start
+    assert np.array_equal(got[first : first + length, 0], wanted[start:])
+
+
+def test_each_actuator_plays_its_own_side_level_and_polarity(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    config = tmp_path / "config.toml"
+    config.write_text(
+        '[[actuator]]\nchannels = [0]\nsource = "left"\n'
+        '[[actuator]]\nchannels = [1]\nsource = "mix"\ngain_db = -6.0\npolarity = "inverted"\n'
+    )
+    sound = tone(60.0, 6.0)
+    sound[:, 1] = 0.0
+    with (
+        running(pipewire, "--config", str(config), engine="native") as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+        playing(pipewire, "desktop", sound),
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        wait_for(lambda: len(felt()) > 3 * RATE_HZ, "three seconds")
+        status = daemon.wait(lambda s: len(s.actuators) == 2, "two actuators")
+        got = felt()[-RATE_HZ:].astype(np.float64)
+    left, mix = got[:, 0], got[:, 1]
+    assert pitch_hz(felt()[-RATE_HZ:]) > 0.0
+    ratio = float(left @ mix / (left @ left))
+    # half of the sound in the mix, at -6 dB, turned around
+    assert ratio == pytest.approx(-0.25, abs=0.02)
+    assert status.actuators[0].level.peak_dbfs > status.actuators[1].level.peak_dbfs + 10.0
+
+
+def test_a_new_level_profile_and_delay_take_effect_without_a_gap(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    config = tmp_path / "config.toml"
+    config.write_text("gain_db = 0\n")
+    with (
+        playing(pipewire, "desktop", tone(110.0, 60.0)),
+        running(pipewire, "--config", str(config), engine="native") as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        for text in ("gain_db = -12\n", 'profile = "music"\n', "offset_ms = 40\n"):
+            before = len(felt())
+            config.write_text(text)
+            daemon.process.send_signal(signal.SIGHUP)
+            wait_for(lambda start=before: len(felt()) > start + 2 * RATE_HZ, "two seconds")
+            part = felt()[before:]
+            blocks = np.abs(part[: len(part) // 960 * 960]).reshape(-1, 960 * 2).max(axis=1)
+            assert (blocks > FELT).all(), text
+            assert above_250_hz(part) < CLICK_DB, text
+        assert daemon.status() is not None
+
+
+def test_a_change_of_engine_costs_under_300_ms_and_does_not_click(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    config = tmp_path / "config.toml"
+    config.write_text('engine = "native"\n')
+    with (
+        playing(pipewire, "desktop", tone(110.0, 60.0)),
+        running(pipewire, "--config", str(config), engine=None) as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        for engine in ("python", "native"):
+            before = len(felt())
+            config.write_text(f'engine = "{engine}"\n')
+            daemon.process.send_signal(signal.SIGHUP)
+            daemon.wait(lambda s, e=engine: s.engine == e, f"the {engine} engine")
+            wait_for(lambda start=before: len(felt()) > start + 3 * RATE_HZ, "three seconds")
+            part = felt()[before:]
+            blocks = np.abs(part[: len(part) // 480 * 480]).reshape(-1, 480 * 2).max(axis=1)
+            silent = np.flatnonzero(np.concatenate([[True], blocks > FELT, [True]]))
+            longest_ms = 10.0 * float(np.diff(silent).max() - 1)
+            click_db = above_250_hz(part)
+            print(f"to {engine}: {longest_ms:.0f} ms without vibration, click {click_db:.0f} dB")
+            assert longest_ms <= 300.0
+            assert click_db < CLICK_DB
+            gone = engine == "python"
+            daemon.wait(lambda s, g=gone: (s.engine_pid == 0) == g, "the other engine's end")
+
+
+def test_it_idles_without_processor_time_and_wakes_at_once(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    with running(pipewire, engine="native") as daemon:
+        daemon.wait_state(DaemonState.IDLE)
+        child = engine_process(daemon)
+        used = cpu_percent(daemon.process.pid, child, seconds=10.0)
+        print(f"native, idle: daemon {used[0]:.2f} %, its child {used[1]:.2f} % of a core")
+        assert max(used) <= 0.1
+        with (
+            recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+            playing(pipewire, "desktop", tone(60.0, 10.0)),
+        ):
+            since_s = time.monotonic()
+            back_within(felt, since_s, "idling")
+        daemon.wait_state(DaemonState.RUNNING)
+
+
+# ------------------------------------------------------------------------------------------ faults
+
+
+@pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV])
+def test_a_child_that_dies_or_hangs_is_started_again(
+    pipewire: SoundServer, fault: signal.Signals, tmp_path: Path
+) -> None:
+    with (
+        playing(pipewire, "desktop", tone(60.0, 60.0)),
+        running(pipewire, engine="native") as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        child = engine_process(daemon)
+        since_s = time.monotonic()
+        os.kill(child, fault)
+        daemon.wait(lambda status: status.engine_pid not in (0, child), "another child")
+        back_within(felt, since_s, f"{fault.name} of the child")
+        status = daemon.wait_state(DaemonState.RUNNING)
+        assert recovered(status, Cause.ENGINE_LOST) == 1
+        assert not is_alive(child)
+
+
+def test_a_killed_daemon_takes_its_child_along_and_the_next_one_plays(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    with (
+        playing(pipewire, "desktop", tone(60.0, 60.0)),
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        with running(pipewire, engine="native") as daemon:
+            wait_for(lambda: felt_now(felt), "vibration")
+            child = engine_process(daemon)
+            daemon.process.kill()
+            wait_for(lambda: not is_alive(child), "the child's end", 1.0)
+            wait_for(lambda: not felt_now(felt), "silence", 1.0)
+        with running(pipewire, engine="native"):
+            wait_for(lambda: felt_now(felt), "vibration again")
+        assert not list((pipewire.folder / "cushion").glob("haptic-cushion-*"))
+
+
+def test_not_one_sample_is_elsewhere_when_the_device_vanishes_and_it_comes_back(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    pipewire.add_sink("other")
+    with (
+        playing(pipewire, "desktop", tone(60.0, 60.0)),
+        recording(pipewire, "other.monitor", tmp_path / "other") as other,
+        running(pipewire, engine="native") as daemon,
+    ):
+        for _ in range(3):
+            with recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt:
+                wait_for(lambda f=felt: felt_now(f), "vibration")
+            pipewire.remove("haptic")
+            daemon.wait_state(DaemonState.WAITING_FOR_DEVICE)
+            heard = len(other())
+            wait_for(lambda h=heard: len(other()) > h + RATE_HZ // 2, "half a second")
+            pipewire.add_sink("haptic")
+            since_s = time.monotonic()
+            with recording(pipewire, "haptic.monitor", tmp_path / "again") as felt:
+                back_within(felt, since_s, "the device came back")
+        status = daemon.wait_state(DaemonState.RUNNING)
+        assert recovered(status, Cause.DEVICE_LOST) == 3
+        assert not other().any()
+
+
+def test_the_tap_follows_the_default_sink_and_never_the_device_or_a_microphone(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    pipewire.add_sink("speakers")
+    pipewire.add_microphone("mic")
+    with (
+        running(pipewire, engine="native") as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+        playing(pipewire, "mic-room", tone(80.0, 60.0)),
+        playing(pipewire, "speakers", tone(60.0, 60.0)),
+    ):
+        wait_for(lambda: len(felt()) > RATE_HZ, "a second")
+        assert not felt().any()
+        since_s = time.monotonic()
+        pipewire.choose_default("speakers")
+        back_within(felt, since_s, "another default sink")
+        pipewire.choose_default("haptic")
+        status = daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
+        assert "would feed back" in status.reason
+        wait_for(lambda: "haptic-cushion" not in links_of(pipewire), "no link", 3.0)
+        pipewire.choose_default("speakers")
+        wait_for(lambda: felt_now(felt), "vibration again")
+        status = daemon.wait_state(DaemonState.RUNNING)
+        assert recovered(status, Cause.DEFAULT_CHANGED) >= 1
+
+
+def test_a_tapped_sink_that_vanishes_is_felt_again_when_it_is_back(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    pipewire.add_sink("speakers")
+    with (
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+        running(pipewire, "--tap", "sink:speakers", engine="native") as daemon,
+    ):
+        with playing(pipewire, "speakers", tone(60.0, 60.0)):
+            wait_for(lambda: felt_now(felt), "vibration")
+            pipewire.remove("speakers")
+            daemon.wait_state(DaemonState.WAITING_FOR_SOUND_SOURCE)
+        wait_for(lambda: not felt_now(felt), "silence")
+        pipewire.add_sink("speakers")
+        with playing(pipewire, "speakers", tone(60.0, 60.0)):
+            back_within(felt, time.monotonic(), "the tapped sink played again")
+
+
+def test_it_plays_again_after_the_server_was_killed(pipewire: SoundServer, tmp_path: Path) -> None:
+    with running(pipewire, engine="native") as daemon:
+        for _ in range(2):
+            pipewire.kill()
+            daemon.wait_state(DaemonState.WAITING_FOR_SERVER)
+            pipewire.start()
+            with (
+                playing(pipewire, "desktop", tone(60.0, 30.0)),
+                recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+            ):
+                wait_for(lambda f=felt: felt_now(f), "vibration")
+                status = daemon.wait_state(DaemonState.RUNNING)
+        assert status.engine == "native"
+        assert recovered(status, Cause.SERVER_LOST) == 2
+
+
+def test_fifty_clients_do_not_disturb_it(pipewire: SoundServer, tmp_path: Path) -> None:
+    with (
+        playing(pipewire, "desktop", tone(60.0, 60.0)),
+        running(pipewire, engine="native") as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for(lambda: felt_now(felt), "vibration")
+        child = engine_process(daemon)
+        clients = [
+            subprocess.Popen(
+                ["pacat", "--playback", "--device=desktop", "/dev/zero", "--raw"],
+                env=pipewire.environment,
+                stdin=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            for _ in range(50)
+        ]
+        try:
+            before = len(felt())
+            wait_for(lambda: len(felt()) > before + 2 * RATE_HZ, "two seconds", 30.0)
+        finally:
+            for client in clients:
+                client.kill()
+            for client in clients:
+                client.wait()
+        wait_for(lambda: felt_now(felt), "vibration")
+        assert engine_process(daemon) == child
+
+
+def test_a_second_daemon_is_refused_and_the_first_plays_on(pipewire: SoundServer) -> None:
+    with running(pipewire, engine="native") as daemon:
+        refused = cushion(pipewire, "run", "--device", "haptic", "--engine", "native")
+        assert refused.returncode != 0
+        assert "Traceback" not in refused.stderr
+        assert daemon.wait_ready().engine == "native"
+
+
+def test_seconds_are_wall_clock_time_also_while_nothing_plays(pipewire: SoundServer) -> None:
+    with running(pipewire, "--seconds", "2", engine="native", ready=False) as daemon:
+        daemon.wait_ready()
+        began_s = time.monotonic()
+        assert daemon.wait_exit(10.0) == 0
+    assert 1.0 < time.monotonic() - began_s < 4.0
