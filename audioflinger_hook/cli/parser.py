@@ -160,6 +160,26 @@ def _calibrate(command: Parser) -> None:
     _json(command)
 
 
+def _plugin(command: Parser) -> None:
+    from audioflinger_hook.config.profiles import PROFILES
+
+    command.add_argument(
+        "does",
+        choices=("path", "install", "remove"),
+        metavar="path|install|remove",
+        help="print where it is; write it with its settings for this user; remove it",
+    )
+    command.add_argument(
+        "--profile",
+        choices=tuple(PROFILES),
+        default="paper",
+        metavar="NAME",
+        help=f"of the PipeWire chain: {', '.join(PROFILES)}; default: paper",
+    )
+    _value(command, "--device", str, "NODE", "also write a PipeWire chain that plays to this sink")
+    _value(command, "--rate", int, "HZ", "also write settings for this sample rate")
+
+
 def _install_service(command: Parser) -> None:
     _value(command, "--device", str, "DEVICE", f"{SEE_DEVICES}; default: the config's")
     _value(command, "--tap", str, "TAP", "where the sound comes from; default: the config's")
@@ -230,6 +250,7 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str]] = {
     "usb": (_usb, "decode a USB audio device, or a dump of one"),
     "test-tone": (_test_tone, "play a tone on one output, to find the right one"),
     "calibrate": (_calibrate, "identify a rig with sweeps of rising level"),
+    "plugin": (_plugin, "install the effect as a plugin of other audio software"),
     "install-service": (_install_service, "start the daemon at every login"),
     "check": (_check, "report every mistake of a config file"),
 }

@@ -10,12 +10,20 @@ from dataclasses import replace
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Engine
 from device.drive.settings import GAIN_MIN_DB
+from device.units import amplitude_to_db
 
-STEPS_DB = (0.0, -2.5, -6.0, -12.0, GAIN_MIN_DB)
-"""Levels on the way down: every step but the last takes a quarter of full level."""
+STEPS = 12
+"""Steps from full level to silence. Each takes a twelfth: at full scale a step of one buffer leaves
+-52 dB above 250 Hz."""
 
-STEP_S = 0.03
+STEPS_DB = (*(amplitude_to_db(1.0 - step / STEPS) for step in range(STEPS)), GAIN_MIN_DB)
+"""Levels on the way down."""
+
+STEP_S = 0.02
 """Time between two steps."""
+
+HOLD_S = 0.05
+"""Wait after a chain has left the graph: other streams of its devices then miss a cycle."""
 
 DRAINED_S = 0.15
 """From the last step down until it has passed the delay line."""
@@ -45,6 +53,10 @@ class Handover:
         """Let the Python engine's next streams begin silent."""
         self._step, self._began_s, self._moved_s = len(STEPS_DB) - 1, now_s, now_s
         self.level_db = GAIN_MIN_DB
+
+    def hold(self, now_s: float) -> None:
+        """Let the next step wait for HOLD_S."""
+        self._moved_s = now_s + HOLD_S - STEP_S
 
     def has_settled(self, now_s: float) -> bool:
         """Whether streams that began silent play evenly by now."""

@@ -236,8 +236,8 @@ class Supervisor:
         if self._input.name and self._output.name:
             self._note_ready(now_s)
             self.states.enter(DaemonState.RUNNING, now_s)
-            if self.switch.reason and self.engine is not None and self._handover.is_under_way:
-                self._end_native(self.engine, now_s)
+            if self.switch.reason:
+                self._end_native(now_s)
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
         """Apply another config and return the difference.
@@ -383,12 +383,18 @@ class Supervisor:
             handover.reset()
         return True
 
-    def _end_native(self, engine: Engine, now_s: float) -> None:
+    def _end_native(self, now_s: float) -> None:
         """End the native engine softly, once the Python engine plays evenly."""
+        engine = self.engine
+        if engine is None or not (self.switch.native or self._handover.is_under_way):
+            return
         if engine.delay_line.status.delay_s <= 0.0 or not self._handover.has_settled(now_s):
             return
-        if self.switch.fade_out(now_s):
-            self.switch.close()
+        if self.switch.native is not None:
+            if self.switch.fade_out(now_s):
+                self.switch.close()
+                self._handover.hold(now_s)
+            return
         if self._handover.move(engine, self._config.settings, self._delay_s, now_s, down=False):
             self._handover.reset()
 

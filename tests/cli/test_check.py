@@ -12,8 +12,8 @@ from tests.support.parameters import LIMITS
 
 TOP_LEVEL = (
     "profile, damping, protection, exposure_cap, rig, gain_db, effects_file, tap, device, "
-    "offset_ms, drop_in, block_frames, realtime, engine, device_volume_db, [transform], [applications], "
-    "[[actuator]]"
+    "offset_ms, drop_in, block_frames, realtime, engine, device_volume_db, [transform], "
+    "[applications], [[actuator]]"
 )
 
 FIVE_MISTAKES = """\

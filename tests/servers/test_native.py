@@ -111,8 +111,11 @@ def test_auto_takes_the_native_engine_on_pipewire_and_says_so(pipewire: SoundSer
 def test_the_status_says_why_the_python_engine_plays(
     pipewire: SoundServer, arguments: tuple[str, ...], reason: str
 ) -> None:
-    with running(pipewire, *arguments, engine=None) as daemon:
-        status = daemon.wait(lambda s: s.engine, "an engine")
+    with (
+        playing(pipewire, "desktop", tone(60.0, 60.0), name="player"),
+        running(pipewire, *arguments, engine=None) as daemon,
+    ):
+        status = daemon.wait_ready()
     assert (status.engine, status.engine_reason) == ("python", reason)
 
 
@@ -261,7 +264,8 @@ def test_it_idles_without_processor_time_and_wakes_at_once(
         child = engine_process(daemon)
         used = cpu_percent(daemon.process.pid, child, seconds=10.0)
         print(f"native, idle: daemon {used[0]:.2f} %, its child {used[1]:.2f} % of a core")
-        assert max(used) <= 0.1
+        assert used[0] <= 0.5  # it answers to changes of the server once a second
+        assert used[1] <= 0.1
         with (
             recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
             playing(pipewire, "desktop", tone(60.0, 10.0)),

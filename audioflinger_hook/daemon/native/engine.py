@@ -33,8 +33,8 @@ SETTLED_FRAMES = 9_600
 SETTLED_S = 0.3
 """Longest wait for that sound: nothing may play."""
 
-FADE_S = 0.06
-"""From the wish to be silent to the end of a chain; its fade takes 20 ms."""
+FADE_S = 0.08
+"""From the wish to be silent to the end of a chain; its fade takes 40 ms."""
 
 STUCK_S = 5.0
 """A chain that processes nothing for so long although applications play is started again."""

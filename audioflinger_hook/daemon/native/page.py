@@ -131,7 +131,7 @@ class Page:
         wishes.damped = 1
 
     def set_audible(self, audible: bool) -> None:
-        """Fade all actuators in or out, within 30 ms."""
+        """Fade all actuators in or out, within 40 ms."""
         for wishes in self._page.wishes:
             wishes.audible = int(audible)
 

@@ -7,7 +7,7 @@
 #include <string.h>
 
 #define DELAY_MAX_S 2.0
-#define AUDIBLE_FADE_S 0.03
+#define AUDIBLE_FADE_S 0.04
 #define REST_S 0.05
 #define SILENT 1e-30
 #define ABSURD 1e30
@@ -117,7 +117,7 @@ void actuator_process(Actuator *actuator, size_t slot, const float *input, float
     fade_to(&actuator->audible, wishes.audible ? 1.0 : 0.0, (size_t)(AUDIBLE_FADE_S * samplerate));
     fade_apply(&actuator->gain, output, frames);
     delay_process(&actuator->delay, output, frames, delay);
-    fade_apply(&actuator->audible, output, frames);
+    fade_apply_smoothly(&actuator->audible, output, frames);
     level_add(&actuator->meter, output, frames, 1);
     actuator->frames += frames;
     if (actuator->page && slot < PAGE_ACTUATORS) {

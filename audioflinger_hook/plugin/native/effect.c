@@ -8,7 +8,7 @@
 
 #define GAIN_MIN_DB (-60.0)
 #define GAIN_MAX_DB 20.0
-#define BYPASS_FADE_S 0.02
+#define BYPASS_FADE_S 0.04
 #define FLOOR_DBFS (-150.0)
 
 Effect *effect_open(const char *profile, unsigned long samplerate, size_t channels)
@@ -73,7 +73,7 @@ void effect_process(Effect *effect, EffectControls controls, const float *const 
         source_process(effect->source, at, effect->vibration, part);
         fade_apply(&effect->gain, effect->vibration, part);
         delay_process(&effect->delay, effect->vibration, part, delay);
-        fade_apply(&effect->open, effect->vibration, part);
+        fade_apply_smoothly(&effect->open, effect->vibration, part);
         for (size_t output = 0; output < outputs_count; output++)
             if (outputs[output])
                 memcpy(outputs[output] + done, effect->vibration, part * sizeof(float));

@@ -1,0 +1,166 @@
+"""Installs the plugin for hosts other than the daemon: the file, its designs, LV2, and PipeWire."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from audioflinger_hook.config.profiles import PROFILES, parameters_of
+from audioflinger_hook.plugin import FILE_NAME, plugin_path, turtle
+from audioflinger_hook.plugin.faces import public_faces
+from audioflinger_hook.transform.design import LiveDesign
+from device.atomic_file import write_bytes_atomically
+from device.errors import NotFoundError, UsageError, WriteError
+
+RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
+MARKER = "Written by `cushion plugin install`; `cushion plugin remove` removes it."
+BUNDLE = "haptic-cushion.lv2"
+CHAIN = "haptic-cushion.conf"
+
+_CHAIN = """\
+# {marker}
+context.modules = [
+    {{ name = libpipewire-module-filter-chain
+        args = {{
+            node.description = "Haptic Cushion ({profile})"
+            media.name = "Haptic Cushion ({profile})"
+            filter.graph = {{
+                nodes = [
+                    {{ type = ladspa name = cushion plugin = {plugin} label = haptic_cushion_{profile} }}
+                ]
+            }}
+            capture.props = {{
+                node.name = "haptic-cushion.tap"
+                stream.capture.sink = true
+                node.passive = true
+                audio.position = [ FL FR ]
+            }}
+            playback.props = {{
+                node.name = "haptic-cushion.vibration"
+                node.target = {device}
+                target.object = {device}
+                node.dont-reconnect = true
+                node.passive = true
+                audio.position = [ FL FR ]
+            }}
+        }}
+    }}
+]
+"""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where everything is installed. data: plugin and designs; bundle: LV2; chain: PipeWire."""
+
+    data: Path
+    bundle: Path
+    chain: Path
+
+    @classmethod
+    def of(cls, environ: Mapping[str, str]) -> Places:
+        """Return the user's places. UsageError: there is no home folder."""
+        home = environ.get("HOME", "")
+        if not home.startswith("/"):
+            raise UsageError(f"HOME is {home!r}; allowed: an absolute path; set it")
+        data = Path(environ.get("XDG_DATA_HOME") or f"{home}/.local/share")
+        config = Path(environ.get("XDG_CONFIG_HOME") or f"{home}/.config")
+        chain = config / "pipewire" / "filter-chain.conf.d" / CHAIN
+        return cls(data / "haptic-cushion", Path(home) / ".lv2" / BUNDLE, chain)
+
+    @property
+    def plugin(self) -> Path:
+        """The installed plugin."""
+        return self.data / FILE_NAME
+
+    @property
+    def designs(self) -> Path:
+        """The folder of designs."""
+        return self.data / "designs"
+
+
+def built_plugin() -> Path:
+    """Return the compiled plugin of this installation. NotFoundError: it is not built."""
+    path = plugin_path()
+    if path is None:
+        raise NotFoundError(
+            "the plugin is not built; install a C compiler, such as gcc, and run `make run` again"
+        )
+    return path
+
+
+def install(places: Places, profile: str, device: str | None, rates_hz: tuple[int, ...]) -> None:
+    """Write plugin, designs and LV2 bundle, and with a device PipeWire's drop-in. May be repeated.
+
+    profile: of the drop-in. device: name of its sink. rates_hz: samplerates of the designs.
+    NotFoundError: the plugin is not built. UsageError: a foreign file is in the way, or a
+    samplerate is impossible. WriteError: a file cannot be written.
+    """
+    built = built_plugin()
+    _refuse_foreign(places)
+    faces = public_faces(built)
+    designs = {
+        f"{name}-{rate_hz}.design": LiveDesign.of(parameters_of(name), rate_hz).to_bytes()
+        for name in PROFILES
+        for rate_hz in rates_hz
+    }
+    try:
+        for folder in (places.designs, places.bundle, *([places.chain.parent] if device else [])):
+            folder.mkdir(parents=True, exist_ok=True)
+        for name, content in designs.items():
+            write_bytes_atomically(places.designs / name, content)
+        content = built.read_bytes()
+        for folder in (places.data, places.bundle):
+            # A host may have the old file mapped: it keeps it, since the new one takes its name.
+            write_bytes_atomically(folder / FILE_NAME, content)
+        texts = {"manifest.ttl": turtle.manifest, turtle.DESCRIPTION: turtle.description}
+        for name, made in texts.items():
+            write_bytes_atomically(places.bundle / name, made(faces, MARKER).encode())
+        if device is not None:
+            chain = _CHAIN.format(
+                marker=MARKER,
+                profile=profile,
+                plugin=json.dumps(str(places.plugin)),
+                device=json.dumps(device),
+            )
+            write_bytes_atomically(places.chain, chain.encode())
+    except OSError as error:
+        raise WriteError(f"cannot write {error.filename}: {error.strerror}") from error
+
+
+def remove(places: Places) -> list[Path]:
+    """Remove what `install` wrote, and return what was removed. May be repeated.
+
+    UsageError: a foreign file is in a place of ours; nothing was removed.
+    """
+    _refuse_foreign(places)
+    found = [places.plugin, *sorted(places.designs.glob("*.design")), places.chain]
+    found += [places.bundle / name for name in (FILE_NAME, "manifest.ttl", turtle.DESCRIPTION)]
+    removed = [path for path in found if path.exists()]
+    for path in removed:
+        path.unlink()
+    for folder in (places.designs, places.data, places.bundle):
+        with suppress(OSError):  # somebody's own file is in it, or it is gone
+            folder.rmdir()
+    return removed
+
+
+def loading_commands() -> tuple[str, str]:
+    """Return the commands that load PipeWire's drop-in: now, and at every login."""
+    now = "pipewire -c filter-chain.conf"
+    return now, "systemctl --user enable --now filter-chain.service"
+
+
+def _refuse_foreign(places: Places) -> None:
+    for path in (places.chain, places.bundle / "manifest.ttl"):
+        try:
+            first = path.read_text("utf-8", "replace").partition("\n")[0]
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise UsageError(f"{path} cannot be read: {error.strerror}; move it away") from error
+        if MARKER not in first:
+            raise UsageError(f"{path} is not of `cushion plugin install`; rename or remove it")
