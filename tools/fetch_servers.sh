@@ -1,6 +1,6 @@
 #!/bin/sh
 # The sound servers that the tests marked `servers` run against: PulseAudio, PipeWire with WirePlumber and
-# pipewire-pulse, ALSA's pulse plugin, and the small programs that play and record.
+# pipewire-pulse, ALSA's pulse plugin, the small programs that play and record, and hosts of the plugin.
 #
 # pipewire-alsa stays out: it conflicts with PulseAudio. Where somebody's sound server runs nothing is
 # installed, since a second one could take its place at the next login.
@@ -10,7 +10,7 @@ set -eu
 who=servers
 
 packages='pulseaudio pulseaudio-utils pipewire pipewire-bin wireplumber pipewire-pulse libasound2-plugins
-alsa-utils faketime'
+alsa-utils faketime ffmpeg ladspa-sdk lilv-utils lv2-dev sordi strace'
 
 # shellcheck disable=SC2086
 missing=$(missing_packages $packages)

@@ -19,6 +19,23 @@ RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
 MARKER = "Written by `cushion plugin install`; `cushion plugin remove` removes it."
 BUNDLE = "haptic-cushion.lv2"
 CHAIN = "haptic-cushion.conf"
+HOST = "filter-chain.conf"
+HOST_FOLDERS = (Path("/usr/share/pipewire"), Path("/etc/pipewire"))
+
+_HOST = """\
+# {marker}
+# It stands in for PipeWire's own filter-chain.conf, which is not installed here.
+context.spa-libs = {{
+    audio.convert.* = audioconvert/libspa-audioconvert
+    support.* = support/libspa-support
+}}
+context.modules = [
+    {{ name = libpipewire-module-rt args = {{ nice.level = -11 }} flags = [ ifexists nofail ] }}
+    {{ name = libpipewire-module-protocol-native }}
+    {{ name = libpipewire-module-client-node }}
+    {{ name = libpipewire-module-adapter }}
+]
+"""
 
 _CHAIN = """\
 # {marker}
@@ -29,7 +46,8 @@ context.modules = [
             media.name = "Haptic Cushion ({profile})"
             filter.graph = {{
                 nodes = [
-                    {{ type = ladspa name = cushion plugin = {plugin} label = haptic_cushion_{profile} }}
+                    {{ type = ladspa plugin = {plugin}
+                        name = cushion label = haptic_cushion_{profile} }}
                 ]
             }}
             capture.props = {{
@@ -75,6 +93,11 @@ class Places:
     def plugin(self) -> Path:
         """The installed plugin."""
         return self.data / FILE_NAME
+
+    @property
+    def host(self) -> Path:
+        """The configuration of the program that loads the chain."""
+        return self.chain.parent.parent / HOST
 
     @property
     def designs(self) -> Path:
@@ -127,6 +150,8 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
                 device=json.dumps(device),
             )
             write_bytes_atomically(places.chain, chain.encode())
+            if not any((folder / HOST).exists() for folder in (places.host.parent, *HOST_FOLDERS)):
+                write_bytes_atomically(places.host, _HOST.format(marker=MARKER).encode())
     except OSError as error:
         raise WriteError(f"cannot write {error.filename}: {error.strerror}") from error
 
@@ -138,6 +163,8 @@ def remove(places: Places) -> list[Path]:
     """
     _refuse_foreign(places)
     found = [places.plugin, *sorted(places.designs.glob("*.design")), places.chain]
+    if places.host.exists() and _is_ours(places.host):
+        found.append(places.host)
     found += [places.bundle / name for name in (FILE_NAME, "manifest.ttl", turtle.DESCRIPTION)]
     removed = [path for path in found if path.exists()]
     for path in removed:
@@ -156,11 +183,12 @@ def loading_commands() -> tuple[str, str]:
 
 def _refuse_foreign(places: Places) -> None:
     for path in (places.chain, places.bundle / "manifest.ttl"):
-        try:
-            first = path.read_text("utf-8", "replace").partition("\n")[0]
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            raise UsageError(f"{path} cannot be read: {error.strerror}; move it away") from error
-        if MARKER not in first:
+        if path.exists() and not _is_ours(path):
             raise UsageError(f"{path} is not of `cushion plugin install`; rename or remove it")
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        return MARKER in path.read_text("utf-8", "replace").partition("\n")[0]
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror}; move it away") from error

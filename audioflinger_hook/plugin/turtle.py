@@ -14,7 +14,6 @@ LATENCY = "latency"
 
 _PREFIXES = """\
 @prefix doap:  <http://usefulinc.com/ns/doap#> .
-@prefix foaf:  <http://xmlns.com/foaf/0.1/> .
 @prefix lv2:   <http://lv2plug.in/ns/lv2core#> .
 @prefix rdfs:  <http://www.w3.org/2000/01/rdf-schema#> .
 @prefix units: <http://lv2plug.in/ns/extensions/units#> .
@@ -45,7 +44,6 @@ def _plugin(face: Face) -> str:
         "    a lv2:Plugin , lv2:ConverterPlugin ;\n"
         f'    doap:name "{face.name}" ;\n'
         "    doap:license <https://www.apache.org/licenses/LICENSE-2.0> ;\n"
-        '    doap:maintainer [ foaf:name "Haptic Cushion" ] ;\n'
         '    rdfs:comment "Turns sound into vibration for a cushion or seat." ;\n'
         "    lv2:minorVersion 2 ;\n"
         "    lv2:microVersion 0 ;\n"

@@ -118,8 +118,8 @@ def running(
     device, engine: None for the config's; within: a command that runs it; variables: of its
     environment.
     """
-    named = () if device is None else ("--device", device)
-    named += () if engine is None else ("--engine", engine)
+    named = [] if device is None else ["--device", device]
+    named += [] if engine is None else ["--engine", engine]
     process = subprocess.Popen(
         [*within, *CUSHION, "run", *named, *arguments],
         env=environment(server) | dict(variables),

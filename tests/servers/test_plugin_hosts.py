@@ -1,0 +1,296 @@
+"""The plugin in the programs that people use: FFmpeg, LADSPA and LV2 hosts, PipeWire."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from tests.plugin.hosting import PROFILES, Floats, plugin, vibration, write_design
+from tests.servers.conftest import started
+from tests.servers.daemons import ROOT, felt_now, tone
+from tests.servers.listening import playing, recording, wait_for
+from tools.sound_server import SoundServer
+
+pytestmark = pytest.mark.servers
+
+RATE_HZ = 48_000
+
+
+def needs(*programs: str) -> None:
+    """Skip without these programs; with CI=true, fail."""
+    missing = [program for program in programs if shutil.which(program) is None]
+    if missing and os.environ.get("CI") == "true":
+        pytest.fail(f"missing: {', '.join(missing)}")
+    if missing:
+        pytest.skip(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A home folder in which the plugin is installed."""
+    for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME", "LADSPA_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("LV2_PATH", str(tmp_path / ".lv2"))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    cushion("plugin", "install")
+    return tmp_path
+
+
+def cushion(*arguments: str) -> str:
+    """What a command prints; it must succeed."""
+    done = subprocess.run(
+        [sys.executable, "-m", "audioflinger_hook", *arguments],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def ran(*command: str | Path) -> str:
+    """What another program prints, both streams; it must succeed."""
+    done = subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, stdin=subprocess.DEVNULL
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.fixture
+def sound(tmp_path: Path) -> Path:
+    """A stereo file of 32-bit floats: bursts with silence before, between and after them."""
+    at_s = np.arange(3 * RATE_HZ) / RATE_HZ
+    burst = 0.4 * np.sin(2 * np.pi * 330.0 * at_s) * ((at_s % 1.0) > 0.6)
+    path = tmp_path / "sound.wav"
+    soundfile.write(path, np.stack([burst, 0.5 * burst], 1), RATE_HZ, subtype="FLOAT")
+    return path
+
+
+def samples(path: Path) -> Floats:
+    """All samples of a file, (frames, channels)."""
+    found: Floats = soundfile.read(path, dtype="float32", always_2d=True)[0]
+    return found
+
+
+# ------------------------------------------------------------------------------------------- FFmpeg
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_ffmpegs_output_is_that_of_render_bit_for_bit(
+    home: Path, sound: Path, profile: str
+) -> None:
+    needs("ffmpeg")
+    cushion("render", str(sound), str(home / "wanted.wav"), "--profile", profile)
+    path = cushion("plugin", "path")
+    ran(
+        *("ffmpeg", "-v", "error", "-i", sound, "-af"),
+        f"ladspa=file={path}:plugin=haptic_cushion_{profile}",
+        *("-c:a", "pcm_f32le", home / "vibration.wav"),
+    )
+    got, wanted = samples(home / "vibration.wav")[:, 0], samples(home / "wanted.wav")[:, 0]
+    late = (
+        len(got)
+        - int(np.argmax(got[::-1] != 0.0))
+        - (len(wanted) - int(np.argmax(wanted[::-1] != 0.0)))
+    )
+    first = int(np.flatnonzero(got)[0]) - int(np.flatnonzero(wanted)[0])
+    assert 0 < first < 0.02 * RATE_HZ
+    assert late >= 0
+    assert np.array_equal(got[first:], wanted[: len(got) - first])
+
+
+def test_a_film_gets_the_vibration_as_another_track(home: Path, sound: Path) -> None:
+    needs("ffmpeg", "ffprobe")
+    film, path = home / "film.mkv", cushion("plugin", "path")
+    picture = "testsrc=size=64x64:rate=5:duration=3"
+    ran("ffmpeg", "-v", "error", "-f", "lavfi", "-i", picture, "-i", sound, "-c:a", "flac", film)
+    ran(
+        *("ffmpeg", "-v", "error", "-i", film, "-filter_complex"),
+        f"[0:a:0]ladspa=file={path}:plugin=haptic_cushion_cinema[vibration]",
+        *("-map", "0", "-map", "[vibration]", "-c", "copy", "-c:a:1", "flac"),
+        *("-metadata:s:a:1", "title=Vibration", home / "felt.mkv"),
+    )
+    shown = ran("ffprobe", "-v", "error", "-show_entries", "stream=codec_type", home / "felt.mkv")
+    assert shown.count("codec_type=audio") == 2
+    assert shown.count("codec_type=video") == 1
+
+
+# ----------------------------------------------------------------------------------- LADSPA and LV2
+
+
+def test_a_ladspa_host_lists_the_faces_and_gives_the_vibration(home: Path, sound: Path) -> None:
+    needs("analyseplugin", "applyplugin")
+    path = cushion("plugin", "path")
+    shown = ran("analyseplugin", path, "haptic_cushion_cinema")
+    for words in ("Gain (dB)", "Delay (ms)", "Bypass", "latency"):
+        assert words in shown
+    # this host reads and writes 16 bits
+    soundfile.write(home / "short.wav", samples(sound), RATE_HZ, subtype="PCM_16")
+    out = home / "vibration.wav"
+    ran("applyplugin", home / "short.wav", out, path, "haptic_cushion_paper", "0", "0", "0")
+    wanted = vibration(samples(home / "short.wav"), "paper", RATE_HZ)
+    got = samples(out)[:, 0]
+    assert np.abs(got[: len(wanted)] - wanted[: len(got)]).max() < 2.0 / 32_768
+
+
+def test_the_lv2_bundle_is_valid_and_gives_the_bytes_of_the_transform(
+    home: Path, sound: Path
+) -> None:
+    needs("lv2ls", "lv2info", "lv2apply", "lv2_validate")
+    assert ran("lv2ls").split() == sorted(
+        f"urn:haptic-cushion:{name}" for name in (*PROFILES, "mono")
+    )
+    shown = ran("lv2info", "urn:haptic-cushion:cinema")
+    assert "Has latency:       yes" in shown
+    assert "error" not in shown.lower()
+    ran("lv2_validate", *sorted((home / ".lv2/haptic-cushion.lv2").glob("*.ttl")))
+    out = home / "vibration.wav"
+    ran("lv2apply", "-i", sound, "-o", out, "urn:haptic-cushion:music")
+    wanted = vibration(samples(sound), "music", RATE_HZ)
+    assert np.array_equal(samples(out)[: len(wanted), 0], wanted)
+
+
+# ----------------------------------------------------------------------------------------- PipeWire
+
+
+@pytest.fixture
+def pipewire(monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
+    yield from started("pipewire", monkeypatch)
+
+
+def test_the_drop_in_plays_to_its_device_and_remove_takes_everything_back(
+    pipewire: SoundServer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    environment = pipewire.environment | {"PYTHONPATH": str(ROOT)}
+    monkeypatch.setenv("HOME", environment["HOME"])
+    monkeypatch.setenv("XDG_CONFIG_HOME", environment["XDG_CONFIG_HOME"])
+    said = cushion("plugin", "install", "--device", "haptic")
+    assert "pipewire -c filter-chain.conf" in said
+    with (
+        subprocess.Popen(["pipewire", "-c", "filter-chain.conf"], env=environment) as host,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+        playing(pipewire, "desktop", tone(60.0, 20.0)),
+    ):
+        try:
+            wait_for(lambda: felt_now(felt), "vibration")
+        finally:
+            host.terminate()
+    assert "removed" in cushion("plugin", "remove")
+    left = list(Path(environment["HOME"]).rglob("*haptic*"))
+    left += list(Path(environment["XDG_CONFIG_HOME"]).rglob("*haptic*"))
+    assert left == []
+
+
+# ---------------------------------------------------------------------------------------- real time
+
+
+TRAP = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <stdlib.h>
+#include <unistd.h>
+int trap_armed;
+static void caught(void) { if (trap_armed) { write(2, "TRAPPED\n", 8); _exit(7); } }
+extern void *__libc_malloc(size_t); extern void *__libc_calloc(size_t, size_t);
+extern void *__libc_realloc(void *, size_t); extern void __libc_free(void *);
+void *malloc(size_t n) { caught(); return __libc_malloc(n); }
+void *calloc(size_t n, size_t m) { caught(); return __libc_calloc(n, m); }
+void *realloc(void *p, size_t n) { caught(); return __libc_realloc(p, n); }
+void free(void *p) { caught(); __libc_free(p); }
+"""
+
+HOST = r"""
+#include <dlfcn.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+#include "ladspa_abi.h"
+int main(int argc, char **argv)
+{
+    (void)argc;
+    void *library = dlopen(argv[1], RTLD_NOW);
+    const LadspaDescriptor *(*describe)(unsigned long) =
+        (const LadspaDescriptor *(*)(unsigned long))dlsym(library, "ladspa_descriptor");
+    int *armed = dlsym(RTLD_DEFAULT, "trap_armed");
+    const LadspaDescriptor *face = describe(1);
+    void *instance = face->instantiate(face, 48000);
+    static float in[2][4096], out[2][4096], controls[6];
+    if (!instance)
+        return 3;
+    for (int c = 0; c < 2; c++) {
+        face->connect_port(instance, c, in[c]);
+        face->connect_port(instance, 2 + c, out[c]);
+    }
+    for (int c = 0; c < 6; c++)
+        face->connect_port(instance, 4 + c, &controls[c]);
+    face->activate(instance);
+    if (armed)
+        *armed = 1;
+    syscall(SYS_getppid);
+    for (int block = 0; block < 200; block++) {
+        for (int i = 0; i < 4096; i++)
+            in[0][i] = in[1][i] = (block / 10) % 2 ? (i * 7919 + block) % 200 / 300.0f - 0.3f : 0;
+        controls[0] = (float)(block % 7) - 3;
+        controls[1] = (float)(block % 5) * 40;
+        controls[2] = block % 50 == 0;
+        face->run(instance, block % 3 ? 4096 : 1023);
+    }
+    syscall(SYS_getppid);
+    if (armed)
+        *armed = 0;
+    face->cleanup(instance);
+    return 0;
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A program that runs the plugin between two marks, and a trap for allocations."""
+    folder = tmp_path_factory.mktemp("host")
+    write_design(folder, "cinema", RATE_HZ)
+    (folder / "host.c").write_text(HOST)
+    (folder / "trap.c").write_text(TRAP)
+    include = f"-I{plugin().parent / 'native'}"
+    for command in (
+        ["gcc", include, str(folder / "host.c"), "-o", str(folder / "host"), "-ldl", "-rdynamic"],
+        ["gcc", "-shared", "-fPIC", str(folder / "trap.c"), "-o", str(folder / "trap.so")],
+    ):
+        subprocess.run(command, check=True, capture_output=True)
+    return folder
+
+
+def test_run_allocates_nothing(host: Path) -> None:
+    done = subprocess.run(
+        [host / "host", plugin()],
+        env=os.environ | {"LD_PRELOAD": str(host / "trap.so"), "XDG_DATA_HOME": str(host)},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_run_makes_no_system_call(host: Path) -> None:
+    traced = host / "trace"
+    needs("strace")
+    subprocess.run(
+        ["strace", "-f", "-o", str(traced), host / "host", plugin()],
+        env=os.environ | {"XDG_DATA_HOME": str(host)},
+        check=True,
+        capture_output=True,
+    )
+    calls = [line.split(None, 1)[1].partition("(")[0] for line in traced.read_text().splitlines()]
+    first, last = (i for i, call in enumerate(calls) if call == "getppid")
+    assert calls[first + 1 : last] == []
