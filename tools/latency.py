@@ -11,10 +11,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
+from itertools import product
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -71,6 +73,21 @@ def _parse() -> argparse.Namespace:
         metavar="N",
         help=f"of the daemon's streams, one run each; default: {USUAL_BLOCK_FRAMES}",
     )
+    parser.add_argument(
+        "--engine",
+        choices=("native", "python"),
+        nargs="+",
+        default=["python"],
+        help="of the daemon, one run each; native: on PipeWire only; default: python",
+    )
+    parser.add_argument(
+        "--quantum",
+        type=int,
+        nargs="+",
+        default=[None],
+        metavar="N",
+        help="cycle of PipeWire's graph in frames, one run each; default: its own choice",
+    )
     parser.add_argument("--hz", type=float, default=145.0, help="of the tone; default: 145")
     parser.add_argument("--here", action="store_true", help="the daemon that runs here")
     parser.add_argument("--play", action="store_true", help="with --here: play the tone, too")
@@ -88,23 +105,49 @@ def _on_servers(options: argparse.Namespace) -> Iterator[LiveRecord]:
     """A record for each server and block size, as they come."""
     kinds = sorted(PROGRAMS) if options.kind == "both" else [options.kind]
     for kind in kinds:
-        for block_frames in options.block_frames:
+        for engine, quantum, block_frames in product(
+            options.engine, options.quantum, options.block_frames
+        ):
+            if kind == "pulse" and (engine == "native" or quantum is not None):
+                continue
             with (
                 tempfile.TemporaryDirectory(prefix="latency-") as folder,
                 SoundServer(kind, Path(folder)) as server,
             ):
-                yield on_server(server, options, block_frames)
+                if quantum is not None:
+                    _force_quantum(server, quantum)
+                yield on_server(server, options, block_frames, engine, quantum)
 
 
-def on_server(server: SoundServer, options: argparse.Namespace, block_frames: int) -> LiveRecord:
+def on_server(
+    server: SoundServer,
+    options: argparse.Namespace,
+    block_frames: int,
+    engine: str = "python",
+    quantum: int | None = None,
+) -> LiveRecord:
     """The record of a daemon that is started on this server."""
     place = Place("desktop" + MONITOR, "haptic" + MONITOR, server.environment)
     asked = None if block_frames == USUAL_BLOCK_FRAMES else block_frames
     with (
         _tone(place, options.hz),
-        running_daemon("haptic", server.environment, server.folder, block_frames=asked),
+        running_daemon(
+            "haptic",
+            server.environment,
+            server.folder,
+            block_frames=asked,
+            arguments=("--engine", engine),
+        ),
     ):
-        return _measured(place, options, Settings(), block_frames, _name(options.hz))
+        frames = None if engine == "native" else block_frames  # the native engine has none
+        return _measured(place, options, Settings(), frames, _name(options.hz), quantum)
+
+
+def _force_quantum(server: SoundServer, quantum: int) -> None:
+    command = ["pw-metadata", "-n", "settings", "0", "clock.force-quantum", str(quantum)]
+    done = subprocess.run(command, env=server.environment, capture_output=True, text=True)
+    if done.returncode:
+        raise ServerError(f"{' '.join(command)}: {done.stderr.strip()}")
 
 
 def _here(options: argparse.Namespace) -> Iterator[LiveRecord]:
@@ -137,6 +180,7 @@ def _measured(
     settings: Settings,
     block_frames: int | None,
     stimulus: str,
+    quantum: int | None = None,
 ) -> LiveRecord:
     with progress_bar("latency") as advance:
         return measure(
@@ -144,6 +188,7 @@ def _measured(
             options.seconds,
             settings=settings,
             block_frames=block_frames,
+            quantum_frames=quantum,
             stimulus=stimulus,
             progress=advance,
         )
@@ -173,7 +218,8 @@ def _told(record: LiveRecord) -> str:
         f"resyncs, {record.underflows} underflows, {record.overflows} overflows, "
         f"{record.recoveries} recoveries",
         f"  it used {record.cpu_percent or 0.0:.1f} % of a core, its memory grew by "
-        f"{record.memory_growth_kb or 0.0:+.0f} kB",
+        f"{record.memory_growth_kb or 0.0:+.0f} kB; the native engine's process used "
+        f"{record.child_cpu_percent or 0.0:.2f} %, {record.child_memory_growth_kb or 0.0:+.0f} kB",
         f"  dropouts: {record.dropouts}, {record.dropout_ms:.1f} ms; splices in the recordings: "
         f"{record.splices}; the machine stood still {record.machine_pauses or 0} times, for up to "
         f"{record.machine_pause_ms or 0.0:.0f} ms",

@@ -81,6 +81,8 @@ def _wait_until_ready(
         if process.poll() is not None:
             break
         status = status_of_daemon(environment)
+        if status and status.state in READY and status.engine == "native":
+            return
         if status and status.state in READY and status.delay_line.delay_ms > 0.0:
             playing_s = min(playing_s, now_s)
             if status.delay_line.state == "locked":

@@ -59,7 +59,7 @@ class _Polls:
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._environment = environment
         self.seen: list[tuple[float, Status]] = []
-        self.use = ProcessUse()
+        self.use, self.child_use = ProcessUse(), ProcessUse()
         self._due_s = time.monotonic()
 
     def poll(self, now_s: float) -> None:
@@ -71,6 +71,8 @@ class _Polls:
         if status is not None:
             self.seen.append((now_s, status))
             self.use.sample(status.pid, now_s)
+            if status.engine_pid:
+                self.child_use.sample(status.engine_pid, now_s)
 
     def median(self, value: Callable[[Status], float], *span_s: float) -> float | None:
         """Return the median of a figure, from one time to another or of all; None without one."""
@@ -90,13 +92,14 @@ def measure(
     *,
     settings: Settings | None = None,
     block_frames: int | None = None,
+    quantum_frames: int | None = None,
     stimulus: str = "whatever played",
     progress: Progress | None = None,
 ) -> LiveRecord:
     """Return how late the vibration of a running daemon is, for so many seconds from now on.
 
-    settings: the daemon's; block_frames, stimulus: for the record only. Takes 4 s more than
-    `seconds`, at least WINDOW_S; waits in the calling thread.
+    settings: the daemon's; block_frames, quantum_frames, stimulus: for the record only. Takes 4 s
+    more than `seconds`, at least WINDOW_S; waits in the calling thread.
 
     Raises
     ------
@@ -159,6 +162,10 @@ def measure(
         memory_growth_kb=polls.use.memory_growth_kb,
         machine_pauses=len(listened.pauses),
         machine_pause_ms=max((1e3 * pause.seconds for pause in listened.pauses), default=0.0),
+        engine=polls.seen[-1][1].engine if polls.seen else "python",
+        quantum_frames=quantum_frames,
+        child_cpu_percent=polls.child_use.cpu_percent,
+        child_memory_growth_kb=polls.child_use.memory_growth_kb,
         lags_ms=lags_ms,
         budgets_ms=budgets_ms,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -26,7 +27,9 @@ class LiveRecord:
     budgets_ms: what the daemon reported meanwhile. growth_ms: change of the lag over the run, by a
     robust line; hidden_growth_ms: the part that the daemon does not report. check_*_ms: the lag
     between two recordings of one monitor, the instrument's own error. splices: places where the
-    recordings lack frames. machine_pauses: how often the whole machine stood still.
+    recordings lack frames. machine_pauses: how often the whole machine stood still. engine: native
+    or python; child_*: of the native engine's process. quantum_frames: cycle of PipeWire's graph
+    that was asked for, None for its own choice.
     """
 
     server: str
@@ -64,12 +67,18 @@ class LiveRecord:
     budgets_ms: Numbers
     machine_pauses: int | None = None
     machine_pause_ms: float | None = None
+    engine: str = "python"
+    quantum_frames: int | None = None
+    child_cpu_percent: float | None = None
+    child_memory_growth_kb: float | None = None
 
     @property
     def name(self) -> str:
-        """Server and block size, the same for the next measurement."""
+        """Server, engine and block sizes, the same for the next measurement."""
+        engine = "" if self.engine == "python" else f", {self.engine}"
+        quantum = "" if self.quantum_frames is None else f", quantum {self.quantum_frames}"
         frames = "" if self.block_frames is None else f", {self.block_frames} frames"
-        return f"{self.server}{frames}"
+        return f"{self.server}{engine}{quantum}{frames}"
 
     @property
     def busy(self) -> bool:
@@ -115,7 +124,7 @@ def keep_records(measured: Iterable[LiveRecord], path: Path) -> None:
     records.write_records(to_json(ordered)["records"], path)
 
 
-def _in_order(name: str) -> tuple[str, int]:
-    """Return server and block size as a number, so that 1024 frames come after 256."""
-    server, _, frames = name.partition(", ")
-    return server, int(frames.partition(" ")[0] or 0)
+def _in_order(name: str) -> tuple[str, tuple[int, ...]]:
+    """Return the words and then the numbers of a name, so that 1024 frames come after 256."""
+    words = re.sub(r"\d+", "", name)
+    return words, tuple(map(int, re.findall(r"\d+", name)))
