@@ -169,7 +169,7 @@ def _keep_on(
             supervisor.tick(now_s)
             report = supervisor.states.report(now_s)
             reporter.report(report, supervisor.states.notes(), supervisor.warnings, now_s)
-            if watchdog.due(supervisor.heard_buffers, report.state, now_s):
+            if watchdog.due(supervisor.engines.buffers, report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:

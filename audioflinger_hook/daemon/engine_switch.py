@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.inputs.base import AudioNode
 from audioflinger_hook.daemon.native.abilities import (
     missing_parts,
@@ -14,6 +15,7 @@ from audioflinger_hook.daemon.native.abilities import (
     why_not_tap,
 )
 from audioflinger_hook.daemon.native.engine import NativeEngine
+from audioflinger_hook.daemon.native.taps import why_not_applications
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import QUIET_S
@@ -81,11 +83,11 @@ class EngineSwitch:
 
     def takes_native(self, source: AudioNode, snapshot: ServerSnapshot | None) -> bool:
         """Return whether the native engine is to compute; sets `reason`."""
-        reason = self._why_python(snapshot) or why_not_tap(source.channels) or self._problem
-        if self.is_required and reason == self._problem:
-            reason = ""
-        self.reason = reason
-        return not reason and isinstance(source, Source)
+        reason = self._why_python(snapshot) or why_not_tap(source.channels)
+        if not reason and snapshot is not None and isinstance(source, Applications):
+            reason = why_not_applications(source, snapshot)
+        self.reason = reason or ("" if self.is_required else self._problem)
+        return not self.reason
 
     def maintain(
         self,
@@ -102,7 +104,7 @@ class EngineSwitch:
 
         Raises nothing: a lost engine starts again, and `auto` gives up after some failures.
         """
-        assert isinstance(source, Source)
+        assert isinstance(source, (Source, Applications))
         assert isinstance(device, Sink)
         try:
             native = self._opened()
@@ -178,7 +180,7 @@ class EngineSwitch:
                 self._states.enter(DaemonState.RECOVERING, now_s, self._problem)
 
     def _note_unseen(
-        self, native: NativeEngine, source: Source, device: Sink, now_s: float
+        self, native: NativeEngine, source: Source | Applications, device: Sink, now_s: float
     ) -> None:
         missing = native.unseen(source, device)
         if not missing or self._seen_s is None:

@@ -27,7 +27,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     """Return the status at `now_s`. Any thread may call it; audio threads do not wait for it."""
     report = supervisor.states.report(now_s)
     tap, device = supervisor.endpoints
-    engine, native = supervisor.engine, supervisor.switch.native
+    engine, native = supervisor.engine, supervisor.engines.switch.native
     status = Status(
         version=__version__,
         pid=os.getpid(),
@@ -39,7 +39,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         xruns=Xruns(*supervisor.xruns),
         recoveries=report.recoveries,
         warnings=tuple(supervisor.warnings),
-        engine_reason=supervisor.switch.reason,
+        engine_reason=supervisor.engines.switch.reason,
         engine_pid=native.process_id if native else 0,
     )
     if native is not None and native.audible:

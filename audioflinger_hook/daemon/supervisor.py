@@ -8,10 +8,9 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
-from audioflinger_hook.daemon.engine_switch import EngineSwitch
-from audioflinger_hook.daemon.handover import Handover
+from audioflinger_hook.daemon.engines import Engines
 from audioflinger_hook.daemon.inputs.base import AudioNode, Input
-from audioflinger_hook.daemon.outputs.base import Output, StreamOutput
+from audioflinger_hook.daemon.outputs.base import Output
 from audioflinger_hook.daemon.run_config import ConfigDiff, RunConfig
 from audioflinger_hook.daemon.server_link import ServerLink
 from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
@@ -29,12 +28,6 @@ TICK_S = 0.1
 RESTING_TICK_S = 1.0
 """Time between ticks while idle."""
 
-HANDOVER_TICK_S = 0.02
-"""Time between ticks during a change of engine."""
-
-NATIVE_TICK_S = 0.25
-"""Time between ticks while the native engine plays; what it waits for rings `wake`."""
-
 
 class Supervisor:
     """One daemon, from tap to device.
@@ -44,10 +37,9 @@ class Supervisor:
     the daemon.
 
     config: what to do. clocks: sources of time; `now_s` is time.monotonic() or a replacement.
-    wake: rung when something changes. states: the daemon's state and its recoveries. engine: what
-    the audio threads run; None before the first sound, and while the native engine plays. folder:
-    private, for files of the native engine; None: only the Python engine. ready_s: when both ends
-    were first there. priority: of the audio threads.
+    wake: rung when something changes. states: the daemon's state and its recoveries. folder:
+    private, for files of the native engine; None: only the Python engine. engines: both engines.
+    priority: of the audio threads.
     config_error: why the latest config was not applied, "" if it was.
     UsageError, NotFoundError: a file to play or to write cannot be used.
     """
@@ -57,7 +49,6 @@ class Supervisor:
     ) -> None:
         now_s = clocks.now_s()
         self.states = StateKeeper(now_s)
-        self.engine: Engine | None = None
         self._config = config
         self._clocks = clocks
         self.priority = AudioPriority(config.live.realtime)
@@ -67,11 +58,8 @@ class Supervisor:
         self._link = ServerLink(Nudge(wake))
         self._idle_policy = IdlePolicy(now_s)
         self._found: tuple[AudioNode | None, AudioNode | None] = (None, None)
-        self.switch = EngineSwitch(config, folder, self.states, wake.ring)
-        self.ready_s: float | None = None
-        self._handover = Handover()
+        self.engines = Engines(config, clocks, self._endpoints, self.states, folder, wake.ring)
         self._stalls = StallDetector(self.states, clocks.slept_s)
-        self._heard_before_s = 0.0
 
     @property
     def _input(self) -> Input:
@@ -82,32 +70,27 @@ class Supervisor:
         return self._endpoints.output
 
     @property
+    def engine(self) -> Engine | None:
+        """What the audio threads run, None before the first sound and with the native engine."""
+        return self.engines.python
+
+    @property
     def rest_s(self) -> float:
         """Longest time until the next tick, unless `wake` rings."""
         if self.states.state is DaemonState.IDLE:
             return RESTING_TICK_S
-        if self._handover.is_under_way:
-            return HANDOVER_TICK_S
-        native = self.switch.native
-        return NATIVE_TICK_S if native and native.is_steady else TICK_S
+        return self.engines.tick_s or TICK_S
 
     @property
     def heard_s(self) -> float:
         """Seconds of sound since the first buffer."""
-        engine = self.engine
-        return self._heard_before_s + (engine.frames / engine.samplerate if engine else 0.0)
+        return self.engines.heard_s
 
     def played_s(self, now_s: float) -> float:
         """Return the seconds since both ends were first there; of a file's sound, its own time."""
         if not (self._config.tap_is_live or self._config.device_is_live):
             return self.heard_s
-        return 0.0 if self.ready_s is None else now_s - self.ready_s
-
-    @property
-    def heard_buffers(self) -> int:
-        """Buffers since the start of the engine."""
-        readings = self.switch.native and self.switch.native.readings()
-        return readings.frames if readings else self.engine.buffers if self.engine else 0
+        return 0.0 if self.states.ready_s is None else now_s - self.states.ready_s
 
     @property
     def ended(self) -> bool:
@@ -185,7 +168,7 @@ class Supervisor:
         connection = PulseConnection()
         try:
             self._locate_tap(connection.latest, self._output.locate(connection.latest))
-            self.switch.check(connection.latest)
+            self.engines.switch.check(connection.latest)
         finally:
             connection.close()
 
@@ -213,16 +196,16 @@ class Supervisor:
             return
         except NotFoundError as error:
             self._input.close()
-            self.switch.lose_links(Cause.TAP_LOST, now_s, str(error))
+            self.engines.switch.lose_links(Cause.TAP_LOST, now_s, str(error))
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
             return
-        if self._native_plays(connection, source, device, now_s):
+        if self.engines.native_plays(connection, source, device, now_s):
             return
         if self._rests(connection, snapshot, now_s):
             return
         try:
-            self._prepare_engine(source, device, now_s)
+            self.engines.prepare(source, device, now_s)
             # The input opens first, so that no sound is lost while the output opens.
             self._input.maintain(connection, now_s)
             assert self.engine is not None
@@ -234,10 +217,8 @@ class Supervisor:
         except NotFoundError:
             return  # the device or tap has vanished; the next snapshot shows that
         if self._input.name and self._output.name:
-            self._note_ready(now_s)
             self.states.enter(DaemonState.RUNNING, now_s)
-            if self.switch.reason:
-                self._end_native(now_s)
+            self.engines.end_native(now_s)
 
     def follow(self, config: RunConfig, now_s: float) -> ConfigDiff:
         """Apply another config and return the difference.
@@ -248,15 +229,14 @@ class Supervisor:
         """
         changes, engine = ConfigDiff.between(self._config, config), self.engine
         self._endpoints.check_change(self._config, config)
-        offset_s = max(0.0, config.live.offset_s)
         if engine and changes.engine:
             # Raises if the new engine could not be made.
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)
         elif engine:
-            engine.follow(config.settings, offset_s)
+            engine.follow(config.settings, max(0.0, config.live.offset_s))
         self._config = config
-        self.switch.follow(config)
+        self.engines.follow(config)
         self._endpoints.configure(config)
         if changes.priority:
             self.priority.set_wanted(config.live.realtime)
@@ -278,7 +258,7 @@ class Supervisor:
         if restarts and config.recording:
             config.recording.end("another tap needs a new mix, which a replay cannot repeat")
         if restarts:
-            self._heard_before_s, self.engine = self.heard_s, None
+            self.engines.drop()
         if changes.any:
             self._idle_policy.wake(now_s)
         return changes
@@ -289,7 +269,7 @@ class Supervisor:
         WriteError: the file cannot be kept; everything else is closed by then.
         """
         self.states.enter(DaemonState.STOPPING, now_s)
-        self.switch.close()
+        self.engines.switch.close()
         self._endpoints.close()
         if self._drop_in:
             self._drop_in.close()
@@ -300,7 +280,7 @@ class Supervisor:
         if self._stalls.woke(now_s, self.rest_s):
             # Devices and servers return one by one after a suspend, so reopen what is available.
             self._endpoints.close()
-            self.switch.close()
+            self.engines.switch.close()
             self._idle_policy.wake(now_s)
         if self.engine:
             self._stalls.count_resyncs(self.engine.delay_line.status.resyncs)
@@ -325,7 +305,7 @@ class Supervisor:
                 self._output.close()
             if self._drop_in:
                 self._drop_in.close()
-            self.switch.close()
+            self.engines.switch.close()
             self._link.close()
         self._found = (None, None)
         self.states.enter(DaemonState.WAITING_FOR_SERVER, now_s, reason)
@@ -341,66 +321,13 @@ class Supervisor:
             if self._output.is_open:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
             self._output.close()
-            self.switch.lose_links(Cause.DEVICE_LOST, now_s, str(error))
+            self.engines.switch.lose_links(Cause.DEVICE_LOST, now_s, str(error))
             if not self._input.needs_server:  # a file waits for the device
                 self._input.close()
             self._found = (None, None)
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
             return None
-
-    def _native_plays(
-        self,
-        connection: PulseConnection | None,
-        source: AudioNode,
-        device: AudioNode,
-        now_s: float,
-    ) -> bool:
-        """Keep the native engine, if it is chosen; return False while the Python engine plays."""
-        switch, handover, engine = self.switch, self._handover, self.engine
-        if connection is None or not switch.takes_native(source, connection.latest):
-            return False
-        assert isinstance(self._output, StreamOutput)
-        ready = switch.maintain(
-            source,
-            device,
-            self._input.players(connection.latest),
-            connection,
-            self._output.volume,
-            now_s,
-            linked=engine is None,
-        )
-        if engine is None:
-            if ready:
-                self._note_ready(now_s)
-            return not switch.reason
-        if not ready:
-            return False
-        if handover.move(engine, self._config.settings, self._delay_s, now_s, down=True):
-            # What was lowered last has left the delay line by now.
-            self._endpoints.close()
-            self._heard_before_s, self.engine = self.heard_s, None
-            handover.reset()
-        return True
-
-    def _end_native(self, now_s: float) -> None:
-        """End the native engine softly, once the Python engine plays evenly."""
-        engine = self.engine
-        if engine is None or not (self.switch.native or self._handover.is_under_way):
-            return
-        if engine.delay_line.status.delay_s <= 0.0 or not self._handover.has_settled(now_s):
-            return
-        if self.switch.native is not None:
-            if self.switch.fade_out(now_s):
-                self.switch.close()
-                self._handover.hold(now_s)
-            return
-        if self._handover.move(engine, self._config.settings, self._delay_s, now_s, down=False):
-            self._handover.reset()
-
-    def _note_ready(self, now_s: float) -> None:
-        if self.ready_s is None:
-            self.ready_s = now_s
 
     def _rests(
         self, connection: PulseConnection | None, snapshot: ServerSnapshot | None, now_s: float
@@ -422,32 +349,3 @@ class Supervisor:
             if engine:
                 engine.rest()
         return True
-
-    def _prepare_engine(self, source: AudioNode, device: AudioNode, now_s: float) -> None:
-        """Make the engine for the first source; later sources are converted to the first format."""
-        engine = self.engine
-        if engine is None:
-            if self.switch.native is not None and self.switch.native.audible:
-                self._handover.begin_silent(now_s)
-            recording, feed = self._config.recording, self._endpoints.feed
-            on_step, on_mix = None, None
-            if recording:
-                on_step, on_mix = recording.hooks(
-                    source.samplerate, source.channels, of_mix=feed.records_mix
-                )
-            engine = self.engine = Engine(
-                feed.client(source.samplerate, source.channels),
-                device.samplerate or source.samplerate,
-                self._handover.settings(self._config.settings),
-                clocks=self._clocks,
-                offset_s=self._delay_s,
-                block_frames=self._config.live.block_frames,
-                now_s=now_s,
-                bypass_late=self._input.needs_server,
-                on_step=on_step,
-                on_mix=on_mix,
-            )
-            feed.serve(engine)
-            self._output.set_format(engine.samplerate, engine.drive.outputs)
-        elif not self._output.is_open:
-            engine.retarget(device.samplerate or engine.samplerate, self._config.live.block_frames)

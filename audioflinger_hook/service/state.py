@@ -50,6 +50,9 @@ class Cause(Enum):
     """The machine was suspended."""
 
 
+READY = frozenset((DaemonState.RUNNING, DaemonState.IDLE))
+"""Tap and device are there."""
+
 PLAYED = frozenset((DaemonState.RUNNING, DaemonState.IDLE, DaemonState.RECOVERING))
 """Only a daemon that played can recover."""
 
@@ -80,9 +83,12 @@ class StateKeeper:
 
     One thread changes it and takes the notes; any thread may call `report`. Times are seconds of
     one clock; a clock that runs backwards counts as standing still. The object's size is constant.
+
+    ready_s: when it was first READY, None before.
     """
 
     def __init__(self, now_s: float) -> None:
+        self.ready_s: float | None = None
         self._counts = dict.fromkeys(Cause, 0)
         self._notes: deque[Note] = deque(maxlen=NOTES_MAX)
         # State, reason and start are replaced as one object, so a reader sees a consistent report.
@@ -98,6 +104,8 @@ class StateKeeper:
         before, _, began_s = self._current
         is_new = state is not before
         self._current = (state, one_line(reason), now_s if is_new else began_s)
+        if self.ready_s is None and state in READY:
+            self.ready_s = now_s
         return is_new
 
     def recover(self, cause: Cause, now_s: float, reason: str = "") -> bool:

@@ -10,9 +10,10 @@ from __future__ import annotations
 import re
 import subprocess
 import threading
-import time
+from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from itertools import product
 
 from device.errors import NotFoundError
 from device.process import ends_with_us
@@ -22,7 +23,7 @@ ANSWER_S = 2.0
 """Longest time that one request may take."""
 
 RETRY_S = 0.1
-"""Time between two requests for the same link."""
+"""Time between two equal requests."""
 
 _LINE = re.compile(r"([=+-])\s+(\d+)\s+(.*\S)\s*$")
 _JOINS = " -> "
@@ -48,8 +49,8 @@ class Graph:
         self.lost = False
         self._on_change = on_change
         self._known: dict[str, str | Link] = {}
-        self._requests: dict[Link, tuple[subprocess.Popen[bytes], float]] = {}
-        self._asked_s: dict[Link, float] = {}
+        self._requests: dict[tuple[str, ...], tuple[subprocess.Popen[bytes], float]] = {}
+        self._asked_s: dict[tuple[str, ...], float] = {}
         try:
             self._process = subprocess.Popen(
                 [PROGRAM, "--monitor", "--output", "--input", "--links", "--id"],
@@ -72,22 +73,28 @@ class Graph:
         start = f"{node}:{prefix}"
         return frozenset(port for port in self.ports if port.startswith(start))
 
-    def ensure(self, wanted: Iterable[Link], nodes: Iterable[str], now_s: float) -> bool:
-        """Ask for exactly these links of nodes; return whether they are all there, and no others.
+    def ensure(self, wanted: Iterable[Link], nodes: Iterable[str], now_s: float) -> None:
+        """Ask for exactly these links of nodes. Does not wait: a later call shows the result.
 
-        nodes: whose other links are removed. Does not wait: a later call shows the result.
+        Streams of one program may have equal names: all ports of a name are linked.
+
+        nodes: whose other links are removed.
         """
         self._reap(now_s)
-        wanted, links = set(wanted), self.links
+        wanted, known = set(wanted), dict(self._known)
         starts = tuple(f"{node}:" for node in nodes)
-        foreign = {link for link in links - wanted if link[0].startswith(starts)}
-        foreign |= {link for link in links - wanted if link[1].startswith(starts)}
-        for link in foreign:
-            self._request(link, ("--disconnect",), now_s)
-        for link in wanted - links:
-            if link[0] in self.ports and link[1] in self.ports:
-                self._request(link, ("--passive",), now_s)
-        return not foreign and wanted <= links
+        ids: dict[str, list[str]] = {}
+        made = Counter(item for item in known.values() if isinstance(item, tuple))
+        for number, item in known.items():
+            if isinstance(item, str):
+                ids.setdefault(item, []).append(number)
+            elif item not in wanted and any(port.startswith(starts) for port in item):
+                self._request(("--disconnect", number), now_s)
+        for link in wanted:
+            outputs, inputs = (ids.get(port, []) for port in link)
+            if made[link] < len(outputs) * len(inputs):
+                for pair in product(outputs, inputs):
+                    self._request(("--passive", *pair), now_s)
 
     def close(self) -> None:
         """Stop watching; links stay. May be repeated; raises nothing."""
@@ -101,27 +108,28 @@ class Graph:
             request.wait()
         self._requests.clear()
 
-    def _request(self, link: Link, how: tuple[str, ...], now_s: float) -> None:
-        if link in self._requests or now_s - self._asked_s.get(link, -RETRY_S) < RETRY_S:
+    def _request(self, arguments: tuple[str, ...], now_s: float) -> None:
+        asked_s = self._asked_s.get(arguments, -RETRY_S)
+        if arguments in self._requests or now_s - asked_s < RETRY_S:
             return
-        self._asked_s[link] = now_s
+        self._asked_s[arguments] = now_s
         with suppress(OSError):
             request = subprocess.Popen(
-                [PROGRAM, *how, *link],
+                [PROGRAM, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
-            self._requests[link] = request, now_s
+            self._requests[arguments] = request, now_s
 
     def _reap(self, now_s: float) -> None:
-        for link, (request, began_s) in tuple(self._requests.items()):
+        for arguments, (request, began_s) in tuple(self._requests.items()):
             if request.poll() is None and now_s - began_s < ANSWER_S:
                 continue
             request.kill()
             request.wait()
-            del self._requests[link]
-        self._asked_s = {link: s for link, s in self._asked_s.items() if now_s - s < ANSWER_S}
+            del self._requests[arguments]
+        self._asked_s = {key: s for key, s in self._asked_s.items() if now_s - s < ANSWER_S}
 
     def _read(self) -> None:
         assert self._process.stdout is not None
@@ -144,11 +152,3 @@ class Graph:
         self.ports = frozenset(item for item in known if isinstance(item, str))
         self.links = frozenset(item for item in known if isinstance(item, tuple))
         self._on_change()
-
-
-def wait_for_ports(graph: Graph, wait_s: float) -> bool:
-    """Return whether the graph has shown its first ports within some seconds."""
-    end_s = time.monotonic() + wait_s
-    while not graph.ports and not graph.lost and time.monotonic() < end_s:
-        time.sleep(0.005)
-    return bool(graph.ports)

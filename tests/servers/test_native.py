@@ -119,7 +119,6 @@ def test_auto_takes_the_native_engine_on_pipewire_and_says_so(pipewire: SoundSer
         (("--engine", "python"), "engine = 'python'"),
         (("--protection", "on"), "protection is on"),
         (("--drop-in",), "drop_in is on"),
-        (("--tap", "app:player"), "single applications are tapped"),
     ],
 )
 def test_the_status_says_why_the_python_engine_plays(
@@ -216,6 +215,32 @@ def test_each_actuator_plays_its_own_side_level_and_polarity(
     # half of the sound in the mix, at -6 dB, turned around
     assert ratio == pytest.approx(-0.25, abs=0.02)
     assert status.actuators[0].level.peak_dbfs > status.actuators[1].level.peak_dbfs + 10.0
+
+
+def test_only_the_chosen_application_is_felt_and_each_of_its_streams(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    with (
+        playing(pipewire, "desktop", tone(200.0, 60.0), name="other"),
+        running(pipewire, "--tap", "app:player", engine=None, ready=False) as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_for_engine(daemon, "native")
+        wait_for_more(felt, 1.0)
+        assert not felt().any()
+        since_s = time.monotonic()
+        with playing(pipewire, "desktop", tone(60.0, 60.0), name="player"):
+            back_within(felt, since_s, "the application began")
+            wait_for_more(felt, 1.0)
+            once_hz = pitch_hz(felt()[-RATE_HZ:])
+            with playing(pipewire, "desktop", tone(800.0, 60.0), name="player"):
+                wait_for(lambda: links_of(pipewire).count("player:output_FL") == 4, "two links")
+                wait_for_more(felt, 1.5)
+                both = np.abs(np.fft.rfft(felt()[-RATE_HZ:, 0]))
+        wait_for(lambda: not felt_now(felt), "silence")
+    peaks = [hz for hz in range(20, 221) if both[hz] > 0.3 * both.max()]
+    assert once_hz in peaks
+    assert any(abs(hz - once_hz) > 10 for hz in peaks)
 
 
 def test_a_new_level_profile_and_delay_take_effect_without_a_gap(

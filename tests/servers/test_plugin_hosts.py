@@ -125,6 +125,52 @@ def test_a_film_gets_the_vibration_as_another_track(home: Path, sound: Path) -> 
     assert shown.count("codec_type=video") == 1
 
 
+def test_gstreamer_finds_the_plugin_and_gives_the_bytes_of_the_transform(
+    home: Path, sound: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    needs("gst-inspect-1.0", "gst-launch-1.0")
+    monkeypatch.setenv("LADSPA_PATH", str(Path(cushion("plugin", "path")).parent))
+    monkeypatch.setenv("GST_REGISTRY", str(home / "registry"))
+    listed = ran("gst-inspect-1.0", "ladspa")
+    element = next(word.rstrip(":") for word in listed.split() if word.endswith("_music:"))
+    ran(
+        *("gst-launch-1.0", "-q", "filesrc", f"location={sound}", "!", "wavparse", "!"),
+        *("audioconvert", "!", element, "!", "audio/x-raw,format=F32LE", "!"),
+        *("filesink", f"location={home / 'vibration.raw'}"),
+    )
+    got = np.fromfile(home / "vibration.raw", np.float32).reshape(-1, 2)[:, 0]
+    wanted = vibration(samples(sound), "music", RATE_HZ)
+    assert np.array_equal(got, wanted[: len(got)])
+    assert len(got) > RATE_HZ
+
+
+def test_alsa_plays_through_the_plugin(
+    home: Path, sound: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    needs("aplay")
+    folder = Path(cushion("plugin", "path")).parent
+    (home / ".asoundrc").write_text(
+        f"""pcm.vibration {{
+    type plug
+    slave.pcm {{
+        type ladspa
+        slave.pcm {{ type plug slave {{ pcm written format FLOAT_LE channels 2 rate 48000 }} }}
+        path "{folder}"
+        plugins [ {{ label haptic_cushion_cinema }} ]
+    }}
+}}
+pcm.written {{ type file slave.pcm "null" file "{home / "vibration.raw"}" format raw }}
+"""
+    )
+    soundfile.write(home / "short.wav", samples(sound), RATE_HZ, subtype="PCM_16")
+    ran("aplay", "-q", "-D", "vibration", home / "short.wav")
+    got = np.fromfile(home / "vibration.raw", np.float32).reshape(-1, 2)[:, 0]
+    wanted = vibration(samples(home / "short.wav"), "cinema", RATE_HZ)
+    length = min(len(got), len(wanted))
+    assert length > RATE_HZ
+    assert np.abs(got[:length] - wanted[:length]).max() < 1e-6
+
+
 # ----------------------------------------------------------------------------------- LADSPA and LV2
 
 

@@ -35,13 +35,14 @@ DEFAULT_CHANNELS = 2
 class Applications:
     """The captured applications, and the format of their mix.
 
-    left_out: count of applications beyond CAPTURES_MAX.
+    left_out: count of applications beyond CAPTURES_MAX. channel_map: positions of the channels.
     """
 
     streams: tuple[Stream, ...]
     samplerate: int
     channels: int
     left_out: int = 0
+    channel_map: str = ""
 
     @property
     def name(self) -> str:
@@ -155,6 +156,7 @@ class ApplicationsInput(Input):
             default.samplerate if default else DEFAULT_SAMPLERATE,
             default.channels if default else DEFAULT_CHANNELS,
             max(0, len(streams) - CAPTURES_MAX),
+            default.channel_map if default else "front-left,front-right",
         )
         return self._found
 

@@ -56,8 +56,6 @@ def _refusals(config: RunConfig) -> Iterator[str]:
         yield f"the tap {config.tap} is not on the sound server"
     if not config.device_is_live or config.device_is_a_card:
         yield f"the device {config.device} is not on the sound server"
-    if config.tap.kind == "app" or live.include or live.exclude:
-        yield "single applications are tapped"
     if live.drop_in:
         yield "drop_in is on"
     if config.recording:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from audioflinger_hook.daemon.native.page import CHANNELS, Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
+from audioflinger_hook.daemon.native.taps import Ports
 from audioflinger_hook.plugin import plugin_path
 from device.errors import InternalError, LostError, NotFoundError
 from device.process import ends_with_us
@@ -150,12 +151,16 @@ class Chain:
 
     def links(
         self,
-        tap_ports: tuple[str, ...],
+        tap_ports: Ports,
         device_ports: tuple[str, ...],
         played: tuple[int | None, ...],
     ) -> set[Link]:
         """Return its links from the tap and to the device; played: each channel's actuator."""
-        taken = {(port, f"{self.tap}:input_AUX{n}") for n, port in enumerate(tap_ports)}
+        taken = {
+            (port, f"{self.tap}:input_AUX{n}")
+            for n, mixed in enumerate(tap_ports)
+            for port in mixed
+        }
         given = {
             (f"{self.vibration}:output_AUX{actuator}", port)
             for port, actuator in zip(device_ports, played, strict=True)

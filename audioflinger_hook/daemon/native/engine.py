@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.chain import NAME, Chain
 from audioflinger_hook.daemon.native.page import TransformReadings
-from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports, tap_ports
+from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports
+from audioflinger_hook.daemon.native.taps import Tap, tap_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.meters import Level
@@ -82,8 +84,7 @@ class NativeEngine:
         self._current: _Running | None = None
         self._next: _Running | None = None
         self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
-        self._source: Source | None = None
-        self._device: Sink | None = None
+        self._tap: Tap | None = None
         self._has_played = False
         self._faded_s = math.inf
         self.audible = False
@@ -110,12 +111,13 @@ class NativeEngine:
         """Whether the graph is gone, so that another engine must be made."""
         return self._graph.lost
 
-    def unseen(self, source: Source, device: Sink) -> str:
+    def unseen(self, found: Source | Applications, device: Sink) -> str:
         """Return the name of a node that the graph does not show, "" if it shows both."""
         if not self._graph.ports:
             return ""
-        if not self._graph.ports_of(source.monitor_of or "", "monitor_"):
-            return source.monitor_of or source.name
+        node = tap_of(found, ()).node
+        if node and not self._graph.ports_of(node, "monitor_"):
+            return node
         return "" if self._graph.ports_of(device.name, "playback_") else device.name
 
     def readings(self) -> TransformReadings | None:
@@ -133,7 +135,13 @@ class NativeEngine:
             self._set_actuators(running.chain)
 
     def maintain(
-        self, source: Source, device: Sink, players: frozenset[int], now_s: float, *, linked: bool
+        self,
+        found: Source | Applications,
+        device: Sink,
+        players: frozenset[int],
+        now_s: float,
+        *,
+        linked: bool,
     ) -> bool:
         """Start, link and check the chain; return whether it plays, or could if it were linked.
 
@@ -142,17 +150,18 @@ class NativeEngine:
         LostError: the chain or the graph is gone; the next call starts again.
         UsageError: the device lacks a channel.
         """
-        self._note_moves(source, device)
+        tap = tap_of(found, self._graph.ports)
+        self._note_moves(tap)
         if self._graph.lost:
             raise LostError("the connection to PipeWire's graph was lost")
         self._check(players, now_s)
-        plan = ChainPlan.of(self._config.settings, source)
+        plan = ChainPlan.of(self._config.settings, tap)
         if self._current is None or self._current.chain.plan != plan:
             self._begin_next(plan, now_s)
         if not linked:
             waiting = self._current or self._next
             return waiting is not None and waiting.chain.is_in(self._graph)
-        self._link(source, device, now_s)
+        self._link(tap, device, now_s)
         self._adopt_next(now_s)
         self._let_play(now_s)
         return self.audible
@@ -184,11 +193,10 @@ class NativeEngine:
         self.audible = False
         self._graph.close()
 
-    def _note_moves(self, source: Source, device: Sink) -> None:
-        before, self._source = self._source, source
-        if before is not None and before.name != source.name and self._config.tap.kind == "default":
-            self._states.count(Cause.DEFAULT_CHANGED, f"the tap moves to {source.name}")
-        self._device = device
+    def _note_moves(self, tap: Tap) -> None:
+        before, self._tap = self._tap, tap
+        if before is not None and before.node != tap.node and self._config.tap.kind == "default":
+            self._states.count(Cause.DEFAULT_CHANGED, f"the tap moves to {tap.name}")
 
     def _check(self, players: frozenset[int], now_s: float) -> None:
         """Drop chains that have ended or hang; raise LostError for the playing one."""
@@ -231,13 +239,13 @@ class NativeEngine:
         self._set_damping(chain)
         self._set_actuators(chain)
 
-    def _link(self, source: Source, device: Sink, now_s: float) -> None:
+    def _link(self, tap: Tap, device: Sink, now_s: float) -> None:
         wanted: set[Link] = set()
         nodes: list[str] = []
         for running in filter(None, (self._current, self._next)):
             chain = running.chain
             nodes += [chain.tap, chain.vibration]
-            if not chain.is_in(self._graph) or chain.plan.tap_channels != source.channels:
+            if not chain.is_in(self._graph) or chain.plan.tap_channels != tap.channels:
                 continue
             try:
                 played = device_map(self._config.settings, chain.plan, device).sources
@@ -245,7 +253,7 @@ class NativeEngine:
                 if running is self._next or self._next is None:
                     raise
                 continue
-            wanted |= chain.links(tap_ports(source), device_ports(device), played)
+            wanted |= chain.links(tap.ports, device_ports(device), played)
         self._graph.ensure(wanted, nodes, now_s)
         for running in filter(None, (self._current, self._next)):
             own = {link for link in wanted if running.chain.name in f"{link[0]} {link[1]}"}

@@ -6,35 +6,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.mixer.layouts import layout, source_weights
+from audioflinger_hook.daemon.native.ports import port_names
+from audioflinger_hook.daemon.native.taps import Tap
+from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
 from device.drive import ChannelMap, wiring_of
-from device.server.snapshot import Sink, Source
+from device.server.snapshot import Sink
 from device.units import FloatArray
-
-_PORT_NAMES = {
-    "mono": "MONO",
-    "front-left": "FL",
-    "front-right": "FR",
-    "front-center": "FC",
-    "lfe": "LFE",
-    "rear-left": "RL",
-    "rear-right": "RR",
-    "rear-center": "RC",
-    "side-left": "SL",
-    "side-right": "SR",
-    "front-left-of-center": "FLC",
-    "front-right-of-center": "FRC",
-    "top-center": "TC",
-    "top-front-left": "TFL",
-    "top-front-center": "TFC",
-    "top-front-right": "TFR",
-    "top-rear-left": "TRL",
-    "top-rear-center": "TRC",
-    "top-rear-right": "TRR",
-}
-"""PipeWire's port names of PulseAudio's positions."""
 
 
 @dataclass(frozen=True)
@@ -54,18 +33,18 @@ class ChainPlan:
     parameters: TransformParameters
 
     @classmethod
-    def of(cls, settings: Settings, source: Source) -> ChainPlan:
+    def of(cls, settings: Settings, tap: Tap) -> ChainPlan:
         """Return the plan for the settings and a tap."""
         sources = settings.sources
         each = settings.channels == "each"
-        outputs = len(sources) or (source.channels if each else 1)
+        outputs = len(sources) or (tap.channels if each else 1)
         if settings.actuators:
             routed = tuple(sources.index(actuator.source) for actuator in settings.actuators)
         else:
             routed = tuple(range(outputs))
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
-        return cls(source.samplerate, source.channels, mixed, outputs, routed, settings.parameters)
+        return cls(tap.samplerate, tap.channels, mixed, outputs, routed, settings.parameters)
 
     @property
     def weights(self) -> FloatArray | None:
@@ -83,25 +62,9 @@ def _design(parameters: TransformParameters, samplerate: int) -> LiveDesign:
     return LiveDesign.of(parameters, samplerate)
 
 
-def tap_ports(source: Source) -> tuple[str, ...]:
-    """Return the names of the monitor's ports, in the order in which the transform mixes them.
-
-    That is the order of the mixer's layout if the tap has the layout's positions.
-    """
-    names = _port_names(source.channel_map, source.channels)
-    wanted = tuple(
-        name.replace("BL", "RL").replace("BR", "RR").replace("BC", "RC")
-        if name in ("BL", "BR", "BC")
-        else name
-        for name in layout(source.channels)
-    )
-    ordered = wanted if sorted(wanted) == sorted(names) else names
-    return tuple(f"{source.monitor_of}:monitor_{name}" for name in ordered)
-
-
 def device_ports(sink: Sink) -> tuple[str, ...]:
     """Return the names of a sink's input ports, in the order of its channels."""
-    names = _port_names(sink.channel_map, sink.channels)
+    names = port_names(sink.channel_map, sink.channels)
     return tuple(f"{sink.name}:playback_{name}" for name in names)
 
 
@@ -114,13 +77,3 @@ def device_map(settings: Settings, plan: ChainPlan, sink: Sink) -> ChannelMap:
         return ChannelMap.repeated(plan.outputs, sink.channels)
     wiring = wiring_of(settings.actuators)
     return ChannelMap.of(wiring, sink.channels, sink.positions, f"the sink {sink.name!r}")
-
-
-def _port_names(channel_map: str, channels: int) -> tuple[str, ...]:
-    positions = channel_map.split(",") if channel_map else []
-    names = tuple(
-        _PORT_NAMES.get(position, position.upper().replace("-", "")) for position in positions
-    )
-    if len(names) == channels and len(set(names)) == channels:
-        return names
-    return tuple(f"AUX{channel}" for channel in range(channels))

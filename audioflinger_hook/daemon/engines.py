@@ -1,0 +1,164 @@
+"""Both engines of a run: the Python one, the native one, and the change between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from audioflinger_hook.daemon.endpoints import Endpoints
+from audioflinger_hook.daemon.engine import Clocks, Engine
+from audioflinger_hook.daemon.engine_switch import EngineSwitch
+from audioflinger_hook.daemon.handover import Handover
+from audioflinger_hook.daemon.inputs.base import AudioNode
+from audioflinger_hook.daemon.outputs.base import StreamOutput
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.service.state import StateKeeper
+from device.server import PulseConnection
+
+HANDOVER_TICK_S = 0.02
+"""Time between ticks during a change of engine."""
+
+NATIVE_TICK_S = 0.25
+"""Time between ticks while the native engine plays; what it waits for wakes the daemon."""
+
+
+class Engines:
+    """The engines of one run; one of them plays. For the supervising thread alone.
+
+    config: what to do. endpoints: of the Python engine. states: the daemon's state. folder:
+    private, for files of the native engine; None: only the Python engine. on_change: called by
+    another thread when PipeWire's graph changes.
+
+    python: what the audio threads run; None before the first sound, and while the native engine
+    plays. switch: the choice, and the native engine.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        clocks: Clocks,
+        endpoints: Endpoints,
+        states: StateKeeper,
+        folder: Path | None,
+        on_change: Callable[[], None],
+    ) -> None:
+        self._config = config
+        self._clocks = clocks
+        self._endpoints = endpoints
+        self._handover = Handover()
+        self._heard_before_s = 0.0
+        self.python: Engine | None = None
+        self.switch = EngineSwitch(config, folder, states, on_change)
+
+    @property
+    def tick_s(self) -> float | None:
+        """Longest time until the next tick, None for the usual one."""
+        if self._handover.is_under_way:
+            return HANDOVER_TICK_S
+        native = self.switch.native
+        return NATIVE_TICK_S if native is not None and native.is_steady else None
+
+    @property
+    def heard_s(self) -> float:
+        """Seconds of sound that the Python engine has heard."""
+        engine = self.python
+        return self._heard_before_s + (engine.frames / engine.samplerate if engine else 0.0)
+
+    @property
+    def buffers(self) -> int:
+        """A count that rises while sound is processed."""
+        readings = self.switch.native and self.switch.native.readings()
+        return readings.frames if readings else self.python.buffers if self.python else 0
+
+    @property
+    def _delay_s(self) -> float:
+        return max(0.0, self._config.live.offset_s)
+
+    def follow(self, config: RunConfig) -> None:
+        """Use another config."""
+        self._config = config
+        self.switch.follow(config)
+
+    def drop(self) -> None:
+        """Forget the Python engine, so that `prepare` makes another one."""
+        self._heard_before_s, self.python = self.heard_s, None
+        self._handover.reset()
+
+    def native_plays(
+        self,
+        connection: PulseConnection | None,
+        source: AudioNode,
+        device: AudioNode,
+        now_s: float,
+    ) -> bool:
+        """Keep the native engine, if it is chosen; return False while the Python engine plays."""
+        switch, handover, engine = self.switch, self._handover, self.python
+        if connection is None or not switch.takes_native(source, connection.latest):
+            return False
+        assert isinstance(self._endpoints.output, StreamOutput)
+        ready = switch.maintain(
+            source,
+            device,
+            self._endpoints.input.players(connection.latest),
+            connection,
+            self._endpoints.output.volume,
+            now_s,
+            linked=engine is None,
+        )
+        if engine is None:
+            return not switch.reason
+        if not ready:
+            return False
+        if handover.move(engine, self._config.settings, self._delay_s, now_s, down=True):
+            # What was lowered last has left the delay line by now.
+            self._endpoints.close()
+            self.drop()
+        return True
+
+    def end_native(self, now_s: float) -> None:
+        """End a native engine that is not chosen any more, once the Python engine plays evenly."""
+        engine = self.python
+        if (
+            not self.switch.reason
+            or engine is None
+            or not (self.switch.native or self._handover.is_under_way)
+        ):
+            return
+        if engine.delay_line.status.delay_s <= 0.0 or not self._handover.has_settled(now_s):
+            return
+        if self.switch.native is not None:
+            if self.switch.fade_out(now_s):
+                self.switch.close()
+                self._handover.hold(now_s)
+            return
+        if self._handover.move(engine, self._config.settings, self._delay_s, now_s, down=False):
+            self._handover.reset()
+
+    def prepare(self, source: AudioNode, device: AudioNode, now_s: float) -> None:
+        """Make the engine for the first source; later sources are converted to the first format."""
+        engine = self.python
+        if engine is None:
+            if self.switch.native is not None and self.switch.native.audible:
+                self._handover.begin_silent(now_s)
+            recording, feed = self._config.recording, self._endpoints.feed
+            on_step, on_mix = None, None
+            if recording:
+                on_step, on_mix = recording.hooks(
+                    source.samplerate, source.channels, of_mix=feed.records_mix
+                )
+            engine = self.python = Engine(
+                feed.client(source.samplerate, source.channels),
+                device.samplerate or source.samplerate,
+                self._handover.settings(self._config.settings),
+                clocks=self._clocks,
+                offset_s=self._delay_s,
+                block_frames=self._config.live.block_frames,
+                now_s=now_s,
+                bypass_late=self._endpoints.input.needs_server,
+                on_step=on_step,
+                on_mix=on_mix,
+            )
+            feed.serve(engine)
+            self._endpoints.output.set_format(engine.samplerate, engine.drive.outputs)
+        elif not self._endpoints.output.is_open:
+            engine.retarget(device.samplerate or engine.samplerate, self._config.live.block_frames)
