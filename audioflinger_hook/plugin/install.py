@@ -12,6 +12,7 @@ from audioflinger_hook.config.profiles import PROFILES, parameters_of
 from audioflinger_hook.plugin import FILE_NAME, plugin_path, turtle
 from audioflinger_hook.plugin.faces import public_faces
 from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.parameters import check_format
 from device.atomic_file import write_bytes_atomically
 from device.errors import NotFoundError, UsageError, WriteError
 
@@ -123,6 +124,8 @@ def install(places: Places, profile: str, device: str | None, rates_hz: tuple[in
     samplerate is impossible. WriteError: a file cannot be written.
     """
     built = built_plugin()
+    for rate_hz in rates_hz:
+        check_format(rate_hz, 1)
     _refuse_foreign(places)
     faces = public_faces(built)
     designs = {

@@ -24,6 +24,12 @@ LAG = Must("<=", 90.0)
 NO_GROWTH_MS = Must("<=", 1.0)
 CPU_PERCENT = Must("<=", 8.0)
 
+NATIVE_LIMITS = {
+    256: {"lag_median_ms": 12.0, "lag_p95_ms": 16.0, "child_cpu_percent": 2.0, "growth_ms": 0.5},
+    1024: {"lag_median_ms": 35.0, "child_cpu_percent": 1.0, "growth_ms": 0.5},
+}
+"""Largest figures of the native engine, by the cycle of the graph in frames."""
+
 Kept = TypeVar("Kept")
 Columns = tuple[tuple[str, str, str, Must | None], ...]
 """Field, column, unit and limit of what is shown of a record."""
@@ -41,6 +47,8 @@ _LIVE_COLUMNS: Columns = (
     ("dropouts", "dropouts", "", None),
     ("cpu_percent", "CPU", "% of a core", CPU_PERCENT),
     ("memory_growth_kb", "memory growth", "kB", None),
+    ("child_cpu_percent", "CPU of the native engine", "% of a core", None),
+    ("child_memory_growth_kb", "its memory growth", "kB", None),
     ("machine_pauses", "pauses of the machine", "times", None),
     ("machine_pause_ms", "longest pause", "ms", None),
     ("check_median_ms", "instrument's error", "ms", None),
@@ -72,7 +80,8 @@ def live_latency(_bench: Workbench) -> Section:
     """The last live measurements."""
     explanation = (
         "Delay of the vibration of `cushion run` after its sound, transform included, by server "
-        "and by block size. It is measured between the monitors of both sinks."
+        "by engine and by block size; quantum is the cycle of PipeWire's graph. It is measured "
+        "between the monitors of both sinks."
     )
     return _section(
         "Live latency", explanation, live_record.RECORD, live_record.COMMAND,
@@ -159,7 +168,11 @@ def _live_rows(record: LiveRecord) -> Iterator[Row]:
             continue
         if must is NO_GROWTH_MS:
             value = abs(value)
-        asked = must if record.block_frames == USUAL_BLOCK_FRAMES else None
+        usual = record.block_frames == USUAL_BLOCK_FRAMES and record.quantum_frames is None
+        asked = must if usual else None
+        if record.engine == "native":
+            limits = NATIVE_LIMITS.get(record.quantum_frames or 0, {})
+            asked = Must("<=", limits[field]) if field in limits else None
         shown = note if field == "lag_median_ms" else ""
         yield Row(record.name, float(value), unit, column, asked, note=shown)
 

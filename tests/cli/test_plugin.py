@@ -1,0 +1,95 @@
+"""`cushion plugin`: what it writes, what it never touches, and what it removes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from audioflinger_hook.plugin import install as installing
+from audioflinger_hook.plugin.install import RATES_HZ
+from audioflinger_hook.transform.design import LiveDesign
+from tests.support.commands import call
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+
+
+def test_install_writes_everything_twice_the_same_and_remove_takes_it_back(home: Path) -> None:
+    own = home / ".config/pipewire/filter-chain.conf.d/own.conf"
+    own.parent.mkdir(parents=True)
+    own.write_text("# mine\n")
+    done = call("plugin", "install", "--device", "dac", "--profile", "game", "--rate", "22050")
+    assert done.code == 0, done.stderr
+    first = {path: (home / path).read_bytes() for path in files(home)}
+    assert (
+        call("plugin", "install", "--device", "dac", "--profile", "game", "--rate", "22050").code
+        == 0
+    )
+    assert {path: (home / path).read_bytes() for path in files(home)} == first
+    designs = [path for path in first if path.suffix == ".design"]
+    assert len(designs) == 4 * (len(RATES_HZ) + 1)
+    for path in designs:
+        rate_hz = int(path.stem.rpartition("-")[2])
+        assert LiveDesign.from_bytes(first[path]).samplerate == rate_hz
+    chain = (own.parent / "haptic-cushion.conf").read_text()
+    assert "haptic_cushion_game" in chain
+    assert 'target.object = "dac"' in chain
+    assert call("plugin", "path").stdout.strip() == str(
+        home / ".local/share/haptic-cushion/haptic_cushion.so"
+    )
+    done = call("plugin", "remove")
+    assert done.code == 0
+    assert files(home) == [own.relative_to(home)]
+    assert call("plugin", "remove").stdout == ""
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        ".config/pipewire/filter-chain.conf.d/haptic-cushion.conf",
+        ".lv2/haptic-cushion.lv2/manifest.ttl",
+    ],
+)
+def test_a_foreign_file_is_neither_overwritten_nor_removed(home: Path, path: str) -> None:
+    foreign = home / path
+    foreign.parent.mkdir(parents=True)
+    foreign.write_text("somebody's own\n")
+    for command in (("install", "--device", "dac"), ("remove",)):
+        done = call("plugin", *command)
+        assert done.code == 2
+        assert f"{foreign} is not of `cushion plugin install`" in done.stderr
+    assert files(home) == [Path(path)]
+    assert foreign.read_text() == "somebody's own\n"
+
+
+def test_names_of_devices_cannot_break_the_chain(home: Path) -> None:
+    assert call("plugin", "install", "--device", 'a"b\\ } {').code == 0
+    chain = (home / ".config/pipewire/filter-chain.conf.d/haptic-cushion.conf").read_text()
+    assert 'target.object = "a\\"b\\\\ } {"' in chain
+
+
+def test_an_impossible_rate_or_profile_is_refused_before_anything_is_written(home: Path) -> None:
+    assert call("plugin", "install", "--rate", "10").code == 2
+    assert call("plugin", "install", "--profile", "loud").code == 2
+    assert files(home) == []
+
+
+def test_without_a_compiled_plugin_it_says_what_to_install(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(installing, "plugin_path", lambda: None)
+    for what in ("install", "path"):
+        done = call("plugin", what)
+        assert done.code == 3
+        assert "install a C compiler" in done.stderr
+    assert files(home) == []

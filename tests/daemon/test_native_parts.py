@@ -1,0 +1,254 @@
+"""Parts of the native engine that need no server: plans, ports, the shared page, the handover."""
+
+from __future__ import annotations
+
+import ctypes
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.daemon.handover import HOLD_S, SETTLES_S, STEP_S, STEPS, STEPS_DB, Handover
+from audioflinger_hook.daemon.inputs.applications import Applications
+from audioflinger_hook.daemon.native import page as page_module
+from audioflinger_hook.daemon.native.abilities import why_not_config, why_not_server, why_not_tap
+from audioflinger_hook.daemon.native.page import Page
+from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports
+from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
+from audioflinger_hook.daemon.native.taps import tap_of, why_not_applications
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.mixer.layouts import layout
+from audioflinger_hook.sources import parse_tap
+from device.address import parse_device
+from device.drive import ActuatorSettings
+from device.drive.settings import GAIN_MIN_DB
+from device.errors import UsageError
+from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
+from device.units import db_to_amplitude
+
+STEREO = "front-left,front-right"
+SURROUND = "front-left,front-right,front-center,lfe,rear-left,rear-right"
+
+
+def sink(channel_map: str = STEREO) -> Sink:
+    count = channel_map.count(",") + 1
+    return Sink(1, "dac", "DAC", "dac.monitor", 48_000, count, None, {}, channel_map)
+
+
+def monitor(channel_map: str = STEREO) -> Source:
+    count = channel_map.count(",") + 1
+    return Source(2, "desk.monitor", "Desk", "desk", 48_000, count, {}, channel_map)
+
+
+def stream(index: int, node: str, application: str = "player") -> Stream:
+    properties = {"node.name": node} if node else {}
+    none: dict[str, Any] = {"role": "", "media": "", "process_id": None, "corked": False}
+    return Stream(index, 1, "desk", application, "", mute=False, properties=properties, **none)
+
+
+def config(settings: Settings | None = None, **live: Any) -> RunConfig:
+    chosen = LiveSettings(device="sink:dac", **live)
+    tap, device = parse_tap(chosen.tap[0]), parse_device(str(chosen.device))
+    return RunConfig(tap, device, settings or Settings(), chosen)
+
+
+# ------------------------------------------------------------------------------------- abilities
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({}, ""),
+        ({"protection": "on"}, "protection is on"),
+        ({"exposure_cap": "action"}, "exposure_cap is on"),
+        ({"damping": "auto"}, "damping is on, and with it protection"),
+        ({"form": "reference"}, "transform = 'reference'"),
+        ({"actuators": (ActuatorSettings((0,), protection="on"),)}, "protection is on"),
+        ({"actuators": (ActuatorSettings((0,)), ActuatorSettings((1,), "left"))}, ""),
+    ],
+)
+def test_the_first_thing_that_the_native_engine_cannot_do_is_named(
+    changes: dict[str, Any], reason: str
+) -> None:
+    assert why_not_config(config(Settings(**changes))) == reason
+
+
+def test_damping_alone_is_within_the_native_engines_abilities_if_it_is_asked_for() -> None:
+    assert why_not_config(config(Settings(damping="auto"), engine="native")) == ""
+
+
+@pytest.mark.parametrize(
+    ("kind", "version", "reason"),
+    [
+        ("PipeWire", "0.3.65", ""),
+        ("PipeWire", "1.2.0", ""),
+        ("PipeWire", "0.3.48", "PipeWire 0.3.48 is too old; 0.3.50 or newer is needed"),
+        ("PipeWire", "?", ""),
+        ("PulseAudio", "16.1", "the sound server is PulseAudio"),
+    ],
+)
+def test_an_old_or_another_server_is_named(kind: str, version: str, reason: str) -> None:
+    assert why_not_server(ServerSnapshot(kind, version, "", "", (), (), (), (), 0)) == reason
+
+
+def test_a_tap_may_have_eight_channels() -> None:
+    assert why_not_tap(8) == ""
+    assert why_not_tap(9) == "the tap has 9 channels, more than 8"
+
+
+# ------------------------------------------------------------------------------------------ plans
+
+
+@given(st.integers(1, 8))
+def test_ports_come_in_the_order_in_which_the_mixer_counts_channels(channels: int) -> None:
+    names = tuple({"BL": "RL", "BR": "RR", "BC": "RC"}.get(name, name) for name in layout(channels))
+    assert in_mixing_order(tuple(reversed(names))) == names
+    unknown = tuple(f"AUX{n}" for n in range(channels))
+    assert in_mixing_order(unknown) == unknown
+    assert port_names("", channels) == unknown
+
+
+def test_a_sinks_monitor_is_tapped_channel_by_channel() -> None:
+    tap = tap_of(monitor(SURROUND), ())
+    assert tap.node == "desk"
+    assert [sorted(ports) for ports in tap.ports] == [
+        [f"desk:monitor_{name}"] for name in ("FL", "FR", "FC", "LFE", "RL", "RR")
+    ]
+
+
+def test_applications_are_mixed_by_position_mono_everywhere_and_surround_to_its_side() -> None:
+    found = Applications((stream(1, "A"), stream(2, "B")), 48_000, 2, channel_map=STEREO)
+    ports = ["A:output_FL", "A:output_FR", "A:output_RL", "A:output_FC", "B:output_MONO"]
+    tap = tap_of(found, [*ports, "C:output_FL", "A:input_FL"])
+    both = ["A:output_FC", "B:output_MONO"]
+    assert [sorted(ports) for ports in tap.ports] == [
+        sorted(["A:output_FL", "A:output_RL", *both]),
+        sorted(["A:output_FR", *both]),
+    ]
+
+
+def test_another_stream_of_the_same_name_is_never_tapped_along() -> None:
+    chosen, other = stream(1, "A"), stream(2, "A", "other")
+    seen = ServerSnapshot("PipeWire", "1.0.0", "", "", (), (), (chosen, other), (), 0)
+    assert "called 'A'" in why_not_applications(Applications((chosen,), 48_000, 2), seen)
+    assert why_not_applications(Applications((chosen, other), 48_000, 2), seen) == ""
+    nameless = Applications((stream(3, ""),), 48_000, 2)
+    assert "no node" in why_not_applications(nameless, seen)
+
+
+def test_a_plan_routes_each_actuator_to_its_source() -> None:
+    settings = Settings(
+        actuators=(
+            ActuatorSettings((0,), "right"),
+            ActuatorSettings((1,), "left"),
+            ActuatorSettings((2,), "right"),
+        )
+    )
+    plan = ChainPlan.of(settings, tap_of(monitor(SURROUND), ()))
+    assert plan.sources == ("left", "right")
+    assert plan.actuators == (1, 0, 1)
+    weights = plan.weights
+    assert weights is not None
+    assert weights.shape == (6, 2)
+    assert np.allclose(weights.sum(axis=0), 1.0)
+    assert device_map(settings, plan, sink(SURROUND)).sources[:3] == (0, 1, 2)
+    with pytest.raises(UsageError, match="no such channel"):
+        device_map(settings, plan, sink())
+
+
+def test_without_actuators_every_channel_of_the_device_plays() -> None:
+    plan = ChainPlan.of(Settings(), tap_of(monitor(), ()))
+    assert (plan.outputs, plan.actuators, plan.weights) == (1, (0,), None)
+    assert device_map(Settings(), plan, sink(SURROUND)).sources == (0,) * 6
+    assert device_ports(sink()) == ("dac:playback_FL", "dac:playback_FR")
+    each = ChainPlan.of(Settings(channels="each"), tap_of(monitor(), ()))
+    assert (each.outputs, each.actuators) == (2, (0, 1))
+
+
+# ------------------------------------------------------------------------------------ shared page
+
+
+def test_the_page_has_the_layout_that_the_plugin_reads(tmp_path: Path) -> None:
+    layout_class: Any = page_module._Layout
+    fields = [name for name, _ in layout_class._fields_]
+    lines = [f'printf("%zu\\n", offsetof(Page, {name}));' for name in fields]
+    program = tmp_path / "layout.c"
+    header = Path(page_module.__file__).parents[2] / "plugin/native/page.h"
+    program.write_text(
+        f'#include <stddef.h>\n#include <stdio.h>\n#include "{header}"\n'
+        f'int main(void) {{ printf("%zu\\n", sizeof(Page)); {" ".join(lines)} return 0; }}\n'
+    )
+    subprocess.run(["gcc", str(program), "-o", str(tmp_path / "layout")], check=True)
+    found = subprocess.run([tmp_path / "layout"], capture_output=True, text=True, check=True)
+    offsets = [getattr(layout_class, name).offset for name in fields]
+    assert list(map(int, found.stdout.split())) == [ctypes.sizeof(layout_class), *offsets]
+
+
+def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
+    path = tmp_path / "page"
+    page = Page(path, 2, 1)
+    assert path.stat().st_mode & 0o777 == 0o600
+    with pytest.raises(FileExistsError):
+        Page(path, 2, 1)
+    page.set_actuator(0, -0.5, 9.0)
+    page.set_audible(True)
+    assert page.readings().frames == 0
+    page.close()
+    page.close()
+    assert not path.exists()
+
+
+# --------------------------------------------------------------------------------------- handover
+
+
+class Listening:
+    """Stands in for the engine; takes the levels that it is given."""
+
+    def __init__(self) -> None:
+        self.levels: list[float] = []
+
+    def follow(self, settings: Settings, offset_s: float) -> None:
+        self.levels.append(settings.gain_db)
+
+
+def moved(handover: Handover, engine: Any, now_s: float, *, down: bool) -> float:
+    """The time at which the last step has taken effect."""
+    for _ in range(1_000):
+        if handover.move(engine, Settings(), 0.0, now_s, down=down):
+            return now_s
+        now_s += 0.005
+    raise AssertionError("it never ends")
+
+
+def test_the_level_goes_down_and_up_in_steps_of_a_twelfth_without_a_jump() -> None:
+    handover, engine = Handover(), Listening()
+    assert not handover.is_under_way
+    low_s = moved(handover, engine, 0.0, down=True)
+    assert engine.levels[-1] == GAIN_MIN_DB
+    assert handover.is_under_way
+    assert low_s < 0.5
+    moved(handover, engine, low_s, down=False)
+    amplitudes = [1.0, *map(db_to_amplitude, engine.levels)]
+    assert max(np.abs(np.diff(amplitudes))) <= 1.0 / STEPS + 2e-3  # silence is -60 dB
+    assert amplitudes[-1] == 1.0
+    assert len(STEPS_DB) == STEPS + 1
+
+
+def test_streams_that_begin_silent_settle_and_wait_while_the_graph_changes() -> None:
+    handover, engine = Handover(), Listening()
+    handover.begin_silent(10.0)
+    assert handover.settings(Settings()).gain_db == GAIN_MIN_DB
+    assert not handover.has_settled(10.0 + 0.9 * SETTLES_S)
+    assert handover.has_settled(10.1 + SETTLES_S)
+    handover.hold(11.0)
+    assert not handover.move(engine, Settings(), 0.0, 11.0 + HOLD_S - STEP_S, down=False)  # type: ignore[arg-type]
+    assert engine.levels == []
+    moved(handover, engine, 11.0 + HOLD_S, down=False)
+    handover.reset()
+    assert handover.settings(replace(Settings(), gain_db=-3.0)).gain_db == -3.0
