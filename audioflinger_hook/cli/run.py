@@ -168,6 +168,7 @@ def _keep_on(
                 supervisor.config_error = reporter.reload(follow_config, now_s)
             supervisor.tick(now_s)
             report = supervisor.states.report(now_s)
+            reporter.tell_engine(*supervisor.engines.playing)
             reporter.report(report, supervisor.states.notes(), supervisor.warnings, now_s)
             if watchdog.due(supervisor.engines.buffers, report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")

@@ -27,6 +27,7 @@ class RunReporter:
     def __init__(self) -> None:
         self.notifier = Notifier()
         self._state = ""
+        self._engine = ""
         self._warnings: dict[str, str] = {}
         self._rate_limit = RateLimit()
 
@@ -59,6 +60,16 @@ class RunReporter:
             if kind not in told:
                 warn(warning)
             self._warnings[kind] = told.get(kind, warning)
+
+    def tell_engine(self, engine: str, reason: str) -> None:
+        """Report which engine plays, "native" or "python", once after each change.
+
+        reason: why it is not the native one; "" if it is. An empty name reports nothing.
+        """
+        text = f"the {engine} engine plays{': ' if reason else ''}{reason}"
+        if engine and text != self._engine:
+            self._engine = text
+            self._print(text)
 
     def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
         """Reload the config and report the changes; return why it failed, or ""."""

@@ -59,6 +59,14 @@ class Engines:
         return NATIVE_TICK_S if native is not None and native.is_steady else None
 
     @property
+    def playing(self) -> tuple[str, str]:
+        """The engine that plays, "native", "python" or "", and why it is not the native one."""
+        native = self.switch.native
+        if native is not None and native.audible:
+            return "native", ""
+        return ("python", self.switch.reason) if self.python else ("", "")
+
+    @property
     def heard_s(self) -> float:
         """Seconds of sound that the Python engine has heard."""
         engine = self.python

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +17,14 @@ from hypothesis import strategies as st
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.handover import HOLD_S, SETTLES_S, STEP_S, STEPS, STEPS_DB, Handover
 from audioflinger_hook.daemon.inputs.applications import Applications
+from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import page as page_module
-from audioflinger_hook.daemon.native.abilities import why_not_config, why_not_server, why_not_tap
+from audioflinger_hook.daemon.native.abilities import (
+    missing_parts,
+    why_not_config,
+    why_not_server,
+    why_not_tap,
+)
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports
 from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
@@ -95,6 +102,23 @@ def test_damping_alone_is_within_the_native_engines_abilities_if_it_is_asked_for
 )
 def test_an_old_or_another_server_is_named(kind: str, version: str, reason: str) -> None:
     assert why_not_server(ServerSnapshot(kind, version, "", "", (), (), (), (), 0)) == reason
+
+
+def test_missing_parts_are_named_with_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    plugin, folder = tmp_path / "plugin.so", tmp_path / "modules"
+    monkeypatch.setattr(abilities, "plugin_path", lambda: plugin)
+    monkeypatch.setattr(shutil, "which", lambda program: program)
+    monkeypatch.setattr(abilities, "MODULE_FOLDERS", (str(folder),))
+    folder.mkdir()
+    assert "libpipewire-module-filter-chain.so is missing" in missing_parts()
+    (folder / abilities.FILTER_CHAIN).touch()
+    assert missing_parts() == ""
+    monkeypatch.setattr(shutil, "which", lambda program: None)
+    assert "the program pipewire is missing; install" in missing_parts()
+    monkeypatch.setattr(abilities, "plugin_path", lambda: None)
+    assert "the plugin is not built; run `make run`" in missing_parts()
 
 
 def test_a_tap_may_have_eight_channels() -> None:

@@ -85,6 +85,7 @@ class Instance:
         handle = self._face.instantiate(ctypes.byref(self._face), rate_hz)
         self.made = bool(handle)
         self._handle = handle
+        # Ports: 9 is an audio input, 10 an audio output, 4 a bit of controls.
         kinds = [self._face.port_descriptors[port] for port in range(self._face.port_count)]
         self._inputs = [port for port, kind in enumerate(kinds) if kind == 9]
         self._outputs = [port for port, kind in enumerate(kinds) if kind == 10]

@@ -16,6 +16,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from audioflinger_hook.daemon.native.page import Page
+from device.drive.damping import Damper
+from device.drive.rig_processor import damping_for
+from device.rig import rig_by_name
 from tests.plugin.hosting import (
     LATENCY,
     PROFILES,
@@ -202,6 +206,39 @@ def test_any_control_gives_finite_vibration(gain: float, delay: float, bypass: f
     got = instance.run(SOUND[:4_096])
     instance.close()
     assert np.isfinite(got).all()
+
+
+# ---------------------------------------------------------------------------- the daemon's actuator
+
+
+def test_an_actuator_damps_as_the_python_engine_does_and_follows_the_daemons_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = rig_by_name("paper")
+    damping = damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
+    page = Page(tmp_path / "page", 2, 1)
+    page.set_damping(3, damping, RATE_HZ)
+    page.set_audible(True)
+    monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
+    actuator = Instance("haptic_cushion_actuator", RATE_HZ)
+    actuator.controls[0] = 3.0
+    drive = 0.2 * np.sin(2 * np.pi * 55.0 * np.arange(RATE_HZ) / RATE_HZ)[:, None]
+    sound = drive.astype(np.float32)
+    got = np.concatenate([actuator.run(part) for part in split(sound, (1_000, 37))])
+    wanted = Damper(damping, RATE_HZ, 1).process(sound.astype(np.float64)).astype(np.float32)
+    faded = RATE_HZ // 20  # it begins silent
+    assert np.array_equal(got[faded:], wanted[faded:])
+    assert got[0, 0] == 0.0
+    page.set_actuator(3, -0.5, 0.0)
+    actuator.run(sound)
+    half = RATE_HZ // 2
+    halved = actuator.run(sound)[half:]
+    assert halved.min() == pytest.approx(-0.5 * wanted[half:].max(), rel=0.05)
+    page.set_audible(False)
+    actuator.run(sound)
+    assert not actuator.run(sound).any()
+    actuator.close()
+    page.close()
 
 
 # ---------------------------------------------------------------------------------------- real time

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -108,6 +109,7 @@ def test_auto_takes_the_native_engine_on_pipewire_and_says_so(pipewire: SoundSer
         status = daemon.wait_ready()
         shown = cushion(pipewire, "status")
     assert (status.engine, status.engine_reason) == ("native", "")
+    assert daemon.stderr.count("the native engine plays") == 1
     assert status.latency.total_ms < 12.0
     assert "engine" in shown.stdout
     assert "native" in shown.stdout
@@ -437,6 +439,81 @@ def test_it_plays_again_after_the_server_was_killed(pipewire: SoundServer, tmp_p
                 status = daemon.wait_state(DaemonState.RUNNING)
         assert status.engine == "native"
         assert recovered(status, Cause.SERVER_LOST) == 2
+
+
+def test_a_server_that_was_stopped_for_seconds_is_felt_again_at_once(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    with (
+        playing(pipewire, "desktop", tone(60.0, 60.0)),
+        running(pipewire, engine="native") as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_until_felt(felt)
+        pipewire.pause()
+        stopped_s = time.monotonic()
+        wait_for(lambda: time.monotonic() - stopped_s > 2.0, "two seconds")
+        frames = len(felt())
+        pipewire.resume()
+        since_s = time.monotonic()
+        wait_for(lambda: len(felt()) > frames, "frames")
+        back_within(felt, since_s, "the server went on")
+        daemon.wait_state(DaemonState.RUNNING)
+
+
+def test_a_stopped_daemon_does_not_stop_the_vibration(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    with (
+        playing(pipewire, "desktop", tone(60.0, 60.0)),
+        running(pipewire, engine="native") as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_until_felt(felt)
+        daemon.process.send_signal(signal.SIGSTOP)
+        wait_for_more(felt, 2.0)
+        assert felt_now(felt)
+        daemon.process.send_signal(signal.SIGCONT)
+        daemon.wait_state(DaemonState.RUNNING)
+        assert felt_now(felt)
+
+
+@pytest.mark.parametrize("sink", ["haptic", "desktop"])
+def test_a_suspended_sink_is_felt_again_when_it_is_resumed(
+    pipewire: SoundServer, sink: str, tmp_path: Path
+) -> None:
+    with (
+        playing(pipewire, "desktop", tone(60.0, 60.0)),
+        running(pipewire, engine="native") as daemon,
+        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+    ):
+        wait_until_felt(felt)
+        pipewire.pactl("suspend-sink", sink, "1")
+        pipewire.pactl("suspend-sink", sink, "0")
+        frames, since_s = len(felt()), time.monotonic()
+        wait_for(lambda: len(felt()) > frames + RATE_HZ // 4, "frames")
+        back_within(felt, since_s - 0.25, f"{sink} was resumed")
+        daemon.wait_state(DaemonState.RUNNING)
+
+
+def test_a_device_of_another_server_is_left_to_the_python_engine(
+    pipewire: SoundServer,
+) -> None:
+    with (
+        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
+        SoundServer("pipewire", Path(folder)) as other,
+    ):
+        other.add_sink("elsewhere")
+        graph_of_this_one = {
+            "PULSE_SERVER": other.address,
+            "PIPEWIRE_RUNTIME_DIR": pipewire.environment["PIPEWIRE_RUNTIME_DIR"],
+        }
+        with running(
+            pipewire, device="elsewhere", engine=None, ready=False, variables=graph_of_this_one
+        ) as daemon:
+            status = daemon.wait(lambda s: s.engine == "python", "the Python engine", 20.0)
+    assert "has no node 'elsewhere': it is of another server" in status.engine_reason
+    assert daemon.stderr.count("the python engine plays: PipeWire's graph has no node") == 1
 
 
 def test_fifty_clients_do_not_disturb_it(pipewire: SoundServer, tmp_path: Path) -> None:
