@@ -117,6 +117,8 @@ class EngineSwitch:
             self._failures = 0
         if not linked:
             return plays
+        if plays and players:
+            native.mend_links(connection.latest.events, now_s)
         self._note_unseen(native, source, device, now_s)
         if players:
             self._played_s = now_s

@@ -60,8 +60,13 @@ class Engines:
 
     @property
     def playing(self) -> tuple[str, str]:
-        """The engine that plays, "native", "python" or "", and why it is not the native one."""
+        """The engine that plays, "native", "python" or "", and why it is not the native one.
+
+        "" as well where files alone leave no choice.
+        """
         native = self.switch.native
+        if not self._endpoints.needs_server:
+            return "", ""
         if native is not None and native.audible:
             return "native", ""
         return ("python", self.switch.reason) if self.python else ("", "")
@@ -101,7 +106,8 @@ class Engines:
     ) -> bool:
         """Keep the native engine, if it is chosen; return False while the Python engine plays."""
         switch, handover, engine = self.switch, self._handover, self.python
-        if connection is None or not switch.takes_native(source, connection.latest):
+        seen = connection.latest if connection else None
+        if not switch.takes_native(source, seen) or connection is None:
             return False
         assert isinstance(self._endpoints.output, StreamOutput)
         ready = switch.maintain(

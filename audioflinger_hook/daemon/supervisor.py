@@ -229,8 +229,7 @@ class Supervisor:
         """
         changes, engine = ConfigDiff.between(self._config, config), self.engine
         self._endpoints.check_change(self._config, config)
-        if engine and changes.engine:
-            # Raises if the new engine could not be made.
+        if engine and changes.engine:  # raises if the new engine could not be made
             framework = Framework(engine.samplerate, engine.channels, config.settings)
             drive_of(config.settings, engine.samplerate, framework.haptic_channels)
         elif engine:

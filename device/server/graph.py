@@ -89,12 +89,17 @@ class Graph:
             if isinstance(item, str):
                 ids.setdefault(item, []).append(number)
             elif item not in wanted and any(port.startswith(starts) for port in item):
-                self._request(("--disconnect", number), now_s)
+                self.remove((number,), now_s)
         for link in wanted:
             outputs, inputs = (ids.get(port, []) for port in link)
             if made[link] < len(outputs) * len(inputs):
                 for pair in product(outputs, inputs):
                     self._request(("--passive", *pair), now_s)
+
+    def remove(self, links: Iterable[str], now_s: float) -> None:
+        """Ask to remove links by their numbers; `ensure` makes them again."""
+        for number in links:
+            self._request(("--disconnect", number), now_s)
 
     def close(self) -> None:
         """Stop watching; links stay. May be repeated; raises nothing."""

@@ -236,7 +236,7 @@ def test_only_the_chosen_application_is_felt_and_each_of_its_streams(
             wait_for_more(felt, 1.0)
             once_hz = pitch_hz(felt()[-RATE_HZ:])
             with playing(pipewire, "desktop", tone(800.0, 60.0), name="player"):
-                wait_for(lambda: links_of(pipewire).count("player:output_FL") == 4, "two links")
+                wait_for(lambda: links_of(pipewire).count("|<- player:output_FL") == 4, "two links")
                 wait_for_more(felt, 1.5)
                 both = np.abs(np.fft.rfft(felt()[-RATE_HZ:, 0]))
         wait_for(lambda: not felt_now(felt), "silence")
@@ -488,11 +488,16 @@ def test_a_suspended_sink_is_felt_again_when_it_is_resumed(
         recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
     ):
         wait_until_felt(felt)
-        pipewire.pactl("suspend-sink", sink, "1")
-        pipewire.pactl("suspend-sink", sink, "0")
-        frames, since_s = len(felt()), time.monotonic()
-        wait_for(lambda: len(felt()) > frames + RATE_HZ // 4, "frames")
-        back_within(felt, since_s - 0.25, f"{sink} was resumed")
+        for _ in range(3):
+            pipewire.pactl("suspend-sink", sink, "1")
+            pipewire.pactl("suspend-sink", sink, "0")
+            since_s = time.monotonic()
+            # PipeWire leaves a recorder silent that a sink's suspend has interrupted
+            with recording(pipewire, "haptic.monitor", tmp_path / "again") as again:
+                wait_for(lambda: np.abs(again()[-480:]).max(axis=0, initial=0.0).min() > FELT, "it")
+            took_s = time.monotonic() - since_s
+            print(f"native: both channels felt {took_s:.2f} s after {sink} was resumed")
+            assert took_s < BACK_S
         daemon.wait_state(DaemonState.RUNNING)
 
 

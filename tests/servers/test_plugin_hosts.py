@@ -132,7 +132,7 @@ def test_gstreamer_finds_the_plugin_and_gives_the_bytes_of_the_transform(
     monkeypatch.setenv("LADSPA_PATH", str(Path(cushion("plugin", "path")).parent))
     monkeypatch.setenv("GST_REGISTRY", str(home / "registry"))
     listed = ran("gst-inspect-1.0", "ladspa")
-    element = next(word.rstrip(":") for word in listed.split() if word.endswith("_music:"))
+    element = next(word.rstrip(":") for word in listed.split() if word.endswith("-music:"))
     ran(
         *("gst-launch-1.0", "-q", "filesrc", f"location={sound}", "!", "wavparse", "!"),
         *("audioconvert", "!", element, "!", "audio/x-raw,format=F32LE", "!"),

@@ -26,6 +26,7 @@ from device.drive.rig_processor import damping_for
 from device.errors import LostError, UsageError
 from device.rig import rig_by_name
 from device.server.graph import Graph, Link
+from device.server.paused_links import PausedLinks
 from device.server.snapshot import Sink, Source
 from device.units import db_to_amplitude
 
@@ -81,6 +82,7 @@ class NativeEngine:
         self._folder = folder
         self._states = states
         self._graph = Graph(on_change)
+        self._paused_links = PausedLinks()
         self._current: _Running | None = None
         self._next: _Running | None = None
         self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
@@ -165,6 +167,12 @@ class NativeEngine:
         self._adopt_next(now_s)
         self._let_play(now_s)
         return self.audible
+
+    def mend_links(self, events: int, now_s: float) -> None:
+        """Make links again that the server has left paused; events: of the server until now."""
+        if self._current is not None:
+            nodes = (self._current.chain.tap, self._current.chain.vibration)
+            self._graph.remove(self._paused_links.look(events, nodes, now_s), now_s)
 
     def lose_links(self, now_s: float) -> bool:
         """Remove all links, as tap or device is away; return whether the engine had played."""
