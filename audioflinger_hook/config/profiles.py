@@ -28,24 +28,37 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
     "paper": {},
     "cinema": {
         "level_law": BY_ENERGY,
+        "strength": ProfileValue("felt", "as strong as a seated body feels it"),
+        "merge_ratio": ProfileValue(0.35, "closer partials are felt as one that warbles"),
+        "band_low_hz": ProfileValue(20.0, "sub-bass is felt, too"),
+        "mapping": ProfileValue("jnd", "lower vibration, which a seated body feels better"),
+        "loudness_target_db": ProfileValue(-21.0, "headroom"),
         "loudness_db": FOLLOWED,
     },
     "game": {
         "level_law": BY_ENERGY,
+        "strength": ProfileValue("felt", "as strong as a seated body feels it"),
+        "merge_ratio": ProfileValue(0.35, "closer partials are felt as one that warbles"),
+        "band_low_hz": ProfileValue(20.0, "sub-bass is felt, too"),
+        "mapping": ProfileValue("jnd", "lower vibration, which a seated body feels better"),
+        "loudness_target_db": ProfileValue(-21.0, "headroom"),
         "loudness_db": FOLLOWED,
         "window_s": ProfileValue(
             0.03, "sustained levels and endings are 13 ms earlier; vibration begins at 33 Hz"
         ),
-        "partials_max": ProfileValue(8, "as many as so short a window resolves"),
-    },
+            },
     "music": {
         "level_law": BY_ENERGY,
+        "strength": ProfileValue("felt", "as strong as a seated body feels it"),
+        "merge_ratio": ProfileValue(0.35, "closer partials are felt as one that warbles"),
+        "band_low_hz": ProfileValue(20.0, "sub-bass is felt, too"),
+        "mapping": ProfileValue("jnd", "lower vibration, which a seated body feels better"),
+        "loudness_target_db": ProfileValue(-21.0, "headroom"),
         "loudness_db": FOLLOWED,
-        "loudness_slope_db": ProfileValue(
-            10.0, "music has a small range of loudness: keep half of it"
+        "dynamics": ProfileValue(
+            0.5, "music has a small range of loudness: keep half of it"
         ),
-        "partials_max": ProfileValue(6, "the strongest tones of a chord, with gaps between them"),
-    },
+            },
 }
 """Every profile by its name."""
 

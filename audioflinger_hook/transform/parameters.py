@@ -69,9 +69,9 @@ class TransformParameters(Described):
     loudness_target_db: Annotated[
         float, Number("level of the vibration at usual loudness", -40.0, 0.0, "dB")
     ] = -18.0
-    loudness_slope_db: Annotated[
-        float, Number("change of the level for 20 phon of loudness", 1.0, 20.0, "dB")
-    ] = 5.5
+    dynamics: Annotated[
+        float, Number("change of the vibration for each phon of loudness", 0.1, 1.0, "dB")
+    ] = 0.275
     loudness_floor_db: Annotated[
         float, Number("loudness below which there is no vibration", -90.0, -30.0, "dB")
     ] = -60.0
@@ -89,6 +89,18 @@ class TransformParameters(Described):
             ("tonal", "energy"),
         ),
     ] = "tonal"
+    strength: Annotated[
+        str,
+        Choice(
+            "vibration as strong as it is loud in full scale (flat), or as a seated body feels it "
+            "(felt)",
+            ("flat", "felt"),
+        ),
+    ] = "flat"
+    merge_ratio: Annotated[
+        float,
+        Number("partials closer than this share of their frequency are one; 0: off", 0.0, 1.0),
+    ] = 0.0
     mapping: Annotated[
         str,
         Choice(

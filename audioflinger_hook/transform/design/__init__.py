@@ -17,7 +17,7 @@ import numpy as np
 
 from audioflinger_hook.transform.design import blob
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, InputDesign, OnsetDesign
-from audioflinger_hook.transform.design.followers import LoudnessDesign, SpeechDesign, bin_weights
+from audioflinger_hook.transform.design.followers import LoudnessDesign, SpeechDesign
 from audioflinger_hook.transform.design.synthesis import (
     ATTACK_HOPS,
     LiveGrid,
@@ -124,7 +124,6 @@ class LiveDesign:
         tonal_frames = grid.window_frames / 2 + glide_hops * grid.hop_frames + smoothing_frames
         onset_frames = (1.0 + onsets.delay_ticks) * grid.tick_frames + smoothing_frames
         suppression_db = parameters.speech_suppression_db
-        followed = parameters.loudness_db > 0.0
         return cls(
             samplerate=samplerate,
             latency_frames=round(onset_frames if find_onsets else tonal_frames),
@@ -137,7 +136,12 @@ class LiveDesign:
             tracking=TrackingDesign.of(parameters, grid.hop_s),
             synthesis=synthesis,
             loudness=LoudnessDesign.of(
-                parameters, grid.hop_s, bin_weights(spectrum, bins) if followed else None
+                parameters,
+                grid.hop_s,
+                spectrum,
+                bins,
+                samplerate / onsets.short_length,
+                onsets.short_hz,
             ),
             # Without suppression these numbers are not used.
             speech=SpeechDesign.of(

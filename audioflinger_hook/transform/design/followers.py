@@ -11,12 +11,38 @@ from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.spectrum import Spectrum
 
-SHELF_HZ, SHELF_Q, SHELF_DB, SHELF_MIDDLE = 1681.974450955533, 0.7071752369554196, 4.0, 0.4996667741
-HIGH_PASS_HZ, HIGH_PASS_Q = 38.13547087602444, 0.5003270373238773
-"""The analogue filters whose digital form at 48 kHz is what BS.1770-4 prints (K-weighting)."""
+FULL_SCALE_DB = 94.0
+"""Sound pressure level that a full-scale tone stands for; loudness in phon counts from here."""
 
-LEVEL_AT_HZ = 1_000.0
-"""A full-scale tone of this frequency has 0 dB loudness here: 3.01 dB above its LKFS."""
+BANDS_HZ = (90.0, 180.0, 280.0, 355.0, 450.0, 560.0, 710.0, 900.0, 1_120.0, 1_400.0)
+BANDS_HZ += (1_800.0, 2_240.0, 2_800.0, 3_550.0, 4_500.0, 5_600.0, 7_100.0, 9_000.0, 11_200.0)
+"""Upper edges of the bands of ISO 532-1, but of the last one: thirds of an octave from 280 Hz up."""
+
+BARKS = (0.9, 1.8, 2.8, 3.5, 4.4, 5.4, 6.6, 7.9, 9.2, 10.6, 12.3, 13.8, 15.2, 16.7, 18.1, 19.3)
+BARKS += (20.6, 21.8, 22.7, 23.6)
+"""The same edges as critical-band rates, table 3 of ISO 532-1."""
+
+QUIET_DB = (30.0, 18.0, 12.0, 8.0, 7.0, 6.0, 5.0, 4.0) + 12 * (3.0,)
+"""Threshold in quiet, band by band."""
+
+OUTER_EAR_DB = 10 * (0.0,) + (-0.5, -1.6, -3.2, -5.4, -5.6, -4.0, -1.5, 2.0, 5.0, 12.0)
+"""Attenuation by the outer ear."""
+
+BANDWIDTH_DB = (-0.25, -0.6, -0.8, -0.8, -0.5, 0.0, 0.5, 1.1, 1.5, 1.7)
+BANDWIDTH_DB += (1.8, 1.8, 1.7, 1.6, 1.4, 1.2, 0.8, 0.5, 0.0, -0.5)
+"""From the level in a third of an octave to the level in a critical band."""
+
+SEAT_WEIGHTS = (
+    (16.0, 0.768), (20.0, 0.636), (25.0, 0.513), (31.5, 0.405), (40.0, 0.314),
+    (50.0, 0.246), (63.0, 0.186), (80.0, 0.132), (100.0, 0.1), (125.0, 0.079),
+    (160.0, 0.0613), (200.0, 0.0485), (250.0, 0.0384), (400.0, 0.0236),
+)
+"""Frequency in Hz and sensitivity to vertical acceleration of the seat: ISO 2631-1, W_k, up to
+80 Hz. Above, W_k falls faster than contours of equal intensity on a seat do (Morioka and Griffin,
+2006): there it is continued in proportion to 1/f."""
+
+FELT_AT_HZ = 40.0
+"""Vibration of this frequency has weight 1."""
 
 PROGRAMME_TOP_DB = -10.0
 """Loudness of the loudest programmes; programmes down to `loudness_db` below it are lifted."""
@@ -28,16 +54,14 @@ RELEASE_DB_A_S = 10.0
 """Rate at which loudness falls; it rises at once. With 20 an explosion stands half a dB less above
 speech, and level goes less with level (0.63 for 0.67)."""
 
-PROGRAMME_DB_A_S = 2.0
+PROGRAMME_DB_A_S = 0.1
 """The programme's level goes to the loudness by this, so that half of the time is over it ..."""
 
-RISE_S, FALL_S = 10.0, 5.0
-"""... and by what is missing, in so many seconds: after 20 dB less it is 4 dB off in 4 s."""
+RISE_S, FALL_S = 240.0, 120.0
+"""... and by what is missing, in so many seconds: a crescendo is felt as one."""
 
 FLOOR_RISE_DB_A_S = 2.0
 """The noise floor is the least recent loudness: it falls at once and rises at this rate."""
-
-PHONS_A_SLOPE = 20.0
 
 OCTAVES_HZ = (100.0, 200.0, 400.0, 800.0, 1_600.0, 3_200.0, 8_000.0)
 """Edges of the six speech bands; the last band has the hissing sounds."""
@@ -117,12 +141,31 @@ class LoudnessDesign:
     gain_max: float
     """Largest factor on amplitudes."""
     loudness_weights: FloatArray
-    """Weight of each bin's squared magnitude; empty if loudness is not followed."""
+    """Of each bin's squared magnitude: its share of its band's excitation over the threshold in
+    quiet. Empty if loudness is not followed."""
+    loudness_edges: FloatArray
+    """Bins: the first of each band, and past the last."""
+    loudness_scale: FloatArray
+    """Of each band: sone per Bark at its threshold."""
+    loudness_widths: FloatArray
+    """Of each band: Bark."""
+    onset_loudness_weights: FloatArray
+    """The same four tables for the short windows in which onsets are found."""
+    onset_loudness_edges: FloatArray
+    onset_loudness_scale: FloatArray
+    onset_loudness_widths: FloatArray
+    onset_felt_squares: FloatArray
+    """Squared sensitivity at the vibration frequency of each short bin."""
+    felt_weights: FloatArray
+    """Sensitivity by vibration frequency, in steps of `gain_step_hz`."""
     programme_top: float = PROGRAMME_TOP_DB
     far: float = 20.0
     """More than this is not missing: the level rises by 4 dB a second at most and falls by 6."""
-    floor_under: float = 30.0
+    floor_under: float = 45.0
     """The noise floor stays this far below the programme's level: a steady sound is no noise."""
+    slope_a_bark: float = 0.45
+    """Above a band its specific loudness N' falls by this / N'^0.25 of itself for each Bark: nearly
+    what the table of slopes in ISO 532-1 says."""
     gate_margin: float = 0.01
     """Share of the gate's width that is still silent. At the floor itself, where the quietest
     recent hop stands exactly, rounding would decide."""
@@ -131,9 +174,20 @@ class LoudnessDesign:
 
     @classmethod
     def of(
-        cls, parameters: TransformParameters, hop_s: float, weights: FloatArray | None = None
+        cls,
+        parameters: TransformParameters,
+        hop_s: float,
+        spectrum: Spectrum,
+        bins: int,
+        onset_bin_hz: float,
+        onset_hz: FloatArray,
     ) -> LoudnessDesign:
-        """Return the design for hops of this many seconds; weights: from `bin_weights`."""
+        """Return the design for hops of this many seconds.
+
+        bins: that are looked at in spectra of long windows. onset_hz: vibration frequencies of the
+        bins of short windows, which are onset_bin_hz apart.
+        """
+        followed = parameters.loudness_db > 0.0
         programme_min = PROGRAMME_TOP_DB - parameters.loudness_db
         return cls(
             programme_start=max(programme_min, PROGRAMME_START_DB),
@@ -146,9 +200,14 @@ class LoudnessDesign:
             floor_rise=FLOOR_RISE_DB_A_S * hop_s,
             gate=parameters.loudness_gate_db,
             target=parameters.loudness_target_db,
-            slope=parameters.loudness_slope_db / PHONS_A_SLOPE,
+            slope=parameters.dynamics,
             gain_max=math.pow(10.0, parameters.loudness_db / 20.0),
-            loudness_weights=np.zeros(0) if weights is None else weights,
+            felt_weights=felt_weights(parameters),
+            onset_felt_squares=felt_weight(onset_hz) ** 2
+            if parameters.strength == "felt"
+            else np.ones_like(onset_hz),
+            **_named("loudness", spectrum.bin_hz, bins if followed else 0, tone_spread(spectrum)),
+            **_named("onset_loudness", onset_bin_hz, onset_hz.size if followed else 0, 1.0),
         )
 
 
@@ -233,35 +292,54 @@ class SpeechDesign:
         )
 
 
-def k_weight(audio_hz: FloatArray) -> FloatArray:
-    """Return the factor of K-weighting on energy at frequencies in Hz, 1 at 1 kHz, any shape.
+def felt_weight(vibration_hz: FloatArray) -> FloatArray:
+    """Return how strongly a seated body feels acceleration at frequencies in Hz, 1 at 40 Hz."""
+    hz, weights = np.log(np.array(SEAT_WEIGHTS)).T
+    found = np.interp(np.log(np.maximum(vibration_hz, 1.0)), hz, weights)
+    return np.asarray(np.exp(found - np.interp(np.log(FELT_AT_HZ), hz, weights)))
 
-    Magnitudes of the analogue filters: the same at every samplerate.
+
+def felt_weights(parameters: TransformParameters) -> FloatArray:
+    """Return `felt_weight` in steps of 0.25 Hz up to the top; all 1 for strength "flat"."""
+    hz = np.arange(0.0, 1.01 * parameters.vibration_top_hz, 0.25)
+    return felt_weight(hz) if parameters.strength == "felt" else np.ones_like(hz)
+
+
+def loudness_tables(bin_hz: float, bins: int, spread: float) -> tuple[FloatArray, ...]:
+    """Return the tables for loudness after ISO 532-1 from a spectrum's first bins.
+
+    spread: the sum of squared magnitudes over the bins of a full-scale tone. Returned are weights
+    of the bins, the bands' edges in bins, then for each band the sone per Bark at its threshold,
+    and its width in Bark. A band without a bin joins the next.
     """
-    return _weight(audio_hz) / _weight(np.array(LEVEL_AT_HZ))
+    if not bins:
+        return tuple(np.zeros((4, 0)))
+    over_db = FULL_SCALE_DB - np.array(OUTER_EAR_DB) - np.array(BANDWIDTH_DB) - np.array(QUIET_DB)
+    edges, barks, bands = [0], [0.0], []
+    for band, (hz, bark) in enumerate(zip((*BANDS_HZ, np.inf), BARKS, strict=True)):
+        edge = int(min(bins, round(min(hz / bin_hz, bins))))
+        if edge > edges[-1]:
+            edges.append(edge)
+            barks.append(bark)
+            bands.append(band)
+    return (
+        np.repeat(10.0 ** (0.1 * over_db[bands]), np.diff(edges)) / spread,
+        np.array(edges, dtype=np.float64),
+        0.0635 * 10.0 ** (0.025 * np.array(QUIET_DB)[bands]),
+        np.diff(barks),
+    )
 
 
-def bin_weights(spectrum: Spectrum, bins: int) -> FloatArray:
-    """Return the weights of the squared magnitudes of the first bins, (bins,).
+def _named(prefix: str, bin_hz: float, bins: int, spread: float) -> dict[str, FloatArray]:
+    names = ("weights", "edges", "scale", "widths")
+    tables = loudness_tables(bin_hz, bins, spread)
+    return {f"{prefix}_{name}": table for name, table in zip(names, tables, strict=True)}
 
-    The sum over a tone's bins is its squared amplitude, times `k_weight`.
-    """
+
+def tone_spread(spectrum: Spectrum) -> float:
+    """Return the sum of squared magnitudes over the bins of a full-scale tone, by Parseval."""
     window = spectrum.window
-    # By Parseval: the number of bins that a tone's energy is spread over.
-    spread = spectrum.fft_length * float((window * window).sum()) / float(window.sum()) ** 2
-    bin_hz = spectrum.bin_hz * np.arange(bins, dtype=np.float64)
-    weights: FloatArray = k_weight(bin_hz) / spread
-    return weights
-
-
-def _weight(audio_hz: FloatArray) -> FloatArray:
-    s = 1j * audio_hz / SHELF_HZ
-    high = 10.0 ** (SHELF_DB / 20.0)
-    shelf = (high * s * s + high**SHELF_MIDDLE * s / SHELF_Q + 1.0) / (s * s + s / SHELF_Q + 1.0)
-    s = 1j * audio_hz / HIGH_PASS_HZ
-    high_pass = s * s / (s * s + s / HIGH_PASS_Q + 1.0)
-    weight: FloatArray = np.abs(shelf * high_pass) ** 2
-    return weight
+    return float(spectrum.fft_length * (window * window).sum() / window.sum() ** 2)
 
 
 def _teeth(pitches_hz: FloatArray, bin_hz: float, bins: int) -> FloatArray:

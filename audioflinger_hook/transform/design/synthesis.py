@@ -105,6 +105,12 @@ class TrackingDesign:
     """Hops for which a partial from an onset is held."""
     match_audio_hz: float
     """A partial may move by this in one hop, in Hz of audio, ..."""
+    merge_ratio: float
+    """Partials closer than this share of their frequency are one; 0: none are."""
+    merge_hz: float = 12.0
+    """... or closer than this: their beats would be felt as a warble."""
+    merge_again: float = 0.8
+    """Share of the same distance below which two groups become one."""
     match_ratio: float = 0.12
     """... or by two semitones, whichever is more: a chirp of three octaves a second is followed."""
     split_hz: float = 2.0
@@ -129,12 +135,20 @@ class TrackingDesign:
         return cls(
             hold_hops=max(1, round(parameters.window_s / hop_s)),
             match_audio_hz=MATCH_HZ_A_WINDOW / parameters.window_s,
+            merge_ratio=parameters.merge_ratio,
         )
 
     def near_hz(self, hz: float, mapping: VibrationMapping) -> float:
         """Return how far from a new partial its true frequency may be, in Hz of vibration."""
         ratio = max(self.match_ratio, self.match_audio_hz / mapping.audio_hz(hz))
-        return self.fresh_reach * (mapping.scale_hz + mapping.scale_ratio * hz) * ratio
+        near_hz = self.fresh_reach * (mapping.scale_hz + mapping.scale_ratio * hz) * ratio
+        if self.merge_ratio:
+            near_hz = max(near_hz, float(self.merging_hz(hz)))
+        return near_hz
+
+    def merging_hz(self, hz: FloatArray | float) -> FloatArray:
+        """Return how close a partial must be to one at these Hz of vibration to be part of it."""
+        return np.maximum(self.merge_hz, self.merge_ratio * np.asarray(hz))
 
 
 @dataclass(frozen=True, eq=False)

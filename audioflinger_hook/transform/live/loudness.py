@@ -15,6 +15,50 @@ from audioflinger_hook.transform.design.followers import LoudnessDesign
 from audioflinger_hook.transform.spectrum import ComplexArray
 
 
+TINY = float(np.finfo(np.float64).tiny)
+
+THRESHOLD = 0.25
+"""Threshold factor s of ISO 532-1: how much of the excitation at the threshold is noise within."""
+
+
+class LoudnessMeter:
+    """Loudness of one spectrum after ISO 532-1; pure. The arguments are tables of LoudnessDesign.
+
+    Level and phon count alike: 0 dB is the loudness of a full-scale tone of 1 kHz, 94 phon.
+    """
+
+    def __init__(
+        self,
+        weights: FloatArray,
+        edges: FloatArray,
+        scale: FloatArray,
+        widths: FloatArray,
+        slope_a_bark: float,
+    ) -> None:
+        self._weights = weights
+        self._edges = [int(edge) for edge in edges[:-1]]
+        self._scale = scale
+        self._widths = widths.tolist()
+        self._slope_a_bark = slope_a_bark
+
+    def loudness_db(self, power: FloatArray, factor: float) -> float:
+        """Return the loudness in dB of the squared magnitudes of bins, times a factor."""
+        excitation = np.add.reduceat(self._weights * power, self._edges) * factor
+        root = (1.0 - THRESHOLD + THRESHOLD * excitation) ** 0.25
+        specific = np.maximum(0.0, self._scale * (root - 1.0))
+        sone = above = 0.0
+        for core, width in zip(specific.tolist(), self._widths, strict=True):
+            tail = left = 0.0
+            if above > core:
+                slope = self._slope_a_bark / above**0.25
+                left = above * math.exp(-slope * width)
+                tail = (above - left) / slope
+            sone += max(core * width, tail)
+            above = max(core, left)
+        phon = 40.0 + 10.0 * math.log2(sone) if sone >= 1.0 else 40.0 * (sone + 5e-4) ** 0.35
+        return phon - 94.0
+
+
 class LoudnessFollower:
     """The follower of one channel: a loudness each hop in, the strength of its vibration out.
 
@@ -24,6 +68,22 @@ class LoudnessFollower:
 
     def __init__(self, design: LoudnessDesign) -> None:
         self._design = design
+        self._bins = design.loudness_weights.size
+        self._felt_hz = 0.25 * np.arange(design.felt_weights.size)
+        self._meter = LoudnessMeter(
+            design.loudness_weights,
+            design.loudness_edges,
+            design.loudness_scale,
+            design.loudness_widths,
+            design.slope_a_bark,
+        )
+        self._onset_meter = LoudnessMeter(
+            design.onset_loudness_weights,
+            design.onset_loudness_edges,
+            design.onset_loudness_scale,
+            design.onset_loudness_widths,
+            design.slope_a_bark,
+        )
         self.reset()
 
     def reset(self) -> None:
@@ -38,15 +98,12 @@ class LoudnessFollower:
         self.loud_db = self._design.floor_min
 
     def loudness_db(self, spectra: ComplexArray) -> list[float]:
-        """Return the loudness of each row of (rows, columns) in dB, a full-scale 1 kHz tone at 0.
+        """Return the loudness of each row of (rows, columns), see `LoudnessMeter`."""
+        return [self._meter.loudness_db(_power(row[: self._bins]), 1.0) for row in spectra]
 
-        Each row is summed by itself, so that it does not depend on the other rows.
-        """
-        weights, nothing = self._design.loudness_weights, self._design.nothing
-        return [
-            10.0 * math.log10(max(nothing, float(np.add.reduce(weights * _power(row)))))
-            for row in spectra[:, : weights.size]
-        ]
+    def onset_loudness_db(self, power: FloatArray, level: float) -> float:
+        """Return the loudness of an onset of this level from the powers of the short bins."""
+        return self._onset_meter.loudness_db(power, level * level / max(TINY, float(power.sum())))
 
     def strength(self, loudness_db: float) -> float:
         """Return how strong the next hop vibrates, the root of its partials' sum of squares.
@@ -70,17 +127,23 @@ class LoudnessFollower:
         self.programme_db = max(design.programme_min, min(design.programme_top, moved_db))
         return gate * self._strength_above(above_db, loudness_db - self.loud_db)
 
-    def onset_gain(self, level: float) -> float:
-        """Return the factor on the amplitudes of an onset of this level, a tone's amplitude.
+    def onset_strength(self, power: FloatArray, level: float) -> float:
+        """Return the strength of an onset of this level from the powers of the short bins.
 
         It changes no state: the next hop measures the loudness.
         """
         if level <= 0.0:
             return 0.0
-        loudness_db = 20.0 * math.log10(level)
+        loudness_db = self.onset_loudness_db(power, level)
+        felt = float((power * self._design.onset_felt_squares).sum() / max(TINY, power.sum()))
         loud_db = max(self.loud_db, loudness_db)
         strength = self._strength_above(loud_db - self.programme_db, loudness_db - loud_db)
-        return min(self._design.gain_max, self._gate(loudness_db) * strength / level)
+        return min(self._design.gain_max * level, self._gate(loudness_db) * strength / felt**0.5)
+
+    def felt_weight(self, hz: FloatArray) -> FloatArray:
+        """Return how strongly vibration frequencies in Hz are felt."""
+        weights: FloatArray = np.interp(hz, self._felt_hz, self._design.felt_weights)
+        return weights
 
     def gain_for(self, strength: float, power: float) -> float:
         """Return, and keep, the factor that gives amplitudes their strength.

@@ -33,16 +33,16 @@ class OnsetPartials:
         design: LiveDesign,
         detector: OnsetDetector,
         smoother: Smoother,
-        gain: Callable[[float, float], float],
+        amplitude: Callable[[float, float, float], float],
     ) -> None:
-        """gain: from (vibration frequency in Hz, level of the onset) to a factor on amplitudes."""
+        """amplitude: from (vibration frequency in Hz, weight, level of the onset)."""
         self._design = design.onsets
         self._rise_shares = design.onsets.rise_shares.tolist()
         self._worth_holding = design.tracking.worth_holding
         self._tick_s = design.grid.tick_s
         self._ceiling = design.synthesis.ceiling
         self._detector = detector
-        self._gain = gain
+        self._amplitude = amplitude
         self._smoother = smoother
         self.slots = design.onsets.fresh_max
         self.reset()
@@ -92,8 +92,7 @@ class OnsetPartials:
 
     def _estimate(self, group: tuple[int, int]) -> tuple[float, float, float]:
         hz, weight = self._detector.estimate(group)
-        level = self._detector.level
-        amplitude = weight * level * self._gain(hz, level)
+        amplitude = self._amplitude(hz, weight, self._detector.level)
         return hz, weight, amplitude * float(self._smoother.compensation(np.array(hz)))
 
     def _room(self, tracker: PartialTracker) -> float:

@@ -38,9 +38,10 @@ class OnsetDetector:
     by_energy: whether amplitudes are mapped by energy. Use from one thread at a time.
     """
 
-    def __init__(self, design: OnsetDesign, by_energy: bool) -> None:
+    def __init__(self, design: OnsetDesign, by_energy: bool, followed: bool) -> None:
         self._design = design
         self._by_energy = by_energy
+        self._followed = followed
         self._edges = [int(edge) for edge in design.band_edges]
         self._one_tone = design.one_tone.tolist()
         self.reset()
@@ -163,12 +164,20 @@ class OnsetDetector:
         one = self._one_tone[min(self._since, design.heard_ticks - 1)]
         purity = min(1.0, squares / max(power * power * one, TINY))
         hz = weighted / max(squares, TINY)
+        if self._followed:
+            # Noise is as strong as it is loud; its purity does not count.
+            purity = 1.0
         by_energy = float(np.sqrt(share * purity))
         if by_energy * self.level < design.weakest:
             return hz, 0.0
         # Each of M equal tones of amplitude a gets a / M, as by r^2 / sum r.
         weight = by_energy if self._by_energy else share * float(np.sqrt(share)) * purity
         return hz, weight
+
+    @property
+    def power(self) -> FloatArray:
+        """Powers of the bins since the onset, (bins,)."""
+        return self._power
 
     @property
     def level(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, IntArray
 from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.live.merging import merge
 from audioflinger_hook.transform.live.synthesis import Glides
 
 
@@ -105,6 +106,11 @@ class PartialTracker:
         have now. left: what the law leaves of the level of what this window shows, which tells
         tones apart that were one for an onset.
         """
+        dominance = np.ones(hz.size)
+        if self._design.merge_ratio and hz.size:
+            sounding_hz = self._hz[self._alive].tolist()
+            hz, amplitude, dominance = merge(self._design, hz, amplitude, sounding_hz)
+            audio_hz = np.array([self._mapping.audio_hz(one) for one in hz.tolist()])
         slot, beside, gap_hz = self._match(audio_hz, hz)
         new = (slot < 0).nonzero()[0]
         if new.size:
@@ -119,7 +125,8 @@ class PartialTracker:
 
         before = self._hz.take(slot)
         change = hz - before
-        after = before + change * self._followed_share(change / self._design.steady_hz)
+        share = self._followed_share(change / self._design.steady_hz)
+        after = before + change * share * dominance
         level = self._amplitude.take(slot)
         change = amplitude - level
         self._hz[slot] = after
@@ -194,6 +201,8 @@ class PartialTracker:
         slope_hz = self._mapping.scale_hz + self._mapping.scale_ratio * hz
         reach_hz = slope_hz * np.maximum(design.match_ratio, design.match_audio_hz / audio_hz)
         held = [slot in self._held for slot in alive.take(nearest)]
+        if design.merge_ratio:
+            reach_hz = np.maximum(reach_hz, design.merging_hz(hz))
         reach_hz = np.where(held, design.fresh_reach * reach_hz, reach_hz)
         mutual = distance.argmin(axis=0).take(nearest) == np.arange(hz.size)
         mutual &= gap_hz <= reach_hz

@@ -78,9 +78,11 @@ class LiveTransform:
         self._ring_hops = synthesis.ring_hops
         self._find_onsets = bool(design.onsets.find_onsets)
         self._onset_frames = design.onsets.short_frames
-        self._detector = OnsetDetector(design.onsets, bool(design.mapping.by_energy))
+        self._detector = OnsetDetector(
+            design.onsets, bool(design.mapping.by_energy), self.follower is not None
+        )
         self._onset_partials = OnsetPartials(
-            design, self._detector, self._synthesizer.smoother, self._onset_gain
+            design, self._detector, self._synthesizer.smoother, self._onset_amplitude
         )
         self.reset()
 
@@ -282,7 +284,7 @@ class LiveTransform:
         left = 1.0
         if found and count:
             left = self._mapping.level_ratio(found.principal.amplitude, found.principal.r)
-            amplitude, limited = self._level(found.principal, strength)
+            amplitude, limited = self._level(found.principal, found.hz, strength)
             if limited:
                 self.limited_frames += self._grid.hop_frames
             audio_hz, hz, gain = found.principal.audio_hz, found.hz, found.gain
@@ -306,7 +308,9 @@ class LiveTransform:
         elif self._ringing:
             self._ringing -= 1
 
-    def _level(self, found: Principals, strength: float) -> tuple[FloatArray, bool]:
+    def _level(
+        self, found: Principals, hz: FloatArray, strength: float
+    ) -> tuple[FloatArray, bool]:
         """Return the amplitudes of one hop's partials, and whether they were limited.
 
         strength: what the follower makes of their loudness.
@@ -314,7 +318,8 @@ class LiveTransform:
         amplitude = self._mapping.amplitudes(found.amplitude, found.r)
         gain = 1.0
         if self.follower:
-            gain = self.follower.gain_for(strength, float((amplitude * amplitude).sum()))
+            felt = amplitude * self.follower.felt_weight(hz)
+            gain = self.follower.gain_for(strength, float((felt * felt).sum()))
         if self._speech:
             # Before the amplitude mapping, so that what speech loses is not missing from the rest;
             # after the follower, which would turn the rest up.
@@ -322,10 +327,12 @@ class LiveTransform:
             amplitude = self._mapping.amplitudes(found.amplitude * left, found.r * left)
         return limit_amplitudes(amplitude * gain, self._ceiling)
 
-    def _onset_gain(self, hz: float, level: float) -> float:
-        """Return the factor on what begins: its vibration frequency in Hz, its level."""
-        gain = self.follower.onset_gain(level) if self.follower else 1.0
+    def _onset_amplitude(self, hz: float, weight: float, level: float) -> float:
+        """Return the amplitude of what begins: its vibration frequency in Hz, its share, its level."""
+        amplitude = weight * level
+        if self.follower:
+            amplitude = weight * self.follower.onset_strength(self._detector.power, level)
         if self._speech:
             audio_hz = np.array([self._mapping.audio_hz(hz)])
-            gain *= float(self._speech.gains(audio_hz, coarse=True)[0])
-        return gain
+            amplitude *= float(self._speech.gains(audio_hz, coarse=True)[0])
+        return amplitude

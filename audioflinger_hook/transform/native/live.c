@@ -102,7 +102,7 @@ static int set_levels(Live *live, Voice *voice, double strength, size_t count)
     strengthen(live, count);
     double gain = 1.0;
     if (loudness_is_on(s) && count)
-        gain = loudness_gain(s, &voice->follower, strength, live->amplitude, count);
+        gain = loudness_gain(s, &voice->follower, strength, live->hz, live->amplitude, count);
     /* Before the law of level, so that what speech loses is not missing from the rest; after the
      * follower, which would turn the rest up. */
     if (s->speech_db > 0.0) {
@@ -137,12 +137,13 @@ static void follow(Live *live, Voice *voice, double strength, size_t count)
 {
     const Settings *s = &live->settings;
     const double left = tracking_holds(s, &voice->slots) ? left_by_law(live, count) : 1.0;
+    for (size_t one = 0; one < count; one++)
+        live->hz[one] = felt_hz(s, live->found.audio_hz[one]);
     if (set_levels(live, voice, strength, count))
         live->limited += s->hop_frames;
     double total = 0.0;
     for (size_t one = 0; one < count; one++) {
         total += live->amplitude[one];
-        live->hz[one] = felt_hz(s, live->found.audio_hz[one]);
         live->amplitude[one] *= smoothing_gain(s, live->hz[one]);
     }
     const Partials partials = {live->found.audio_hz, live->hz, live->amplitude, count};

@@ -4,6 +4,7 @@
 #include "loudness.h"
 
 #include "common.h"
+#include "scaling.h"
 
 /* Sums of the bins that go on side by side, for registers of any width. */
 #define LANES 8
@@ -22,8 +23,21 @@ void loudness_rest(const Settings *settings, Loudness *follower)
     *follower->floor = *follower->loud = settings->floor_min;
 }
 
+/* What measures loudness after ISO 532-1 in spectra of one kind. */
+typedef struct {
+    Table weights, edges, scale, widths;
+    double slope_a_bark;
+} Meter;
+
+/* Threshold factor of ISO 532-1. */
+#define THRESHOLD 0.25
+
+/* Loudness in phon of a full-scale tone of 1 kHz. */
+#define FULL_SCALE_PHON 94.0
+
+/* Sum of the bins' weighted squares. imaginary: NULL where `real` holds squares. */
 WIDE static double weigh(const double *restrict weights, const double *restrict real,
-                           const double *restrict imaginary, size_t bins)
+                         const double *restrict imaginary, size_t bins)
 {
     double lanes[LANES] = {0.0};
     const size_t whole = bins - bins % LANES;
@@ -40,11 +54,56 @@ WIDE static double weigh(const double *restrict weights, const double *restrict 
     return total;
 }
 
-double loudness_loudness_db(const Settings *settings, const double *real, const double *imaginary)
+static double weigh_squares(const double *weights, const double *squares, size_t bins)
 {
-    const Table weights = settings->loudness_weights;
-    const double energy = weigh(weights.at, real, imaginary, weights.length);
-    return 10.0 * log10(larger(energy, settings->nothing));
+    double total = 0.0;
+    for (size_t bin = 0; bin < bins; bin++)
+        total += weights[bin] * squares[bin];
+    return total;
+}
+
+static double fourth_root(double number) { return sqrt(sqrt(number)); }
+
+/* The loudness in dB of bins, times a factor; 0 dB for a full-scale tone of 1 kHz. imaginary: NULL
+ * where `real` holds squares. */
+static double measure(Meter meter, const double *real, const double *imaginary, double factor)
+{
+    double sone = 0.0, above = 0.0;
+    for (size_t band = 0; band + 1 < meter.edges.length; band++) {
+        const size_t first = (size_t)meter.edges.at[band];
+        const size_t bins = (size_t)meter.edges.at[band + 1] - first;
+        const double *weights = meter.weights.at + first;
+        const double excitation =
+            factor * (imaginary ? weigh(weights, real + first, imaginary + first, bins)
+                                : weigh_squares(weights, real + first, bins));
+        const double root = fourth_root(1.0 - THRESHOLD + THRESHOLD * excitation);
+        const double core = larger(0.0, meter.scale.at[band] * (root - 1.0));
+        const double width = meter.widths.at[band];
+        double tail = 0.0, left = 0.0;
+        if (above > core) {
+            const double slope = meter.slope_a_bark / fourth_root(above);
+            left = above * exp(-slope * width);
+            tail = (above - left) / slope;
+        }
+        sone += larger(core * width, tail);
+        above = larger(core, left);
+    }
+    const double phon = sone >= 1.0 ? 40.0 + 10.0 * log2(sone) : 40.0 * pow(sone + 5e-4, 0.35);
+    return phon - FULL_SCALE_PHON;
+}
+
+double loudness_loudness_db(const Settings *s, const double *real, const double *imaginary)
+{
+    const Meter meter = {s->loudness_weights, s->loudness_edges, s->loudness_scale,
+                         s->loudness_widths, s->slope_a_bark};
+    return measure(meter, real, imaginary, 1.0);
+}
+
+static double onset_loudness_db(const Settings *s, const double *power, double total, double level)
+{
+    const Meter meter = {s->onset_loudness_weights, s->onset_loudness_edges,
+                         s->onset_loudness_scale, s->onset_loudness_widths, s->slope_a_bark};
+    return measure(meter, power, NULL, level * level / larger(TINY, total));
 }
 
 static double within(double number, double low, double high)
@@ -85,22 +144,31 @@ double loudness_strength(const Settings *s, Loudness *follower, double loudness_
     return gate * felt(s, above, loudness_db - *follower->loud);
 }
 
-double loudness_onset_gain(const Settings *s, const Loudness *follower, double level)
+double loudness_onset_strength(const Settings *s, const Loudness *follower, const double *power,
+                               double level)
 {
     if (!(level > 0.0))
         return 0.0;
-    const double loudness_db = 20.0 * log10(level);
+    double total = 0.0;
+    for (size_t bin = 0; bin < s->short_bins; bin++)
+        total += power[bin];
+    const double loudness_db = onset_loudness_db(s, power, total, level);
+    const double squares = weigh_squares(s->onset_felt_squares.at, power, s->short_bins);
+    const double sensitivity = sqrt(squares / larger(TINY, total));
     const double loud = larger(*follower->loud, loudness_db);
     const double strength = felt(s, loud - *follower->programme, loudness_db - loud);
-    return smaller(s->gain_max, open_gate(s, follower, loudness_db) * strength / level);
+    const double wanted = open_gate(s, follower, loudness_db) * strength / sensitivity;
+    return smaller(s->gain_max * level, wanted);
 }
 
-double loudness_gain(const Settings *s, Loudness *follower, double strength,
+double loudness_gain(const Settings *s, Loudness *follower, double strength, const double *hz,
                      const double *amplitude, size_t count)
 {
     double power = 0.0;
-    for (size_t one = 0; one < count; one++)
-        power += amplitude[one] * amplitude[one];
+    for (size_t one = 0; one < count; one++) {
+        const double weighted = amplitude[one] * table_at(s->felt_weights, s->gain_step_hz, hz[one]);
+        power += weighted * weighted;
+    }
     *follower->gain = smaller(s->gain_max, strength / sqrt(power));
     return *follower->gain;
 }

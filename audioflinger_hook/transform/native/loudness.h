@@ -29,12 +29,14 @@ double loudness_loudness_db(const Settings *settings, const double *real, const 
  * gate is closed. */
 double loudness_strength(const Settings *settings, Loudness *follower, double loudness_db);
 
-/* The factor on the amplitudes of what begins with this level, a tone's amplitude. */
-double loudness_onset_gain(const Settings *settings, const Loudness *follower, double level);
+/* How strong an onset of this level vibrates. power: of the short window's bins. */
+double loudness_onset_strength(const Settings *settings, const Loudness *follower,
+                               const double *power, double level);
 
-/* Return, and keep, the factor that gives the amplitudes of a hop, 1 or more, their strength. */
+/* Return, and keep, the factor that gives the amplitudes of a hop, 1 or more, their strength. hz: of
+ * vibration. */
 double loudness_gain(const Settings *settings, Loudness *follower, double strength,
-                     const double *amplitude, size_t count);
+                     const double *hz, const double *amplitude, size_t count);
 
 /* Whether the numbers are such as a follower can have. */
 int loudness_is_possible(const Settings *settings, const Loudness *follower);

@@ -26,17 +26,17 @@ typedef struct {
     double hz, weight, amplitude;
 } Estimate;
 
-static Estimate estimate(const Settings *settings, OnsetSources sources, Group group)
+static Estimate estimate(const Settings *s, OnsetSources sources, Group group)
 {
-    const OnsetTone told = onsets_estimate(settings, sources.onsets, group);
+    const OnsetTone told = onsets_estimate(s, sources.onsets, group);
     const double level = onsets_level(sources.onsets);
-    double gain = 1.0;
-    if (loudness_is_on(settings))
-        gain = loudness_onset_gain(settings, sources.follower, level);
-    if (settings->speech_db > 0.0)
-        gain *= speech_coarse_gain(settings, sources.speech, heard_hz(settings, told.hz));
-    const double amplitude = told.weight * level * gain * smoothing_gain(settings, told.hz);
-    return (Estimate){told.hz, told.weight, amplitude};
+    double amplitude = told.weight * level;
+    if (loudness_is_on(s))
+        amplitude = told.weight *
+                    loudness_onset_strength(s, sources.follower, sources.onsets->power, level);
+    if (s->speech_db > 0.0)
+        amplitude *= speech_coarse_gain(s, sources.speech, heard_hz(s, told.hz));
+    return (Estimate){told.hz, told.weight, amplitude * smoothing_gain(s, told.hz)};
 }
 
 /* What all sums of amplitudes leave under the ceiling. */

@@ -231,7 +231,10 @@ OnsetTone onsets_estimate(const Settings *s, const Onsets *onsets, Group group)
     }
     const double share = smaller(1.0, power / larger(sum(onsets->power, s->short_bins), TINY));
     const size_t told = (size_t)smaller(*onsets->since, (double)(s->heard_ticks - 1));
-    const double purity = smaller(1.0, squares / larger(power * power * s->one_tone.at[told], TINY));
+    double purity = smaller(1.0, squares / larger(power * power * s->one_tone.at[told], TINY));
+    /* Where loudness is followed, noise is as strong as it is loud. */
+    if (s->loudness_weights.length)
+        purity = 1.0;
     const double level = onsets_level(onsets), by_energy = sqrt(share * purity);
     const double weight = s->by_energy ? by_energy : share * sqrt(share) * purity;
     const int weak = by_energy * level < s->weakest;

@@ -21,4 +21,18 @@ INLINED double heard_hz(const Settings *s, double hz)
                                                    : exp((hz - s->bottom_hz) / s->scale_hz));
 }
 
+/* An entry of a table between its entries, which are `step` apart; its ends beyond them. */
+INLINED double table_at(Table table, double step, double at)
+{
+    const size_t last = table.length - 1;
+    const double position = at / step;
+    if (!(position > 0.0))
+        return table.at[0];
+    if (!(position < (double)last))
+        return table.at[last];
+    const size_t below = (size_t)position;
+    const double slope = (table.at[below + 1] - table.at[below]) / step;
+    return slope * (at - (double)below * step) + table.at[below];
+}
+
 #endif

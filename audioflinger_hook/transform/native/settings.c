@@ -34,6 +34,18 @@ static int are_edges(Table edges, size_t bins)
     return edges.length >= 2;
 }
 
+/* Whether tables are those of a loudness meter for so many bins. */
+static int is_meter(Table weights, Table edges, Table scale, Table widths, size_t bins)
+{
+    if (weights.length != bins || edges.length < 2 || edges.at[0] != 0.0)
+        return 0;
+    for (size_t one = 1; one < edges.length; one++)
+        if (!(edges.at[one] > edges.at[one - 1] && edges.at[one] == floor(edges.at[one])))
+            return 0;
+    return edges.at[edges.length - 1] <= (double)bins && scale.length == edges.length - 1 &&
+           widths.length == edges.length - 1;
+}
+
 const char *settings_misfit(const Settings *s)
 {
 #define ENTRY(name)                                                                                \
@@ -110,8 +122,14 @@ const char *settings_misfit(const Settings *s)
         return "phases: not rows of decimation";
     if (s->gain_table.length < 2 || !(s->gain_step_hz > 0.0))
         return "gain_table: under two entries, or gain_step_hz not above 0";
-    if (s->loudness_weights.length && s->loudness_weights.length != s->bins)
-        return "loudness_weights: neither none nor one a bin";
+    if (s->loudness_weights.length &&
+        (!is_meter(s->loudness_weights, s->loudness_edges, s->loudness_scale, s->loudness_widths,
+                   s->bins) ||
+         !is_meter(s->onset_loudness_weights, s->onset_loudness_edges, s->onset_loudness_scale,
+                   s->onset_loudness_widths, s->short_bins)))
+        return "loudness_weights: neither none nor one a bin, or their bands do not fit";
+    if (s->felt_weights.length < 2 || s->onset_felt_squares.length != s->short_bins)
+        return "felt_weights: under two entries, or onset_felt_squares not one a short bin";
 #define ENTRY(name)                                                                                \
     if (!isfinite(s->name))                                                                        \
         return #name ": not finite";

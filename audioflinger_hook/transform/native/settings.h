@@ -57,6 +57,9 @@
     ENTRY(hop_s)                                                                                   \
     ENTRY(match_audio_hz) /* by which a partial may move in a hop, */                              \
     ENTRY(match_ratio)    /* or by this share */                                                   \
+    ENTRY(merge_ratio) /* partials closer than this share of their frequency are one; 0: none */    \
+    ENTRY(merge_hz)    /* or closer than this */                                                   \
+    ENTRY(merge_again) /* groups closer than this share of that become one */                      \
     ENTRY(first_hz)  /* of slots as near the first is nearer by this */                            \
     ENTRY(split_hz)       /* a birth this near to a partial is in phase with it */                 \
     ENTRY(steady_hz)      /* changes well under these are averaged */                              \
@@ -98,6 +101,7 @@
     ENTRY(floor_under) /* it stays under the programme's level */                                  \
     ENTRY(gate)        /* from the floor to where all is felt, */                                  \
     ENTRY(gate_margin) /* of which this share is still silent */                                   \
+    ENTRY(slope_a_bark) /* share by which specific loudness falls, times its fourth root */        \
     ENTRY(target)      /* vibration at the programme's level */                                    \
     ENTRY(slope)       /* of vibration for each dB of loudness */                                  \
     ENTRY(gain_max)    /* of amplitudes, a factor */
@@ -125,6 +129,15 @@
     ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
     ENTRY(rise_shares) /* of its amplitude that a fresh partial has after each tick */             \
     ENTRY(loudness_weights) /* of bins; empty where loudness is not followed */                    \
+    ENTRY(loudness_edges)   /* bins: the first of each band, and past the last */                  \
+    ENTRY(loudness_scale)   /* of bands: sone per Bark at the threshold */                         \
+    ENTRY(loudness_widths)  /* of bands: Bark */                                                   \
+    ENTRY(onset_loudness_weights) /* the same for the short window */                              \
+    ENTRY(onset_loudness_edges)                                                                    \
+    ENTRY(onset_loudness_scale)                                                                    \
+    ENTRY(onset_loudness_widths)                                                                   \
+    ENTRY(onset_felt_squares) /* squared sensitivity at the vibration of each short bin */         \
+    ENTRY(felt_weights)       /* sensitivity by vibration frequency */                             \
     SPEECH_TABLES(ENTRY)
 
 /* What speech.c works by; speech.py says what each is. Shares are those that an average takes on in

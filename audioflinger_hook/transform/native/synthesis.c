@@ -3,6 +3,7 @@
 #include "synthesis.h"
 
 #include "common.h"
+#include "scaling.h"
 #include "filter.h"
 #include "functions.h"
 
@@ -21,16 +22,7 @@ void smoothing_reset(const Settings *settings, Smoothing *smoothing)
 
 double smoothing_gain(const Settings *settings, double hz)
 {
-    const double *gains = settings->gain_table.at;
-    const size_t last = settings->gain_table.length - 1;
-    const double position = hz / settings->gain_step_hz;
-    if (!(position > 0.0))
-        return gains[0];
-    if (!(position < (double)last))
-        return gains[last];
-    const size_t below = (size_t)position;
-    const double slope = (gains[below + 1] - gains[below]) / settings->gain_step_hz;
-    return slope * (hz - (double)below * settings->gain_step_hz) + gains[below];
+    return table_at(settings->gain_table, settings->gain_step_hz, hz);
 }
 
 size_t synthesis_work(const Settings *settings)

@@ -7,6 +7,7 @@
 #include "tracking.h"
 
 #include "common.h"
+#include "merging.h"
 #include "scaling.h"
 #include "space.h"
 
@@ -38,7 +39,8 @@ static size_t most_alive(const Settings *settings)
 size_t tracking_slots(const Settings *settings) { return 2 * most_alive(settings); }
 
 /* Give every part its place in the memory, or count how much that is where there is none. */
-static size_t lay_out(void *memory, const Settings *settings, Match **matches, Alive *alive)
+static size_t lay_out(void *memory, const Settings *settings, Match **matches, Alive *alive,
+                      Merging *merging)
 {
     Space space = {memory, 0};
     const size_t partials_max = settings->partials_max, living = most_alive(settings);
@@ -49,6 +51,12 @@ static size_t lay_out(void *memory, const Settings *settings, Match **matches, A
     alive->of_slots.gap_hz = taken(&space, living, sizeof(double));
     alive->of_partials.nearest = taken(&space, partials_max, sizeof(uint64_t));
     alive->of_partials.gap_hz = taken(&space, partials_max, sizeof(double));
+    merging->centres = taken(&space, living + partials_max, sizeof(double));
+    merging->gathered = taken(&space, living + partials_max, sizeof(PartialGroup));
+    merging->audio_hz = taken(&space, partials_max, sizeof(double));
+    merging->hz = taken(&space, partials_max, sizeof(double));
+    merging->amplitude = taken(&space, partials_max, sizeof(double));
+    merging->dominance = taken(&space, partials_max, sizeof(double));
     return space.used;
 }
 
@@ -56,7 +64,8 @@ size_t tracking_work(const Settings *settings)
 {
     Match *matches;
     Alive alive;
-    return lay_out(NULL, settings, &matches, &alive);
+    Merging merging;
+    return lay_out(NULL, settings, &matches, &alive, &merging);
 }
 
 int tracking_sounds(const Settings *settings, const Slots *slots)
@@ -87,7 +96,8 @@ double tracking_near_hz(const Settings *settings, double hz)
 {
     const double ratio = settings->match_audio_hz / heard_hz(settings, hz);
     const double slope_hz = settings->scale_hz + settings->scale_ratio * hz;
-    return settings->fresh_reach * slope_hz * larger(settings->match_ratio, ratio);
+    const double near_hz = settings->fresh_reach * slope_hz * larger(settings->match_ratio, ratio);
+    return settings->merge_ratio > 0.0 ? larger(near_hz, merging_hz(settings, hz)) : near_hz;
 }
 
 double tracking_sounding_near(const Settings *settings, const Slots *slots, double hz)
@@ -174,8 +184,11 @@ static void match(const Settings *settings, const Slots *slots, Partials partial
         matches[one].gap_hz = alive.of_partials.gap_hz[one];
         const int held = count && slots->held_hops[matches[one].nearest] > 0.0;
         const double slope_hz = settings->scale_hz + settings->scale_ratio * partials.hz[one];
-        const double reach_hz = slope_hz * larger(settings->match_ratio, ratio) *
-                                (held ? settings->fresh_reach : 1.0);
+        double reach_hz = slope_hz * larger(settings->match_ratio, ratio);
+        if (settings->merge_ratio > 0.0)
+            reach_hz = larger(reach_hz, merging_hz(settings, partials.hz[one]));
+        if (held)
+            reach_hz *= settings->fresh_reach;
         matches[one].slot = mutual && matches[one].gap_hz <= reach_hz ? matches[one].nearest : none;
     }
 }
@@ -292,14 +305,24 @@ void tracking_follow(const Settings *settings, Slots *slots, Glides *glides, Par
 {
     Match *matches;
     Alive alive;
-    lay_out(work, settings, &matches, &alive);
+    Merging merging;
+    lay_out(work, settings, &matches, &alive, &merging);
+    const int merges = settings->merge_ratio > 0.0 && partials.count;
+    if (merges) {
+        size_t sounding = 0;
+        for (size_t slot = 0; slot < tracking_slots(settings); slot++)
+            if (slots->alive[slot] != 0.0 && sounding < most_alive(settings))
+                merging.centres[sounding++] = slots->hz[slot];
+        partials = merging_merge(settings, &merging, sounding, partials);
+    }
     match(settings, slots, partials, matches, alive);
     bear(settings, slots, partials, matches);
     start_hop(settings, slots, glides);
     for (size_t one = 0; one < partials.count; one++) {
         const size_t slot = matches[one].slot;
         const double hz = slots->hz[slot], change_hz = partials.hz[one] - hz;
-        slots->hz[slot] = hz + change_hz * weigh_change(settings, change_hz / settings->steady_hz);
+        const double share = weigh_change(settings, change_hz / settings->steady_hz);
+        slots->hz[slot] = hz + change_hz * share * (merges ? merging.dominance[one] : 1.0);
         const double level = glides->start_amplitude[slot];
         const double change = partials.amplitude[one] - level;
         const double steady = settings->steady_ratio * partials.amplitude[one];

@@ -1,0 +1,93 @@
+/* Partials that a body cannot tell apart become one. The operations are those of `live/merging.py`,
+ * in the same order. */
+
+#include "merging.h"
+
+#include "scaling.h"
+
+static double group_hz(const PartialGroup *group) { return group->weighted_hz / group->power; }
+
+static void add(PartialGroup *group, PartialGroup other)
+{
+    group->power += other.power;
+    group->weighted_hz += other.weighted_hz;
+    group->strongest = larger(other.strongest, group->strongest);
+}
+
+/* Add each partial to the nearest centre, or to one of its own; return the number of centres. */
+static size_t gather(const Settings *s, Merging *merging, size_t centres, Partials partials)
+{
+    memset(merging->gathered, 0, (centres + partials.count) * sizeof(PartialGroup));
+    for (size_t one = 0; one < partials.count; one++) {
+        const double hz = partials.hz[one], power = partials.amplitude[one] * partials.amplitude[one];
+        size_t nearest = 0;
+        double gap_hz = INFINITY;
+        for (size_t centre = 0; centre < centres; centre++) {
+            const double distance_hz = fabs(hz - merging->centres[centre]);
+            if (distance_hz < gap_hz) {
+                nearest = centre;
+                gap_hz = distance_hz;
+            }
+        }
+        if (!centres || gap_hz > merging_hz(s, merging->centres[nearest])) {
+            nearest = centres++;
+            merging->centres[nearest] = hz;
+        }
+        add(&merging->gathered[nearest], (PartialGroup){power, power * hz, power});
+    }
+    return centres;
+}
+
+/* Leave out groups without power and sort the rest by frequency; return how many there are. */
+static size_t sort(PartialGroup *groups, size_t count)
+{
+    size_t kept = 0;
+    for (size_t one = 0; one < count; one++) {
+        const PartialGroup group = groups[one];
+        if (!(group.power > 0.0))
+            continue;
+        size_t at = kept++;
+        for (; at && group_hz(&groups[at - 1]) > group_hz(&group); at--)
+            groups[at] = groups[at - 1];
+        groups[at] = group;
+    }
+    return kept;
+}
+
+/* Join the closest two groups until none are close; return how many are left. */
+static size_t join(const Settings *s, PartialGroup *groups, size_t count)
+{
+    while (count > 1) {
+        size_t closest = 0;
+        double least = INFINITY;
+        for (size_t one = 0; one + 1 < count; one++) {
+            const double hz = group_hz(&groups[one]);
+            const double gap = (group_hz(&groups[one + 1]) - hz) / merging_hz(s, hz);
+            if (gap < least) {
+                least = gap;
+                closest = one;
+            }
+        }
+        if (least >= s->merge_again)
+            break;
+        add(&groups[closest], groups[closest + 1]);
+        count--;
+        for (size_t one = closest + 1; one < count; one++)
+            groups[one] = groups[one + 1];
+    }
+    return count;
+}
+
+Partials merging_merge(const Settings *s, Merging *merging, size_t sounding, Partials partials)
+{
+    PartialGroup *groups = merging->gathered;
+    const size_t centres = gather(s, merging, sounding, partials);
+    const size_t count = join(s, groups, sort(groups, centres));
+    for (size_t one = 0; one < count; one++) {
+        merging->hz[one] = group_hz(&groups[one]);
+        merging->audio_hz[one] = heard_hz(s, merging->hz[one]);
+        merging->amplitude[one] = sqrt(groups[one].power);
+        merging->dominance[one] = groups[one].strongest / groups[one].power;
+    }
+    return (Partials){merging->audio_hz, merging->hz, merging->amplitude, count};
+}
