@@ -60,6 +60,13 @@ PROGRAMME_DB_A_S = 0.1
 RISE_S, FALL_S = 240.0, 120.0
 """... and by what is missing, in so many seconds: a crescendo is felt as one."""
 
+JUMP_UP_S, JUMP_DOWN_S = 0.5, 10.0
+"""A level that is far above or below the programme for so long is that of another volume. Loud
+scenes may be far below for some seconds; too strong a vibration may not last."""
+
+JUMP_UP_DB_A_S, JUMP_DOWN_DB_A_S = 20.0, 2.0
+"""Rates at which the programme's level then goes there."""
+
 FLOOR_RISE_DB_A_S = 2.0
 """The noise floor is the least recent loudness: it falls at once and rises at this rate."""
 
@@ -126,6 +133,12 @@ class LoudnessDesign:
     """... and by this share of what is missing upwards, ..."""
     programme_fall: float
     """... or downwards."""
+    jump_up_hops: float
+    """Hops after which the programme's level goes fast to one far above, ..."""
+    jump_down_hops: float
+    """... or far below."""
+    jump_up_step: float
+    jump_down_step: float
     release: float
     """Rate at which loudness falls."""
     floor_min: float
@@ -161,6 +174,10 @@ class LoudnessDesign:
     programme_top: float = PROGRAMME_TOP_DB
     far: float = 20.0
     """More than this is not missing: the level rises by 4 dB a second at most and falls by 6."""
+    jump: float = 30.0
+    """Distance that is far, and ..."""
+    near: float = 10.0
+    """... one that is near again."""
     floor_under: float = 45.0
     """The noise floor stays this far below the programme's level: a steady sound is no noise."""
     slope_a_bark: float = 0.45
@@ -195,6 +212,10 @@ class LoudnessDesign:
             programme_step=PROGRAMME_DB_A_S * hop_s,
             programme_rise=hop_s / RISE_S,
             programme_fall=hop_s / FALL_S,
+            jump_up_hops=float(round(JUMP_UP_S / hop_s)),
+            jump_down_hops=float(round(JUMP_DOWN_S / hop_s)),
+            jump_up_step=JUMP_UP_DB_A_S * hop_s,
+            jump_down_step=JUMP_DOWN_DB_A_S * hop_s,
             release=RELEASE_DB_A_S * hop_s,
             floor_min=parameters.loudness_floor_db,
             floor_rise=FLOOR_RISE_DB_A_S * hop_s,

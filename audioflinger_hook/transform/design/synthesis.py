@@ -37,6 +37,17 @@ RIPPLE_DB = 0.5
 STOP_DB = 40.0
 """Order, ripple and attenuation of the elliptic low-pass."""
 
+HIGH_PASS_ORDER = 3
+HIGH_PASS_STOP_DB = 30.0
+"""For strength "felt", an elliptic high-pass of the same ripple keeps swings of the envelope out
+of what is under the lowest vibration: there an actuator moves far and little is felt."""
+
+BOTTOM_MARGIN = 0.93
+"""That pass band begins at the lowest vibration frequency times this."""
+
+GAIN_FLOOR = 0.5
+"""Amplitudes undo at most a fall to this: under the lowest vibration frequency none is played."""
+
 EDGE_MARGIN = 1.01
 """The pass band ends at the top vibration frequency times this."""
 
@@ -194,6 +205,12 @@ class SynthesisDesign:
         top_hz = EDGE_MARGIN * parameters.vibration_top_hz
         low_rate_hz = samplerate / grid.decimation
         low_b, low_a = ellip(ORDER, RIPPLE_DB, STOP_DB, top_hz, fs=low_rate_hz)
+        if parameters.strength == "felt":
+            edge_hz = BOTTOM_MARGIN * parameters.vibration_bottom_hz
+            high_b, high_a = ellip(
+                HIGH_PASS_ORDER, RIPPLE_DB, HIGH_PASS_STOP_DB, edge_hz, "highpass", fs=low_rate_hz
+            )
+            low_b, low_a = np.convolve(low_b, high_b), np.convolve(low_a, high_a)
         _, response = freqz(low_b, low_a, np.arange(0.0, top_hz, cls.gain_step_hz), fs=low_rate_hz)
         time = np.arange(1, grid.steps + 1) / grid.steps
         turn, turn_glide = glide_turns(grid.steps, grid.hop_s)
@@ -210,7 +227,7 @@ class SynthesisDesign:
             low_b=low_b,
             low_a=low_a,
             phases=interpolation_phases(grid.decimation, top_hz, low_rate_hz),
-            gain_table=1.0 / np.abs(response),
+            gain_table=1.0 / np.maximum(np.abs(response), GAIN_FLOOR),
         )
 
     def delay_s(self, hz: float, samplerate: int) -> float:

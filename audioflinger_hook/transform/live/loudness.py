@@ -90,6 +90,7 @@ class LoudnessFollower:
         """Return to the state of a new stream."""
         self.programme_db = self._design.programme_start
         self.gain = 1.0
+        self._far_hops = 0.0
         self.rest()
 
     def rest(self) -> None:
@@ -124,8 +125,28 @@ class LoudnessFollower:
         # Continuous where the loudness is the programme's, as it is of a steady sound.
         towards = max(-1.0, min(1.0, above_db))
         moved_db = self.programme_db + gate * (towards * design.programme_step + faster)
+        moved_db += self._jump(above_db)
         self.programme_db = max(design.programme_min, min(design.programme_top, moved_db))
         return gate * self._strength_above(above_db, loudness_db - self.loud_db)
+
+    def _jump(self, above_db: float) -> float:
+        """Return how far the programme's level goes after a jump that only a volume control makes.
+
+        Such a level is far away for long. The programme then goes on until it is near.
+        """
+        design = self._design
+        up, down = self._far_hops > design.jump_up_hops, -self._far_hops > design.jump_down_hops
+        if above_db > (design.near if up else design.jump):
+            self._far_hops = min(design.jump_up_hops, max(0.0, self._far_hops)) + 1.0
+        elif above_db < -(design.near if down else design.jump):
+            self._far_hops = max(-design.jump_down_hops, min(0.0, self._far_hops)) - 1.0
+        else:
+            self._far_hops = 0.0
+        if self._far_hops > design.jump_up_hops:
+            return design.jump_up_step
+        if -self._far_hops > design.jump_down_hops:
+            return -design.jump_down_step
+        return 0.0
 
     def onset_strength(self, power: FloatArray, level: float) -> float:
         """Return the strength of an onset of this level from the powers of the short bins.

@@ -15,6 +15,7 @@ void loudness_reset(const Settings *settings, Loudness *follower)
 {
     *follower->programme = settings->programme_start;
     *follower->gain = 1.0;
+    *follower->far_hops = 0.0;
     loudness_rest(settings, follower);
 }
 
@@ -125,6 +126,23 @@ static double felt(const Settings *s, double above, double turned_down)
     return pow(10.0, (s->target + s->slope * above + turned_down) / 20.0);
 }
 
+/* How far the programme's level goes after a jump that only a volume control makes: to a level that
+ * is far away for long, until it is near. */
+static double jump(const Settings *s, Loudness *follower, double above)
+{
+    double *far_hops = follower->far_hops;
+    const int up = *far_hops > s->jump_up_hops, down = -*far_hops > s->jump_down_hops;
+    if (above > (up ? s->near : s->jump))
+        *far_hops = smaller(s->jump_up_hops, larger(0.0, *far_hops)) + 1.0;
+    else if (above < -(down ? s->near : s->jump))
+        *far_hops = larger(-s->jump_down_hops, smaller(0.0, *far_hops)) - 1.0;
+    else
+        *far_hops = 0.0;
+    if (*far_hops > s->jump_up_hops)
+        return s->jump_up_step;
+    return -*far_hops > s->jump_down_hops ? -s->jump_down_step : 0.0;
+}
+
 double loudness_strength(const Settings *s, Loudness *follower, double loudness_db)
 {
     const double floor = smaller(*follower->floor + s->floor_rise, loudness_db);
@@ -140,7 +158,7 @@ double loudness_strength(const Settings *s, Loudness *follower, double loudness_
     const double faster = missing * (missing > 0.0 ? s->programme_rise : s->programme_fall);
     const double towards = within(above, -1.0, 1.0);
     const double moved = programme + gate * (towards * s->programme_step + faster);
-    *follower->programme = within(moved, s->programme_min, s->programme_top);
+    *follower->programme = within(moved + jump(s, follower, above), s->programme_min, s->programme_top);
     return gate * felt(s, above, loudness_db - *follower->loud);
 }
 
@@ -177,5 +195,6 @@ int loudness_is_possible(const Settings *s, const Loudness *follower)
 {
     return *follower->programme >= s->programme_min && *follower->programme <= s->programme_top &&
            *follower->floor >= s->floor_min && *follower->loud >= s->floor_min &&
-           *follower->gain >= 0.0 && *follower->gain <= larger(1.0, s->gain_max);
+           *follower->far_hops <= s->jump_up_hops + 1.0 &&
+           -*follower->far_hops <= s->jump_down_hops + 1.0 && *follower->gain >= 0.0 && *follower->gain <= larger(1.0, s->gain_max);
 }

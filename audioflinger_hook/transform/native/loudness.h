@@ -5,13 +5,14 @@
 
 #include "settings.h"
 
-/* All of it is state, in dB of loudness but for the gain: the factor on the last amplitudes. */
+/* All of it is state, in dB of loudness but for two: the factor on the last amplitudes, and the
+ * hops for which loudness has been far above the programme, or below with a minus. */
 typedef struct {
-    double *programme, *floor, *loud, *gain;
+    double *programme, *floor, *loud, *gain, *far_hops;
 } Loudness;
 
 /* Numbers in it. */
-#define FOLLOWER_NUMBERS 4
+#define FOLLOWER_NUMBERS 5
 
 /* Whether loudness is followed at all. */
 int loudness_is_on(const Settings *settings);

@@ -94,6 +94,12 @@
     ENTRY(programme_step) /* how it moves, */                                                      \
     ENTRY(programme_rise) /* and by which share of what is missing */                              \
     ENTRY(programme_fall)                                                                          \
+    ENTRY(jump)           /* distance that is far: after these hops another volume is taken on */   \
+    ENTRY(near)           /* distance that is near again */                                        \
+    ENTRY(jump_up_hops)                                                                            \
+    ENTRY(jump_down_hops)                                                                          \
+    ENTRY(jump_up_step)                                                                            \
+    ENTRY(jump_down_step)                                                                          \
     ENTRY(far)         /* more than this is not missing */                                         \
     ENTRY(release)     /* of what was loud */                                                      \
     ENTRY(floor_min)   /* loudness up to which nothing is felt */                                  \
@@ -194,7 +200,7 @@ typedef struct {
 } Settings;
 
 /* The longest recursion of a filter. */
-#define ORDER_MAX 8
+#define ORDER_MAX 12
 
 /* The largest fresh_max. */
 #define FRESH_MAX 16
