@@ -36,6 +36,7 @@ LEAST = Effort(
     rig_timed_s=0.5,
     model_repeats=1,
     integrator_repeats=1,
+    real_sounds=1,
 )
 """Every section with as little as it can do: what it measures is not the point in most tests."""
 

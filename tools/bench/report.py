@@ -195,7 +195,7 @@ class BenchReport:
         pictures: by the title of the section that they are shown in, as Markdown.
         """
         shown = pictures or {}
-        sections = (_section_markdown(each, shown.get(each.title, "")) for each in self.sections)
+        sections = (section_markdown(each, shown.get(each.title, "")) for each in self.sections)
         return "\n".join([self._header(), *sections])
 
     def _header(self) -> str:
@@ -268,7 +268,8 @@ def _verdict(row: Row) -> str:
     return f"{row.shown()}, must {row.must.shown(row.unit)}" if row.must else row.shown()
 
 
-def _section_markdown(section: Section, picture: str) -> str:
+def section_markdown(section: Section, picture: str = "") -> str:
+    """Return a section as Markdown; picture: what is shown under its explanation."""
     columns = list(dict.fromkeys(row.column for row in section.rows))
     limited = any(row.must for row in section.rows)
     led = any(row.lead for row in section.rows)

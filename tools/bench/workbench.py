@@ -123,7 +123,7 @@ class Effort:
     """How much is measured: counts, and durations in seconds. The defaults are the quick run's.
 
     slow_repeats: of everything but the compiled live form; saving_s: of each sound that savings
-    are tried on; rig_timed_s: of the drives on which the rig is timed.
+    are tried on; rig_timed_s: of the drives on which the rig is timed; real_sounds: most of a class.
     """
 
     tones: int = 4
@@ -152,6 +152,7 @@ class Effort:
     rig_timed_s: float = 0.5
     model_repeats: int = 3
     integrator_repeats: int = 1
+    real_sounds: int = 3
 
     def repeats_of(self, subject: Subject) -> int:
         """Return how often a subject is timed."""
@@ -165,7 +166,7 @@ FULL = Effort(
     compared_recordings=31, settled_s=10.0, cost_repeats=15, slow_repeats=5,
     cost_s=6.0, cold_s=4.0, saving_repeats=3, saving_s=3.0, mix_rounds=400,
     scaling_s=64.0, channels_s=4.0, hops_timed=30_000, hops_timed_in_numpy=2_000,
-    render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5,
+    render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5, real_sounds=99,
 )  # fmt: skip
 
 

@@ -1,0 +1,128 @@
+"""Loudness by ISO 532-1:2017 (Zwicker, time-varying sounds), kept in a cache.
+
+The steps are those of MoSQITo (https://github.com/Eomys/MoSQITo), but for the nonlinear decay: its
+24 steps in each 0.5 ms cost 5 s for a second of sound, one step gives the same within 1 %.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import lfilter
+
+from audioflinger_hook.transform import FloatArray
+from device.atomic_file import write_bytes_atomically
+from tools.bench.sounds.signals import SAMPLERATE
+from tools.records import PROJECT_ROOT
+
+FULL_SCALE_PA = 2e-5 * 10.0 ** (94.0 / 20.0) * math.sqrt(2.0)
+"""Full scale as sound pressure: a full-scale sine has 94 dB SPL."""
+
+STEP_S = 0.0005
+SLOPE_STEPS = 4
+"""Steps of `STEP_S` from one specific loudness to the next."""
+SHORT_S, LONG_S, VARIABLE_S = 0.005, 0.015, 0.075
+"""Time constants of the nonlinear decay (ISO 532-1, 6.4)."""
+WEIGHTS = ((0.47, 0.0035), (0.53, 0.070))
+"""Shares and time constants in s of the temporal weighting (ISO 532-1, 6.5)."""
+
+CACHE = PROJECT_ROOT / ".cache/loudness.json"
+METHOD = "ISO 532-1, N5, 94 dB, 1"
+
+
+def loudness_sone(sound: FloatArray) -> FloatArray:
+    """Return the loudness in sone every 0.5 ms of (frames,) at 48 kHz and full scale +-1.
+
+    ModuleNotFoundError: MoSQITo is not installed.
+    """
+    from mosqito.sq_metrics.loudness.loudness_zwst._calc_slopes import _calc_slopes
+    from mosqito.sq_metrics.loudness.loudness_zwst._main_loudness import _main_loudness
+    from mosqito.sq_metrics.loudness.loudness_zwtv._third_octave_levels import (
+        _third_octave_levels,
+    )
+
+    levels, _, _ = _third_octave_levels(FULL_SCALE_PA * sound, SAMPLERATE)
+    core = decayed(_main_loudness(levels, "free"))
+    total, _ = _calc_slopes(core[:, ::SLOPE_STEPS])
+    steps = np.arange(core.shape[1])
+    fine = np.interp(steps, steps[::SLOPE_STEPS], total)
+    loudness = np.zeros(fine.size)
+    for share, time_s in WEIGHTS:
+        kept = math.exp(-STEP_S / time_s)
+        loudness += share * lfilter([1.0 - kept], [1.0, -kept], fine)
+    return loudness
+
+
+def decayed(core: FloatArray) -> FloatArray:
+    """Return core loudness (bands, steps) with the decay of hearing after each sound.
+
+    Two capacitors in each band: the output falls in 5 ms while the second one is charged less than
+    the first, then in 15 ms (ISO 532-1, 6.4 and the program in its annex A).
+    """
+    sum_, product = (VARIABLE_S + LONG_S) / (VARIABLE_S * SHORT_S), 1.0 / (SHORT_S * VARIABLE_S)
+    root = math.sqrt(sum_**2 / 4.0 - product)
+    one, two = -sum_ / 2.0 + root, -sum_ / 2.0 - root
+    e1, e2 = math.exp(one * STEP_S), math.exp(two * STEP_S)
+    t1, t2, scale = VARIABLE_S * one + 1.0, VARIABLE_S * two + 1.0, VARIABLE_S * (one - two)
+    b0, b1 = (e1 - e2) / scale, (t2 * e1 - t1 * e2) / scale
+    b2, b3 = (t1 * e1 - t2 * e2) / scale, t1 * t2 * (e1 - e2) / scale
+    b4, b5 = math.exp(-STEP_S / LONG_S), math.exp(-STEP_S / VARIABLE_S)
+    out = np.empty_like(core)
+    last, second = np.zeros(len(core)), np.zeros(len(core))
+    for step, now in enumerate(core.T):
+        discharging = last > second
+        fallen = np.where(discharging, last * b2 - second * b3, last * b4)
+        falls = now < last
+        value = np.where(falls, np.maximum(fallen, now), now)
+        loaded = (second - now) * b5 + now
+        coupled = np.where(discharging, np.minimum(last * b0 - second * b1, value), value)
+        second = np.where(falls, coupled, loaded)
+        out[:, step] = last = value
+    return out
+
+
+def phon(sone: FloatArray) -> FloatArray:
+    """Return the loudness level in phon (ISO 532-1, equations (31) and (32)), 3 or more."""
+    sone = np.maximum(sone, 1e-9)
+    level = np.where(sone >= 1.0, 40.0 + 10.0 * np.log2(sone), 40.0 * (sone + 0.0005) ** 0.35)
+    return np.maximum(level, 3.0)
+
+
+def n5_phon(sound: FloatArray, tail_s: float) -> float:
+    """Return the loudness level that is exceeded in a twentieth of a sound and its tail of silence.
+
+    It is read from the cache where it was computed before.
+    """
+    key = hashlib.sha256(sound.astype(np.float32).tobytes()).hexdigest()[:32]
+    key = f"{METHOD}, {tail_s:g} s, {key}"
+    kept = _kept()
+    if key not in kept:
+        padded = np.concatenate((sound, np.zeros(round(tail_s * SAMPLERATE))))
+        kept[key] = round(float(phon(np.percentile(loudness_sone(padded), 95.0))), 3)
+        _keep(CACHE)
+    return kept[key]
+
+
+def slow_phon(sound: FloatArray, every_s: float) -> FloatArray:
+    """Return the loudness level of each whole piece of a sound, the mean loudness in it."""
+    steps = round(every_s / STEP_S)
+    sone = loudness_sone(sound)
+    return phon(sone[: sone.size // steps * steps].reshape(-1, steps).mean(axis=1))
+
+
+_memory: dict[str, float] = {}
+
+
+def _kept() -> dict[str, float]:
+    if not _memory and CACHE.exists():
+        _memory.update(json.loads(CACHE.read_text("utf-8")))
+    return _memory
+
+
+def _keep(path: Path) -> None:
+    path.parent.mkdir(exist_ok=True)
+    write_bytes_atomically(path, json.dumps(_memory, indent=0).encode())

@@ -1,0 +1,80 @@
+"""How much a vibration wavers where its sound does not. Pure functions of (frames,) signals."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from audioflinger_hook.transform import FloatArray
+from tools.bench.measures.impacts import envelope
+
+WARBLE_HZ = (4.0, 16.0)
+"""Where changes of level are felt best."""
+ENVELOPE_RATE_HZ = 1_000
+RISE_DB, RISE_CORNER_HZ = 6.0, 30.0
+FAINTEST_DB = -40.0
+"""Rises from less than that under the loudest moment begin there."""
+TOGETHER_S = 0.1
+"""A rise of the vibration belongs to one of the sound that is at most that far away."""
+
+
+def warble(vibration: FloatArray, samplerate: int) -> float:
+    """Return the depth of modulation at 4 to 16 Hz: a tone with such an envelope gives its depth.
+
+    It is the amplitude of the band-passed envelope over its mean; silence gives 0.
+    """
+    level = _slow(vibration, samplerate, 60.0)
+    mean = float(level.mean())
+    if not mean > 0.0:
+        return 0.0
+    band = butter(2, WARBLE_HZ, "bandpass", fs=ENVELOPE_RATE_HZ, output="sos")
+    swings = sosfiltfilt(band, level - mean)
+    return float(np.sqrt(2.0) * swings.std() / mean)
+
+
+def rises_s(signal: FloatArray, samplerate: int) -> FloatArray:
+    """Return the time of each rise by 6 dB or more in s, when it is half done in dB.
+
+    A rise goes from a lowest to a highest level between which nothing falls by 6 dB.
+    """
+    level = _slow(signal, samplerate, RISE_CORNER_HZ)
+    top = float(level.max())
+    if not top > 0.0:
+        return np.zeros(0)
+    level_db = 20.0 * np.log10(np.maximum(level / top, 10.0 ** (FAINTEST_DB / 20.0)))
+    found: list[float] = []
+    low, high, rising = 0, 0, False
+    for now, here in enumerate(level_db.tolist()):
+        if rising:
+            if here > level_db[high]:
+                high = now
+            elif here <= level_db[high] - RISE_DB:
+                found.append(_half_way(level_db, low, high))
+                low, rising = now, False
+        elif here < level_db[low]:
+            low = now
+        elif here >= level_db[low] + RISE_DB:
+            high, rising = now, True
+    if rising:
+        found.append(_half_way(level_db, low, high))
+    return np.array(found) / ENVELOPE_RATE_HZ
+
+
+def rises_of_its_own(sound: FloatArray, vibration: FloatArray, samplerate: int) -> float:
+    """Return the vibration's rises a second while its sound has none within 0.1 s."""
+    theirs, own = rises_s(sound, samplerate), rises_s(vibration, samplerate)
+    if not own.size:
+        return 0.0
+    apart = np.abs(own[:, None] - theirs[None, :]).min(axis=1, initial=np.inf)
+    return float(np.count_nonzero(apart > TOGETHER_S) * samplerate / sound.size)
+
+
+def _half_way(level_db: FloatArray, low: int, high: int) -> float:
+    middle = 0.5 * (level_db[low] + level_db[high])
+    return float(low + int((level_db[low : high + 1] >= middle).argmax()))
+
+
+def _slow(signal: FloatArray, samplerate: int, corner_hz: float) -> FloatArray:
+    """Return the envelope at 1 kHz, of which the sample rate is a multiple."""
+    every = samplerate // ENVELOPE_RATE_HZ
+    return np.asarray(envelope(signal, samplerate, corner_hz)[::every])

@@ -1,0 +1,110 @@
+"""How soon impacts are felt, and how steady what sounds steady feels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from audioflinger_hook.transform import FloatArray
+from tools.bench.measures.impacts import Attack, attack
+from tools.bench.measures.steadiness import rises_of_its_own, warble
+from tools.bench.report import Row
+from tools.bench.sections.felt_levels import Felt, pink_noise
+from tools.bench.sounds.real_sounds import RealSound, of_kinds
+from tools.bench.sounds.signals import SAMPLERATE, tone
+
+IMPACTS = {"drums": 12.0, "shots": 12.0, "explosions": 20.0}
+"""Classes of impacts, with the limit of the 95th percentile in ms."""
+PEAK_LIMIT_MS = 15.0
+BEFORE_S, AFTER_S = 0.5, 0.5
+IMPACT_S = 3.0
+
+MUSIC_S, SHOT_AT_S = 5.0, 4.0
+MUSIC_DB = -20.0
+"""R.m.s. of music under a shot, a full-scale sine at 0 dB; the shot's peak is full scale."""
+
+A_MAJOR_HZ = (220.0, 277.18, 329.63)
+CHORD_AMPLITUDE, NOISE_DB = 0.2, -20.0
+STEADY_S, SETTLED_FROM_S = 10.0, 4.0
+RISING = ("music", "engines", "speech")
+"""Classes whose vibration should rise when the sound does."""
+
+
+def impact_rows(methods: Sequence[Felt], sounds: Sequence[RealSound]) -> Iterator[Row]:
+    """Yield how far the vibration of impacts is behind their sound, alone and over music."""
+    for kind, limit_ms in IMPACTS.items():
+        for method in methods:
+            found = [_attack_of(method, each.sound) for each in of_kinds(sounds, kind)]
+            yield from _lag_rows(kind, found, limit_ms, method)
+    shots, music = of_kinds(sounds, "shots"), of_kinds(sounds, "music")
+    for method in methods if music else ():
+        found = []
+        for number, shot in enumerate(shots):
+            mixed = over_music(shot.sound, music[number % len(music)].sound)
+            found.append(attack(mixed, method.vibration(mixed), SAMPLERATE, SHOT_AT_S))
+        yield from _lag_rows("shots over music", found, IMPACTS["shots"], method)
+
+
+def _attack_of(method: Felt, sound: FloatArray) -> Attack | None:
+    """Return the attack of a sound after half a second of silence."""
+    silence = np.zeros(round(BEFORE_S * SAMPLERATE)), np.zeros(round(AFTER_S * SAMPLERATE))
+    played = np.concatenate((silence[0], sound[: round(IMPACT_S * SAMPLERATE)], silence[1]))
+    return attack(played, method.vibration(played), SAMPLERATE, BEFORE_S)
+
+
+def over_music(shot: FloatArray, music: FloatArray) -> FloatArray:
+    """Return a shot of full scale after 4 s of softer music, 5 s in all."""
+    mixed = np.resize(music, round(MUSIC_S * SAMPLERATE))
+    mixed = mixed * (10.0 ** (MUSIC_DB / 20.0) / max(1e-9, np.sqrt(2.0) * float(mixed.std())))
+    first = round(SHOT_AT_S * SAMPLERATE)
+    part = shot[: mixed.size - first]
+    mixed[first : first + part.size] += part / max(1e-9, float(np.abs(shot).max()))
+    return np.asarray(mixed)
+
+
+def _lag_rows(
+    kind: str, found: Sequence[Attack | None], limit_ms: float, method: Felt
+) -> Iterator[Row]:
+    """Yield median and 95th percentile of the attacks that are felt, and how many are."""
+    felt = [each for each in found if each]
+    half = np.array([1e3 * each.half_lag_s for each in felt] or [np.nan])
+    peak = np.array([1e3 * each.peak_lag_s for each in felt] or [np.nan])
+    must = method.must("<=", limit_ms)
+    name = method.name
+    yield Row(f"{kind}: half of the peak, median", float(np.median(half)), "ms", name)
+    p95 = float(np.percentile(half, 95))
+    yield Row(f"{kind}: half of the peak, 95th percentile", p95, "ms", name, must)
+    limit = method.must("<=", PEAK_LIMIT_MS)
+    yield Row(f"{kind}: peak after the sound's, median", float(np.median(peak)), "ms", name, limit)
+    yield Row(f"{kind}: felt as impacts", float(len(felt)), f"of {len(found)}", name)
+
+
+def chord() -> FloatArray:
+    """Return a steady A-major chord of three sines, (frames,)."""
+    return np.sum([tone(hz, CHORD_AMPLITUDE, STEADY_S) for hz in A_MAJOR_HZ], axis=0)
+
+
+def steady_noise() -> FloatArray:
+    """Return steady pink noise, (frames,)."""
+    return 10.0 ** (NOISE_DB / 20.0) * pink_noise(round(STEADY_S * SAMPLERATE))
+
+
+def steady_rows(methods: Sequence[Felt], sounds: Sequence[RealSound]) -> Iterator[Row]:
+    """Yield the modulation of steady sounds, and rises of vibration that the sound has not."""
+    steady = {"A-major chord": (chord(), 12.0), "pink noise": (steady_noise(), 25.0)}
+    for name, (sound, limit) in steady.items():
+        for method in methods:
+            vibration = method.vibration(sound)[round(SETTLED_FROM_S * SAMPLERATE) :]
+            depth = 100.0 * warble(vibration, SAMPLERATE)
+            title = f"steady {name}: modulation at 4 to 16 Hz"
+            yield Row(title, depth, "%", method.name, method.must("<=", limit))
+    for kind in RISING:
+        for method in methods:
+            rises = [
+                rises_of_its_own(each.sound, method.vibration(each.sound), SAMPLERATE)
+                for each in of_kinds(sounds, kind)
+            ]
+            mean = float(np.mean(rises)) if rises else float("nan")
+            title = f"{kind}: rises of 6 dB a second that the sound has not"
+            yield Row(title, mean, "", method.name, method.must("<=", 4.0))

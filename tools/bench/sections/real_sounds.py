@@ -1,0 +1,120 @@
+"""Section on real sounds: what is felt of them against what is heard, by profile and by method."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+from audioflinger_hook.config.profiles import PROFILES, parameters_of
+from audioflinger_hook.transform import HapticTransform
+from tools.bench.baselines import BASELINES
+from tools.bench.report import Missing, Row, Section
+from tools.bench.sections.felt_formats import (
+    channel_rows,
+    chirp_rows,
+    end_rows,
+    rate_rows,
+    sub_bass_rows,
+)
+from tools.bench.sections.felt_levels import (
+    Felt,
+    crescendo_rows,
+    law_of,
+    level_rows,
+    swell_phon,
+)
+from tools.bench.sections.felt_times import impact_rows, steady_rows
+from tools.bench.sounds.real_sounds import SOUNDS_COMMAND, Half, RealSound, real_sounds
+from tools.bench.workbench import Subject, Workbench
+
+TITLE = "On real sounds"
+UNLIMITED = "paper"
+"""The profile that keeps to the paper and is asked no limit here."""
+PEERS_LAW = "cinema"
+"""The profile whose law other methods are held against: they have none of their own."""
+
+Progress = Callable[[str], None]
+
+
+def profiles_felt(
+    names: Iterable[str] = PROFILES, said: dict[str, Any] | None = None
+) -> list[Felt]:
+    """Return profiles to be measured; said: parameters that override those of each of them."""
+    found = []
+    for name in names:
+        parameters = parameters_of(name, said)
+        subject = Subject(name, partial(HapticTransform, parameters=parameters))
+        found.append(Felt(subject, law_of(parameters), name != UNLIMITED, parameters))
+    return found
+
+
+def peers_felt() -> list[Felt]:
+    """Return the other methods, held against the law of a profile."""
+    law = law_of(parameters_of(PEERS_LAW))
+    return [Felt(subject, law) for subject in BASELINES]
+
+
+def felt_on_real_sounds(
+    profiles: Sequence[Felt],
+    peers: Sequence[Felt],
+    sounds: Sequence[RealSound],
+    progress: Progress | None = None,
+) -> Section:
+    """Return the section of these profiles and other methods on these sounds."""
+    methods = [*profiles, *peers]
+    series: dict[str, tuple[float, ...]] = {}
+    parts: dict[str, Callable[[], Iterable[Row]]] = {
+        "crescendo": lambda: crescendo_rows(methods, swell_phon()),
+        "levels": lambda: level_rows(methods, sounds, series),
+        "impacts": lambda: impact_rows(methods, sounds),
+        "steadiness": lambda: steady_rows(methods, sounds),
+        "sub-bass": lambda: sub_bass_rows(methods),
+        "chirp": lambda: chirp_rows(methods),
+        "rates": lambda: rate_rows(profiles, sounds),
+        "channels": lambda: channel_rows(profiles, sounds),
+        "ends": lambda: end_rows(profiles, sounds),
+    }
+    rows: list[Row] = []
+    for name, part in parts.items():
+        started = time.monotonic()
+        rows += part()
+        if progress:
+            progress(f"{name}: {time.monotonic() - started:.1f} s")
+    laws = ", ".join(f"{each.name} {each.law:.3g}" for each in profiles)
+    count = Counter(each.kind for each in sounds)
+    listed = ", ".join(f"{kind} {number}" for kind, number in count.items())
+    return Section(
+        TITLE,
+        "Heard is the loudness level N5 by ISO 532-1, a full-scale sine as 94 dB SPL. Felt is the "
+        "running r.m.s. (125 ms) of the vibration that is exceeded in a twentieth of the time, "
+        "weighted by Wk of ISO 2631-1 without its band limit at 100 Hz. The law of a profile is "
+        f"its dB of vibration for a phon: {laws}; methods without a law are held against that of "
+        f"{PEERS_LAW}. Lags contain the latency.",
+        tuple(rows),
+        series=series,
+        footnote=f"Sounds: {len(sounds)} ({listed}), fetched by {SOUNDS_COMMAND}.",
+    )
+
+
+def on_real_sounds(bench: Workbench) -> Section:
+    """Every profile and baseline on the half of the sounds that no value was chosen on."""
+    sounds = real_sounds("report", bench.effort.real_sounds)
+    if not sounds:
+        gone = Missing(f"every row of {TITLE}", "there are no sounds", SOUNDS_COMMAND)
+        return Section(TITLE, "This could not be measured here.", (), (gone,))
+    return felt_on_real_sounds(profiles_felt(), peers_felt(), sounds)
+
+
+def chosen(
+    half: Half, names: Sequence[str], said: dict[str, Any], peers: bool, progress: Progress
+) -> Section:
+    """Return the section on a half of the sounds, for some profiles with changed parameters."""
+    sounds = real_sounds(half)
+    section = felt_on_real_sounds(
+        profiles_felt(names, said), peers_felt() if peers else [], sounds, progress
+    )
+    return replace(section, title=f"{TITLE}: half {half!r}")

@@ -1,0 +1,94 @@
+"""Real sounds in eight classes, as tools/fetch_sounds.sh fetches them, in two fixed halves.
+
+Each is (frames,) float64 at 48 kHz: the mean of its channels, at most 10 s long.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import gcd
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import soundfile
+from scipy.signal import resample_poly
+
+from audioflinger_hook.transform import FloatArray
+from tools.bench.sounds.signals import SAMPLERATE
+from tools.bench.sounds.unpack_sounds import name_hash
+from tools.records import PROJECT_ROOT
+
+SOUNDS_VARIABLE = "CUSHION_SOUNDS"
+SOUNDS_FOLDER = ".cache/sounds"
+SOUNDS_COMMAND = "tools/fetch_sounds.sh"
+
+KINDS = (
+    "explosions", "shots", "engines", "footsteps", "ambience", "speech", "music", "drums",
+)  # fmt: skip
+Half = Literal["choose", "report", "all"]
+HALVES: tuple[Half, ...] = ("choose", "report", "all")
+"""Values are chosen on one half of the sounds and reported on the other."""
+
+SHORTEST_S, LONGEST_S = 0.15, 10.0
+LATE_FROM_S = 10.0
+"""Where a sound longer than twice `LONGEST_S` is cut out: pieces of music begin softly."""
+
+
+@dataclass(frozen=True, eq=False)
+class RealSound:
+    """One real sound. name: CLASS/FILE; kind: its class; sound: (frames,) float64 at 48 kHz."""
+
+    name: str
+    kind: str
+    sound: FloatArray
+
+
+def sounds_folder() -> Path | None:
+    """Return the folder with the classes, or None where there is none; see `SOUNDS_VARIABLE`."""
+    folder = PROJECT_ROOT / os.environ.get(SOUNDS_VARIABLE, SOUNDS_FOLDER)
+    return folder if folder.is_dir() else None
+
+
+def real_sounds(half: Half, a_class: int | None = None) -> tuple[RealSound, ...]:
+    """Return the sounds of a half, by class and name; of each class the first few, or all."""
+    folder = sounds_folder()
+    found: list[RealSound] = []
+    for kind in KINDS if folder else ():
+        assert folder is not None
+        paths = sorted((folder / kind).glob("*.*"))
+        chosen = [path for path in paths if half in ("all", half_of(path.name))]
+        read = (RealSound(f"{kind}/{path.name}", kind, _read(path)) for path in chosen)
+        long_enough = [each for each in read if each.sound.size >= SHORTEST_S * SAMPLERATE]
+        found += long_enough[:a_class]
+    return tuple(found)
+
+
+def half_of(name: str) -> Half:
+    """Return the half of a sound by its file's name, which a hash decides."""
+    return "choose" if int(name_hash(name), 16) % 2 else "report"
+
+
+def of_kinds(sounds: Sequence[RealSound], *kinds: str) -> list[RealSound]:
+    """Return the sounds of some classes."""
+    return [each for each in sounds if each.kind in kinds]
+
+
+def _read(path: Path) -> FloatArray:
+    with soundfile.SoundFile(path) as file:
+        rate = file.samplerate
+        if file.frames > 2.0 * LONGEST_S * rate:
+            file.seek(round(LATE_FROM_S * rate))
+        frames = file.read(round(LONGEST_S * rate), dtype="float32", always_2d=True)
+    return at_rate(frames.mean(axis=1, dtype=np.float64), rate, SAMPLERATE)
+
+
+def at_rate(sound: FloatArray, rate: int, wanted: int) -> FloatArray:
+    """Return a sound at another sample rate in Hz."""
+    if rate == wanted:
+        return sound
+    common = gcd(rate, wanted)
+    resampled: FloatArray = resample_poly(sound, wanted // common, rate // common)
+    return resampled
