@@ -22,43 +22,43 @@ class ProfileValue:
 
 
 BY_ENERGY = ProfileValue("energy", "noise and chords as strong as a tone of the same energy")
-FOLLOWED = ProfileValue(30.0, "the same vibration from full volume to 20 dB below, with a reserve")
+FOLLOWED = ProfileValue(54.0, "whispers are felt, too; silence and noise of the room are not")
+FLOOR = ProfileValue(-75.0, "soft sounds are felt at a low volume as well")
+FELT = ProfileValue("felt", "as strong as a seated body feels it, whatever its frequency")
+DEEP = ProfileValue(20.0, "sub-bass is felt, down to the lowest notes")
+LOWER = ProfileValue("jnd", "lower vibration: a seated body feels it better, an amplifier has room")
+
+FOLLOWING = {
+    "level_law": BY_ENERGY,
+    "loudness_db": FOLLOWED,
+    "loudness_floor_db": FLOOR,
+    "strength": FELT,
+    "band_low_hz": DEEP,
+    "mapping": LOWER,
+}
+"""What all profiles but the paper's have in common: vibration as strong as sound is loud."""
 
 PROFILES: dict[str, dict[str, ProfileValue]] = {
     "paper": {},
     "cinema": {
-        "level_law": BY_ENERGY,
-        "strength": ProfileValue("felt", "as strong as a seated body feels it"),
-        "merge_ratio": ProfileValue(0.35, "closer partials are felt as one that warbles"),
-        "band_low_hz": ProfileValue(20.0, "sub-bass is felt, too"),
-        "mapping": ProfileValue("jnd", "lower vibration, which a seated body feels better"),
-        "loudness_target_db": ProfileValue(-21.0, "headroom"),
-        "loudness_db": FOLLOWED,
+        **FOLLOWING,
+        "merge_ratio": ProfileValue(0.5, "tones that a body cannot tell apart would warble"),
+        "loudness_target_db": ProfileValue(-21.3, "a subwoofer's tone at -12 dBFS is felt at -18"),
     },
     "game": {
-        "level_law": BY_ENERGY,
-        "strength": ProfileValue("felt", "as strong as a seated body feels it"),
-        "merge_ratio": ProfileValue(0.35, "closer partials are felt as one that warbles"),
-        "band_low_hz": ProfileValue(20.0, "sub-bass is felt, too"),
-        "mapping": ProfileValue("jnd", "lower vibration, which a seated body feels better"),
-        "loudness_target_db": ProfileValue(-21.0, "headroom"),
-        "loudness_db": FOLLOWED,
+        **FOLLOWING,
         "window_s": ProfileValue(
             0.03, "sustained levels and endings are 13 ms earlier; vibration begins at 33 Hz"
         ),
-            },
+        "merge_ratio": ProfileValue(0.7, "shots and steps stand out of few, steady vibrations"),
+        "loudness_target_db": ProfileValue(-20.0, "a subwoofer's tone at -12 dBFS is felt at -18"),
+    },
     "music": {
-        "level_law": BY_ENERGY,
-        "strength": ProfileValue("felt", "as strong as a seated body feels it"),
-        "merge_ratio": ProfileValue(0.35, "closer partials are felt as one that warbles"),
-        "band_low_hz": ProfileValue(20.0, "sub-bass is felt, too"),
-        "mapping": ProfileValue("jnd", "lower vibration, which a seated body feels better"),
-        "loudness_target_db": ProfileValue(-21.0, "headroom"),
-        "loudness_db": FOLLOWED,
-        "dynamics": ProfileValue(
-            0.5, "music has a small range of loudness: keep half of it"
-        ),
-            },
+        **FOLLOWING,
+        "dynamics": ProfileValue(0.5, "music has a small range of loudness: keep half of it"),
+        "merge_ratio": ProfileValue(0.5, "tones that a body cannot tell apart would warble"),
+        "loudness_target_db": ProfileValue(-24.0, "room for half of the loudness of loud passages"),
+    },
 }
 """Every profile by its name."""
 

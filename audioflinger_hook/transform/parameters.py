@@ -64,7 +64,7 @@ class TransformParameters(Described):
     ] = 16
     loudness_db: Annotated[
         float,
-        Number("largest gain for soft sound; 0: loudness is not followed", 0, 40, "dB"),
+        Number("largest gain for soft sound; 0: loudness is not followed", 0, 60, "dB"),
     ] = 0.0
     loudness_target_db: Annotated[
         float, Number("level of the vibration at usual loudness", -40.0, 0.0, "dB")

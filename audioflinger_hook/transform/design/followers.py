@@ -22,8 +22,9 @@ BARKS = (0.9, 1.8, 2.8, 3.5, 4.4, 5.4, 6.6, 7.9, 9.2, 10.6, 12.3, 13.8, 15.2, 16
 BARKS += (20.6, 21.8, 22.7, 23.6)
 """The same edges as critical-band rates, table 3 of ISO 532-1."""
 
-QUIET_DB = (30.0, 18.0, 12.0, 8.0, 7.0, 6.0, 5.0, 4.0) + 12 * (3.0,)
-"""Threshold in quiet, band by band."""
+QUIET_DB = np.array((30.0, 18.0, 12.0, 8.0, 7.0, 6.0, 5.0, 4.0) + 12 * (3.0,)) - 15.0
+"""Threshold in quiet, band by band, 15 dB under that of ISO 532-1. The listener's volume is not
+known: a lower volume should change all loudness alike."""
 
 OUTER_EAR_DB = 10 * (0.0,) + (-0.5, -1.6, -3.2, -5.4, -5.6, -4.0, -1.5, 2.0, 5.0, 12.0)
 """Attenuation by the outer ear."""
@@ -32,17 +33,17 @@ BANDWIDTH_DB = (-0.25, -0.6, -0.8, -0.8, -0.5, 0.0, 0.5, 1.1, 1.5, 1.7)
 BANDWIDTH_DB += (1.8, 1.8, 1.7, 1.6, 1.4, 1.2, 0.8, 0.5, 0.0, -0.5)
 """From the level in a third of an octave to the level in a critical band."""
 
-SEAT_WEIGHTS = (
-    (16.0, 0.768), (20.0, 0.636), (25.0, 0.513), (31.5, 0.405), (40.0, 0.314),
-    (50.0, 0.246), (63.0, 0.186), (80.0, 0.132), (100.0, 0.1), (125.0, 0.079),
-    (160.0, 0.0613), (200.0, 0.0485), (250.0, 0.0384), (400.0, 0.0236),
-)
-"""Frequency in Hz and sensitivity to vertical acceleration of the seat: ISO 2631-1, W_k, up to
-80 Hz. Above, W_k falls faster than contours of equal intensity on a seat do (Morioka and Griffin,
-2006): there it is continued in proportion to 1/f."""
+DEEP_HZ, DEEP_DB, LOW_DB = 40.0, 8.0, -4.0
+"""Deep sound is felt more than heard: bins up to 40 Hz count 8 dB more. Above, up to 90 Hz, bins
+count less, as the ear weighs them in ISO 532-1."""
 
 FELT_AT_HZ = 40.0
-"""Vibration of this frequency has weight 1."""
+"""Vibration of this frequency has weight 1. The sensitivity to vertical acceleration of a seat falls
+with the inverse of frequency above 12.5 Hz: W_k of ISO 2631-1 without its upper limit of 100 Hz, as
+contours of equal comfort do (Griffin, Whitham and Parsons, Ergonomics 25, 1982)."""
+
+FELT_FROM_HZ = 30.0
+"""Vibration under this counts as if it had this frequency: few actuators reach lower."""
 
 PROGRAMME_TOP_DB = -10.0
 """Loudness of the loudest programmes; programmes down to `loudness_db` below it are lifted."""
@@ -178,7 +179,7 @@ class LoudnessDesign:
     """Distance that is far, and ..."""
     near: float = 10.0
     """... one that is near again."""
-    floor_under: float = 45.0
+    floor_under: float = 55.0
     """The noise floor stays this far below the programme's level: a steady sound is no noise."""
     slope_a_bark: float = 0.45
     """Above a band its specific loudness N' falls by this / N'^0.25 of itself for each Bark: nearly
@@ -315,9 +316,7 @@ class SpeechDesign:
 
 def felt_weight(vibration_hz: FloatArray) -> FloatArray:
     """Return how strongly a seated body feels acceleration at frequencies in Hz, 1 at 40 Hz."""
-    hz, weights = np.log(np.array(SEAT_WEIGHTS)).T
-    found = np.interp(np.log(np.maximum(vibration_hz, 1.0)), hz, weights)
-    return np.asarray(np.exp(found - np.interp(np.log(FELT_AT_HZ), hz, weights)))
+    return FELT_AT_HZ / np.maximum(vibration_hz, FELT_FROM_HZ)
 
 
 def felt_weights(parameters: TransformParameters) -> FloatArray:
@@ -335,7 +334,7 @@ def loudness_tables(bin_hz: float, bins: int, spread: float) -> tuple[FloatArray
     """
     if not bins:
         return tuple(np.zeros((4, 0)))
-    over_db = FULL_SCALE_DB - np.array(OUTER_EAR_DB) - np.array(BANDWIDTH_DB) - np.array(QUIET_DB)
+    over_db = FULL_SCALE_DB - np.array(OUTER_EAR_DB) - np.array(BANDWIDTH_DB) - QUIET_DB
     edges, barks, bands = [0], [0.0], []
     for band, (hz, bark) in enumerate(zip((*BANDS_HZ, np.inf), BARKS, strict=True)):
         edge = int(min(bins, round(min(hz / bin_hz, bins))))
@@ -343,10 +342,14 @@ def loudness_tables(bin_hz: float, bins: int, spread: float) -> tuple[FloatArray
             edges.append(edge)
             barks.append(bark)
             bands.append(band)
+    weights = np.repeat(10.0 ** (0.1 * over_db[bands]), np.diff(edges)) / spread
+    hz = bin_hz * np.arange(weights.size)
+    weights[hz < DEEP_HZ] *= 10.0 ** (0.1 * DEEP_DB)
+    weights[(hz >= DEEP_HZ) & (hz < BANDS_HZ[0])] *= 10.0 ** (0.1 * LOW_DB)
     return (
-        np.repeat(10.0 ** (0.1 * over_db[bands]), np.diff(edges)) / spread,
+        weights,
         np.array(edges, dtype=np.float64),
-        0.0635 * 10.0 ** (0.025 * np.array(QUIET_DB)[bands]),
+        0.0635 * 10.0 ** (0.025 * QUIET_DB[bands]),
         np.diff(barks),
     )
 

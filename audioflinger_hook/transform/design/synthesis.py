@@ -32,6 +32,10 @@ RING_OUT_CYCLES = 92.0
 MATCH_HZ_A_WINDOW = 2.0
 """A partial may move by half the width of the window's main lobe, 2/T in audio Hz, in one hop."""
 
+STEADY_RATIO, MERGED_STEADY_RATIO = 0.03, 0.12
+"""Changes of a partial's amplitude up to this share are averaged. Merged partials waver more: they
+hold several tones, or noise."""
+
 ORDER = 6
 RIPPLE_DB = 0.5
 STOP_DB = 40.0
@@ -116,6 +120,8 @@ class TrackingDesign:
     """Hops for which a partial from an onset is held."""
     match_audio_hz: float
     """A partial may move by this in one hop, in Hz of audio, ..."""
+    steady_ratio: float
+    """Smaller changes of amplitude are averaged, as a ratio."""
     merge_ratio: float
     """Partials closer than this share of their frequency are one; 0: none are."""
     merge_hz: float = 12.0
@@ -128,8 +134,6 @@ class TrackingDesign:
     """A partial born this near to another, in Hz of vibration, is one that has split in two."""
     steady_hz: float = 0.05
     """Smaller changes of vibration frequency are averaged, larger ones are followed at once."""
-    steady_ratio: float = 0.03
-    """The same for changes of amplitude, as a ratio."""
     steady_gain: float = 0.15
     """Share of the smallest changes that is followed in one hop."""
     first_hz: float = 1e-9
@@ -147,6 +151,7 @@ class TrackingDesign:
             hold_hops=max(1, round(parameters.window_s / hop_s)),
             match_audio_hz=MATCH_HZ_A_WINDOW / parameters.window_s,
             merge_ratio=parameters.merge_ratio,
+            steady_ratio=MERGED_STEADY_RATIO if parameters.merge_ratio else STEADY_RATIO,
         )
 
     def near_hz(self, hz: float, mapping: VibrationMapping) -> float:

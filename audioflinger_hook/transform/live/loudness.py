@@ -104,7 +104,8 @@ class LoudnessFollower:
 
     def onset_loudness_db(self, power: FloatArray, level: float) -> float:
         """Return the loudness of an onset of this level from the powers of the short bins."""
-        return self._onset_meter.loudness_db(power, level * level / max(TINY, float(power.sum())))
+        factor = level * level / max(TINY, float(power.sum()))
+        return self._onset_meter.loudness_db(power, factor)
 
     def strength(self, loudness_db: float) -> float:
         """Return how strong the next hop vibrates, the root of its partials' sum of squares.

@@ -316,15 +316,19 @@ class LiveTransform:
         strength: what the follower makes of their loudness.
         """
         amplitude = self._mapping.amplitudes(found.amplitude, found.r)
-        gain = 1.0
+        gain, tilt = 1.0, np.ones(hz.size)
         if self.follower:
-            felt = amplitude * self.follower.felt_weight(hz)
+            # What is felt well takes less of the room under full scale.
+            felt = self.follower.felt_weight(hz)
+            tilt = np.sqrt(felt)
+            felt *= amplitude * tilt
             gain = self.follower.gain_for(strength, float((felt * felt).sum()))
         if self._speech:
             # Before the amplitude mapping, so that what speech loses is not missing from the rest;
             # after the follower, which would turn the rest up.
             left = self._speech.gains(found.audio_hz)
             amplitude = self._mapping.amplitudes(found.amplitude * left, found.r * left)
+        amplitude = amplitude * tilt
         return limit_amplitudes(amplitude * gain, self._ceiling)
 
     def _onset_amplitude(self, hz: float, weight: float, level: float) -> float:

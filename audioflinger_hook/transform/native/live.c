@@ -80,6 +80,9 @@ static void strengthen(Live *live, size_t count)
         const double r = live->found.r[one];
         live->amplitude[one] = s->by_energy ? sqrt(live->found.amplitude[one] * r / s->full_scale_r)
                                             : r * r / (sum_r * s->full_scale_r);
+        /* What is felt well takes less of the room under full scale. */
+        if (loudness_is_on(s))
+            live->amplitude[one] *= sqrt(table_at(s->felt_weights, s->gain_step_hz, live->hz[one]));
     }
 }
 

@@ -54,7 +54,7 @@ class Felt:
 
 def law_of(parameters: TransformParameters) -> float:
     """Return the dB of vibration for a phon: the follower's slope, or 1 where none is followed."""
-    return parameters.loudness_slope_db / 20.0 if parameters.loudness_db else 1.0
+    return parameters.dynamics if parameters.loudness_db else 1.0
 
 
 def at_volume(name: str, volume_db: float) -> str:
