@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
-from audioflinger_hook.transform import HapticTransform
+from audioflinger_hook.transform import FloatArray, HapticTransform
 from tools.bench.baselines import BASELINES
 from tools.bench.report import Missing, Row, Section
 from tools.bench.sections.felt_formats import (
@@ -22,13 +22,20 @@ from tools.bench.sections.felt_formats import (
 )
 from tools.bench.sections.felt_levels import (
     Felt,
+    Series,
     crescendo_rows,
     law_of,
     level_rows,
-    swell_phon,
+    orchestral_rows,
 )
 from tools.bench.sections.felt_times import impact_rows, steady_rows
-from tools.bench.sounds.real_sounds import SOUNDS_COMMAND, Half, RealSound, real_sounds
+from tools.bench.sounds.real_sounds import (
+    SOUNDS_COMMAND,
+    Half,
+    RealSound,
+    passages,
+    real_sounds,
+)
 from tools.bench.workbench import Subject, Workbench
 
 TITLE = "On real sounds"
@@ -62,16 +69,18 @@ def felt_on_real_sounds(
     profiles: Sequence[Felt],
     peers: Sequence[Felt],
     sounds: Sequence[RealSound],
+    music: Sequence[FloatArray],
     progress: Progress | None = None,
 ) -> Section:
     """Return the section of these profiles and other methods on these sounds."""
     methods = [*profiles, *peers]
-    series: dict[str, tuple[float, ...]] = {}
+    series: Series = {}
     parts: dict[str, Callable[[], Iterable[Row]]] = {
-        "crescendo": lambda: crescendo_rows(methods, swell_phon()),
+        "crescendo": lambda: crescendo_rows(methods, series),
+        "music": lambda: orchestral_rows(methods, music),
         "levels": lambda: level_rows(methods, sounds, series),
-        "impacts": lambda: impact_rows(methods, sounds),
-        "steadiness": lambda: steady_rows(methods, sounds),
+        "impacts": lambda: impact_rows(methods, sounds, series),
+        "steadiness": lambda: steady_rows(methods, sounds, series),
         "sub-bass": lambda: sub_bass_rows(methods),
         "chirp": lambda: chirp_rows(methods),
         "rates": lambda: rate_rows(profiles, sounds),
@@ -106,7 +115,8 @@ def on_real_sounds(bench: Workbench) -> Section:
     if not sounds:
         gone = Missing(f"every row of {TITLE}", "there are no sounds", SOUNDS_COMMAND)
         return Section(TITLE, "This could not be measured here.", (), (gone,))
-    return felt_on_real_sounds(profiles_felt(), peers_felt(), sounds)
+    music = passages("report")[: bench.effort.real_sounds]
+    return felt_on_real_sounds(profiles_felt(), peers_felt(), sounds, music)
 
 
 def chosen(
@@ -115,6 +125,6 @@ def chosen(
     """Return the section on a half of the sounds, for some profiles with changed parameters."""
     sounds = real_sounds(half)
     section = felt_on_real_sounds(
-        profiles_felt(names, said), peers_felt() if peers else [], sounds, progress
+        profiles_felt(names, said), peers_felt() if peers else [], sounds, passages(half), progress
     )
     return replace(section, title=f"{TITLE}: half {half!r}")

@@ -32,6 +32,9 @@ Half = Literal["choose", "report", "all"]
 HALVES: tuple[Half, ...] = ("choose", "report", "all")
 """Values are chosen on one half of the sounds and reported on the other."""
 
+PASSAGES, PASSAGE_S = 4, 90.0
+"""How many minutes of music, and how long each is."""
+
 SHORTEST_S, LONGEST_S = 0.15, 10.0
 LATE_FROM_S = 10.0
 """Where a sound longer than twice `LONGEST_S` is cut out: pieces of music begin softly."""
@@ -60,10 +63,19 @@ def real_sounds(half: Half, a_class: int | None = None) -> tuple[RealSound, ...]
         assert folder is not None
         paths = sorted((folder / kind).glob("*.*"))
         chosen = [path for path in paths if half in ("all", half_of(path.name))]
-        read = (RealSound(f"{kind}/{path.name}", kind, _read(path)) for path in chosen)
+        read = (RealSound(f"{kind}/{path.name}", kind, _part(path)) for path in chosen)
         long_enough = [each for each in read if each.sound.size >= SHORTEST_S * SAMPLERATE]
         found += long_enough[:a_class]
     return tuple(found)
+
+
+def passages(half: Half) -> list[FloatArray]:
+    """Return the first 90 s of some long pieces of orchestral music of a half, 4 or fewer."""
+    folder = sounds_folder()
+    paths = sorted((folder / "music").glob("wesnoth*")) if folder else []
+    chosen = [path for path in paths if half in ("all", half_of(path.name))]
+    long_enough = [path for path in chosen if soundfile.info(path).duration > PASSAGE_S]
+    return [_read(path, 0.0, PASSAGE_S) for path in long_enough[:PASSAGES]]
 
 
 def half_of(name: str) -> Half:
@@ -76,12 +88,17 @@ def of_kinds(sounds: Sequence[RealSound], *kinds: str) -> list[RealSound]:
     return [each for each in sounds if each.kind in kinds]
 
 
-def _read(path: Path) -> FloatArray:
+def _part(path: Path) -> FloatArray:
+    """Return the part of a file that is taken, at most 10 s."""
+    duration_s = soundfile.info(path).duration
+    return _read(path, LATE_FROM_S if duration_s > 2.0 * LONGEST_S else 0.0, LONGEST_S)
+
+
+def _read(path: Path, from_s: float, duration_s: float) -> FloatArray:
     with soundfile.SoundFile(path) as file:
         rate = file.samplerate
-        if file.frames > 2.0 * LONGEST_S * rate:
-            file.seek(round(LATE_FROM_S * rate))
-        frames = file.read(round(LONGEST_S * rate), dtype="float32", always_2d=True)
+        file.seek(round(from_s * rate))
+        frames = file.read(round(duration_s * rate), dtype="float32", always_2d=True)
     return at_rate(frames.mean(axis=1, dtype=np.float64), rate, SAMPLERATE)
 
 
