@@ -23,8 +23,8 @@ IMPACT_S = 0.15
 """Its peak is the greatest value within that time: what strikes again later is another impact."""
 LATER_S = 0.06
 """The peak of the vibration may be that much later."""
-SUDDEN_S = 0.05
-"""What takes longer to half of its peak is no impact."""
+SUDDEN_S, OVER_AFTER_S = 0.05, 0.1
+"""What takes longer to half of its peak, or is still over half after that, is no stroke."""
 
 
 def envelope(signal: FloatArray, samplerate: int, corner_hz: float = ENVELOPE_HZ) -> FloatArray:
@@ -62,11 +62,17 @@ def attack(sound: FloatArray, vibration: FloatArray, samplerate: int, at_s: floa
 
 
 def is_impact(sound: FloatArray, samplerate: int) -> bool:
-    """Return whether a sound begins suddenly: half of its first peak within 50 ms of its onset."""
+    """Return whether a sound begins with a stroke: quickly at half of its peak, and soon under it.
+
+    Half within 50 ms of the onset; on average less than half from 100 to 150 ms after it.
+    """
     heard = envelope(sound, samplerate)
     onset = onset_frame(heard, samplerate, 0.0)
-    half, _, _ = _half_and_peak(heard[: onset + round(IMPACT_S * samplerate)], 0, samplerate)
-    return half - onset <= SUDDEN_S * samplerate
+    end = onset + round(IMPACT_S * samplerate)
+    half, peak, _ = _half_and_peak(heard[:end], 0, samplerate)
+    rest = heard[onset + round(OVER_AFTER_S * samplerate) : end]
+    soon = half - onset <= SUDDEN_S * samplerate
+    return soon and (not rest.size or float(rest.mean()) < 0.5 * float(heard[peak]))
 
 
 def onset_frame(level: FloatArray, samplerate: int, at_s: float) -> int:

@@ -1,4 +1,4 @@
-"""The same sound in other formats, and signals at the edge: channels, rates, sub-bass, chirps, ends."""
+"""The same sound in other formats, and signals at the edge: sub-bass, chirps, ends of files."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def end_rows(profiles: Sequence[Felt], sounds: Sequence[RealSound]) -> Iterator[
 
 
 def rendered(frames: FloatArray, profile: Felt) -> FloatArray:
-    """Return the vibration of a file (frames, channels) as `cushion render` writes it, (frames,)."""
+    """Return what `cushion render` writes for a file (frames, channels), (frames,)."""
     assert profile.parameters is not None
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "sound.wav", Path(folder) / "vibration.wav"
