@@ -13,7 +13,8 @@ from urllib.parse import quote
 
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
-from tools.bench.report import BenchReport
+from tools.bench.machine import machine_facts
+from tools.bench.report import BenchReport, Section
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,6 +63,8 @@ PICTURES = (
             "frontier.frontier"),
     Picture("baselines", "Cost, lag and similarity of each baseline", "Baselines",
             "baselines.baselines"),
+    Picture("real_sounds", "Felt over heard, a drum, a swell and a chord, by profile",
+            "On real sounds", "real_sounds.real_sounds", True),
     Picture("models", "Error of the simulated motion over cost", "Work and precision",
             "rig.models", True),
     Picture("damping", "Residual vibration over the true f0", "Residual vibration",
@@ -79,6 +82,13 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
             paths.append(folder / picture.file_name)
             write_bytes_atomically(paths[-1], _small_png(picture.drawn(report)))
     return paths
+
+
+def png_of(section: Section) -> bytes:
+    """Return the picture of one section as a PNG; it must have one. UsageError: no matplotlib."""
+    need_matplotlib()
+    (picture,) = (each for each in PICTURES if each.section == section.title)
+    return _small_png(picture.drawn(BenchReport("", True, 0.0, machine_facts(), (section,))))
 
 
 def _small_png(figure: Figure) -> bytes:

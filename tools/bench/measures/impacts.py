@@ -24,7 +24,7 @@ IMPACT_S = 0.15
 LATER_S = 0.06
 """The peak of the vibration may be that much later."""
 SUDDEN_S, OVER_AFTER_S = 0.05, 0.1
-"""What takes longer to half of its peak, or is still over half after that, is no stroke."""
+"""An impact takes less to half of its peak; a brief one is under half after that."""
 
 
 def envelope(signal: FloatArray, samplerate: int, corner_hz: float = ENVELOPE_HZ) -> FloatArray:
@@ -61,18 +61,19 @@ def attack(sound: FloatArray, vibration: FloatArray, samplerate: int, at_s: floa
     return Attack((felt_half - heard_half) / samplerate, (felt_peak - heard_peak) / samplerate)
 
 
-def is_impact(sound: FloatArray, samplerate: int) -> bool:
-    """Return whether a sound begins with a stroke: quickly at half of its peak, and soon under it.
+def is_impact(sound: FloatArray, samplerate: int, *, brief: bool) -> bool:
+    """Return whether a sound begins suddenly, at half of its first peak within 50 ms of its onset.
 
-    Half within 50 ms of the onset; on average less than half from 100 to 150 ms after it.
+    brief: whether it has to be over soon, too: less than half on average from 100 to 150 ms on.
     """
     heard = envelope(sound, samplerate)
     onset = onset_frame(heard, samplerate, 0.0)
     end = onset + round(IMPACT_S * samplerate)
     half, peak, _ = _half_and_peak(heard[:end], 0, samplerate)
     rest = heard[onset + round(OVER_AFTER_S * samplerate) : end]
-    soon = half - onset <= SUDDEN_S * samplerate
-    return soon and (not rest.size or float(rest.mean()) < 0.5 * float(heard[peak]))
+    sudden = half - onset <= SUDDEN_S * samplerate
+    over = not rest.size or float(rest.mean()) < 0.5 * float(heard[peak])
+    return sudden and (over or not brief)
 
 
 def onset_frame(level: FloatArray, samplerate: int, at_s: float) -> int:

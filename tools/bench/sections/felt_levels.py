@@ -12,7 +12,7 @@ from tools.bench.measures.felt import NOTHING_DB, TAIL_S, felt_db, running_db, w
 from tools.bench.measures.loudness import n5_phon, slow_phon
 from tools.bench.report import Must, Row
 from tools.bench.sections.profiles import QUIETER_DB
-from tools.bench.sounds.real_sounds import RealSound
+from tools.bench.sounds.real_sounds import KINDS, RealSound
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import Subject
 
@@ -29,8 +29,8 @@ WITHIN_DB = 3.0
 PASSAGE_PIECE_S = 3.0
 
 Series = dict[str, tuple[float, ...]]
-SWELL, HEARD, FELT = "swell, ", "heard", "felt, "
-"""How the names in the section's series begin: seconds of the swell, and one number a sound."""
+SWELL, HEARD, FELT, KIND, LAW = "swell, ", "heard", "felt, ", "class", "law, "
+"""How the names in the section's series begin: seconds of the swell; one number a sound; a law."""
 
 
 @dataclass(frozen=True)
@@ -224,6 +224,7 @@ def level_rows(
     heard = heard_phons(sounds)
     kinds = np.array([each.kind for each in sounds])
     series[HEARD] = tuple(heard.tolist())
+    series[KIND] = tuple(float(KINDS.index(each.kind)) for each in sounds)
     played, places = programme(sounds)
     for volume_db in VOLUMES_DB:
         for method in methods:
@@ -231,6 +232,7 @@ def level_rows(
             felt = at_places_db(weighted(vibration, SAMPLERATE), places)
             if not volume_db:
                 series[f"{FELT}{method.name}"] = tuple(np.round(felt, 2).tolist())
+                series[f"{LAW}{method.name}"] = (method.law,)
                 plain = replace(method, limited=False)
                 level = at_places_db(vibration, places)
                 yield from pair_rows("in a programme, unweighted", heard, level, plain)

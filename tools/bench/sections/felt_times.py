@@ -30,7 +30,8 @@ A_MAJOR_HZ = (220.0, 277.18, 329.63)
 CHORD_AMPLITUDE, NOISE_DB = 0.2, -20.0
 STEADY_S, SETTLED_FROM_S = 10.0, 4.0
 DRUM, CHORD = "drum, ", "chord, "
-"""How the names of envelopes in the section's series begin: every ms, and every 5 ms."""
+"""How the names of envelopes in the section's series begin."""
+DRUM_STEP_S, DRUM_BEFORE_S, DRUM_S, CHORD_STEP_S = 0.001, 0.02, 0.2, 0.005
 RISING = ("music", "engines", "speech")
 """Classes whose vibration should rise when the sound does."""
 
@@ -43,7 +44,11 @@ def impact_rows(
     Sounds at full volume and 20 dB lower count together.
     """
     impacts = {
-        kind: [each.sound for each in of_kinds(sounds, kind) if is_impact(each.sound, SAMPLERATE)]
+        kind: [
+            each.sound
+            for each in of_kinds(sounds, kind)
+            if is_impact(each.sound, SAMPLERATE, brief=kind != "explosions")
+        ]
         for kind in IMPACTS
     }
     for kind, limit_ms in IMPACTS.items():
@@ -77,8 +82,9 @@ def after_silence(sound: FloatArray) -> FloatArray:
 def drum_series(methods: Sequence[Felt], sound: FloatArray) -> Series:
     """Return the envelopes every ms around a drum's onset, of its sound and its vibrations."""
     level = envelope(sound, SAMPLERATE)
-    first = onset_frame(level, SAMPLERATE, BEFORE_S) - SAMPLERATE // 50
-    shown = slice(first, first + SAMPLERATE // 5, SAMPLERATE // 1_000)
+    first = onset_frame(level, SAMPLERATE, BEFORE_S) - round(DRUM_BEFORE_S * SAMPLERATE)
+    every = round(DRUM_STEP_S * SAMPLERATE)
+    shown = slice(first, first + round(DRUM_S * SAMPLERATE), every)
     felt = {each.name: envelope(each.vibration(sound), SAMPLERATE) for each in methods}
     return {
         f"{DRUM}{name}": tuple(np.round(each[shown], 6).tolist())
@@ -138,7 +144,9 @@ def steady_rows(
             title = f"steady {name}: modulation at 4 to 16 Hz"
             yield Row(title, depth, "%", method.name, method.must("<=", limit))
             if name == "A-major chord":
-                shown = envelope(felt[0], SAMPLERATE)[: 2 * SAMPLERATE : SAMPLERATE // 200]
+                shown = envelope(felt[0], SAMPLERATE)[
+                    : 2 * SAMPLERATE : round(CHORD_STEP_S * SAMPLERATE)
+                ]
                 series[f"{CHORD}{method.name}"] = tuple(np.round(shown, 6).tolist())
     for kind in RISING:
         for method in methods:

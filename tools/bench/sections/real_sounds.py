@@ -127,4 +127,4 @@ def chosen(
     section = felt_on_real_sounds(
         profiles_felt(names, said), peers_felt() if peers else [], sounds, passages(half), progress
     )
-    return replace(section, title=f"{TITLE}: half {half!r}")
+    return replace(section, footnote=f"{section.footnote} Half of the sounds: {half}.")

@@ -57,13 +57,9 @@ def sounds_folder() -> Path | None:
 
 def real_sounds(half: Half, a_class: int | None = None) -> tuple[RealSound, ...]:
     """Return the sounds of a half, by class and name; of each class the first few, or all."""
-    folder = sounds_folder()
     found: list[RealSound] = []
-    for kind in KINDS if folder else ():
-        assert folder is not None
-        paths = sorted((folder / kind).glob("*.*"))
-        chosen = [path for path in paths if half in ("all", half_of(path.name))]
-        read = (RealSound(f"{kind}/{path.name}", kind, _part(path)) for path in chosen)
+    for kind in KINDS:
+        read = (RealSound(f"{kind}/{each.name}", kind, _part(each)) for each in _files(kind, half))
         long_enough = [each for each in read if each.sound.size >= SHORTEST_S * SAMPLERATE]
         found += long_enough[:a_class]
     return tuple(found)
@@ -71,21 +67,29 @@ def real_sounds(half: Half, a_class: int | None = None) -> tuple[RealSound, ...]
 
 def passages(half: Half) -> list[FloatArray]:
     """Return the first 90 s of some long pieces of orchestral music of a half, 4 or fewer."""
-    folder = sounds_folder()
-    paths = sorted((folder / "music").glob("wesnoth*")) if folder else []
-    chosen = [path for path in paths if half in ("all", half_of(path.name))]
-    long_enough = [path for path in chosen if soundfile.info(path).duration > PASSAGE_S]
+    orchestral = [path for path in _files("music", half) if path.name.startswith("wesnoth")]
+    long_enough = [path for path in orchestral if soundfile.info(path).duration > PASSAGE_S]
     return [_read(path, 0.0, PASSAGE_S) for path in long_enough[:PASSAGES]]
 
 
-def half_of(name: str) -> Half:
-    """Return the half of a sound by its file's name, which a hash decides."""
-    return "choose" if int(name_hash(name), 16) % 2 else "report"
+def in_half(names: Sequence[str], half: Half) -> list[str]:
+    """Return the files of a class that are in a half, sorted: every other one by name's hash."""
+    by_hash = sorted(names, key=name_hash)
+    chosen = {"choose": by_hash[0::2], "report": by_hash[1::2], "all": by_hash}[half]
+    return sorted(chosen)
 
 
 def of_kinds(sounds: Sequence[RealSound], *kinds: str) -> list[RealSound]:
     """Return the sounds of some classes."""
     return [each for each in sounds if each.kind in kinds]
+
+
+def _files(kind: str, half: Half) -> list[Path]:
+    folder = sounds_folder()
+    if folder is None:
+        return []
+    names = [path.name for path in (folder / kind).glob("*.*")]
+    return [folder / kind / name for name in in_half(names, half)]
 
 
 def _part(path: Path) -> FloatArray:
