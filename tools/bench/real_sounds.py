@@ -17,7 +17,7 @@ from device.atomic_file import write_bytes_atomically
 from device.errors import CushionError
 from tools.bench.figures.pictures import png_of
 from tools.bench.report import section_markdown
-from tools.bench.sections.real_sounds import chosen
+from tools.bench.sections.real_sounds import PARTS, chosen
 from tools.bench.sounds.real_sounds import HALVES, SOUNDS_COMMAND, sounds_folder
 
 
@@ -30,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter of all"
     )
+    parser.add_argument("--part", choices=PARTS, action="append", help="only this; may be repeated")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the PNG, too")
     options = parser.parse_args(arguments)
     if sounds_folder() is None:
@@ -39,6 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         section = chosen(
             options.half, options.profiles or tuple(PROFILES), said, options.peers,
+            options.part or PARTS,
             lambda text: print(text, file=sys.stderr),
         )  # fmt: skip
     except CushionError as error:

@@ -32,27 +32,28 @@ def real_sounds(report: BenchReport) -> Figure:
     names = [name for name in PROFILES if f"{FELT}{name}" in series]
     figure = sheet(
         "What is felt of real sounds",
-        f"Each dot is one of {len(series[HEARD])} sounds, played in one programme. Grey: the law of "
-        f"the profile, ±{WITHIN_DB:g} dB",
+        f"Each dot is one of {len(series[HEARD])} sounds of a programme. Grey: the law of the "
+        f"profile, ±{WITHIN_DB:g} dB",
         HEIGHT_IN,
     )
     entries = [("●", colour, name) for name, colour in CLASSES.items()]
     legend(figure, 0.06, [*entries, ("●", OTHERS, "the other six classes")])
-    grid = figure.add_gridspec(
-        2, 12, left=0.06, right=0.955, top=0.855, bottom=0.07, hspace=0.42, wspace=0.9
+    above = figure.add_gridspec(
+        1, len(names), left=0.06, right=0.985, top=0.86, bottom=0.545, wspace=0.12
     )
     first: Axes | None = None
     for place, name in enumerate(names):
-        axis = figure.add_subplot(grid[0, 3 * place : 3 * place + 3], sharey=first, sharex=first)
+        axis = figure.add_subplot(above[0, place], sharey=first, sharex=first)
         _scatter(axis, series, name)
         if first is None:
             first = axis
             axis.set_ylabel("felt, dB over the median", fontsize=SMALL_PT, color=palette.GREY)
         else:
             axis.tick_params(labelleft=False)
-    _drum(figure.add_subplot(grid[1, :4]), series, names)
-    _swell(figure.add_subplot(grid[1, 4:8]), series, names)
-    _chord(figure.add_subplot(grid[1, 8:]), series, names)
+    below = figure.add_gridspec(1, 3, left=0.07, right=0.985, top=0.43, bottom=0.065, wspace=0.24)
+    _drum(figure.add_subplot(below[0, 0]), series, names)
+    _swell(figure.add_subplot(below[0, 1]), series, names)
+    _chord(figure.add_subplot(below[0, 2]), series, names)
     return figure
 
 
@@ -63,7 +64,7 @@ def _scatter(axis: Axes, series: Series, name: str) -> None:
     (law,) = series[f"{LAW}{name}"]
     # The law fixes differences only: it goes through the middle of all dots.
     middle = float(np.median(felt - law * heard))
-    ends = np.array([20.0, 105.0])
+    ends = np.array([60.0, 105.0])
     axis.fill_between(
         ends, law * ends + middle - WITHIN_DB, law * ends + middle + WITHIN_DB,
         color=palette.HAIRLINE, lw=0, zorder=1,
@@ -78,7 +79,7 @@ def _scatter(axis: Axes, series: Series, name: str) -> None:
         )
     frame(axis, f"{name}: {law:.3g} dB a phon", grid=True, unit="heard, phon")
     axis.set_xlim(*ends)
-    axis.set_ylim(-32.0, 27.0)
+    axis.set_ylim(-26.0, 18.0)
 
 
 def _drum(axis: Axes, series: Series, names: list[str]) -> None:
@@ -88,7 +89,7 @@ def _drum(axis: Axes, series: Series, names: list[str]) -> None:
         level = np.array(series[f"{DRUM}{name}"])
         time_ms = np.arange(level.size) - 1e3 * DRUM_BEFORE_S
         share = 0.85 * level / max(float(level.max()), 1e-9)
-        axis.fill_between(time_ms, -line, share - line, color=colour, alpha=0.25, lw=0)
+        axis.fill_between(time_ms, -line, share - line, color=palette.HAIRLINE, lw=0)
         axis.plot(time_ms, share - line, color=colour, lw=1.4)
         half = time_ms[int((share >= 0.5 * share.max()).argmax())]
         axis.plot([half], [0.425 - line], "o", ms=4.5, color=colour, mec="white", mew=0.6)
@@ -120,6 +121,6 @@ def _chord(axis: Axes, series: Series, names: list[str]) -> None:
         share = level / max(float(level.mean()), 1e-9)
         axis.plot([0.0, time_s[-1]], [1.0 - 2.0 * line] * 2, color=palette.HAIRLINE, lw=0.8)
         axis.plot(time_s, share - 2.0 * line, color=COLOURS.get(name, OTHERS), lw=1.2)
-    frame(axis, "a steady A-major chord, over its mean", unit="s")
+    frame(axis, "a steady A-major chord", unit="s")
     axis.set_yticks([1.0 - 2.0 * line for line in range(len(names))], names)
     axis.tick_params(axis="y", length=0, labelcolor=palette.INK)

@@ -23,8 +23,8 @@ IMPACT_S = 0.15
 """Its peak is the greatest value within that time: what strikes again later is another impact."""
 LATER_S = 0.06
 """The peak of the vibration may be that much later."""
-SUDDEN_S, OVER_AFTER_S = 0.05, 0.1
-"""An impact takes less to half of its peak; a brief one is under half after that."""
+SUDDEN_S, OVER_AFTER_S, OVER_SHARE, AGAIN_SHARE = 0.05, 0.1, 0.6, 1.3
+"""What makes a sound an impact, see `is_impact`."""
 
 
 def envelope(signal: FloatArray, samplerate: int, corner_hz: float = ENVELOPE_HZ) -> FloatArray:
@@ -64,16 +64,18 @@ def attack(sound: FloatArray, vibration: FloatArray, samplerate: int, at_s: floa
 def is_impact(sound: FloatArray, samplerate: int, *, brief: bool) -> bool:
     """Return whether a sound begins suddenly, at half of its first peak within 50 ms of its onset.
 
-    brief: whether it has to be over soon, too: less than half on average from 100 to 150 ms on.
+    brief: whether it has to be one stroke, too: from 100 to 150 ms after its onset less than 0.6
+    of the peak on average, and nothing much stronger later.
     """
     heard = envelope(sound, samplerate)
     onset = onset_frame(heard, samplerate, 0.0)
     end = onset + round(IMPACT_S * samplerate)
     half, peak, _ = _half_and_peak(heard[:end], 0, samplerate)
-    rest = heard[onset + round(OVER_AFTER_S * samplerate) : end]
-    sudden = half - onset <= SUDDEN_S * samplerate
-    over = not rest.size or float(rest.mean()) < 0.5 * float(heard[peak])
-    return sudden and (over or not brief)
+    top = float(heard[peak])
+    rest = float(heard[onset + round(OVER_AFTER_S * samplerate) : end].sum()) / samplerate
+    over = rest < OVER_SHARE * top * (IMPACT_S - OVER_AFTER_S)
+    once = float(heard.max()) < AGAIN_SHARE * top
+    return half - onset <= SUDDEN_S * samplerate and (not brief or (over and once))
 
 
 def onset_frame(level: FloatArray, samplerate: int, at_s: float) -> int:

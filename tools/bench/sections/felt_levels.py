@@ -8,7 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
-from tools.bench.measures.felt import NOTHING_DB, TAIL_S, felt_db, running_db, weighted
+from tools.bench.measures.felt import (
+    NOTHING_DB,
+    STEPS_A_SECOND,
+    TAIL_S,
+    felt_db,
+    running_db,
+    weighted,
+)
 from tools.bench.measures.loudness import n5_phon, slow_phon
 from tools.bench.report import Must, Row
 from tools.bench.sections.profiles import QUIETER_DB
@@ -187,7 +194,9 @@ def heard_phons(sounds: Sequence[RealSound]) -> FloatArray:
 def at_places_db(vibration: FloatArray, places: Sequence[slice]) -> FloatArray:
     """Return how strong a programme's vibration is in every sound's place, in dB."""
     running = running_db(vibration, SAMPLERATE)
-    return np.array([felt_db(running[place]) for place in places])
+    step = SAMPLERATE // STEPS_A_SECOND
+    within = [slice(place.start // step, place.stop // step) for place in places]
+    return np.array([felt_db(running[place]) for place in within])
 
 
 def alone_db(method: Felt, sounds: Sequence[RealSound], volume_db: float) -> FloatArray:

@@ -60,8 +60,9 @@ def impact_rows(
     for method in methods:
         found = _attacks(method, mixed, SHOT_AT_S)
         yield from _lag_rows("shots over music", found, IMPACTS["shots"], method)
-    if impacts["drums"]:
-        series |= drum_series(methods, after_silence(impacts["drums"][0]))
+    drums = sorted(of_kinds(sounds, "drums"), key=lambda each: "kick" not in each.name.lower())
+    if drums:
+        series |= drum_series(methods, after_silence(drums[0].sound))
 
 
 def _attacks(method: Felt, played: Sequence[FloatArray], at_s: float) -> list[Attack | None]:
@@ -114,7 +115,8 @@ def _lag_rows(
     yield Row(f"{kind}: half of the peak, median", float(np.median(half)), "ms", name)
     p95 = float(np.percentile(half, 95))
     yield Row(f"{kind}: half of the peak, 95th percentile", p95, "ms", name, must)
-    limit = method.must("<=", PEAK_LIMIT_MS)
+    # A noise has no peak of its own: where explosions have theirs is chance.
+    limit = method.must("<=", PEAK_LIMIT_MS) if kind != "explosions" else None
     yield Row(f"{kind}: peak after the sound's, median", float(np.median(peak)), "ms", name, limit)
     yield Row(f"{kind}: felt as impacts", float(len(felt)), f"of {len(found)}", name)
 

@@ -44,6 +44,12 @@ UNLIMITED = "paper"
 PEERS_LAW = "cinema"
 """The profile whose law other methods are held against: they have none of their own."""
 
+PARTS = (
+    "crescendo", "music", "levels", "impacts", "steadiness", "sub-bass", "chirp", "rates",
+    "channels", "ends",
+)  # fmt: skip
+"""What can be measured by itself, in the order of the table."""
+
 Progress = Callable[[str], None]
 
 
@@ -70,12 +76,13 @@ def felt_on_real_sounds(
     peers: Sequence[Felt],
     sounds: Sequence[RealSound],
     music: Sequence[FloatArray],
+    parts: Sequence[str] = PARTS,
     progress: Progress | None = None,
 ) -> Section:
     """Return the section of these profiles and other methods on these sounds."""
     methods = [*profiles, *peers]
     series: Series = {}
-    parts: dict[str, Callable[[], Iterable[Row]]] = {
+    measured: dict[str, Callable[[], Iterable[Row]]] = {
         "crescendo": lambda: crescendo_rows(methods, series),
         "music": lambda: orchestral_rows(methods, music),
         "levels": lambda: level_rows(methods, sounds, series),
@@ -88,9 +95,9 @@ def felt_on_real_sounds(
         "ends": lambda: end_rows(profiles, sounds),
     }
     rows: list[Row] = []
-    for name, part in parts.items():
+    for name in parts:
         started = time.monotonic()
-        rows += part()
+        rows += measured[name]()
         if progress:
             progress(f"{name}: {time.monotonic() - started:.1f} s")
     laws = ", ".join(f"{each.name} {each.law:.3g}" for each in profiles)
@@ -120,11 +127,16 @@ def on_real_sounds(bench: Workbench) -> Section:
 
 
 def chosen(
-    half: Half, names: Sequence[str], said: dict[str, Any], peers: bool, progress: Progress
+    half: Half,
+    names: Sequence[str],
+    said: dict[str, Any],
+    peers: bool,
+    parts: Sequence[str],
+    progress: Progress,
 ) -> Section:
-    """Return the section on a half of the sounds, for some profiles with changed parameters."""
-    sounds = real_sounds(half)
+    """Return parts of the section on a half, for some profiles with changed parameters."""
+    methods, others = profiles_felt(names, said), peers_felt() if peers else []
     section = felt_on_real_sounds(
-        profiles_felt(names, said), peers_felt() if peers else [], sounds, passages(half), progress
+        methods, others, real_sounds(half), passages(half), parts, progress
     )
     return replace(section, footnote=f"{section.footnote} Half of the sounds: {half}.")
