@@ -7,7 +7,7 @@
 | --- | --- |
 | sounds | signals by formula, recordings, and real sounds in classes |
 | baselines | other methods from sound to vibration |
-| measures | error, similarity and lag of a vibration; loudness, felt strength; bursts at any level |
+| measures | error, similarity, lag and felt strength of a vibration; loudness; large bursts |
 | sections | one function a section of the report |
 | figures | the pictures of a report |
 

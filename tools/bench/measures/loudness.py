@@ -1,7 +1,7 @@
 """Loudness by ISO 532-1:2017 (Zwicker, time-varying sounds), kept in a cache.
 
 The steps are those of MoSQITo (https://github.com/Eomys/MoSQITo), but for the nonlinear decay: its
-24 steps in each 0.5 ms cost 5 s for a second of sound, one step gives the same within 1 %.
+24 steps in each 0.5 ms cost 5 s for a second of sound, one step gives the same within 2 %.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 
 from audioflinger_hook.transform import FloatArray
 from device.atomic_file import write_bytes_atomically
+from tools.bench.measures.felt import EXCEEDED
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.records import PROJECT_ROOT
 
@@ -100,7 +101,8 @@ def n5_phon(sound: FloatArray, tail_s: float) -> float:
 
     def compute() -> list[float]:
         padded = np.concatenate((sound, np.zeros(round(tail_s * SAMPLERATE))))
-        return [float(phon(np.percentile(loudness_sone(padded), 95.0)))]
+        sone = loudness_sone(padded)
+        return [float(phon(np.percentile(sone, [100.0 * (1.0 - EXCEEDED)]))[0])]
 
     return _cached(f"N5, {tail_s:g} s", sound, compute)[0]
 
@@ -112,7 +114,8 @@ def slow_phon(sound: FloatArray, every_s: float) -> FloatArray:
         steps = round(every_s / STEP_S)
         sone = loudness_sone(sound)
         pieces = sone[: sone.size // steps * steps].reshape(-1, steps)
-        return phon(pieces.mean(axis=1)).tolist()
+        levels: list[float] = phon(pieces.mean(axis=1)).tolist()
+        return levels
 
     return np.array(_cached(f"every {every_s:g} s", sound, compute))
 

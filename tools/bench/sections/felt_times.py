@@ -123,12 +123,12 @@ def _lag_rows(
 
 def chord() -> FloatArray:
     """Return a steady A-major chord of three sines, (frames,)."""
-    return np.sum([tone(hz, CHORD_AMPLITUDE, STEADY_S) for hz in A_MAJOR_HZ], axis=0)
+    return np.asarray(np.sum([tone(hz, CHORD_AMPLITUDE, STEADY_S) for hz in A_MAJOR_HZ], axis=0))
 
 
 def steady_noise() -> FloatArray:
     """Return steady pink noise, (frames,)."""
-    return 10.0 ** (NOISE_DB / 20.0) * pink_noise(round(STEADY_S * SAMPLERATE))
+    return np.asarray(10.0 ** (NOISE_DB / 20.0) * pink_noise(round(STEADY_S * SAMPLERATE)))
 
 
 def steady_rows(
