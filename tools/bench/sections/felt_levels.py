@@ -143,26 +143,20 @@ def pieces_db(signal: FloatArray, piece_s: float) -> FloatArray:
 
 
 def orchestral_rows(methods: Sequence[Felt], passages: Sequence[FloatArray]) -> Iterator[Row]:
-    """Yield how far minutes of music move loudness and vibration, in pieces of 3 s.
+    """Yield how the vibration of minutes of music follows their loudness, in pieces of 3 s.
 
-    Range: from the tenth to the ninetieth hundredth; the median passage is shown.
+    It is the slope of the straight line through all pieces of a passage; the median is shown.
     """
-    heard = [_range(slow_phon(sound, PASSAGE_PIECE_S)) for sound in passages]
+    heard = [slow_phon(sound, PASSAGE_PIECE_S) for sound in passages]
     for method in methods if passages else ():
-        felt = [
-            _range(pieces_db(weighted(method.vibration(sound), SAMPLERATE), PASSAGE_PIECE_S))
-            for sound in passages
-        ]
-        share = [one / (method.law * other) for one, other in zip(felt, heard, strict=True)]
-        name = method.name
-        yield Row("minutes of music: range heard, median", float(np.median(heard)), "phon", name)
-        yield Row("minutes of music: range felt, median", float(np.median(felt)), "dB", name)
-        yield Row("minutes of music: share of the law", 100.0 * float(np.median(share)), "%", name)
-
-
-def _range(level: FloatArray) -> float:
-    low, high = np.percentile(level, (10.0, 90.0))
-    return float(high - low)
+        slopes = []
+        for sound, phons in zip(passages, heard, strict=True):
+            felt = weighted(method.vibration(sound), SAMPLERATE)
+            slopes.append(float(np.polyfit(phons, pieces_db(felt, PASSAGE_PIECE_S), 1)[0]))
+        slope = float(np.median(slopes))
+        yield Row("minutes of music: felt for a phon", slope, "dB", method.name)
+        share = 100.0 * slope / method.law
+        yield Row("minutes of music: share of the law", share, "%", method.name)
 
 
 # -------------------------------------------------------------------------------------- pairs

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
@@ -39,6 +40,8 @@ from tools.bench.sounds.real_sounds import (
 from tools.bench.workbench import Subject, Workbench
 
 TITLE = "On real sounds"
+SETUP_COMMAND = "tools/setup.sh test"
+
 UNLIMITED = "paper"
 """The profile that keeps to the paper and is asked no limit here."""
 PEERS_LAW = "cinema"
@@ -120,10 +123,16 @@ def on_real_sounds(bench: Workbench) -> Section:
     """Every profile and baseline on the half of the sounds that no value was chosen on."""
     sounds = real_sounds("report", bench.effort.real_sounds)
     if not sounds:
-        gone = Missing(f"every row of {TITLE}", "there are no sounds", SOUNDS_COMMAND)
-        return Section(TITLE, "This could not be measured here.", (), (gone,))
+        return _missing("there are no sounds", SOUNDS_COMMAND)
+    if find_spec("mosqito") is None:
+        return _missing("MoSQITo, which computes loudness, is not installed", SETUP_COMMAND)
     music = passages("report")[: bench.effort.real_sounds]
     return felt_on_real_sounds(profiles_felt(), peers_felt(), sounds, music)
+
+
+def _missing(reason: str, command: str) -> Section:
+    gone = Missing(f"every row of {TITLE}", reason, command)
+    return Section(TITLE, "This could not be measured here.", (), (gone,))
 
 
 def chosen(
