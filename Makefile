@@ -67,8 +67,9 @@ soak:
 	.venv/bin/python -m pytest -m soak $(PYTEST_ARGS)
 
 bench:
-	@sh tools/setup.sh run
+	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
+	@sh tools/fetch_sounds.sh
 	.venv/bin/python -m tools.bench --out docs/benchmarks.md $$(.venv/bin/python -c 'import matplotlib' 2>/dev/null && echo --plots docs/images)
 
 clean:

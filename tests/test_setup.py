@@ -20,11 +20,13 @@ PACKAGES = ["audioflinger_hook", "device"]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 SCRIPTS = ["tools/setup.sh", "tools/fetch_recordings.sh", "tools/check_kernel.sh", ".ci/run"]
 SCRIPTS += ["tools/fetch_servers.sh", "tools/fetch_usb_mock.sh", "tools/fetch_usb_vm.sh"]
-SCRIPTS += ["tools/system_packages.sh"]
+SCRIPTS += ["tools/system_packages.sh", "tools/fetch_sounds.sh"]
 TRANSFORM_SOURCES = "audioflinger_hook/transform/native"
 PLUGIN_SOURCES = ROOT / "audioflinger_hook/plugin/native"
 SET_UP = ROOT / "tools/setup.sh"
 FETCH = ROOT / "tools/fetch_recordings.sh"
+FETCH_SOUNDS = ROOT / "tools/fetch_sounds.sh"
+SOUND_LIST = ROOT / "tools/bench/sounds/real_sounds.txt"
 IN_CI = os.environ.get("CI") == "true"
 
 # The programs, beside the shell's own, that the scripts may count on before anything is set up.
@@ -219,7 +221,7 @@ def bare(tmp_path):
     machine = Bare()
     (machine.folder / "tools").mkdir(parents=True)
     machine.bin.mkdir()
-    for script in [SET_UP, FETCH]:
+    for script in [SET_UP, FETCH, FETCH_SOUNDS]:
         shutil.copy(script, machine.folder / "tools")
     shutil.copy(ROOT / "pyproject.toml", machine.folder)
     for name in PROGRAMS:
@@ -277,18 +279,23 @@ def test_the_command_begins_with_an_update_where_apt_knows_no_packages(bare):
     assert last_line.strip().startswith("sudo apt-get update && sudo apt-get install ")
 
 
-def test_without_apt_the_recordings_are_left_out_in_one_line(bare):
-    done = bare.run(FETCH)
+@pytest.mark.parametrize("fetch", [FETCH, FETCH_SOUNDS])
+def test_without_apt_the_recordings_are_left_out_in_one_line(bare, fetch):
+    done = bare.run(fetch)
     assert done.returncode == 0
     assert len(done.stderr.splitlines()) == 1
     assert not (bare.folder / ".cache").exists()
 
 
-def test_without_a_network_the_recordings_leave_no_half_cache(bare):
+@pytest.mark.parametrize("fetch", [FETCH, FETCH_SOUNDS])
+def test_without_a_network_the_recordings_leave_no_half_cache(bare, fetch):
+    listed = bare.folder / SOUND_LIST.relative_to(ROOT)
+    listed.parent.mkdir(parents=True)
+    shutil.copy(SOUND_LIST, listed)
     bare.add("id", "echo 1000")
-    for name in ["apt-get", "apt-cache", "dpkg-deb", "sudo"]:
+    for name in ["apt-get", "apt-cache", "dpkg-deb", "sudo", "python3"]:
         bare.add(name)
-    done = bare.run(FETCH)
+    done = bare.run(fetch)
     assert done.returncode == 0, done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert list((bare.folder / ".cache").iterdir()) == []
@@ -300,6 +307,7 @@ def test_recordings_that_are_there_are_kept(bare):
     mine.touch()
     bare.add("apt-get")
     assert bare.run(FETCH, CUSHION_RECORDINGS="mine").returncode == 0
+    assert bare.run(FETCH_SOUNDS, CUSHION_SOUNDS="mine").returncode == 0
     assert mine.exists()
     assert bare.called() == []
 

@@ -40,7 +40,7 @@ elevate=
 if [ "$(id -u)" -ne 0 ]; then
     elevate='sudo -n'
 fi
-packages=$(awk '!/^#/ && NF { print $2 }' "$list" | sort -u)
+packages=$(sed -n 's/^[a-z]\{1,\} \{1,\}\([^ ]*\) .*/\1/p' "$list" | sort -u)
 
 download() {
     # shellcheck disable=SC2086
@@ -52,7 +52,6 @@ update() {
     $elevate apt-get -q -o DPkg::Lock::Timeout=120 update >/dev/null 2>&1 </dev/null
 }
 
-say "downloading 600 MB of Debian packages, once"
 if ! download && ! { update && download; }; then
     # shellcheck disable=SC2086
     without "apt-get cannot download" $packages "(no network, or run: sudo apt-get update)"

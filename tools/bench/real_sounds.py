@@ -9,12 +9,15 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.config.profiles import PROFILES
+from device.atomic_file import write_bytes_atomically
 from device.errors import CushionError
+from tools.bench.figures.pictures import png_of
 from tools.bench.report import section_markdown
-from tools.bench.sections.real_sounds import chosen
+from tools.bench.sections.real_sounds import PARTS, chosen
 from tools.bench.sounds.real_sounds import HALVES, SOUNDS_COMMAND, sounds_folder
 
 
@@ -27,6 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="a parameter of all"
     )
+    parser.add_argument("--part", choices=PARTS, action="append", help="only this; may be repeated")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="draw the PNG, too")
     options = parser.parse_args(arguments)
     if sounds_folder() is None:
         print(f"real_sounds: error: there are no sounds; run {SOUNDS_COMMAND}", file=sys.stderr)
@@ -35,12 +40,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         section = chosen(
             options.half, options.profiles or tuple(PROFILES), said, options.peers,
+            options.part or PARTS,
             lambda text: print(text, file=sys.stderr),
         )  # fmt: skip
     except CushionError as error:
         print(f"real_sounds: error: {error}", file=sys.stderr)
         return 2
     print(section_markdown(section))
+    if options.picture:
+        write_bytes_atomically(options.picture, png_of(section))
     return 0
 
 

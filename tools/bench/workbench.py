@@ -123,7 +123,8 @@ class Effort:
     """How much is measured: counts, and durations in seconds. The defaults are the quick run's.
 
     slow_repeats: of everything but the compiled live form; saving_s: of each sound that savings
-    are tried on; rig_timed_s: of the drives on which the rig is timed; real_sounds: most of a class.
+    are tried on; rig_timed_s: of the drives on which the rig is timed; real_sounds: most of each
+    class.
     """
 
     tones: int = 4
@@ -166,7 +167,8 @@ FULL = Effort(
     compared_recordings=31, settled_s=10.0, cost_repeats=15, slow_repeats=5,
     cost_s=6.0, cold_s=4.0, saving_repeats=3, saving_s=3.0, mix_rounds=400,
     scaling_s=64.0, channels_s=4.0, hops_timed=30_000, hops_timed_in_numpy=2_000,
-    render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5, real_sounds=99,
+    render_s=(60.0, 600.0), rig_s=60.0, rig_timed_s=10.0, model_repeats=7, integrator_repeats=5,
+    real_sounds=99,
 )  # fmt: skip
 
 

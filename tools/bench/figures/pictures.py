@@ -13,7 +13,8 @@ from urllib.parse import quote
 
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
-from tools.bench.report import BenchReport
+from tools.bench.machine import machine_facts
+from tools.bench.report import BenchReport, Section
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,7 +28,7 @@ class Picture:
     """One picture: its file's name, its description, its section, and its function.
 
     draw: module of this package and function. by_series: whether it shows the section's single
-    measurements and not its rows.
+    measurements and not its rows. colours: most of them in the file.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Picture:
     section: str
     draw: str
     by_series: bool = False
+    colours: int = COLOURS
 
     @property
     def file_name(self) -> str:
@@ -62,6 +64,8 @@ PICTURES = (
             "frontier.frontier"),
     Picture("baselines", "Cost, lag and similarity of each baseline", "Baselines",
             "baselines.baselines"),
+    Picture("real_sounds", "Felt over heard, a drum, a swell and a chord, by profile",
+            "On real sounds", "real_sounds.real_sounds", True, 96),
     Picture("models", "Error of the simulated motion over cost", "Work and precision",
             "rig.models", True),
     Picture("damping", "Residual vibration over the true f0", "Residual vibration",
@@ -77,18 +81,26 @@ def draw_all(report: BenchReport, folder: Path) -> list[Path]:
     for picture in PICTURES:
         if picture.can_be_drawn(report):
             paths.append(folder / picture.file_name)
-            write_bytes_atomically(paths[-1], _small_png(picture.drawn(report)))
+            write_bytes_atomically(paths[-1], _small_png(picture.drawn(report), picture.colours))
     return paths
 
 
-def _small_png(figure: Figure) -> bytes:
+def png_of(section: Section) -> bytes:
+    """Return the picture of one section as a PNG; it must have one. UsageError: no matplotlib."""
+    need_matplotlib()
+    (picture,) = (each for each in PICTURES if each.section == section.title)
+    report = BenchReport("", True, 0.0, machine_facts(), (section,))
+    return _small_png(picture.drawn(report), picture.colours)
+
+
+def _small_png(figure: Figure, colours: int) -> bytes:
     """Return the figure as a PNG of few colours, a third of the usual size."""
     from PIL import Image
 
     drawn, small = io.BytesIO(), io.BytesIO()
     figure.savefig(drawn, format="png", dpi=DPI)
     picture = Image.open(drawn).convert("RGB")
-    indexed = picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    indexed = picture.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     indexed.save(small, format="PNG", optimize=True, dpi=(DPI, DPI))
     return small.getvalue()
 

@@ -18,6 +18,8 @@ BAND_LIMIT_HZ = 100.0
 RUNNING_S = 0.125
 """Time constant of the running r.m.s., as of ISO 2631-1, equation (3); that of "fast" in sound."""
 
+STEPS_A_SECOND = 1_000
+
 EXCEEDED = 0.05
 """Share of the time in which a level is exceeded, as of N5 in loudness."""
 TAIL_S = 0.25
@@ -51,13 +53,18 @@ def weighted(vibration: FloatArray, samplerate: int) -> FloatArray:
 
 
 def running_db(vibration: FloatArray, samplerate: int) -> FloatArray:
-    """Return the running level in dB at every frame, a steady full-scale sine at 0."""
-    share = 1.0 - np.exp(-1.0 / (RUNNING_S * samplerate))
-    mean_square = lfilter([share], [1.0, share - 1.0], vibration**2)
+    """Return the running level in dB at the end of every ms, a steady full-scale sine at 0.
+
+    samplerate: Hz, a multiple of 1000.
+    """
+    step = samplerate // STEPS_A_SECOND
+    whole = vibration[: vibration.size // step * step].reshape(-1, step)
+    kept = np.exp(-1.0 / (RUNNING_S * STEPS_A_SECOND))
+    mean_square = lfilter([1.0 - kept], [1.0, -kept], np.einsum("ij,ij->i", whole, whole) / step)
     level: FloatArray = 10.0 * np.log10(2.0 * mean_square + 1e-20)
     return level
 
 
 def felt_db(running: FloatArray) -> float:
-    """Return the level that `running_db` exceeds in a twentieth of the time."""
+    """Return the level that `running_db` exceeds in a twentieth of the time, at least -70 dB."""
     return max(NOTHING_DB, float(np.percentile(running, 100.0 * (1.0 - EXCEEDED))))

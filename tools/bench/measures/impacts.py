@@ -17,8 +17,14 @@ from audioflinger_hook.transform import FloatArray
 ENVELOPE_HZ = 60.0
 """Corner of the zero-phase low-pass of envelopes, as in `vibration.onset_lag_s`."""
 
-PEAK_WITHIN_S = 0.15
-"""The peak of a vibration is looked for until that long after the peak of its sound."""
+ONSET_SHARE = 0.1
+"""An impact begins where its envelope first has this share of its greatest value."""
+IMPACT_S = 0.15
+"""Its peak is the greatest value within that time: what strikes again later is another impact."""
+LATER_S = 0.06
+"""The peak of the vibration may be that much later."""
+SUDDEN_S, OVER_AFTER_S, OVER_SHARE, AGAIN_SHARE = 0.05, 0.1, 0.6, 1.3
+"""What makes a sound an impact, see `is_impact`."""
 
 
 def envelope(signal: FloatArray, samplerate: int, corner_hz: float = ENVELOPE_HZ) -> FloatArray:
@@ -37,31 +43,58 @@ class Attack:
     peak_lag_s: float
 
 
-def attack(
-    sound: FloatArray, vibration: FloatArray, samplerate: int, at_s: float = 0.0
-) -> Attack | None:
-    """Return how long after its sound an impact's vibration is at half of its peak, and at it.
+def attack(sound: FloatArray, vibration: FloatArray, samplerate: int, at_s: float) -> Attack | None:
+    """Return how far the vibration of a sound's first impact is behind it; None if not felt.
 
-    Half of the peak is counted from what there was before: the mean envelope of 0.1 s before
-    `at_s`, where the impact begins. None where sound or vibration does not rise to twice that.
+    Half of a peak is counted from the mean envelope of 0.1 s before `at_s`, after which the impact
+    begins. It is felt if its vibration rises to twice that mean and over -80 dB of full scale.
     """
     first = round(at_s * samplerate)
     heard, felt = (envelope(signal, samplerate) for signal in (sound, vibration))
-    peak = first + int(heard[first:].argmax())
-    until = peak + round(PEAK_WITHIN_S * samplerate)
-    times = [_half_and_peak(each[:until], first, samplerate) for each in (heard, felt)]
-    if times[0] is None or times[1] is None:
+    onset = onset_frame(heard, samplerate, at_s)
+    end = onset + round(IMPACT_S * samplerate)
+    heard_half, heard_peak, _ = _half_and_peak(heard[:end], first, samplerate)
+    later = end + round(LATER_S * samplerate)
+    felt_half, felt_peak, rises = _half_and_peak(felt[:later], first, samplerate)
+    if not rises:
         return None
-    (heard_half, heard_peak), (felt_half, felt_peak) = times
     return Attack((felt_half - heard_half) / samplerate, (felt_peak - heard_peak) / samplerate)
 
 
-def _half_and_peak(level: FloatArray, first: int, samplerate: int) -> tuple[int, int] | None:
-    """Return the frames of the first half of the peak and of the peak after `first`."""
+def is_impact(sound: FloatArray, samplerate: int, *, brief: bool) -> bool:
+    """Return whether a sound begins suddenly, at half of its first peak within 50 ms of its onset.
+
+    brief: whether it has to be one stroke, too: from 100 to 150 ms after its onset less than 0.6
+    of the peak on average, and nothing much stronger later.
+    """
+    heard = envelope(sound, samplerate)
+    onset = onset_frame(heard, samplerate, 0.0)
+    end = onset + round(IMPACT_S * samplerate)
+    half, peak, _ = _half_and_peak(heard[:end], 0, samplerate)
+    top = float(heard[peak])
+    rest = float(heard[onset + round(OVER_AFTER_S * samplerate) : end].sum()) / samplerate
+    over = rest < OVER_SHARE * top * (IMPACT_S - OVER_AFTER_S)
+    once = float(heard.max()) < AGAIN_SHARE * top
+    return half - onset <= SUDDEN_S * samplerate and (not brief or (over and once))
+
+
+def onset_frame(level: FloatArray, samplerate: int, at_s: float) -> int:
+    """Return the frame after `at_s` where an envelope first rises by a tenth of what it will."""
+    first = round(at_s * samplerate)
+    base = _base(level, first, samplerate)
+    rise = ONSET_SHARE * (float(level[first:].max()) - base)
+    return first + int((level[first:] >= base + rise).argmax())
+
+
+def _base(level: FloatArray, first: int, samplerate: int) -> float:
     before = level[max(0, first - round(0.1 * samplerate)) : first]
-    base = float(before.mean()) if before.size else 0.0
+    return float(before.mean()) if before.size else 0.0
+
+
+def _half_and_peak(level: FloatArray, first: int, samplerate: int) -> tuple[int, int, bool]:
+    """Return the frames of half of the peak and of the peak after `first`, and if it stands out."""
+    base = _base(level, first, samplerate)
     peak = first + int(level[first:].argmax())
-    if not level[peak] > max(2.0 * base, 1e-6):
-        return None
     half = base + 0.5 * (float(level[peak]) - base)
-    return first + int((level[first:] >= half).argmax()), peak
+    reached = first + int((level[first:] >= half).argmax())
+    return reached, peak, float(level[peak]) > max(2.0 * base, 1e-4)

@@ -1,7 +1,7 @@
 """Loudness by ISO 532-1:2017 (Zwicker, time-varying sounds), kept in a cache.
 
 The steps are those of MoSQITo (https://github.com/Eomys/MoSQITo), but for the nonlinear decay: its
-24 steps in each 0.5 ms cost 5 s for a second of sound, one step gives the same within 1 %.
+24 steps in each 0.5 ms cost 5 s for a second of sound, one step gives the same within 2 %.
 """
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 from scipy.signal import lfilter
 
 from audioflinger_hook.transform import FloatArray
 from device.atomic_file import write_bytes_atomically
+from tools.bench.measures.felt import EXCEEDED
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.records import PROJECT_ROOT
 
@@ -31,7 +32,7 @@ WEIGHTS = ((0.47, 0.0035), (0.53, 0.070))
 """Shares and time constants in s of the temporal weighting (ISO 532-1, 6.5)."""
 
 CACHE = PROJECT_ROOT / ".cache/loudness.json"
-METHOD = "ISO 532-1, N5, 94 dB, 1"
+METHOD = "ISO 532-1, 94 dB"
 
 
 def loudness_sone(sound: FloatArray) -> FloatArray:
@@ -97,32 +98,39 @@ def n5_phon(sound: FloatArray, tail_s: float) -> float:
 
     It is read from the cache where it was computed before.
     """
-    key = hashlib.sha256(sound.astype(np.float32).tobytes()).hexdigest()[:32]
-    key = f"{METHOD}, {tail_s:g} s, {key}"
-    kept = _kept()
-    if key not in kept:
+
+    def compute() -> list[float]:
         padded = np.concatenate((sound, np.zeros(round(tail_s * SAMPLERATE))))
-        kept[key] = round(float(phon(np.percentile(loudness_sone(padded), 95.0))), 3)
-        _keep(CACHE)
-    return kept[key]
+        sone = loudness_sone(padded)
+        return [float(phon(np.percentile(sone, [100.0 * (1.0 - EXCEEDED)]))[0])]
+
+    return _cached(f"N5, {tail_s:g} s", sound, compute)[0]
 
 
 def slow_phon(sound: FloatArray, every_s: float) -> FloatArray:
-    """Return the loudness level of each whole piece of a sound, the mean loudness in it."""
-    steps = round(every_s / STEP_S)
-    sone = loudness_sone(sound)
-    return phon(sone[: sone.size // steps * steps].reshape(-1, steps).mean(axis=1))
+    """Return the loudness level of each whole piece of a sound, of its mean loudness; cached."""
+
+    def compute() -> list[float]:
+        steps = round(every_s / STEP_S)
+        sone = loudness_sone(sound)
+        pieces = sone[: sone.size // steps * steps].reshape(-1, steps)
+        levels: list[float] = phon(pieces.mean(axis=1)).tolist()
+        return levels
+
+    return np.array(_cached(f"every {every_s:g} s", sound, compute))
 
 
-_memory: dict[str, float] = {}
+_memory: dict[str, list[float]] = {}
 
 
-def _kept() -> dict[str, float]:
+def _cached(what: str, sound: FloatArray, compute: Callable[[], list[float]]) -> list[float]:
+    """Return what the cache has of a sound, computed and kept where it has nothing."""
     if not _memory and CACHE.exists():
         _memory.update(json.loads(CACHE.read_text("utf-8")))
-    return _memory
-
-
-def _keep(path: Path) -> None:
-    path.parent.mkdir(exist_ok=True)
-    write_bytes_atomically(path, json.dumps(_memory, indent=0).encode())
+    digest = hashlib.sha256(sound.astype(np.float32).tobytes()).hexdigest()[:32]
+    key = f"{METHOD}, {what}, {digest}"
+    if key not in _memory:
+        _memory[key] = [round(value, 3) for value in compute()]
+        CACHE.parent.mkdir(exist_ok=True)
+        write_bytes_atomically(CACHE, json.dumps(_memory, indent=0).encode())
+    return _memory[key]

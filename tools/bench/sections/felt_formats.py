@@ -1,4 +1,4 @@
-"""The same sound in other formats, and signals at the edge: channels, rates, sub-bass, chirps, ends."""
+"""The same sound in other formats, and signals at the edge: sub-bass, chirps, ends of files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
-from scipy.signal import butter, sosfiltfilt
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.render import render_file
@@ -150,7 +149,7 @@ def end_rows(profiles: Sequence[Felt], sounds: Sequence[RealSound]) -> Iterator[
 
 
 def rendered(frames: FloatArray, profile: Felt) -> FloatArray:
-    """Return the vibration of a file (frames, channels) as `cushion render` writes it, (frames,)."""
+    """Return what `cushion render` writes for a file (frames, channels), (frames,)."""
     assert profile.parameters is not None
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder) / "sound.wav", Path(folder) / "vibration.wav"
@@ -161,8 +160,9 @@ def rendered(frames: FloatArray, profile: Felt) -> FloatArray:
 
 
 def _under_db(vibration: FloatArray) -> float:
-    """Return the energy under 15 Hz in dB of all; the signal's ends add nothing to it."""
-    padded = np.pad(vibration, SAMPLERATE)
-    low = sosfiltfilt(butter(4, LOW_HZ, fs=SAMPLERATE, output="sos"), padded)
-    whole = float(np.sum(padded**2))
-    return 10.0 * float(np.log10(np.sum(low**2) / whole + 1e-12)) if whole else -120.0
+    """Return the energy under 15 Hz in dB of all, silence as -120; there is no window."""
+    spectrum = np.fft.rfft(vibration, 2 * vibration.size)
+    power = spectrum.real**2 + spectrum.imag**2
+    low = np.fft.rfftfreq(2 * vibration.size, 1.0 / SAMPLERATE) < LOW_HZ
+    whole = float(power.sum())
+    return 10.0 * float(np.log10(power[low].sum() / whole + 1e-12)) if whole else -120.0

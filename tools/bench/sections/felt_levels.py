@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, TransformParameters
-from tools.bench.measures.felt import NOTHING_DB, TAIL_S, felt_db, running_db, weighted
-from tools.bench.measures.loudness import STEP_S, loudness_sone, n5_phon, phon
+from tools.bench.measures.felt import (
+    NOTHING_DB,
+    STEPS_A_SECOND,
+    TAIL_S,
+    felt_db,
+    running_db,
+    weighted,
+)
+from tools.bench.measures.loudness import n5_phon, slow_phon
 from tools.bench.report import Must, Row
 from tools.bench.sections.profiles import QUIETER_DB
-from tools.bench.sounds.real_sounds import RealSound
+from tools.bench.sounds.real_sounds import KINDS, RealSound
 from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import Subject
 
@@ -21,9 +28,16 @@ PAUSE_S = 0.5
 SETTLE_S = 60.0
 """So much of the programme's end is played before it, for the transform to know the programme."""
 
-SWELL_DB, SWELL_S, SWELL_TOP_DB = 30.0, 16.0, -15.0
+SWELL_S, SWELL_TOP_DB = 16.0, -9.0
+SWELLS_DB = {0.0: 30.0, QUIETER_DB: 20.0}
+"""Range of the swell by volume: a wider one would begin in what counts as noise of the room."""
 END_S = 1.0
 WITHIN_DB = 3.0
+PASSAGE_PIECE_S = 3.0
+
+Series = dict[str, tuple[float, ...]]
+SWELL, HEARD, FELT, KIND, LAW = "swell, ", "heard", "felt, ", "class", "law, "
+"""How the names in the section's series begin: seconds of the swell; one number a sound; a law."""
 
 
 @dataclass(frozen=True)
@@ -65,17 +79,16 @@ def at_volume(name: str, volume_db: float) -> str:
 # ---------------------------------------------------------------------------------- crescendo
 
 
-def swell() -> tuple[FloatArray, FloatArray]:
-    """Return pink noise (frames,) that falls 15 dB, rises 30 dB and falls 30 dB; its level in dB.
+def swell(range_db: float) -> FloatArray:
+    """Return pink noise (frames,) that falls half of a range in 8 s, rises in 16 s, falls in 16 s.
 
-    It rises and falls in 16 s each, so that it begins in the middle of its range.
+    It begins in the middle of its range; its loudest moment has 9 dB less than a full-scale sine.
     """
-    half = SWELL_DB / 2.0
     seconds = np.array([0.0, 0.5, 1.5, 2.5]) * SWELL_S
-    level = np.array([-half, -SWELL_DB, 0.0, -SWELL_DB]) + SWELL_TOP_DB
+    level = SWELL_TOP_DB - range_db * np.array([0.5, 1.0, 0.0, 1.0])
     time_s = np.arange(round(seconds[-1] * SAMPLERATE)) / SAMPLERATE
     level_db = np.interp(time_s, seconds, level)
-    return 10.0 ** (level_db / 20.0) * pink_noise(time_s.size), level_db
+    return np.asarray(10.0 ** (level_db / 20.0) * pink_noise(time_s.size))
 
 
 def pink_noise(frames: int) -> FloatArray:
@@ -89,38 +102,61 @@ def pink_noise(frames: int) -> FloatArray:
     return pink
 
 
-def swell_phon() -> FloatArray:
-    """Return the loudness level in phon in the three turning points: low, high, low again."""
-    sone = loudness_sone(swell()[0])
-    ends = _ends(round(1.0 / STEP_S), sone.size)
-    return np.array([float(phon(sone[each].mean())) for each in ends])
-
-
-def _ends(rate: int, size: int) -> list[slice]:
-    """Return a second around the low, the high and the last point of the swell."""
-    points = [round(part * SWELL_S * rate) for part in (0.5, 1.5)]
-    half = round(0.5 * END_S * rate)
-    return [*(slice(at - half, at + half) for at in points), slice(size - half, size)]
-
-
-def crescendo_rows(methods: Sequence[Felt], heard_phon: FloatArray) -> Iterator[Row]:
+def crescendo_rows(methods: Sequence[Felt], series: Series) -> Iterator[Row]:
     """Yield how far a slow swell moves the vibration, up and down, and how far off the law."""
-    sound, _ = swell()
-    for volume_db in VOLUMES_DB:
+    for volume_db, range_db in SWELLS_DB.items():
+        sound = swell(range_db)
+        heard = slow_phon(sound, END_S)
+        if not volume_db:
+            series[f"{SWELL}sound"] = tuple(heard.tolist())
         for method in methods:
-            felt = weighted(method.vibration(sound, volume_db), SAMPLERATE)
-            low, high, end = (
-                10.0 * np.log10(np.mean(felt[each] ** 2) + 1e-20)
-                for each in _ends(SAMPLERATE, felt.size)
-            )
-            moved = {"up": float(high - low), "down": float(high - end)}
-            heard = {"up": heard_phon[1] - heard_phon[0], "down": heard_phon[1] - heard_phon[2]}
-            for way, moved_db in moved.items():
-                name = at_volume(f"crescendo of 30 dB in 16 s, {way}", volume_db)
-                yield Row(name, moved_db, "dB", method.name)
-                wanted = method.law * float(heard[way])
-                off = 100.0 * abs(moved_db - wanted) / wanted
+            felt = pieces_db(weighted(method.vibration(sound, volume_db), SAMPLERATE), END_S)
+            if not volume_db:
+                series[f"{SWELL}{method.name}"] = tuple(np.round(felt, 2).tolist())
+            for way, end in (("up", SWELL_S / 2.0), ("down", SWELL_S * 2.5)):
+                name = f"crescendo of {range_db:g} dB in 16 s, {way}"
+                name = at_volume(name, volume_db)
+                moved, wanted = (_risen(each, end) for each in (felt, method.law * heard))
+                yield Row(name, moved, "dB", method.name)
+                off = 100.0 * abs(moved - wanted) / wanted
                 yield Row(f"{name}: off the law", off, "%", method.name, method.must("<=", 25.0))
+
+
+def _risen(level: FloatArray, end_s: float) -> float:
+    """Return the level of a swell around its loudest moment over that at one of its ends.
+
+    Both are means of the two whole seconds beside the moment.
+    """
+    top, end = round(1.5 * SWELL_S / END_S), round(end_s / END_S)
+    return float(level[top - 1 : top + 1].mean() - level[end - 1 : end + 1].mean())
+
+
+def pieces_db(signal: FloatArray, piece_s: float) -> FloatArray:
+    """Return the level of each whole piece of (frames,) at 48 kHz, a full-scale sine at 0 dB."""
+    frames = round(piece_s * SAMPLERATE)
+    pieces = signal[: signal.size // frames * frames].reshape(-1, frames)
+    levels: FloatArray = 10.0 * np.log10(2.0 * (pieces**2).mean(axis=1) + 1e-10)
+    return levels
+
+
+# ------------------------------------------------------------------------------ slow dynamics
+
+
+def orchestral_rows(methods: Sequence[Felt], passages: Sequence[FloatArray]) -> Iterator[Row]:
+    """Yield how the vibration of minutes of music follows their loudness, in pieces of 3 s.
+
+    It is the slope of the straight line through all pieces of a passage; the median is shown.
+    """
+    heard = [slow_phon(sound, PASSAGE_PIECE_S) for sound in passages]
+    for method in methods if passages else ():
+        slopes = []
+        for sound, phons in zip(passages, heard, strict=True):
+            felt = weighted(method.vibration(sound), SAMPLERATE)
+            slopes.append(float(np.polyfit(phons, pieces_db(felt, PASSAGE_PIECE_S), 1)[0]))
+        slope = float(np.median(slopes))
+        yield Row("minutes of music: felt for a phon", slope, "dB", method.name)
+        share = 100.0 * slope / method.law
+        yield Row("minutes of music: share of the law", share, "%", method.name)
 
 
 # -------------------------------------------------------------------------------------- pairs
@@ -149,13 +185,12 @@ def heard_phons(sounds: Sequence[RealSound]) -> FloatArray:
     return np.array([n5_phon(each.sound, TAIL_S) for each in sounds])
 
 
-def in_programme_db(
-    method: Felt, played: FloatArray, places: Sequence[slice], volume_db: float
-) -> FloatArray:
-    """Return how strongly every sound of a programme is felt, in dB."""
-    felt = weighted(method.vibration(played, volume_db), SAMPLERATE)
-    running = running_db(felt, SAMPLERATE)
-    return np.array([felt_db(running[place]) for place in places])
+def at_places_db(vibration: FloatArray, places: Sequence[slice]) -> FloatArray:
+    """Return how strong a programme's vibration is in every sound's place, in dB."""
+    running = running_db(vibration, SAMPLERATE)
+    step = SAMPLERATE // STEPS_A_SECOND
+    within = [slice(place.start // step, place.stop // step) for place in places]
+    return np.array([felt_db(running[place]) for place in within])
 
 
 def alone_db(method: Felt, sounds: Sequence[RealSound], volume_db: float) -> FloatArray:
@@ -186,39 +221,47 @@ def pair_rows(name: str, heard_phon: FloatArray, felt: FloatArray, method: Felt)
 
 
 def level_rows(
-    methods: Sequence[Felt], sounds: Sequence[RealSound], series: dict[str, tuple[float, ...]]
+    methods: Sequence[Felt], sounds: Sequence[RealSound], series: Series
 ) -> Iterator[Row]:
     """Yield the rows of pairs and classes; what is heard and felt goes into the series."""
     heard = heard_phons(sounds)
     kinds = np.array([each.kind for each in sounds])
-    series["heard"] = tuple(heard)
+    series[HEARD] = tuple(heard.tolist())
+    series[KIND] = tuple(float(KINDS.index(each.kind)) for each in sounds)
     played, places = programme(sounds)
     for volume_db in VOLUMES_DB:
         for method in methods:
-            felt = in_programme_db(method, played, places, volume_db)
+            vibration = method.vibration(played, volume_db)
+            felt = at_places_db(weighted(vibration, SAMPLERATE), places)
             if not volume_db:
-                series[f"felt, {method.name}"] = tuple(felt)
-                yield from _class_rows(kinds, heard, felt, method)
+                series[f"{FELT}{method.name}"] = tuple(np.round(felt, 2).tolist())
+                series[f"{LAW}{method.name}"] = (method.law,)
+                plain = replace(method, limited=False)
+                level = at_places_db(vibration, places)
+                yield from pair_rows("in a programme, unweighted", heard, level, plain)
+            yield from _class_rows(kinds, heard, felt, method, volume_db)
             yield from pair_rows(at_volume("in a programme", volume_db), heard, felt, method)
             alone = alone_db(method, sounds, volume_db)
             yield from pair_rows(at_volume("each alone", volume_db), heard, alone, method)
 
 
 def _class_rows(
-    kinds: np.ndarray, heard: FloatArray, felt: FloatArray, method: Felt
+    kinds: np.ndarray, heard: FloatArray, felt: FloatArray, method: Felt, volume_db: float
 ) -> Iterator[Row]:
     """Yield explosions over speech, what drums lose against the law, and what is not felt."""
     over_phon, over_db = (
         float(np.median(values[kinds == "explosions"]) - np.median(values[kinds == "speech"]))
         for values in (heard, felt)
     )
-    yield Row("explosions over speech, heard", over_phon, "phon", method.name)
-    beyond = over_db - method.law * over_phon
-    yield Row("explosions over speech, felt", over_db, "dB", method.name)
-    name = "explosions over speech: beyond the law"
-    yield Row(name, beyond, "dB", method.name, method.must(">=", -0.5))
+    name = at_volume("explosions over speech", volume_db)
+    if not volume_db:
+        yield Row(f"{name}, heard", over_phon, "phon", method.name)
+    yield Row(f"{name}, felt", over_db, "dB", method.name)
+    beyond, must = over_db - method.law * over_phon, method.must(">=", -0.5)
+    yield Row(f"{name}: beyond the law", beyond, "dB", method.name, must)
     off = felt - method.law * heard
-    drums = float(np.median(off[kinds == "drums"]) - np.median(off))
-    yield Row("drums: beyond the law", drums, "dB", method.name, method.must(">=", -1.0))
+    drums, must = float(np.median(off[kinds == "drums"]) - np.median(off)), method.must(">=", -1.0)
+    yield Row(at_volume("drums: beyond the law", volume_db), drums, "dB", method.name, must)
     lost = float(np.count_nonzero(felt <= NOTHING_DB))
-    yield Row("sounds not felt at all", lost, f"of {felt.size}", method.name)
+    name = at_volume("sounds not felt at all", volume_db)
+    yield Row(name, lost, f"of {felt.size}", method.name)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import cycle
 
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray
-from tools.bench.measures.impacts import Attack, attack
+from tools.bench.measures.felt import weighted
+from tools.bench.measures.impacts import Attack, attack, envelope, is_impact, onset_frame
 from tools.bench.measures.steadiness import rises_of_its_own, warble
 from tools.bench.report import Row
-from tools.bench.sections.felt_levels import Felt, pink_noise
+from tools.bench.sections.felt_levels import VOLUMES_DB, Felt, Series, pink_noise
 from tools.bench.sounds.real_sounds import RealSound, of_kinds
 from tools.bench.sounds.signals import SAMPLERATE, tone
 
 IMPACTS = {"drums": 12.0, "shots": 12.0, "explosions": 20.0}
 """Classes of impacts, with the limit of the 95th percentile in ms."""
 PEAK_LIMIT_MS = 15.0
-BEFORE_S, AFTER_S = 0.5, 0.5
+BEFORE_S = 0.5
 IMPACT_S = 3.0
 
 MUSIC_S, SHOT_AT_S = 5.0, 4.0
@@ -27,30 +29,68 @@ MUSIC_DB = -20.0
 A_MAJOR_HZ = (220.0, 277.18, 329.63)
 CHORD_AMPLITUDE, NOISE_DB = 0.2, -20.0
 STEADY_S, SETTLED_FROM_S = 10.0, 4.0
+DRUM, CHORD = "drum, ", "chord, "
+"""How the names of envelopes in the section's series begin."""
+DRUM_STEP_S, DRUM_BEFORE_S, DRUM_S, CHORD_STEP_S = 0.001, 0.02, 0.2, 0.005
 RISING = ("music", "engines", "speech")
 """Classes whose vibration should rise when the sound does."""
 
 
-def impact_rows(methods: Sequence[Felt], sounds: Sequence[RealSound]) -> Iterator[Row]:
-    """Yield how far the vibration of impacts is behind their sound, alone and over music."""
+def impact_rows(
+    methods: Sequence[Felt], sounds: Sequence[RealSound], series: Series
+) -> Iterator[Row]:
+    """Yield how far the vibration of impacts is behind their sound, alone and over music.
+
+    Sounds at full volume and 20 dB lower count together.
+    """
+    impacts = {
+        kind: [
+            each.sound
+            for each in of_kinds(sounds, kind)
+            if is_impact(each.sound, SAMPLERATE, brief=kind != "explosions")
+        ]
+        for kind in IMPACTS
+    }
     for kind, limit_ms in IMPACTS.items():
+        played = [after_silence(sound) for sound in impacts[kind]]
         for method in methods:
-            found = [_attack_of(method, each.sound) for each in of_kinds(sounds, kind)]
-            yield from _lag_rows(kind, found, limit_ms, method)
-    shots, music = of_kinds(sounds, "shots"), of_kinds(sounds, "music")
-    for method in methods if music else ():
-        found = []
-        for number, shot in enumerate(shots):
-            mixed = over_music(shot.sound, music[number % len(music)].sound)
-            found.append(attack(mixed, method.vibration(mixed), SAMPLERATE, SHOT_AT_S))
+            yield from _lag_rows(kind, _attacks(method, played, BEFORE_S), limit_ms, method)
+    music = [each.sound for each in of_kinds(sounds, "music")]
+    mixed = [over_music(shot, under) for shot, under in zip(impacts["shots"], cycle(music))]
+    for method in methods:
+        found = _attacks(method, mixed, SHOT_AT_S)
         yield from _lag_rows("shots over music", found, IMPACTS["shots"], method)
+    drums = sorted(of_kinds(sounds, "drums"), key=lambda each: "kick" not in each.name.lower())
+    if drums:
+        series |= drum_series(methods, after_silence(drums[0].sound))
 
 
-def _attack_of(method: Felt, sound: FloatArray) -> Attack | None:
-    """Return the attack of a sound after half a second of silence."""
-    silence = np.zeros(round(BEFORE_S * SAMPLERATE)), np.zeros(round(AFTER_S * SAMPLERATE))
-    played = np.concatenate((silence[0], sound[: round(IMPACT_S * SAMPLERATE)], silence[1]))
-    return attack(played, method.vibration(played), SAMPLERATE, BEFORE_S)
+def _attacks(method: Felt, played: Sequence[FloatArray], at_s: float) -> list[Attack | None]:
+    """Return the attack of every sound at both volumes."""
+    return [
+        attack(sound, method.vibration(sound, volume_db), SAMPLERATE, at_s)
+        for sound in played
+        for volume_db in VOLUMES_DB
+    ]
+
+
+def after_silence(sound: FloatArray) -> FloatArray:
+    """Return at most 3 s of a sound with half a second of silence before and after it."""
+    silence = np.zeros(round(BEFORE_S * SAMPLERATE))
+    return np.concatenate((silence, sound[: round(IMPACT_S * SAMPLERATE)], silence))
+
+
+def drum_series(methods: Sequence[Felt], sound: FloatArray) -> Series:
+    """Return the envelopes every ms around a drum's onset, of its sound and its vibrations."""
+    level = envelope(sound, SAMPLERATE)
+    first = onset_frame(level, SAMPLERATE, BEFORE_S) - round(DRUM_BEFORE_S * SAMPLERATE)
+    every = round(DRUM_STEP_S * SAMPLERATE)
+    shown = slice(first, first + round(DRUM_S * SAMPLERATE), every)
+    felt = {each.name: envelope(each.vibration(sound), SAMPLERATE) for each in methods}
+    return {
+        f"{DRUM}{name}": tuple(np.round(each[shown], 6).tolist())
+        for name, each in ({"sound": level} | felt).items()
+    }
 
 
 def over_music(shot: FloatArray, music: FloatArray) -> FloatArray:
@@ -75,36 +115,55 @@ def _lag_rows(
     yield Row(f"{kind}: half of the peak, median", float(np.median(half)), "ms", name)
     p95 = float(np.percentile(half, 95))
     yield Row(f"{kind}: half of the peak, 95th percentile", p95, "ms", name, must)
-    limit = method.must("<=", PEAK_LIMIT_MS)
+    # A noise has no peak of its own: where explosions have theirs is chance.
+    limit = method.must("<=", PEAK_LIMIT_MS) if kind != "explosions" else None
     yield Row(f"{kind}: peak after the sound's, median", float(np.median(peak)), "ms", name, limit)
     yield Row(f"{kind}: felt as impacts", float(len(felt)), f"of {len(found)}", name)
 
 
 def chord() -> FloatArray:
     """Return a steady A-major chord of three sines, (frames,)."""
-    return np.sum([tone(hz, CHORD_AMPLITUDE, STEADY_S) for hz in A_MAJOR_HZ], axis=0)
+    return np.asarray(np.sum([tone(hz, CHORD_AMPLITUDE, STEADY_S) for hz in A_MAJOR_HZ], axis=0))
 
 
 def steady_noise() -> FloatArray:
     """Return steady pink noise, (frames,)."""
-    return 10.0 ** (NOISE_DB / 20.0) * pink_noise(round(STEADY_S * SAMPLERATE))
+    return np.asarray(10.0 ** (NOISE_DB / 20.0) * pink_noise(round(STEADY_S * SAMPLERATE)))
 
 
-def steady_rows(methods: Sequence[Felt], sounds: Sequence[RealSound]) -> Iterator[Row]:
-    """Yield the modulation of steady sounds, and rises of vibration that the sound has not."""
+def steady_rows(
+    methods: Sequence[Felt], sounds: Sequence[RealSound], series: Series
+) -> Iterator[Row]:
+    """Yield the modulation of steady sounds, and rises of vibration that the sound has not.
+
+    Both are of the weighted vibration. Modulation is the larger one of full volume and 20 dB lower.
+    """
     steady = {"A-major chord": (chord(), 12.0), "pink noise": (steady_noise(), 25.0)}
     for name, (sound, limit) in steady.items():
         for method in methods:
-            vibration = method.vibration(sound)[round(SETTLED_FROM_S * SAMPLERATE) :]
-            depth = 100.0 * warble(vibration, SAMPLERATE)
+            felt = [_settled(method, sound, volume_db) for volume_db in VOLUMES_DB]
+            depth = 100.0 * max(warble(each, SAMPLERATE) for each in felt)
             title = f"steady {name}: modulation at 4 to 16 Hz"
             yield Row(title, depth, "%", method.name, method.must("<=", limit))
+            if name == "A-major chord":
+                shown = envelope(felt[0], SAMPLERATE)[
+                    : 2 * SAMPLERATE : round(CHORD_STEP_S * SAMPLERATE)
+                ]
+                series[f"{CHORD}{method.name}"] = tuple(np.round(shown, 6).tolist())
     for kind in RISING:
         for method in methods:
             rises = [
-                rises_of_its_own(each.sound, method.vibration(each.sound), SAMPLERATE)
+                rises_of_its_own(each.sound, _weighted(method, each.sound), SAMPLERATE)
                 for each in of_kinds(sounds, kind)
             ]
             mean = float(np.mean(rises)) if rises else float("nan")
             title = f"{kind}: rises of 6 dB a second that the sound has not"
             yield Row(title, mean, "", method.name, method.must("<=", 4.0))
+
+
+def _settled(method: Felt, sound: FloatArray, volume_db: float) -> FloatArray:
+    return _weighted(method, sound, volume_db)[round(SETTLED_FROM_S * SAMPLERATE) :]
+
+
+def _weighted(method: Felt, sound: FloatArray, volume_db: float = 0.0) -> FloatArray:
+    return weighted(method.vibration(sound, volume_db), SAMPLERATE)

@@ -7,10 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 from audioflinger_hook.config.profiles import PROFILES, parameters_of
-from audioflinger_hook.transform import HapticTransform
+from audioflinger_hook.transform import FloatArray, HapticTransform
 from tools.bench.baselines import BASELINES
 from tools.bench.report import Missing, Row, Section
 from tools.bench.sections.felt_formats import (
@@ -22,20 +23,35 @@ from tools.bench.sections.felt_formats import (
 )
 from tools.bench.sections.felt_levels import (
     Felt,
+    Series,
     crescendo_rows,
     law_of,
     level_rows,
-    swell_phon,
+    orchestral_rows,
 )
 from tools.bench.sections.felt_times import impact_rows, steady_rows
-from tools.bench.sounds.real_sounds import SOUNDS_COMMAND, Half, RealSound, real_sounds
+from tools.bench.sounds.real_sounds import (
+    SOUNDS_COMMAND,
+    Half,
+    RealSound,
+    passages,
+    real_sounds,
+)
 from tools.bench.workbench import Subject, Workbench
 
 TITLE = "On real sounds"
+SETUP_COMMAND = "tools/setup.sh test"
+
 UNLIMITED = "paper"
 """The profile that keeps to the paper and is asked no limit here."""
 PEERS_LAW = "cinema"
 """The profile whose law other methods are held against: they have none of their own."""
+
+PARTS = (
+    "crescendo", "music", "levels", "impacts", "steadiness", "sub-bass", "chirp", "rates",
+    "channels", "ends",
+)  # fmt: skip
+"""What can be measured by itself, in the order of the table."""
 
 Progress = Callable[[str], None]
 
@@ -62,16 +78,19 @@ def felt_on_real_sounds(
     profiles: Sequence[Felt],
     peers: Sequence[Felt],
     sounds: Sequence[RealSound],
+    music: Sequence[FloatArray],
+    parts: Sequence[str] = PARTS,
     progress: Progress | None = None,
 ) -> Section:
     """Return the section of these profiles and other methods on these sounds."""
     methods = [*profiles, *peers]
-    series: dict[str, tuple[float, ...]] = {}
-    parts: dict[str, Callable[[], Iterable[Row]]] = {
-        "crescendo": lambda: crescendo_rows(methods, swell_phon()),
+    series: Series = {}
+    measured: dict[str, Callable[[], Iterable[Row]]] = {
+        "crescendo": lambda: crescendo_rows(methods, series),
+        "music": lambda: orchestral_rows(methods, music),
         "levels": lambda: level_rows(methods, sounds, series),
-        "impacts": lambda: impact_rows(methods, sounds),
-        "steadiness": lambda: steady_rows(methods, sounds),
+        "impacts": lambda: impact_rows(methods, sounds, series),
+        "steadiness": lambda: steady_rows(methods, sounds, series),
         "sub-bass": lambda: sub_bass_rows(methods),
         "chirp": lambda: chirp_rows(methods),
         "rates": lambda: rate_rows(profiles, sounds),
@@ -79,9 +98,9 @@ def felt_on_real_sounds(
         "ends": lambda: end_rows(profiles, sounds),
     }
     rows: list[Row] = []
-    for name, part in parts.items():
+    for name in parts:
         started = time.monotonic()
-        rows += part()
+        rows += measured[name]()
         if progress:
             progress(f"{name}: {time.monotonic() - started:.1f} s")
     laws = ", ".join(f"{each.name} {each.law:.3g}" for each in profiles)
@@ -104,17 +123,29 @@ def on_real_sounds(bench: Workbench) -> Section:
     """Every profile and baseline on the half of the sounds that no value was chosen on."""
     sounds = real_sounds("report", bench.effort.real_sounds)
     if not sounds:
-        gone = Missing(f"every row of {TITLE}", "there are no sounds", SOUNDS_COMMAND)
-        return Section(TITLE, "This could not be measured here.", (), (gone,))
-    return felt_on_real_sounds(profiles_felt(), peers_felt(), sounds)
+        return _missing("there are no sounds", SOUNDS_COMMAND)
+    if find_spec("mosqito") is None:
+        return _missing("MoSQITo, which computes loudness, is not installed", SETUP_COMMAND)
+    music = passages("report")[: bench.effort.real_sounds]
+    return felt_on_real_sounds(profiles_felt(), peers_felt(), sounds, music)
+
+
+def _missing(reason: str, command: str) -> Section:
+    gone = Missing(f"every row of {TITLE}", reason, command)
+    return Section(TITLE, "This could not be measured here.", (), (gone,))
 
 
 def chosen(
-    half: Half, names: Sequence[str], said: dict[str, Any], peers: bool, progress: Progress
+    half: Half,
+    names: Sequence[str],
+    said: dict[str, Any],
+    peers: bool,
+    parts: Sequence[str],
+    progress: Progress,
 ) -> Section:
-    """Return the section on a half of the sounds, for some profiles with changed parameters."""
-    sounds = real_sounds(half)
+    """Return parts of the section on a half, for some profiles with changed parameters."""
+    methods, others = profiles_felt(names, said), peers_felt() if peers else []
     section = felt_on_real_sounds(
-        profiles_felt(names, said), peers_felt() if peers else [], sounds, progress
+        methods, others, real_sounds(half), passages(half), parts, progress
     )
-    return replace(section, title=f"{TITLE}: half {half!r}")
+    return replace(section, footnote=f"{section.footnote} Half of the sounds: {half}.")

@@ -32,6 +32,9 @@ Half = Literal["choose", "report", "all"]
 HALVES: tuple[Half, ...] = ("choose", "report", "all")
 """Values are chosen on one half of the sounds and reported on the other."""
 
+PASSAGES, PASSAGE_S = 4, 90.0
+"""How many minutes of music, and how long each is."""
+
 SHORTEST_S, LONGEST_S = 0.15, 10.0
 LATE_FROM_S = 10.0
 """Where a sound longer than twice `LONGEST_S` is cut out: pieces of music begin softly."""
@@ -54,21 +57,26 @@ def sounds_folder() -> Path | None:
 
 def real_sounds(half: Half, a_class: int | None = None) -> tuple[RealSound, ...]:
     """Return the sounds of a half, by class and name; of each class the first few, or all."""
-    folder = sounds_folder()
     found: list[RealSound] = []
-    for kind in KINDS if folder else ():
-        assert folder is not None
-        paths = sorted((folder / kind).glob("*.*"))
-        chosen = [path for path in paths if half in ("all", half_of(path.name))]
-        read = (RealSound(f"{kind}/{path.name}", kind, _read(path)) for path in chosen)
+    for kind in KINDS:
+        read = (RealSound(f"{kind}/{each.name}", kind, _part(each)) for each in _files(kind, half))
         long_enough = [each for each in read if each.sound.size >= SHORTEST_S * SAMPLERATE]
         found += long_enough[:a_class]
     return tuple(found)
 
 
-def half_of(name: str) -> Half:
-    """Return the half of a sound by its file's name, which a hash decides."""
-    return "choose" if int(name_hash(name), 16) % 2 else "report"
+def passages(half: Half) -> list[FloatArray]:
+    """Return the first 90 s of some long pieces of orchestral music of a half, 4 or fewer."""
+    orchestral = [path for path in _files("music", half) if path.name.startswith("wesnoth")]
+    long_enough = [path for path in orchestral if soundfile.info(path).duration > PASSAGE_S]
+    return [_read(path, 0.0, PASSAGE_S) for path in long_enough[:PASSAGES]]
+
+
+def in_half(names: Sequence[str], half: Half) -> list[str]:
+    """Return the files of a class that are in a half, sorted: every other one by name's hash."""
+    by_hash = sorted(names, key=name_hash)
+    chosen = {"choose": by_hash[0::2], "report": by_hash[1::2], "all": by_hash}[half]
+    return sorted(chosen)
 
 
 def of_kinds(sounds: Sequence[RealSound], *kinds: str) -> list[RealSound]:
@@ -76,12 +84,25 @@ def of_kinds(sounds: Sequence[RealSound], *kinds: str) -> list[RealSound]:
     return [each for each in sounds if each.kind in kinds]
 
 
-def _read(path: Path) -> FloatArray:
+def _files(kind: str, half: Half) -> list[Path]:
+    folder = sounds_folder()
+    if folder is None:
+        return []
+    names = [path.name for path in (folder / kind).glob("*.*")]
+    return [folder / kind / name for name in in_half(names, half)]
+
+
+def _part(path: Path) -> FloatArray:
+    """Return the part of a file that is taken, at most 10 s."""
+    duration_s = soundfile.info(path).duration
+    return _read(path, LATE_FROM_S if duration_s > 2.0 * LONGEST_S else 0.0, LONGEST_S)
+
+
+def _read(path: Path, from_s: float, duration_s: float) -> FloatArray:
     with soundfile.SoundFile(path) as file:
         rate = file.samplerate
-        if file.frames > 2.0 * LONGEST_S * rate:
-            file.seek(round(LATE_FROM_S * rate))
-        frames = file.read(round(LONGEST_S * rate), dtype="float32", always_2d=True)
+        file.seek(round(from_s * rate))
+        frames = file.read(round(duration_s * rate), dtype="float32", always_2d=True)
     return at_rate(frames.mean(axis=1, dtype=np.float64), rate, SAMPLERATE)
 
 

@@ -1,0 +1,137 @@
+"""What is felt: weighting, levels, attacks, steadiness, on signals with known answers."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tools.bench.measures.felt import felt_db, running_db, seat_weight, weighted
+from tools.bench.measures.impacts import attack, is_impact
+from tools.bench.measures.steadiness import rises_of_its_own, rises_s, warble
+from tools.bench.sounds.signals import SAMPLERATE, tone
+
+TIME_S = np.arange(2 * SAMPLERATE) / SAMPLERATE
+
+
+def struck(at_s, decay_s=0.03, rise_s=0.002, frequency_hz=180.0):
+    """A tone that is struck once and dies away, 2 s in all."""
+    since_s = TIME_S - at_s
+    rise = np.clip(since_s / rise_s, 0.0, 1.0)
+    fall = np.exp(-np.maximum(since_s, 0.0) / decay_s)
+    return 0.5 * rise * fall * np.sin(2.0 * np.pi * frequency_hz * since_s)
+
+
+def modulated(depth, rate_hz, frequency_hz=80.0):
+    return (
+        0.3
+        * (1.0 + depth * np.sin(2.0 * np.pi * rate_hz * TIME_S))
+        * np.sin(2.0 * np.pi * frequency_hz * TIME_S)
+    )
+
+
+def beats_a_second(rate_hz):
+    """A tone that is off and on in turn."""
+    return tone(200.0, 0.5, 2.0) * (TIME_S * rate_hz % 1.0 >= 0.5)
+
+
+# ------------------------------------------------------------------------------------- weighting
+
+
+def test_the_weight_is_that_of_the_standard_where_its_band_limit_does_nothing():
+    # ISO 2631-1:1997, table 3, Wk.
+    wanted = {4.0: 0.967, 8.0: 1.036, 12.5: 0.902, 16.0: 0.768, 20.0: 0.636, 31.5: 0.405}
+    assert seat_weight(np.array([*wanted])) == pytest.approx([*wanted.values()], rel=0.01)
+
+
+@given(st.floats(40.0, 250.0))
+def test_above_40_hz_equal_velocity_is_felt_equally(vibration_hz):
+    one, other = seat_weight(np.array([40.0, vibration_hz]))
+    assert other * vibration_hz == pytest.approx(one * 40.0, rel=0.05)
+
+
+@pytest.mark.parametrize("vibration_hz", [20.0, 50.0, 150.0])
+def test_a_steady_tone_is_felt_at_its_weighted_level(vibration_hz):
+    felt = felt_db(running_db(weighted(tone(vibration_hz, 0.5, 2.0), SAMPLERATE), SAMPLERATE))
+    weight = float(seat_weight(np.array(vibration_hz)))
+    assert felt == pytest.approx(20.0 * np.log10(0.5 * weight), abs=0.3)
+
+
+def test_a_tone_of_a_sixteenth_of_a_second_is_felt_less_than_a_long_one():
+    short = tone(100.0, 0.5, 1.0)
+    short[SAMPLERATE // 16 :] = 0.0
+    levels = [felt_db(running_db(each, SAMPLERATE)) for each in (short, tone(100.0, 0.5, 1.0))]
+    assert levels[1] - 6.0 < levels[0] < levels[1] - 2.0
+
+
+def test_silence_is_felt_as_the_least_level():
+    assert felt_db(running_db(np.zeros(SAMPLERATE), SAMPLERATE)) == -70.0
+
+
+# --------------------------------------------------------------------------------------- attacks
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.floats(0.0, 0.05))
+def test_a_vibration_that_is_only_late_has_that_lag(delay_s):
+    found = attack(struck(0.5), 0.3 * struck(0.5 + delay_s), SAMPLERATE, 0.4)
+    assert found is not None
+    assert found.half_lag_s == pytest.approx(delay_s, abs=1e-3)
+    assert found.peak_lag_s == pytest.approx(delay_s, abs=1e-3)
+
+
+def test_a_second_stroke_of_twice_the_strength_counts_as_the_peak():
+    bumpy = 0.4 * struck(0.5) + struck(0.56)
+    found = attack(struck(0.5), bumpy, SAMPLERATE, 0.4)
+    assert found is not None
+    assert found.half_lag_s > 0.04
+    assert found.peak_lag_s == pytest.approx(0.06, abs=5e-3)
+
+
+def test_an_impact_under_a_steady_vibration_is_not_felt():
+    sound = struck(0.5)
+    assert attack(sound, np.zeros(sound.size), SAMPLERATE, 0.4) is None
+    assert attack(sound, tone(100.0, 0.3, 2.0), SAMPLERATE, 0.4) is None
+
+
+def test_an_impact_begins_suddenly_and_a_brief_one_is_over_soon():
+    slow, long = struck(0.1, decay_s=1.0, rise_s=0.3), struck(0.1, decay_s=1.0)
+    again = struck(0.1) + 2.0 * struck(1.0)
+    for sound, sudden, brief in (
+        (struck(0.1), True, True), (long, True, False), (slow, False, False), (again, True, False)
+    ):  # fmt: skip
+        assert is_impact(sound, SAMPLERATE, brief=False) == sudden
+        assert is_impact(sound, SAMPLERATE, brief=True) == brief
+
+
+# ------------------------------------------------------------------------------------ steadiness
+
+
+@settings(deadline=None, max_examples=10)
+@given(st.floats(0.05, 0.9), st.floats(6.0, 12.0))
+def test_warble_is_the_depth_of_modulation(depth, rate_hz):
+    assert warble(modulated(depth, rate_hz), SAMPLERATE) == pytest.approx(depth, rel=0.1)
+
+
+def test_steady_slow_and_silent_vibration_does_not_warble():
+    assert warble(tone(80.0, 0.3, 2.0), SAMPLERATE) < 0.02
+    assert warble(modulated(0.5, 0.5), SAMPLERATE) < 0.1
+    assert warble(np.zeros(SAMPLERATE), SAMPLERATE) == 0.0
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, 4.0, 7.0])
+def test_a_tone_that_comes_again_and_again_rises_each_time(rate_hz):
+    rises = rises_s(beats_a_second(rate_hz), SAMPLERATE)
+    assert abs(rises.size - 2.0 * rate_hz) <= 1
+    assert np.diff(rises) == pytest.approx(1.0 / rate_hz, abs=0.02)
+
+
+def test_rises_of_less_than_6_db_do_not_count():
+    assert rises_s(modulated(0.3, 5.0), SAMPLERATE).size == 0
+
+
+def test_only_rises_without_one_in_the_sound_are_a_vibrations_own():
+    sound, steady = beats_a_second(4.0), tone(200.0, 0.5, 2.0)
+    late = np.roll(sound, SAMPLERATE // 50)
+    assert rises_of_its_own(sound, late, SAMPLERATE) == 0.0
+    assert rises_of_its_own(steady, sound, SAMPLERATE) == pytest.approx(4.0, abs=0.5)
+    assert rises_of_its_own(sound, steady, SAMPLERATE) == 0.0

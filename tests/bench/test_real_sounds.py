@@ -1,0 +1,187 @@
+"""The section on real sounds: its list, its halves, its laws, and rows for every profile."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from audioflinger_hook.config.profiles import PROFILES, parameters_of
+from tests.support.bench_runs import a_bench
+from tools.bench.figures.pictures import PICTURES
+from tools.bench.machine import machine_facts
+from tools.bench.report import BenchReport, Section
+from tools.bench.sections import felt_levels, felt_times
+from tools.bench.sections import real_sounds as section
+from tools.bench.sections.felt_levels import Felt
+from tools.bench.sounds.real_sounds import (
+    KINDS,
+    SOUNDS_COMMAND,
+    SOUNDS_VARIABLE,
+    RealSound,
+    in_half,
+)
+from tools.bench.sounds.signals import SAMPLERATE, tone
+from tools.bench.sounds.unpack_sounds import Choice, choices, name_hash
+from tools.bench.workbench import Subject
+from tools.records import PROJECT_ROOT
+
+LIST = choices((PROJECT_ROOT / "tools/bench/sounds/real_sounds.txt").read_text("utf-8"))
+
+
+class Unchanged:
+    """A method whose vibration is its sound."""
+
+    def __init__(self, samplerate, channels):
+        pass
+
+    def process(self, frames):
+        return frames.mean(axis=1, keepdims=True)
+
+    def finish(self):
+        return np.zeros((0, 1))
+
+
+UNCHANGED = Felt(Subject("unchanged", Unchanged), 1.0, limited=True)
+
+
+def sounds(*kinds):
+    rng = np.random.default_rng(3)
+    decay = np.exp(-np.arange(SAMPLERATE // 2) / 2_000.0)
+    made = {kind: 0.3 * decay * rng.standard_normal(decay.size) for kind in kinds}
+    return [RealSound(f"{kind}/made", kind, sound) for kind, sound in made.items()]
+
+
+# --------------------------------------------------------------------------------------- sounds
+
+
+def test_the_list_asks_for_enough_sounds_of_every_class():
+    assert {line.kind for line in LIST} == set(KINDS)
+    for kind in KINDS:
+        assert sum(line.most for line in LIST if line.kind == kind) >= 20
+    assert sum(line.most for line in LIST) >= 190
+
+
+def test_a_line_chooses_the_same_few_files_from_any_order():
+    line = Choice("shots", "game-data", 2, ("*/gun*.wav", "a.pk3:*.ogg"))
+    paths = ["x/gun1.wav", "x/gun2.wav", "a.pk3:shot.ogg", "x/gun.ogg", "b.pk3:shot.ogg"]
+    chosen = line.chosen(iter(paths))
+    assert chosen == line.chosen(iter(reversed(paths)))
+    assert chosen == sorted(paths[:3], key=name_hash)[:2]
+
+
+@given(st.sets(st.text("abcdef", min_size=1)))
+def test_halves_share_nothing_leave_nothing_out_and_are_as_large(names):
+    choose, report = (in_half([*names], half) for half in ("choose", "report"))
+    assert sorted(choose + report) == sorted(names) == in_half([*names], "all")
+    assert len(choose) - len(report) in (0, 1)
+
+
+def test_without_sounds_the_section_names_the_command_that_fetches_them(monkeypatch, tmp_path):
+    monkeypatch.setenv(SOUNDS_VARIABLE, str(tmp_path / "none"))
+    found = section.on_real_sounds(a_bench())
+    assert found.rows == ()
+    assert [gone.command for gone in found.missing] == [SOUNDS_COMMAND]
+
+
+# --------------------------------------------------------------------------------------- levels
+
+
+def test_the_law_is_the_profiles_own_slope_and_1_where_loudness_is_not_followed():
+    laws = {each.name: each.law for each in section.profiles_felt()}
+    assert laws["paper"] == 1.0
+    assert laws["cinema"] == pytest.approx(0.275)
+    assert laws["music"] == pytest.approx(0.5)
+    assert [each.limited for each in section.profiles_felt(["paper", "game"])] == [False, True]
+
+
+@given(st.lists(st.floats(20.0, 100.0), min_size=2), st.floats(0.2, 1.0), st.floats(-40.0, 0.0))
+def test_pairs_on_the_law_have_no_error_at_any_gain(heard, law, gain_db):
+    phons = np.array(heard)
+    errors = felt_levels.pair_errors_db(phons, law * phons + gain_db, law)
+    assert errors.size == phons.size * (phons.size - 1) // 2
+    assert errors == pytest.approx(0.0, abs=1e-9)
+
+
+def test_one_sound_of_three_that_is_6_db_too_strong_is_wrong_in_two_pairs_of_three():
+    rows = list(felt_levels.pair_rows("x", np.zeros(3), np.array([0.0, 6.0, 0.0]), UNCHANGED))
+    assert rows[0].value == pytest.approx(6.0 * np.sqrt(2.0 / 3.0))
+    assert rows[1].value == pytest.approx(100.0 / 3.0)
+    assert [row.met for row in rows] == [False, False]
+
+
+def test_a_programme_holds_every_sound_where_it_says():
+    made = sounds("drums", "shots", "speech")
+    played, places = felt_levels.programme(made)
+    for each, place in zip(made, places, strict=True):
+        assert np.array_equal(played[place][: each.sound.size], each.sound)
+
+
+def test_a_method_that_changes_nothing_moves_as_the_swell_does(monkeypatch):
+    monkeypatch.setattr(
+        felt_levels, "slow_phon", lambda sound, every_s: felt_levels.pieces_db(sound, every_s)
+    )
+    series: felt_levels.Series = {}
+    rows = {row.name: row for row in felt_levels.crescendo_rows([UNCHANGED], series)}
+    up = rows["crescendo of 30 dB in 16 s, up"]
+    # The means of the two seconds beside each end are a second short of it.
+    assert up.value == pytest.approx(30.0 * 15.0 / 16.0, abs=1.5)
+    assert all(row.met for name, row in rows.items() if "off the law" in name)
+    assert {"swell, sound", "swell, unchanged"} == set(series)
+
+
+# ----------------------------------------------------------------------------------------- times
+
+
+def test_a_method_that_changes_nothing_is_never_late_and_never_warbles():
+    made = sounds("drums", "shots", "explosions", "music", "engines", "speech")
+    series: felt_levels.Series = {}
+    rows = [
+        *felt_times.impact_rows([UNCHANGED], made, series),
+        *felt_times.steady_rows([UNCHANGED], made, series),
+    ]
+    values = {row.name: row.value or 0.0 for row in rows}
+    assert values["drums: half of the peak, 95th percentile"] == 0.0
+    assert values["shots: felt as impacts"] == 2.0
+    assert values["steady A-major chord: modulation at 4 to 16 Hz"] < 6.0
+    assert len(series["drum, sound"]) == 200
+
+
+def test_a_shot_is_put_over_music_after_four_seconds():
+    mixed = felt_times.over_music(np.ones(10), tone(100.0, 0.5, 1.0))
+    assert mixed.size == 5 * SAMPLERATE
+    assert np.abs(mixed).argmax() // 10 == 4 * SAMPLERATE // 10
+
+
+# --------------------------------------------------------------------------------------- formats
+
+
+def test_every_profile_has_every_row_and_only_paper_no_limit():
+    parts = ("sub-bass", "chirp", "rates", "channels", "ends")
+    made = sounds("explosions", "speech")
+    found = section.felt_on_real_sounds(section.profiles_felt(), [], made, [], parts)
+    names = {row.name for row in found.rows}
+    assert {(row.name, row.column) for row in found.rows} == {
+        (name, profile) for name in names for profile in PROFILES
+    }
+    limits = {column: sum(bool(row.must) for row in found.rows if row.column == column)
+              for column in PROFILES}  # fmt: skip
+    assert limits["paper"] == 0
+    assert limits["cinema"] == limits["game"] == limits["music"] >= 10
+    assert parameters_of("cinema") == section.profiles_felt(["cinema"])[0].parameters
+
+
+# ---------------------------------------------------------------------------------------- picture
+
+
+def test_the_picture_is_drawn_from_the_sections_series():
+    pytest.importorskip("matplotlib")
+    wave = tuple(np.linspace(0.1, 1.0, 40))
+    series = {"heard": wave, "class": (0.0, 5.0) * 20, "drum, sound": wave, "swell, sound": wave}
+    for name in PROFILES:
+        series |= {f"{each}, {name}": wave for each in ("felt", "drum", "swell", "chord")}
+        series[f"law, {name}"] = (0.3,)
+    (picture,) = (each for each in PICTURES if each.section == section.TITLE)
+    shown = Section(section.TITLE, "What it means.", (), series=series)
+    report = BenchReport("", True, 0.0, machine_facts(), (shown,))
+    assert picture.can_be_drawn(report)
+    assert len(picture.drawn(report).axes) == len(PROFILES) + 3
