@@ -179,7 +179,7 @@ def test_a_plan_routes_each_actuator_to_its_source() -> None:
     assert plan.actuators == (1, 0, 1)
     weights = plan.weights
     assert weights is not None
-    assert weights.shape == (6, 2)
+    assert weights.shape == (6, 2, 2)
     assert np.allclose(weights.sum(axis=0), 1.0)
     assert device_map(settings, plan, sink(SURROUND)).sources[:3] == (0, 1, 2)
     with pytest.raises(UsageError, match="no such channel"):
