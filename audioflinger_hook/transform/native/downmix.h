@@ -7,9 +7,19 @@
 
 #include "settings.h"
 
-/* Smoothed powers of one mix, all of its state: of the mean, of the difference, of late. */
+/* Frames whose power counts as one number, as in downmix.py. */
+#define MIX_GROUP 16
+
+/* Smoothed powers, of the mean, of the difference and of both of late; then the factor on the
+ * difference at the start and at the end of the group under way. */
 typedef struct {
-    double mean, side, newest;
+    double mean, side, newest, start, end;
+} MixBalance;
+
+/* The state of one mix: that, and the samples so far of the group under way. */
+typedef struct {
+    MixBalance balance;
+    double frames, of_mean[MIX_GROUP], of_side[MIX_GROUP];
 } MixPowers;
 
 /* Numbers in it. */
