@@ -48,6 +48,21 @@ def layout(channels: int) -> tuple[str, ...]:
     return (*positions, f"C{channels}") if len(positions) < channels else tuple(positions)
 
 
+_OF_ALSA = "FL FR BL BR FC LFE SL SR"
+
+
+def order_from_alsa(channels: int) -> tuple[int, ...] | None:
+    """The numbers of ALSA's channels in the order of `layout`; None if they need no other order.
+
+    ALSA, and so its plugin for sound servers, has the surrounds before the centre in 5.0, 5.1 and
+    7.1.
+    """
+    if channels not in (5, 6, 8):
+        return None
+    theirs = _OF_ALSA.split()
+    return tuple(theirs.index(position) for position in layout(channels))
+
+
 @cache
 def sides(channels: int) -> str:
     """One letter per channel: the volume that it follows, L, R, or C for the mean of both.

@@ -135,6 +135,8 @@ def test_ports_come_in_the_order_in_which_the_mixer_counts_channels(channels: in
     assert in_mixing_order(tuple(reversed(names))) == names
     unknown = tuple(f"AUX{n}" for n in range(channels))
     assert in_mixing_order(unknown) == unknown
+    at_the_sides = ("FL", "FR", "SL", "SR", "FC", "LFE")
+    assert in_mixing_order(at_the_sides) == ("FL", "FR", "FC", "LFE", "SL", "SR")
     assert port_names("", channels) == unknown
 
 
