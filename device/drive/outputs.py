@@ -124,14 +124,14 @@ class FadedOutput:
     def __init__(self, output: VibrationOutput, frames: int) -> None:
         self._output = output
         self._frames = frames
-        self._held: FloatArray | Float32Array = np.zeros((0, output.channels), np.float32)
+        self._held = np.zeros((0, output.channels))
         self.samplerate = output.samplerate
         self.channels = output.channels
         self.peak = 0.0
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take a block, (frames, channels)."""
-        known = np.concatenate((self._held, vibration))
+        known: FloatArray = np.concatenate((self._held, vibration))
         passed = max(0, len(known) - self._frames)
         self._held = known[passed:]
         self._pass_on(known[:passed])
@@ -141,7 +141,7 @@ class FadedOutput:
         held, self._held = self._held, self._held[:0]
         shares = (np.arange(len(held)) + 0.5) / max(1, len(held))
         gains = 0.5 + 0.5 * np.cos(np.pi * shares)
-        self._pass_on((held * gains[:, None]).astype(held.dtype))
+        self._pass_on(held * gains[:, None])
         self._output.close()
 
     def abort(self) -> None:
@@ -149,7 +149,7 @@ class FadedOutput:
         self._held = self._held[:0]
         self._output.abort()
 
-    def _pass_on(self, vibration: FloatArray | Float32Array) -> None:
+    def _pass_on(self, vibration: FloatArray) -> None:
         if len(vibration):
             self.peak = max(self.peak, float(np.abs(vibration).max()))
             self._output.write(vibration)

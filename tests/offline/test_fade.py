@@ -16,6 +16,7 @@ from device.drive import ActuatorSettings
 from device.drive.outputs import FADE_S, FadedOutput
 from device.rig import rig_by_name
 from device.rig.simulated_rig import SimulatedRig
+from device.units import Float32Array
 from tests.support.signals import FORMS, FloatArray, tone
 
 RATE = 48_000
@@ -30,8 +31,8 @@ class Kept:
         self.blocks: list[FloatArray] = []
         self.ended = ""
 
-    def write(self, vibration: FloatArray) -> None:
-        self.blocks.append(vibration.copy())
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        self.blocks.append(vibration.astype(np.float64))
 
     def close(self) -> None:
         self.ended = "closed"
@@ -50,9 +51,9 @@ def sound(folder: Path, frames: FloatArray) -> Path:
     return path
 
 
-def rendered(source: Path, out: Path, settings: Settings, **options: float) -> FloatArray:
+def rendered(source: Path, out: Path, settings: Settings, fade_s: float = FADE_S) -> FloatArray:
     """Return what a file's rendering holds, (frames, channels)."""
-    render(TapClient(FileTap(source)), out, settings, **options)
+    render(TapClient(FileTap(source)), out, settings, fade_s=fade_s)
     return np.asarray(soundfile.read(out, always_2d=True)[0])
 
 

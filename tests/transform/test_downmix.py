@@ -40,7 +40,7 @@ every_live_way = pytest.mark.parametrize("form", ["live", "live in NumPy"])
 @functools.cache
 def speech_like(samplerate=RATE):
     """Return a sound of 0.6 s with beginnings, a voice's harmonics and a pause."""
-    voiced = sum(tone(130.0 * k, 0.25, samplerate, 0.3 / k) for k in range(1, 12))
+    voiced = np.sum([tone(130.0 * k, 0.25, samplerate, 0.3 / k) for k in range(1, 12)], axis=0)
     hiss = white_noise(0.1, samplerate, 0.2)
     return joined(voiced, silence(0.05, samplerate), hiss, tone(220.0, 0.2, samplerate, 0.4))
 
