@@ -26,7 +26,7 @@ IO = r"(soundfile|os|io|time|pathlib|rich|pulsectl|pyaudio|threading|socket|subp
 FORBIDDEN = [
     ("device", "audioflinger_hook"),
     ("audioflinger_hook/transform", r"audioflinger_hook(?!\.transform\b)"),
-    ("audioflinger_hook/transform", r"device(?!\.(errors|extension|values)\b)"),
+    ("audioflinger_hook/transform", r"device(?!\.(errors|extension|layouts|values)\b)"),
     ("audioflinger_hook/transform", IO),
     ("audioflinger_hook/mixer", r"audioflinger_hook\.(effect|sources|transform|capture)\b"),
     ("audioflinger_hook/mixer", IO),

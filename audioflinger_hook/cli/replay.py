@@ -13,6 +13,7 @@ from audioflinger_hook.daemon.recording import settings_from
 from audioflinger_hook.offline.render import Wait, refuse_same_file, render
 from audioflinger_hook.pipeline.step import RealTimePace
 from audioflinger_hook.sources import CaptureTap, TapClient
+from device.drive.outputs import FADE_S
 from device.errors import UsageError
 
 SPEEDS = ("max", "1")
@@ -25,7 +26,8 @@ def run(options: argparse.Namespace) -> int:
     for source in (options.folder, *capture_files(options.folder)):
         refuse_same_file(source, options.output, options.acceleration)
     tap = CaptureTap(options.folder)
-    settings = chosen_settings(options, settings_from(tap.facts))
+    recorded = settings_from(tap.facts)
+    settings = chosen_settings(options, recorded)
     client = TapClient(tap)
     with progress_bar(options.folder.name) as progress:
         report = render(
@@ -36,6 +38,8 @@ def run(options: argparse.Namespace) -> int:
             progress=progress,
             wait=_in_real_time(client.samplerate) if options.speed == "1" else None,
             warnings=tap.warnings,
+            # What a run has recorded is replayed bit for bit, to its last sample.
+            fade_s=0.0 if recorded else FADE_S,
         )
     replayed = {
         "buffers": client.buffers,

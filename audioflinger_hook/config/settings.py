@@ -194,7 +194,7 @@ class Settings(Described):
     channels: Annotated[
         Channels,
         Choice(
-            "transform the mean of all channels, or each channel by itself",
+            "transform the mono mix of all channels, or each channel by itself",
             ("mono", "each"),
             section="transform",
         ),

@@ -51,7 +51,7 @@ HAPTIC_PARAMETERS = (
         "per_channel",
         bool,
         False,
-        meaning="transform each channel instead of the mean of all",
+        meaning="transform each channel instead of the mono mix of all",
     ),
     Parameter(
         "sources",

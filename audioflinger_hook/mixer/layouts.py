@@ -1,4 +1,4 @@
-"""Positions of channels in Android's layouts, and the mapping of one layout to another."""
+"""What each source of vibration is made of, and the mapping of one layout to another."""
 
 from __future__ import annotations
 
@@ -8,65 +8,18 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-MINUS_3_DB = 0.5**0.5
+from device.layouts import CHANNELS_MAX, MINUS_3_DB, downmix, layout, sides
 
-CHANNELS_MAX = 64
-"""Largest channel count; Android stops at 32, sound files do not."""
-
-# AOSP's canonical positions by channel count, in the order of their mask bits.
-_FRONT = "FL FR FC LFE BL BR SL SR"
-_CANONICAL = {
-    1: "FC",
-    2: "FL FR",
-    3: "FL FR LFE",
-    4: "FL FR BL BR",
-    5: "FL FR FC BL BR",
-    6: "FL FR FC LFE BL BR",
-    7: "FL FR FC LFE BL BR BC",
-    8: _FRONT,
-    12: f"{_FRONT} TFL TFR TBL TBR",
-    14: f"{_FRONT} TFL TFR TBL TBR FWL FWR",
-    16: f"{_FRONT} TFL TFR TBL TBR TSL TSR FWL FWR",
-    24: "FL FR FC LFE BL BR FLC FRC BC SL SR TC TFL TFC TFR TBL TBC TBR TSL TSR BFL BFC BFR LFE2",
-}
-
-
-@cache
-def layout(channels: int) -> tuple[str, ...]:
-    """The positions of 1 to 64 channels, from AOSP if AOSP has a layout for that count.
-
-    Other counts (9 to 11, 13, 15, 17 to 23, from 25) have the positions of 7.1, then pairs `L9
-    R10`, ... and, for an odd count, one `C`.
-    """
-    if channels in _CANONICAL:
-        return tuple(_CANONICAL[channels].split())
-    positions = _FRONT.split()
-    while len(positions) + 2 <= channels:
-        positions += [f"L{len(positions) + 1}", f"R{len(positions) + 2}"]
-    return (*positions, f"C{channels}") if len(positions) < channels else tuple(positions)
-
-
-@cache
-def sides(channels: int) -> str:
-    """One letter per channel: the volume that it follows, L, R, or C for the mean of both.
-
-    As in AudioFlinger, except for the one channel of a mono mix: it is C here and L there, since a
-    sound panned right must not vanish. With two LFE channels (22.2) the first is L, the second R.
-    """
-    positions = layout(channels)
-    two_lfe = "LFE2" in positions
-    return "".join(
-        {"LFE": "L", "LFE2": "R"}[position] if two_lfe and "LFE" in position else _side(position)
-        for position in positions
-    )
-
-
-def _side(position: str) -> str:
-    name = position.rstrip("0123456789")
-    if name in ("FLC", "FRC"):
-        return name[1]
-    return name[-1] if name[-1] in "LR" else "C"
-
+__all__ = [
+    "CHANNELS_MAX",
+    "MINUS_3_DB",
+    "ChannelMap",
+    "depths",
+    "layout",
+    "mapping",
+    "sides",
+    "source_weights",
+]
 
 _BACK = ("BL", "BR", "BC", "TBL", "TBC", "TBR")
 _FRONT_PREFIXES = ("F", "TF", "BF")
@@ -82,30 +35,36 @@ def depths(channels: int) -> str:
 
 
 def source_weights(channels: int, sources: Sequence[str]) -> NDArray[np.float64]:
-    """How much each channel counts in each source of vibration: (channels, sources).
+    """How much each channel counts in each source's halves: (channels, sources, 2).
 
-    sources: each "mix", "left", "right", "front" or "back". The mix is the mean of all channels.
-    The other sources are means of the channels on that side and of the channels that belong to both
-    sides, such as the centre; the latter are weighted 3 dB lower. The weights of a source add up to
-    1. So no source exceeds full scale, and a sound that is equal in all channels has the same level
-    in every source. If no channel is behind, "front" and "back" are the mix; if no channel is on a
-    side, all sources are.
+    A source is the mean of its halves, left and right; where these cancel, the transform takes the
+    sum of their powers. sources: each "mix", "left", "right", "front" or "back". The mix is that of
+    `downmix`. The other sources are means of the channels on that side and of the channels that
+    belong to both sides, such as the centre; the latter are weighted 3 dB lower. The weights of
+    these sources add up to 1: none of them exceeds full scale. "left" and "right" have equal
+    halves. If no channel is behind, "front" and "back" are the mix; if no channel is on a side, all
+    sources are.
     """
     letters = {"left": sides, "right": sides, "front": depths, "back": depths}
-    weights = np.ones((channels, len(sources)))
+    weights = np.empty((channels, len(sources), 2))
     for column, source in enumerate(sources):
+        weights[:, column] = downmix(channels)
         if source == "mix":
             continue
         places = letters[source](channels)
         own = source[0].upper()
         if set(places) >= set(_OPPOSITES[own]):
-            weights[:, column] = [
-                1.0 if place == own else MINUS_3_DB if place == "C" else 0.0 for place in places
-            ]
-    weights /= weights.sum(axis=0)
+            mean = np.array(
+                [1.0 if place == own else MINUS_3_DB if place == "C" else 0.0 for place in places]
+            )
+            mean /= mean.sum()
+            on_side = _HALVES if source in ("front", "back") else {}
+            for row, side, share in zip(weights[:, column], sides(channels), mean, strict=True):
+                row[:] = np.multiply(on_side.get(side, (1.0, 1.0)), share)
     return weights
 
 
+_HALVES = {"L": (2.0, 0.0), "R": (0.0, 2.0)}
 _OPPOSITES = {"L": "LR", "R": "LR", "F": "FB", "B": "FB"}
 
 

@@ -11,11 +11,13 @@ import numpy as np
 
 from audioflinger_hook.sources import FileTap, Tap
 from audioflinger_hook.transform import FloatArray
-from audioflinger_hook.transform.input_stage import mix_to_mono, replace_unusable
+from audioflinger_hook.transform.downmix import MonoMix
+from audioflinger_hook.transform.input_stage import channel_rows, replace_unusable
 from audioflinger_hook.transform.mapping import vibration_hz
 from audioflinger_hook.transform.parameters import TransformParameters
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from device.errors import UsageError
+from device.layouts import downmix
 
 LONGEST_S = 1e9
 """Thirty years: no sound is longer, and its frames still fit a float."""
@@ -72,6 +74,7 @@ def inspect_tap(
 ) -> Iterator[Unit]:
     """Yield the units of a tap's sound; see `inspect_file`."""
     transform = ReferenceTransform(parameters, tap.samplerate)
+    mix = MonoMix(downmix(tap.channels), tap.samplerate)
     window = transform.latency_frames
     exact = None if at_s is None else min(at_s, LONGEST_S) * tap.samplerate
     # The start of a unit, printed with six decimals and read again, must select that unit.
@@ -84,7 +87,7 @@ def inspect_tap(
             units = transform.cut_last()
         else:
             frames += len(buffer)
-            units = transform.cut(mix_to_mono(replace_unusable(buffer)[0]))
+            units = transform.cut(mix.process(channel_rows(replace_unusable(buffer)[0])))
         if wanted is None:
             yield from _units(transform, parameters, units, done, tap.samplerate)
         elif wanted < done + len(units) and exact is not None and exact < frames:

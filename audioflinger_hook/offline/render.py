@@ -22,7 +22,7 @@ from audioflinger_hook.pipeline.framework import (
 from audioflinger_hook.pipeline.step import HapticSink, Pipeline
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.channel_map import ChannelMap
-from device.drive.outputs import AlignedOutput, DrivenOutput
+from device.drive.outputs import FADE_S, AlignedOutput, DrivenOutput, FadedOutput
 from device.errors import UsageError
 from device.output import VibrationOutput
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
@@ -110,6 +110,7 @@ def render(
     progress: Progress | None = None,
     wait: Wait | None = None,
     warnings: Sequence[str] = (),
+    fade_s: float = FADE_S,
 ) -> RenderReport:
     """Write the vibration of a client's sound as float32 WAV of the mix's rate and length.
 
@@ -126,6 +127,7 @@ def render(
     progress: called after every buffer.
     wait: called before every buffer, to keep a pace.
     warnings: warnings about the source, complete when it has ended.
+    fade_s: length of the fade at the end in seconds; 0 keeps every sample as it was computed.
     UsageError: the source cannot be used, or a target cannot be written.
     WriteError: the disk is full or failed.
     InternalError: the haptic effect failed.
@@ -137,7 +139,7 @@ def render(
             client.samplerate, client.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
         rate = framework.samplerate
-        rig, written = _open_outputs(outputs, target, acceleration, settings, framework)
+        rig, written = _open_outputs(outputs, target, acceleration, framework, fade_s)
         chain = Pipeline(client, framework, [taken for _, taken in written])
         frames = 0
         while step := chain.step():
@@ -184,7 +186,7 @@ def _render_sections(
         framework = Framework(
             plan.samplerate, plan.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
-        rig, written = _open_outputs(outputs, target, acceleration, settings, framework)
+        rig, written = _open_outputs(outputs, target, acceleration, framework, FADE_S)
         sink = HapticSink(*(taken for _, taken in written), clip=False)
         # Outputs that remove the framework's latency get that many frames before the first section.
         sink.send(np.zeros((framework.latency_frames, framework.haptic_channels), np.float32))
@@ -222,11 +224,11 @@ def _open_outputs(
     outputs: list[VibrationOutput],
     target: Path,
     acceleration: Path | None,
-    settings: Settings,
     framework: Framework,
-) -> tuple[SimulatedRig | None, list[tuple[AlignedOutput, VibrationOutput]]]:
+    fade_s: float,
+) -> tuple[SimulatedRig | None, list[tuple[FadedOutput, VibrationOutput]]]:
     """Add the files to `outputs`; return the simulated rig and a pair as `_driven` per file."""
-    rate = framework.samplerate
+    rate, settings = framework.samplerate, framework.settings
     channel_map = channel_map_of(settings, framework.haptic_channels)
     outputs.append(WavOutput(target, rate, channel_map.channels))
     rig: SimulatedRig | None = None
@@ -234,23 +236,23 @@ def _open_outputs(
         recorder = WavOutput(acceleration, rate, channel_map.channels, comment=ACCELERATION_COMMENT)
         rig = simulated_rig_of(settings, rate, channel_map, recorder)
         outputs.append(rig)
-    return rig, [_driven(output, channel_map, framework) for output in outputs]
+    frames = round(fade_s * rate)
+    return rig, [_driven(FadedOutput(output, frames), channel_map, framework) for output in outputs]
 
 
 def _driven(
-    output: VibrationOutput, channel_map: ChannelMap, framework: Framework
-) -> tuple[AlignedOutput, VibrationOutput]:
-    """Return the object that knows the peak of all samples written, and the one to write to.
+    written: FadedOutput, channel_map: ChannelMap, framework: Framework
+) -> tuple[FadedOutput, VibrationOutput]:
+    """Return the output that knows the peak of all samples written, and the one to write to.
 
     The drive is between the two, and the latency of transform and drive is removed.
     """
     drive = drive_of(framework.settings, framework.samplerate, framework.haptic_channels)
     if drive.sources:
         # After the drive: a delayed actuator starts with frames from before the sound.
-        written = AlignedOutput(output, framework.latency_frames + drive.latency_frames)
-        return written, DrivenOutput(written, drive, channel_map)
-    written = AlignedOutput(output, drive.latency_frames)
-    driven = DrivenOutput(written, drive, channel_map)
+        aligned = AlignedOutput(written, framework.latency_frames + drive.latency_frames)
+        return written, DrivenOutput(aligned, drive, channel_map)
+    driven = DrivenOutput(AlignedOutput(written, drive.latency_frames), drive, channel_map)
     return written, AlignedOutput(driven, framework.latency_frames)
 
 

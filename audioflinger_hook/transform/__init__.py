@@ -12,7 +12,7 @@
 | `live/` | the live form in NumPy |
 | `reference/` | the paper's equations, literally |
 | `channel_bank` | the NumPy implementations, one for each channel |
-| `input_stage`, `spectrum`, `principal`, `mapping` | steps that several forms share |
+| `input_stage`, `downmix`, `spectrum`, `principal`, `mapping` | steps that several forms share |
 
 Pure: samples in, samples out; no clock, no I/O, no mixer.
 """

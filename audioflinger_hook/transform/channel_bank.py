@@ -10,13 +10,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames
-from audioflinger_hook.transform.input_stage import fit_block, mix_to_mono, replace_unusable
+from audioflinger_hook.transform.downmix import MonoMix
+from audioflinger_hook.transform.input_stage import channel_rows, fit_block, replace_unusable
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
+from device.layouts import downmix
 
 
 class ChannelBank:
-    """Transforms each channel separately, or the mean of the channels by one transform.
+    """Transforms each channel separately, or the mono mix of the channels by one transform.
 
     transforms: one for each channel of vibration. channels: of the sound. Counts as it goes:
     `delivered_frames`, and `replaced_samples` that were unusable and counted as 0.
@@ -26,6 +28,7 @@ class ChannelBank:
         self, transforms: Sequence[LiveTransform | ReferenceTransform], channels: int
     ) -> None:
         self.transforms = transforms
+        self.mix = MonoMix(downmix(channels), transforms[0].samplerate)
         self.latency_frames = transforms[0].latency_frames
         self.tonal_latency_frames = transforms[0].tonal_latency_frames
         self.delivered_frames = 0
@@ -60,7 +63,7 @@ class ChannelBank:
 
     def _transform(self, usable: Frames) -> FloatArray:
         if len(self.transforms) == 1:
-            return self.transforms[0].process(mix_to_mono(usable))[:, None]
+            return self.transforms[0].process(self.mix.process(channel_rows(usable)))[:, None]
         if not self._followers:
             return self._transform_each(usable)
         parts = [np.zeros((0, len(self.transforms)))]
@@ -101,6 +104,7 @@ class ChannelBank:
         """Return the last `latency_frames` of vibration, (frames, transforms), and restart."""
         self.delivered_frames += self.latency_frames
         self._silent_frames = self._onset_after
+        self.mix.reset()
         if len(self._followers) > 1:
             # Together: the last hops of one channel count for all.
             rest = self._transform(np.zeros((self.latency_frames, self._channels)))
@@ -112,5 +116,6 @@ class ChannelBank:
     def reset(self) -> None:
         """Start a new stream; the counters keep their values."""
         self._silent_frames = self._onset_after
+        self.mix.reset()
         for one in self.transforms:
             one.reset()

@@ -10,6 +10,7 @@ import numpy as np
 from audioflinger_hook.transform.arrays import FloatArray, Frames
 from audioflinger_hook.transform.channel_bank import ChannelBank
 from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.downmix import MonoMix
 from audioflinger_hook.transform.input_stage import Mixdown, fit_block
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.parameters import TransformParameters, check_format
@@ -44,7 +45,7 @@ class KernelStream:
 
     design: all numbers and tables.
     channels: channels of the sound.
-    each: whether every channel is transformed by itself, instead of their mean.
+    each: whether every channel is transformed by itself, instead of their mono mix.
     RuntimeError: the kernel is not there: see `kernel_warning`.
     """
 
@@ -133,10 +134,10 @@ class HapticTransform:
     form : {'live', 'reference'}
         `live` is what a cushion plays, `reference` the paper's equations literally.
     per_channel : bool
-        Whether each channel is transformed alone, instead of the mean of all channels.
+        Whether each channel is transformed alone, instead of the mono mix of all: see `downmix`.
     weights : ndarray, optional
-        (channels, outputs): each output is a mix of the channels by these weights, and is
-        transformed alone. The weights of an output sum to 1 or less: none exceeds full scale.
+        (channels, outputs, 2): each output is the mean of two mixes of the channels by these
+        weights, and is transformed alone. See `MonoMix`.
     single : bool
         Whether the caller will round the vibration to float32. The reference form then takes a
         third of the time and gives the same float32 values. The live form ignores it.
@@ -177,7 +178,7 @@ class HapticTransform:
         self.form = form
         self.implementation = _choose_implementation(form, implementation)
         self._single = single
-        self._mixdown = None if weights is None else Mixdown(weights)
+        self._mixdown = None if weights is None else Mixdown(weights, samplerate)
         streamed = self._mixdown.outputs if self._mixdown else channels
         per_channel |= self._mixdown is not None
         self.channels_out = streamed if per_channel else 1
@@ -230,16 +231,22 @@ class HapticTransform:
 
     @property
     def past(self) -> tuple[bytes, ...]:
-        """The filter state of the reference form, carried from one unit to the next.
+        """The state of the reference form's input stage, carried from one unit to the next.
 
         May be set to that of another stream of the same format, to continue in the same way.
         """
-        return tuple(channel.past for channel in self._references)
+        return tuple(part.past for part in self._input_parts())
 
     @past.setter
     def past(self, past: tuple[bytes, ...]) -> None:
-        for channel, its in zip(self._references, past, strict=True):
-            channel.past = its
+        for part, its in zip(self._input_parts(), past, strict=True):
+            part.past = its
+
+    def _input_parts(self) -> list[ReferenceTransform | MonoMix]:
+        """Return what keeps a state before the first unit of the reference form."""
+        if not isinstance(self._stream, ChannelBank) or not self._references:
+            return []
+        return [*self._references, self._stream.mix]
 
     def process(self, frames: Frames) -> FloatArray:
         """Return the vibration now due, (frames, channels_out) float64, full scale +-1.
@@ -252,10 +259,14 @@ class HapticTransform:
 
     def finish(self) -> FloatArray:
         """Return the last `latency_frames` of vibration, (frames, channels_out); start anew."""
+        if self._mixdown:
+            self._mixdown.reset()
         return self._stream.finish()
 
     def reset(self) -> None:
         """Start a new stream; the counters go on."""
+        if self._mixdown:
+            self._mixdown.reset()
         self._stream.reset()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.signal import butter, lfilter
 
 from audioflinger_hook.transform.arrays import FloatArray, Frames
+from audioflinger_hook.transform.downmix import MonoMix
 from audioflinger_hook.transform.parameters import TransformParameters
 from device.errors import UsageError
 
@@ -62,51 +63,38 @@ def replace_unusable(frames: Frames) -> tuple[Frames, int]:
     return np.where(usable, frames, frames.dtype.type(0)), int(usable.size - usable.sum())
 
 
-def mix_to_mono(frames: Frames) -> FloatArray:
-    """Return the mean of the channels, (frames,) float64, from (frames, channels).
+def channel_rows(usable: Frames) -> FloatArray:
+    """Return (frames, channels) of samples as (channels, frames) float64.
 
-    Channels are added one by one: a sum whose order depended on the block's shape would make
-    the result depend on how the stream was cut.
+    Each channel is then one stretch of memory.
     """
-    channels = frames.shape[1]
-    if channels == 1:
-        return frames[:, 0].astype(np.float64)
-    exact = np.asarray(frames, dtype=np.float64)
-    total: FloatArray = exact[:, 0] + exact[:, 1]
-    for channel in range(2, channels):
-        total += exact[:, channel]
-    total /= channels
-    return total
+    return np.asarray(usable.T, np.float64, order="C")
 
 
 class Mixdown:
     """Weighted sums of a sound's channels; each sum is transformed separately.
 
-    weights: (channels, outputs). Unusable samples count as 0 before they are mixed, and in
+    weights: (channels, outputs, 2): of the two halves of each output, which is their mean; see
+    `MonoMix`. samplerate: Hz. Unusable samples count as 0 before they are mixed, and in
     `replaced_samples`. Use from one thread at a time.
     """
 
-    def __init__(self, weights: FloatArray) -> None:
-        self.channels, self.outputs = weights.shape
+    def __init__(self, weights: FloatArray, samplerate: int) -> None:
+        self.channels, self.outputs, _ = weights.shape
         self.replaced_samples = 0
-        self._routes = [
-            (int(channel), int(output), float(weights[channel, output]))
-            for channel, output in np.argwhere(weights)
-        ]
+        self._mixes = [MonoMix(weights[:, output], samplerate) for output in range(self.outputs)]
 
     def process(self, frames: Frames) -> FloatArray:
-        """Return (frames, outputs) float64 for a block; raises the errors of `fit_block`.
-
-        Channels are added one by one: the sum must not depend on the block's shape.
-        """
+        """Return (frames, outputs) float64 for a block; raises the errors of `fit_block`."""
         usable, replaced = replace_unusable(fit_block(frames, self.channels))
         self.replaced_samples += replaced
-        # Channels as rows: each is one stretch of memory.
-        rows = np.asarray(usable.T, np.float64, order="C")
-        mixed, weighted = np.zeros((self.outputs, len(usable))), np.empty(len(usable))
-        for channel, output, weight in self._routes:
-            mixed[output] += np.multiply(rows[channel], weight, out=weighted)
-        return np.ascontiguousarray(mixed.T)
+        rows = channel_rows(usable)
+        return np.stack([mix.process(rows) for mix in self._mixes], axis=1)
+
+    def reset(self) -> None:
+        """Start a new stream; the count goes on."""
+        for mix in self._mixes:
+            mix.reset()
 
 
 def design_band_pass(

@@ -1,4 +1,4 @@
-"""Outputs that wrap another output: they remove the latency, or apply a drive."""
+"""Outputs that wrap another output: they remove the latency, apply a drive, or fade the end."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ from device.drive.channel_map import ChannelMap
 from device.errors import InternalError
 from device.output import VibrationOutput
 from device.units import Float32Array, FloatArray
+
+FADE_S = 0.005
+"""Length of the fade at the end of a file: a tone that lasts to the end stops without a click."""
 
 
 class Driver(Protocol):
@@ -37,7 +40,6 @@ class AlignedOutput:
 
     output: gets all later frames.
     latency_frames: number of frames to drop.
-    peak: largest magnitude so far; 1.0 is full scale.
     """
 
     def __init__(self, output: VibrationOutput, latency_frames: int) -> None:
@@ -45,16 +47,13 @@ class AlignedOutput:
         self._to_skip = latency_frames
         self.samplerate = output.samplerate
         self.channels = output.channels
-        self.peak = 0.0
 
     def write(self, vibration: FloatArray | Float32Array) -> None:
         """Take a block, (frames, channels)."""
         skipped = min(self._to_skip, len(vibration))
         self._to_skip -= skipped
         if skipped < len(vibration):
-            passed = vibration[skipped:]
-            self.peak = max(self.peak, float(np.abs(passed).max()))
-            self._output.write(passed)
+            self._output.write(vibration[skipped:])
 
     def close(self) -> None:
         """Finish the output."""
@@ -108,3 +107,49 @@ class DrivenOutput:
         """Discard the output."""
         self._closed = True
         self._output.abort()
+
+
+class FadedOutput:
+    """Fades the last frames before it closes an output, by a raised cosine, at the same length.
+
+    For files whose end cuts the sound off. The last `FADE_S` seconds are held back until the end;
+    a shorter file is faded from its first frame on. The thread that delivers the vibration calls
+    it.
+
+    output: gets all frames.
+    frames: length of the fade, 0 for none.
+    peak: largest magnitude that was written so far; 1.0 is full scale.
+    """
+
+    def __init__(self, output: VibrationOutput, frames: int) -> None:
+        self._output = output
+        self._frames = frames
+        self._held = np.zeros((0, output.channels))
+        self.samplerate = output.samplerate
+        self.channels = output.channels
+        self.peak = 0.0
+
+    def write(self, vibration: FloatArray | Float32Array) -> None:
+        """Take a block, (frames, channels)."""
+        known: FloatArray = np.concatenate((self._held, vibration))
+        passed = max(0, len(known) - self._frames)
+        self._held = known[passed:]
+        self._pass_on(known[:passed])
+
+    def close(self) -> None:
+        """Write the frames held back, faded, and finish the output. May be repeated."""
+        held, self._held = self._held, self._held[:0]
+        shares = (np.arange(len(held)) + 0.5) / max(1, len(held))
+        gains = 0.5 + 0.5 * np.cos(np.pi * shares)
+        self._pass_on(held * gains[:, None])
+        self._output.close()
+
+    def abort(self) -> None:
+        """Discard the output."""
+        self._held = self._held[:0]
+        self._output.abort()
+
+    def _pass_on(self, vibration: FloatArray) -> None:
+        if len(vibration):
+            self.peak = max(self.peak, float(np.abs(vibration).max()))
+            self._output.write(vibration)

@@ -170,6 +170,8 @@ class CaptureStream(_Stream):
         Frames per callback.
     priority : AudioPriority or None
         Priority that the callback's thread requests; None for none.
+    order : tuple of int or None
+        The source's channels in the order in which they are delivered; None for their own.
 
     Attributes
     ----------
@@ -208,8 +210,10 @@ class CaptureStream(_Stream):
         audible: bool = True,
         block_frames: int = BLOCK_FRAMES,
         priority: AudioPriority | None = None,
+        order: tuple[int, ...] | None = None,
     ) -> None:
         self._on_frames = on_frames
+        self._order = order
         sample_format = SampleFormat.FLOAT32
         super().__init__(
             pcm, samplerate, channels, block_frames, priority, sample_format, audible=audible
@@ -219,7 +223,8 @@ class CaptureStream(_Stream):
         if not self.audible:
             self.silenced += 1
             data = bytes(len(data or b""))
-        self._on_frames(_as_frames(data or b"", self.channels), now_s)
+        block = _as_frames(data or b"", self.channels)
+        self._on_frames(block if self._order is None else block[:, self._order], now_s)
 
 
 class PlaybackStream(_Stream):

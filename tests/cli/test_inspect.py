@@ -77,10 +77,14 @@ def test_silence_has_units_and_nothing_principal_in_them(tmp_path):
     ]
 
 
-def test_opposite_channels_cancel_before_anything_is_sought(tmp_path):
+def test_opposite_channels_hold_what_equal_ones_hold(tmp_path):
     left = tone(440.0, 0.2, RATE)
-    units = inspected(sound(tmp_path / "in.wav", columns(left, -left)))
-    assert all(unit["principal"] == [] for unit in units)
+    opposite = inspected(sound(tmp_path / "in.wav", columns(left, -left)))
+    equal = inspected(sound(tmp_path / "in.wav", columns(left, left)))
+    assert [unit["principal"] for unit in opposite[1:]] == [
+        [pytest.approx(one, rel=1e-6) for one in unit["principal"]] for unit in equal[1:]
+    ]
+    assert len(opposite[1]["principal"]) == 1
 
 
 def test_unusable_samples_do_not_spoil_their_unit(tmp_path):

@@ -135,6 +135,8 @@ def test_ports_come_in_the_order_in_which_the_mixer_counts_channels(channels: in
     assert in_mixing_order(tuple(reversed(names))) == names
     unknown = tuple(f"AUX{n}" for n in range(channels))
     assert in_mixing_order(unknown) == unknown
+    at_the_sides = ("FL", "FR", "SL", "SR", "FC", "LFE")
+    assert in_mixing_order(at_the_sides) == ("FL", "FR", "FC", "LFE", "SL", "SR")
     assert port_names("", channels) == unknown
 
 
@@ -179,7 +181,7 @@ def test_a_plan_routes_each_actuator_to_its_source() -> None:
     assert plan.actuators == (1, 0, 1)
     weights = plan.weights
     assert weights is not None
-    assert weights.shape == (6, 2)
+    assert weights.shape == (6, 2, 2)
     assert np.allclose(weights.sum(axis=0), 1.0)
     assert device_map(settings, plan, sink(SURROUND)).sources[:3] == (0, 1, 2)
     with pytest.raises(UsageError, match="no such channel"):

@@ -7,15 +7,21 @@ from audioflinger_hook.mixer.layouts import CHANNELS_MAX, depths, layout, source
 from audioflinger_hook.transform import HapticTransform
 from device.drive import SOURCES
 from device.errors import UsageError
+from device.layouts import downmix
 
 RATE = 8_000
 SHARED = 0.5**0.5
 
 
+def means(channels, sources):
+    """Return the weights of the sources themselves, which are the means of their halves."""
+    return source_weights(channels, sources).mean(axis=2)
+
+
 def weights(channels, *sources):
     return {
         source: dict(zip(layout(channels), column, strict=True))
-        for source, column in zip(sources, source_weights(channels, sources).T, strict=True)
+        for source, column in zip(sources, means(channels, sources).T, strict=True)
     }
 
 
@@ -25,17 +31,20 @@ def noise(frames, channels, seed=1):
 
 
 @pytest.mark.parametrize("channels", range(1, CHANNELS_MAX + 1))
-def test_no_source_exceeds_full_scale_and_equal_channels_keep_their_level(channels):
-    found = source_weights(channels, SOURCES)
-    assert found.shape == (channels, len(SOURCES))
+def test_no_place_exceeds_full_scale_and_equal_channels_keep_their_level(channels):
+    places = [source for source in SOURCES if source != "mix"]
+    found = source_weights(channels, places)
+    assert found.shape == (channels, len(places), 2)
     assert (found >= 0.0).all()
-    np.testing.assert_allclose(found.sum(axis=0), 1.0, rtol=1e-12)
+    mix = means(channels, ("mix",))
+    for column in found.mean(axis=2).T:
+        assert column.sum() == pytest.approx(1.0) or np.array_equal(column, mix[:, 0])
 
 
 @pytest.mark.parametrize("channels", range(1, CHANNELS_MAX + 1))
 def test_every_channel_is_felt_on_one_side_at_least(channels):
-    assert source_weights(channels, ("left", "right")).any(axis=1).all()
-    assert source_weights(channels, ("front", "back")).any(axis=1).all()
+    for sources in (("mix",), ("left", "right"), ("front", "back")):
+        assert means(channels, sources).any(axis=1).all()
 
 
 def test_of_stereo_left_and_right_are_the_channels_themselves():
@@ -48,7 +57,7 @@ def test_of_stereo_left_and_right_are_the_channels_themselves():
 @pytest.mark.parametrize("channels", [1, 2, 3])
 def test_without_channels_behind_front_and_back_are_the_mix(channels):
     found = source_weights(channels, ("mix", "front", "back"))
-    assert np.array_equal(found, np.full((channels, 3), 1.0 / channels))
+    assert np.array_equal(found, np.stack([downmix(channels)] * 3, axis=1))
 
 
 def test_of_four_channels_back_is_those_behind():

@@ -16,7 +16,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from audioflinger_hook.config.profiles import parameters_of
 from audioflinger_hook.daemon.native.page import Page
+from audioflinger_hook.mixer.layouts import source_weights
+from audioflinger_hook.transform import HapticTransform
 from device.drive.damping import Damper
 from device.drive.rig_processor import damping_for
 from device.rig import rig_by_name
@@ -238,6 +241,35 @@ def test_an_actuator_damps_as_the_python_engine_does_and_follows_the_daemons_pag
     actuator.run(sound)
     assert not actuator.run(sound).any()
     actuator.close()
+    page.close()
+
+
+# --------------------------------------------------------------------------- the daemon's transform
+
+
+@pytest.mark.parametrize("sources", [(), ("mix", "left", "front")])
+@pytest.mark.parametrize("channels", [2, 6])
+def test_the_daemons_transform_mixes_as_the_python_engine_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sources: tuple[str, ...], channels: int
+) -> None:
+    weights = source_weights(channels, sources) if sources else None
+    page = Page(tmp_path / "page", channels, max(1, len(sources)), weights)
+    monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
+    instance = Instance("haptic_cushion_daemon", RATE_HZ)
+    sound = np.zeros((len(SOUND), 8), np.float32)
+    sound[:, :2] = SOUND
+    sound[len(SOUND) // 2 :, 1] = -sound[len(SOUND) // 2 :, 0]  # opposite channels
+    sound[:, 2:channels] = 0.3 * np.roll(SOUND[:, :1], 999, axis=0)
+    sound[100, 0] = np.nan
+    got = np.concatenate([instance.run(part) for part in split(sound, (777, 1, 1_500, 64))])
+    transform = HapticTransform(RATE_HZ, channels, parameters_of("paper"), weights=weights)
+    wanted = transform.process(sound[:, :channels])
+    outputs = wanted.shape[1]
+    np.testing.assert_allclose(got[:, :outputs], wanted, rtol=0, atol=1e-6)
+    assert not got[:, outputs:].any()
+    assert np.abs(wanted[-RATE_HZ // 4 :, 0]).max() > 0.01
+    assert page.readings().replaced_samples == 1
+    instance.close()
     page.close()
 
 

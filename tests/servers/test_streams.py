@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from device.errors import LostError, UsageError
+from device.layouts import layout, order_from_alsa
 from device.stream import portaudio
 from device.stream.pcms import PcmConfig, ServerDevice
 from device.stream.streams import LOST_AFTER_S, CaptureStream, PlaybackStream
@@ -33,6 +34,18 @@ from tests.servers.listening import (
 )
 from tools.sound_server import SoundServer
 
+POSITIONS = {
+    "FL": "front-left",
+    "FR": "front-right",
+    "FC": "front-center",
+    "LFE": "lfe",
+    "BL": "rear-left",
+    "BR": "rear-right",
+    "SL": "side-left",
+    "SR": "side-right",
+}
+"""The servers' names of positions."""
+
 ATTEMPTS = 3
 """A shared machine drops whole buffers now and then."""
 
@@ -47,6 +60,34 @@ def output(pcms: PcmConfig, sink: str = "haptic") -> PlaybackStream:
     stream = PlaybackStream(pcms.pcms["cushion_output"], RATE_HZ, 2, steady)
     stream.audible = True
     return stream
+
+
+@pytest.mark.parametrize("channels", [5, 6, 8])
+def test_surround_arrives_in_the_order_of_the_mixers_layout(
+    server: SoundServer, pcms: PcmConfig, channels: int
+) -> None:
+    server.pactl(
+        "load-module",
+        "module-null-sink",
+        *("sink_name=surround", f"rate={RATE_HZ}", f"channels={channels}"),
+        f"channel_map={','.join(POSITIONS[name] for name in layout(channels))}",
+    )
+    collector = Collector()
+    pcms.pcms["cushion_tap"].target = ServerDevice("surround.monitor")
+    order = order_from_alsa(channels)
+    stream = CaptureStream(pcms.pcms["cushion_tap"], RATE_HZ, channels, collector, order=order)
+    levels = np.arange(1, channels + 1, dtype=np.float32) / 16
+    command = [
+        *("pacat", "--playback", "--raw", "--format=float32le", f"--rate={RATE_HZ}"),
+        *(f"--channels={channels}", "--device=surround"),
+        f"--channel-map={','.join(POSITIONS[name] for name in layout(channels))}",
+    ]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, env=server.environment) as player:
+        player.communicate(np.tile(levels, (RATE_HZ, 1)).tobytes())
+    wait_for(lambda: len(sounding(collector.frames())) > RATE_HZ // 4, "sound")
+    stream.close()
+    heard = sounding(collector.frames())
+    np.testing.assert_allclose(np.median(heard, axis=0), levels, atol=1e-3)
 
 
 @pytest.mark.calm

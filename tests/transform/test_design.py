@@ -125,7 +125,7 @@ def sealed(data):
 def test_a_blob_of_another_version_is_refused_by_its_number():
     other = bytearray(BLOB)
     struct.pack_into("<I", other, 8, 99)
-    with pytest.raises(UsageError, match=r"version 99; allowed: 1"):
+    with pytest.raises(UsageError, match=r"version 99; allowed: 2"):
         LiveDesign.from_bytes(sealed(other))
 
 

@@ -23,7 +23,6 @@ from audioflinger_hook.transform.haptic import KernelStream
 from audioflinger_hook.transform.input_stage import (
     BandPass,
     design_band_pass,
-    mix_to_mono,
     replace_unusable,
 )
 from audioflinger_hook.transform.live import transform as live
@@ -296,24 +295,6 @@ def test_sound_without_damage_is_passed_on_without_a_copy():
     usable, replaced = replace_unusable(sound)
     assert usable is sound
     assert replaced == 0
-
-
-@given(
-    channels=st.integers(1, 12),
-    frames=st.integers(0, 20),
-    split=st.integers(0, 20),
-    seed=st.integers(0, 1_000),
-)
-def test_the_mean_of_channels_does_not_depend_on_how_many_frames_come_at_once(
-    channels, frames, split, seed
-):
-    sound = np.random.default_rng(seed).uniform(-1, 1, (frames, channels))
-    whole = mix_to_mono(sound)
-    split = min(split, frames)
-    assert identical(
-        np.concatenate((mix_to_mono(sound[:split]), mix_to_mono(sound[split:]))), whole
-    )
-    np.testing.assert_allclose(whole, sound.mean(axis=1), rtol=0, atol=1e-15)
 
 
 # --- arithmetic ---------------------------------------------------------------------------------

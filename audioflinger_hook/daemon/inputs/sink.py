@@ -12,6 +12,7 @@ from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, StateKeeper
 from audioflinger_hook.sources import TapAddress
 from device.errors import LostError, NotFoundError
+from device.layouts import order_from_alsa
 from device.server import PulseConnection, ServerSnapshot
 from device.server.forwarding import reachable_sinks
 from device.server.identity import default_monitor, find_tagged, is_cushion_stream, monitor_of
@@ -196,6 +197,7 @@ class SinkInput(Input):
             audible=False,
             block_frames=block_frames,
             priority=priority,
+            order=order_from_alsa(source.channels),
         )
 
     def _notice(self, frames: Float32Array, now_s: float) -> None:

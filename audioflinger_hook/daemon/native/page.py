@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.service.meters import FLOOR_DBFS, Level
+from audioflinger_hook.transform.downmix import mix_weights
 from device.drive.damping import Damping
 from device.units import FloatArray, amplitude_to_db
 
@@ -29,7 +30,7 @@ class _TransformWishes(ctypes.Structure):
         ("channels", ctypes.c_uint64),
         ("outputs", ctypes.c_uint64),
         ("mixed", ctypes.c_uint64),
-        ("weights", ctypes.c_double * CHANNELS * CHANNELS),
+        ("weights", ctypes.c_double * CHANNELS * 2 * CHANNELS),
     )
 
 
@@ -93,7 +94,8 @@ class Page:
     The supervising thread calls the methods; any thread may call `readings` and `level`.
 
     path: of the file; it must not exist. channels: of the tap. outputs: vibrations. weights:
-    (channels, outputs) of the sources' mixes; None for the mean, or for each channel by itself.
+    (channels, outputs, 2) of the sources' halves; None for the mono mix, or for each channel by
+    itself.
     """
 
     def __init__(
@@ -111,9 +113,9 @@ class Page:
         page.transform.channels, page.transform.outputs = channels, outputs
         page.transform.mixed = weights is not None
         if weights is not None:
-            for channel, row in enumerate(weights):
-                for output, weight in enumerate(row):
-                    page.transform.weights[channel][output] = float(weight)
+            for output in range(outputs):
+                for row, numbers in enumerate(mix_weights(weights[:, output])):
+                    page.transform.weights[output][row][:channels] = numbers.tolist()
         for wishes in page.wishes:
             wishes.gain = 1.0
         page.size, page.magic = ctypes.sizeof(_Layout), MAGIC

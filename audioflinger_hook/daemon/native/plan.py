@@ -20,9 +20,9 @@ from device.units import FloatArray
 class ChainPlan:
     """The fixed part of a chain; another plan needs another chain.
 
-    samplerate: of the tap in Hz. tap_channels: of the tap. sources: of vibrations, empty for one
-    that is the mean of all channels, or one for each channel. outputs: vibrations. actuators: for
-    each, the number of its vibration. parameters: of the transform.
+    samplerate: of the tap in Hz. tap_channels: of the tap. sources: of vibrations, empty for one of
+    the mono mix, or one for each channel. outputs: vibrations. actuators: for each, the number of
+    its vibration. parameters: of the transform.
     """
 
     samplerate: int
@@ -48,7 +48,7 @@ class ChainPlan:
 
     @property
     def weights(self) -> FloatArray | None:
-        """Return the weight of each channel in each source, None without sources."""
+        """Return the weights of each channel in the sources' halves, None without sources."""
         return source_weights(self.tap_channels, self.sources) if self.sources else None
 
     @property

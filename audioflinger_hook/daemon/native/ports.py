@@ -47,9 +47,15 @@ def in_mixing_order(names: tuple[str, ...]) -> tuple[str, ...]:
 
     The transform adds channels in this order, and its sources go by it.
     """
-    wanted = tuple(_REAR.get(name, name) for name in layout(len(names)))
-    return wanted if sorted(wanted) == sorted(names) else names
+    for known in (_REAR, _SIDE):
+        wanted = tuple(known.get(name, name) for name in layout(len(names)))
+        if sorted(wanted) == sorted(names):
+            return wanted
+    return names
 
 
 _REAR = {"BL": "RL", "BR": "RR", "BC": "RC"}
 """PipeWire's names of Android's positions behind the listener."""
+
+_SIDE = {"BL": "SL", "BR": "SR", "BC": "RC"}
+"""The same of sinks whose only surrounds are at the sides."""

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "../../transform/native/downmix.h"
 #include "../../transform/native/live.h"
 #include "design_file.h"
 #include "level_meter.h"
@@ -21,6 +22,8 @@ struct DaemonTransform {
     LevelMeter sound, vibration;
     uint64_t frames, replaced;
     float samples[PIECE_FRAMES * PAGE_CHANNELS];
+    MixPowers powers[PAGE_CHANNELS]; /* of the mixes */
+    double mean[PIECE_FRAMES], side[PIECE_FRAMES];
     double mixed[PIECE_FRAMES * PAGE_CHANNELS];
     double computed[PIECE_FRAMES * PAGE_CHANNELS];
 };
@@ -69,7 +72,11 @@ void daemon_transform_close(DaemonTransform *transform)
     free(transform);
 }
 
-void daemon_transform_reset(DaemonTransform *transform) { live_reset(&transform->live); }
+void daemon_transform_reset(DaemonTransform *transform)
+{
+    live_reset(&transform->live);
+    memset(transform->powers, 0, sizeof transform->powers);
+}
 
 /* Mix by the weights, channel by channel in order, as transform/input_stage.py does. */
 static void mix(DaemonTransform *transform, size_t frames)
@@ -83,15 +90,22 @@ static void mix(DaemonTransform *transform, size_t frames)
             transform->replaced++;
         }
     }
-    for (size_t frame = 0; frame < frames; frame++) {
-        for (size_t output = 0; output < outputs; output++) {
-            double sum = 0.0;
-            for (size_t channel = 0; channel < channels; channel++)
-                if (wishes->weights[channel][output] != 0.0)
-                    sum += (double)transform->samples[frame * channels + channel] *
-                           wishes->weights[channel][output];
-            transform->mixed[frame * outputs + output] = sum;
+    for (size_t output = 0; output < outputs; output++) {
+        const double *in_mean = wishes->weights[output][0], *in_side = wishes->weights[output][1];
+        for (size_t frame = 0; frame < frames; frame++) {
+            const float *samples = transform->samples + frame * channels;
+            double of_mean = 0.0, of_side = 0.0;
+            for (size_t channel = 0; channel < channels; channel++) {
+                of_mean += (double)samples[channel] * in_mean[channel];
+                of_side += (double)samples[channel] * in_side[channel];
+            }
+            transform->mean[frame] = of_mean;
+            transform->side[frame] = of_side;
         }
+        downmix_restore(&transform->design.settings, &transform->powers[output], transform->mean,
+                        transform->side, frames);
+        for (size_t frame = 0; frame < frames; frame++)
+            transform->mixed[frame * outputs + output] = transform->mean[frame];
     }
 }
 

@@ -9,7 +9,7 @@
 #include <string.h>
 
 #define MAGIC "CUSHLIVE"
-#define FORMAT_VERSION 1
+#define FORMAT_VERSION 2
 #define HEADER_BYTES 24
 #define CHECKSUM_BYTES 8
 #define NAME_BYTES 36

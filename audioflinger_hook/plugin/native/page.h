@@ -17,8 +17,9 @@
 typedef struct {
     uint64_t channels; /* of the tap */
     uint64_t outputs;  /* vibrations */
-    uint64_t mixed;    /* 1: each output is a mix by the weights; 0: the mean, or each channel */
-    double weights[PAGE_CHANNELS][PAGE_CHANNELS]; /* of a channel in an output */
+    uint64_t mixed; /* 1: each output is a mix by the weights; 0: the mono mix, or each channel */
+    /* Of an output's channels: in the mean of its halves, then in half their difference. */
+    double weights[PAGE_CHANNELS][2][PAGE_CHANNELS];
 } TransformWishes;
 
 typedef struct {

@@ -10,6 +10,13 @@ from scipy.signal import zoom_fft
 
 from audioflinger_hook.transform.arrays import FloatArray
 from audioflinger_hook.transform.design.synthesis import LiveGrid
+from audioflinger_hook.transform.downmix import (
+    CANCELS_FROM,
+    CANCELS_UP_TO,
+    POWER_GUARD,
+    CancellationRules,
+    downmix_table,
+)
 from audioflinger_hook.transform.input_stage import (
     DENORMAL_GUARD,
     MAGNITUDE_MAX,
@@ -66,6 +73,17 @@ class InputDesign:
     """Band-pass: the numerator."""
     band_a: FloatArray
     """Band-pass: the denominator."""
+    mix_slow: float
+    """Share of a new sample in the powers that tell whether the mono mix cancels, ..."""
+    mix_newest: float
+    """... in the power of late, ..."""
+    mix_evidence: float
+    """... and of that in the power of the mean."""
+    mix_weights: FloatArray = field(default_factory=downmix_table)
+    """The down-mixes of all layouts, see `downmix_table`."""
+    mix_cancels_from: float = CANCELS_FROM
+    mix_cancels_up_to: float = CANCELS_UP_TO
+    mix_power_guard: float = POWER_GUARD
     magnitude_max: float = MAGNITUDE_MAX
     denormal_guard: float = DENORMAL_GUARD
 
@@ -74,7 +92,9 @@ class InputDesign:
         """Return the design for one samplerate in Hz."""
         # By Parseval r <= max|x| fs sqrt(2.73/N) < max|x| fs: under this level nothing passes.
         silence = parameters.live_threshold_hz / samplerate
-        return cls(silence, *design_band_pass(parameters, samplerate))
+        rules = CancellationRules(samplerate)
+        band = design_band_pass(parameters, samplerate)
+        return cls(silence, *band, rules.slow, rules.newest, rules.evidence)
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,7 +31,7 @@ from audioflinger_hook.transform.arrays import FloatArray
 from device.errors import UsageError
 
 MAGIC = b"CUSHLIVE"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """To be raised whenever a name or the meaning of a value changes."""
 
 HEADER = struct.Struct("<8sIII4x")

@@ -52,6 +52,7 @@ class LiveTransform:
     def __init__(self, design: LiveDesign) -> None:
         synthesis, grid = design.synthesis, design.grid
         self.design = design
+        self.samplerate = design.samplerate
         self.latency_frames = design.latency_frames
         self.tonal_latency_frames = design.tonal_latency_frames
         self.limited_frames = 0

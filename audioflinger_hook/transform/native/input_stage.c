@@ -86,23 +86,47 @@ size_t input_silent_last(Sound sound, size_t frames)
 
 /* ---------------------------------------------------------------------------------------- intake */
 
-/* Channels are added one by one, then divided by their number: the same order for any block. */
-INLINED size_t mean(const char *at, ptrdiff_t frame_bytes, ptrdiff_t channel_bytes, size_t channels,
-                    int is_float, double limit, size_t frames, double *restrict mono)
+/* A sample, 0 where it is unusable, which is counted. Denormal numbers, which are slow to add and
+ * divide, count as 0, too: they vanish in the guard that is added before the band-pass. */
+INLINED double usable_at(const char *place, int is_float, double limit, size_t *unusable)
 {
+    const double sample = sample_at(place, is_float);
+    const int usable = fabs(sample) <= limit;
+    *unusable += (size_t)!usable;
+    return usable && fabs(sample) >= TINY ? sample : 0.0;
+}
+
+/* Channels are added one by one, then divided by their number: the same order for any block. */
+INLINED size_t mean(Sound sound, int is_float, double limit, size_t frames, double *restrict mono)
+{
+    const size_t channels = sound.channels;
     size_t unusable = 0;
     for (size_t frame = 0; frame < frames; frame++) {
-        const char *place = at + (ptrdiff_t)frame * frame_bytes;
+        const char *place = sound.at + (ptrdiff_t)frame * sound.frame_bytes;
         double total = 0.0;
-        for (size_t channel = 0; channel < channels; channel++, place += channel_bytes) {
-            const double sample = sample_at(place, is_float);
-            const int usable = fabs(sample) <= limit;
-            unusable += (size_t)!usable;
-            /* Denormal numbers, which are slow to add and divide, vanish in the guard that is added
-             * before the band-pass. */
-            total += usable && fabs(sample) >= TINY ? sample : 0.0;
-        }
+        for (size_t channel = 0; channel < channels; channel++, place += sound.channel_bytes)
+            total += usable_at(place, is_float, limit, &unusable);
         mono[frame] = channels == 1 ? total : total / (double)channels;
+    }
+    return unusable;
+}
+
+/* The same by weights. */
+INLINED size_t mix(Sound sound, int is_float, const double *weights, double limit, size_t frames,
+                   double *restrict mono, double *restrict side)
+{
+    const size_t channels = sound.channels;
+    size_t unusable = 0;
+    for (size_t frame = 0; frame < frames; frame++) {
+        const char *place = sound.at + (ptrdiff_t)frame * sound.frame_bytes;
+        double of_mean = 0.0, of_side = 0.0;
+        for (size_t channel = 0; channel < channels; channel++, place += sound.channel_bytes) {
+            const double sample = usable_at(place, is_float, limit, &unusable);
+            of_mean += sample * weights[channel];
+            of_side += sample * weights[channels + channel];
+        }
+        mono[frame] = of_mean;
+        side[frame] = of_side;
     }
     return unusable;
 }
@@ -115,10 +139,14 @@ WIDE static int32_t unusable_floats(const float *restrict samples, size_t count,
     return unusable;
 }
 
-WIDE static void mean_of_pairs(const float *restrict pairs, size_t frames, double *restrict mono)
+WIDE static void mix_pairs(const float *restrict pairs, size_t frames, double *restrict mono,
+                           double *restrict side)
 {
-    for (size_t frame = 0; frame < frames; frame++)
-        mono[frame] = ((double)pairs[2 * frame] + (double)pairs[2 * frame + 1]) / 2.0;
+    for (size_t frame = 0; frame < frames; frame++) {
+        const double left = (double)pairs[2 * frame], right = (double)pairs[2 * frame + 1];
+        mono[frame] = (left + right) / 2.0;
+        side[frame] = (left - right) / 2.0;
+    }
 }
 
 /* Whether sound is what a sound server delivers, pairs of 32-bit samples, and all of it usable. */
@@ -131,17 +159,20 @@ static int is_usable_stereo(Sound sound, size_t frames, double limit)
            !unusable_floats((const float *)sound.at, 2 * frames, as_float);
 }
 
-size_t input_mono(const Settings *settings, Sound sound, size_t frames, double *mono)
+size_t input_mix(const Settings *settings, Sound sound, const double *weights, size_t frames,
+                 double *mono, double *side)
 {
     const double limit = settings->magnitude_max;
-    const ptrdiff_t frame = sound.frame_bytes, channel = sound.channel_bytes;
+    if (!weights)
+        return sound.is_float ? mean(sound, 1, limit, frames, mono)
+                              : mean(sound, 0, limit, frames, mono);
     if (is_usable_stereo(sound, frames, limit)) {
-        mean_of_pairs((const float *)sound.at, frames, mono);
+        /* The weights of stereo are halves: the same bits as theirs. */
+        mix_pairs((const float *)sound.at, frames, mono, side);
         return 0;
     }
-    if (sound.is_float)
-        return mean(sound.at, frame, channel, sound.channels, 1, limit, frames, mono);
-    return mean(sound.at, frame, channel, sound.channels, 0, limit, frames, mono);
+    return sound.is_float ? mix(sound, 1, weights, limit, frames, mono, side)
+                          : mix(sound, 0, weights, limit, frames, mono, side);
 }
 
 INLINED double filter_band(const Settings *settings, double *state, size_t order, double *mono,

@@ -21,9 +21,11 @@ size_t input_silent_first(Sound sound, size_t frames);
 /* The same from the last on backwards. */
 size_t input_silent_last(Sound sound, size_t frames);
 
-/* Write the mean of the channels of so many frames; return how many samples were unusable and count
- * as 0: not finite, or above magnitude_max. */
-size_t input_mono(const Settings *settings, Sound sound, size_t frames, double *mono);
+/* Write the mean of the channels of so many frames, by the weights of downmix_weights, and half the
+ * difference of their halves; without weights, the plain mean and nothing else. Return how many
+ * samples were unusable and count as 0: not finite, or above magnitude_max. */
+size_t input_mix(const Settings *settings, Sound sound, const double *weights, size_t frames,
+                 double *mono, double *side);
 
 /* Band-pass so many frames in place; return the largest magnitude among them. state: as many as the
  * filter's order. */

@@ -244,9 +244,14 @@ static void collect(Live *live, Voice *voice, Sound sound, size_t frames, int si
     const Settings *s = &live->settings;
     double loudest;
     if (silent) {
+        if (live->mix_weights)
+            downmix_rest(s, live->mix_powers, frames);
         loudest = input_band_pass_silence(s, voice->band, live->mono, frames);
     } else {
-        live->replaced += input_mono(s, sound, frames, live->mono);
+        const double *weights = live->mix_weights;
+        live->replaced += input_mix(s, sound, weights, frames, live->mono, live->side);
+        if (weights)
+            downmix_restore(s, live->mix_powers, live->mono, live->side, frames);
         loudest = input_band_pass(s, voice->band, live->mono, frames);
     }
     double *of_hop = &voice->peaks[s->hops_in_window - 1];

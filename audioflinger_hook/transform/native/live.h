@@ -7,6 +7,7 @@
 #include <stdint.h>
 
 #include "analysis.h"
+#include "downmix.h"
 #include "fft.h"
 #include "loudness.h"
 #include "onset_partials.h"
@@ -38,9 +39,11 @@ typedef struct {
 typedef struct {
     Settings settings;
     size_t channels, voices_count;
-    int each; /* one voice a channel, else one for their mean */
+    int each; /* one voice a channel, else one for their mono mix */
     Fft fft, short_fft;
     Voice *voices;
+    const double *mix_weights; /* of the mono mix, NULL for a plain mean; in the settings */
+    MixPowers *mix_powers;     /* part of `state` */
     double *state;
     size_t state_length; /* doubles */
     size_t filled;       /* frames of the tick under way */
@@ -49,7 +52,7 @@ typedef struct {
     size_t silent;       /* frames that were exactly 0 of late, up to window_frames */
     uint64_t replaced, limited, delivered;
 
-    double *mono, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
+    double *mono, *side, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
     double *speech_space;
     double *newest; /* the last short_frames, in order */
     void *analysis_space, *tracking_space;

@@ -79,6 +79,7 @@ static size_t lay_out_work(Live *live, void *memory)
     const size_t slots = tracking_slots(s);
     Space space = {memory, 0};
     live->mono = numbers(&space, s->tick_frames);
+    live->side = numbers(&space, s->tick_frames);
     live->newest = numbers(&space, s->short_frames);
     live->onset_space = numbers(&space, onsets_work(s, &live->short_fft));
     live->windowed = numbers(&space, live->fft.frames);
@@ -117,6 +118,7 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
     live->channels = channels;
     live->each = each;
     live->voices_count = each ? channels : 1;
+    live->mix_weights = each ? NULL : downmix_weights(&live->settings, channels);
     int failed = fft_open(&live->fft, settings->fft_length, 1);
     if (!failed)
         failed = fft_open(&live->short_fft, settings->short_length, 0);
@@ -124,11 +126,11 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
         live_close(live);
         return failed;
     }
-    if (live->voices_count > SIZE_MAX / sizeof(double) / voice_numbers(settings)) {
+    if (live->voices_count > SIZE_MAX / sizeof(double) / voice_numbers(settings) - MIX_POWERS) {
         live_close(live);
         return -1;
     }
-    live->state_length = live->voices_count * voice_numbers(settings);
+    live->state_length = live->voices_count * voice_numbers(settings) + MIX_POWERS;
     live->voices = calloc(live->voices_count, sizeof(Voice));
     live->state = calloc(live->state_length, sizeof(double));
     live->work = calloc(lay_out_work(live, NULL), 1);
@@ -141,6 +143,7 @@ int live_open(Live *live, const Settings *settings, size_t channels, int each)
     for (size_t voice = 0; voice < live->voices_count; voice++) {
         lay_out_voice(settings, &live->voices[voice], &next);
     }
+    live->mix_powers = (MixPowers *)allot(&next, MIX_POWERS);
     live_reset(live);
     return 0;
 }
@@ -204,7 +207,8 @@ int live_is_possible(const Live *live)
 {
     const Settings *s = &live->settings;
     if (live->filled >= s->tick_frames || live->tick >= s->ticks ||
-        live->oldest >= s->window_frames || live->silent > s->window_frames)
+        live->oldest >= s->window_frames || live->silent > s->window_frames ||
+        !downmix_is_possible(live->mix_powers))
         return 0;
     for (size_t which = 0; which < live->voices_count; which++)
         if (!voice_is_possible(s, &live->voices[which]))

@@ -5,6 +5,7 @@
 #include <math.h>
 
 #include "analysis.h"
+#include "downmix.h"
 #include "speech.h"
 
 /* Three times the longest spectrum that there is: no sum or product of such sizes overflows. */
@@ -22,6 +23,8 @@ static int is_recursion(Table b, Table a)
 {
     return b.length == a.length && b.length >= 2 && b.length <= ORDER_MAX + 1 && a.at[0] == 1.0;
 }
+
+static int is_share(double number) { return number >= 0.0 && number <= 1.0; }
 
 /* Whole numbers from 1 to the count of bins, each more than the last; at least two. */
 static int are_edges(Table edges, size_t bins)
@@ -63,6 +66,15 @@ const char *settings_misfit(const Settings *s)
         return #name ": too long, or not finite";
     TABLES(ENTRY)
 #undef ENTRY
+    if (!downmix_is_table(s->mix_weights))
+        return "mix_weights: not one layout after another";
+    if (!is_share(s->mix_slow) || !is_share(s->mix_newest) || !is_share(s->mix_evidence))
+        return "mix_slow, mix_newest, mix_evidence: not from 0 to 1";
+    if (!(0.0 <= s->mix_cancels_up_to && s->mix_cancels_up_to < s->mix_cancels_from &&
+          s->mix_cancels_from <= 1.0))
+        return "mix_cancels_up_to, mix_cancels_from: not ascending from 0 to 1";
+    if (!isfinite(s->mix_power_guard))
+        return "mix_power_guard: not finite";
     if (s->window_frames < 1 || s->window.length != s->window_frames)
         return "window: not one entry a frame";
     if (s->decimation < 1 || s->steps < 1 || s->hop_frames != s->decimation * s->steps)

@@ -39,6 +39,12 @@
 #define NUMBERS(ENTRY)                                                                             \
     ENTRY(magnitude_max)  /* of a sample; above it is damage */                                    \
     ENTRY(denormal_guard) /* added to every sample */                                              \
+    ENTRY(mix_slow)    /* share of a sample in the powers that tell where the mono mix cancels, */ \
+    ENTRY(mix_newest)  /* in the power of late, */                                                 \
+    ENTRY(mix_evidence) /* and of that in the power of the mean; */                                \
+    ENTRY(mix_cancels_from)  /* the mean's share of power from which down it begins to cancel, */  \
+    ENTRY(mix_cancels_up_to) /* and up to which all of it does */                                  \
+    ENTRY(mix_power_guard)   /* added to what is squared */                                        \
     ENTRY(silence)        /* a window whose peak is under this holds nothing */                    \
     ENTRY(bin_hz)         /* from bin to bin */                                                    \
     ENTRY(threshold_hz)   /* r of what is principal is above */                                    \
@@ -114,6 +120,7 @@
 
 /* Tables, each with its length. */
 #define TABLES(ENTRY)                                                                              \
+    ENTRY(mix_weights) /* of all layouts, see downmix.c */                                         \
     ENTRY(window) /* of the analysis */                                                            \
     ENTRY(band_b) /* the band-pass as one recursion */                                             \
     ENTRY(band_a)                                                                                  \

@@ -123,6 +123,7 @@ class ReferenceTransform:
     def __init__(
         self, parameters: TransformParameters, samplerate: int, *, single: bool = False
     ) -> None:
+        self.samplerate = samplerate
         self._single = single
         self._spectrum = Spectrum.of(parameters, samplerate)
         self._finder = PrincipalFinder(parameters, self._spectrum.bin_hz, self._spectrum.bins)

@@ -6,7 +6,9 @@ import numpy as np
 from scipy.signal import butter, sosfilt
 
 from audioflinger_hook.transform import FloatArray, Frames
-from audioflinger_hook.transform.input_stage import fit_block, mix_to_mono, replace_unusable
+from audioflinger_hook.transform.downmix import MonoMix
+from audioflinger_hook.transform.input_stage import channel_rows, fit_block, replace_unusable
+from device.layouts import downmix
 
 NYQUIST_MARGIN = 0.49
 """A low-pass at or above this share of the samplerate is left out."""
@@ -24,11 +26,12 @@ class Baseline:
     def __init__(self, samplerate: int, channels: int) -> None:
         self.samplerate = samplerate
         self._channels = channels
+        self._mix = MonoMix(downmix(channels), samplerate)
 
     def process(self, frames: Frames) -> FloatArray:
         """Return (frames, 1) of vibration for (frames, channels) of sound."""
         usable, _ = replace_unusable(fit_block(frames, self._channels))
-        return self.vibration(mix_to_mono(usable))[:, None]
+        return self.vibration(self._mix.process(channel_rows(usable)))[:, None]
 
     def finish(self) -> FloatArray:
         """Return the vibration that is still delayed, (frames, 1)."""

@@ -1,0 +1,311 @@
+"""The mono mix: surround at the level of stereo, and opposite channels as strong as equal ones."""
+
+import functools
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from audioflinger_hook.transform.channel_bank import ChannelBank
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.downmix import MonoMix, downmix_table, mix_weights
+from audioflinger_hook.transform.haptic import KernelStream
+from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.parameters import TransformParameters
+from device.layouts import CHANNELS_MAX, KNOWN, downmix, layout
+from tests.support.signals import (
+    WAYS,
+    burst,
+    columns,
+    identical,
+    in_blocks,
+    joined,
+    low_noise,
+    made,
+    played,
+    silence,
+    tone,
+    white_noise,
+)
+
+RATE = 48_000
+MINUS_3_DB = 0.5**0.5
+
+every_way = pytest.mark.parametrize("form", WAYS)
+every_live_way = pytest.mark.parametrize("form", ["live", "live in NumPy"])
+
+
+@functools.cache
+def speech_like(samplerate=RATE):
+    """Return a sound of 0.6 s with beginnings, a voice's harmonics and a pause."""
+    voiced = np.sum([tone(130.0 * k, 0.25, samplerate, 0.3 / k) for k in range(1, 12)], axis=0)
+    hiss = white_noise(0.1, samplerate, 0.2)
+    return joined(voiced, silence(0.05, samplerate), hiss, tone(220.0, 0.2, samplerate, 0.4))
+
+
+def placed(channels, **at):
+    """Return a sound of so many channels, silent but for those named: FL=sound, ..."""
+    frames = len(next(iter(at.values())))
+    sound = np.zeros((frames, channels))
+    for position, samples in at.items():
+        sound[:, layout(channels).index(position)] = samples
+    return sound
+
+
+def level_db(vibration):
+    return 10.0 * np.log10(np.mean(np.square(vibration)) + 1e-30)
+
+
+def mixed(sound, samplerate=RATE):
+    """Return the mono mix of (frames, channels)."""
+    mix = MonoMix(downmix(sound.shape[1]), samplerate)
+    return mix.process(np.array(sound.T, np.float64, order="C"))
+
+
+# --- surround -----------------------------------------------------------------------------------
+
+
+@every_way
+@pytest.mark.parametrize("channels", [count for count in KNOWN if count > 2])
+def test_the_same_stereo_is_as_strong_in_every_layout(form, channels):
+    left, right = speech_like(), 0.5 * speech_like() + white_noise(0.6, RATE, 0.1)
+    stereo = played(columns(left, right), RATE, form=form)
+    surround = played(placed(channels, FL=left, FR=right), RATE, form=form)
+    np.testing.assert_allclose(surround, stereo, rtol=0, atol=1e-12)
+    assert stereo.any()
+
+
+@every_way
+def test_speech_in_the_centre_is_3_db_under_the_same_speech_in_mono(form):
+    for channels in (5, 6, 8):
+        centre = played(placed(channels, FC=speech_like()), RATE, form=form)
+        assert identical(centre, played(MINUS_3_DB * speech_like(), RATE, form=form))
+
+
+@every_way
+def test_bass_and_surrounds_are_felt_3_db_lower_than_the_front(form):
+    front = played(placed(6, FL=speech_like()), RATE, form=form)
+    lower = played(placed(6, FL=MINUS_3_DB * speech_like()), RATE, form=form)
+    for position in ("BL", "BR"):
+        back = played(placed(6, **{position: speech_like()}), RATE, form=form)
+        np.testing.assert_allclose(back, lower, rtol=0, atol=1e-12)
+    bass = played(placed(6, LFE=tone(60, 0.6, RATE, 0.5)), RATE, form=form)
+    assert np.abs(bass).max() > 0.1
+    assert front.any()
+
+
+def test_every_layout_counts_both_sides_alike_and_leaves_out_no_channel():
+    for channels in range(1, CHANNELS_MAX + 1):
+        halves = downmix(channels)
+        assert halves.shape == (channels, 2)
+        assert halves.any(axis=1).all()
+        if channels in KNOWN:
+            assert halves[:, 0].sum() == pytest.approx(halves[:, 1].sum())
+        else:
+            assert (halves == 1.0 / channels).all()
+    assert downmix(6).tolist() == [
+        [1.0, 0.0],
+        [0.0, 1.0],
+        [MINUS_3_DB, MINUS_3_DB],
+        [MINUS_3_DB, MINUS_3_DB],
+        [MINUS_3_DB, 0.0],
+        [0.0, MINUS_3_DB],
+    ]
+    assert downmix(7)[6].tolist() == [0.5, 0.5]
+
+
+def test_the_kernels_table_holds_the_weights_of_every_known_layout():
+    table = downmix_table()
+    at = 0
+    for channels in (count for count in KNOWN if count > 1):
+        assert table[at] == channels
+        rows = table[at + 1 : at + 1 + 2 * channels].reshape(2, channels)
+        np.testing.assert_array_equal(rows, mix_weights(downmix(channels)))
+        at += 1 + 2 * channels
+    assert at == table.size
+
+
+@pytest.mark.parametrize("channels", range(1, CHANNELS_MAX + 1))
+def test_both_implementations_mix_any_number_of_channels_alike(channels):
+    rng = np.random.default_rng(channels)
+    sound = rng.uniform(-0.3, 0.3, (3_000, channels)) * rng.uniform(0, 1, channels)
+    sound[1_500:, 1::2] = -sound[1_500:, : channels - channels % 2 : 2]
+    ours, theirs = (played(sound, 8_000, form=form) for form in ("live", "live in NumPy"))
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
+
+
+# --- opposite channels --------------------------------------------------------------------------
+
+
+@every_way
+@pytest.mark.parametrize("samplerate", [8_000, 44_100, 48_000, 96_000])
+def test_opposite_channels_are_as_strong_as_equal_ones_after_a_tenth_of_a_second(form, samplerate):
+    sound = joined(tone(300, 0.5, samplerate, 0.3), silence(0.1, samplerate))
+    equal = played(columns(sound, sound), samplerate, form=form)
+    opposite = played(columns(sound, -sound), samplerate, form=form)
+    later = slice(round(0.1 * samplerate), round(0.5 * samplerate))
+    assert level_db(opposite[later]) == pytest.approx(level_db(equal[later]), abs=1.0)
+
+
+@every_live_way
+def test_opposite_channels_keep_their_attack(form):
+    # From silence, and where sound that is alike in both channels was 20 dB weaker before.
+    hit = burst(200, 0.2, 0.35, RATE, 0.5) + white_noise(0.35, RATE, 0.1) * (
+        burst(0.0001, 0.2, 0.35, RATE, 1.0) != 0.0
+    )
+    bed = white_noise(0.35, RATE, 0.02, seed=7)
+    for before in (0.0 * bed, bed):
+        equal = played(columns(before + hit, before + hit), RATE, form=form)[:, 0]
+        opposite = played(columns(before + hit, before - hit), RATE, form=form)[:, 0]
+        latency = made(columns(hit, hit), RATE, form=form).latency_frames
+        attack = slice(round(0.2 * RATE) + latency, round(0.23 * RATE) + latency)
+        peaks = [np.abs(one[attack]).max() for one in (equal, opposite)]
+        assert peaks[1] > 0.8 * peaks[0]
+        reached = [int(np.argmax(np.abs(one) > 0.5 * peaks[0])) for one in (equal, opposite)]
+        assert reached[1] - reached[0] < 0.004 * RATE
+
+
+@every_way
+def test_what_is_alike_in_both_channels_keeps_the_bytes_of_mono(form):
+    sound = speech_like()
+    assert identical(played(columns(sound, sound), RATE, form=form), played(sound, RATE, form=form))
+
+
+@every_way
+@pytest.mark.parametrize("samplerate", [44_100, 48_000])
+def test_independent_channels_keep_the_bytes_of_their_mean(form, samplerate):
+    for seed in range(12):
+        left = white_noise(0.3, samplerate, 0.4, seed=2 * seed)
+        right = white_noise(0.3, samplerate, 0.4, seed=2 * seed + 1)
+        both = columns(left, right)
+        assert identical(
+            played(both, samplerate, form=form),
+            played(both.mean(axis=1), samplerate, form=form),
+        )
+
+
+def test_no_beginning_of_independent_noise_is_taken_for_opposite():
+    # The first samples of some are opposite: 1 000 beginnings of white noise, of any level.
+    rng = np.random.default_rng(5)
+    for _ in range(1_000):
+        sound = rng.normal(0.0, 10.0 ** rng.uniform(-5, -1), (600, 2))
+        np.testing.assert_array_equal(mixed(sound), sound.mean(axis=1))
+
+
+def test_sound_of_one_channel_and_sound_with_a_quarter_turn_keep_the_mean():
+    at = np.arange(RATE) / RATE
+    for hz in (30.0, 440.0, 3_000.0):
+        left, turned = np.sin(2 * np.pi * hz * at), np.cos(2 * np.pi * hz * at)
+        for sound in (columns(left, 0.0 * left), columns(left, turned)):
+            np.testing.assert_array_equal(mixed(sound), sound.mean(axis=1))
+
+
+def test_the_sum_of_powers_takes_over_without_a_step():
+    # The right channel turns from equal to opposite and back in two seconds.
+    at = np.arange(2 * RATE) / RATE
+    left = 0.5 * np.sin(2 * np.pi * 100.0 * at)
+    sound = columns(left, left * np.cos(np.pi * at))
+    mono = mixed(sound)
+    steepest = 0.5 * 2 * np.pi * 100.0 / RATE
+    assert np.abs(np.diff(mono)).max() < 1.2 * steepest
+    middle = mono[round(0.95 * RATE) : round(1.05 * RATE)]
+    assert level_db(middle) == pytest.approx(level_db(left), abs=0.5)
+
+
+def test_opposite_front_and_opposite_surrounds_are_both_felt():
+    sound = tone(300, 0.5, RATE, 0.3)
+    for pair in (("FL", "FR"), ("BL", "BR")):
+        opposite = played(placed(6, **{pair[0]: sound, pair[1]: -sound}), RATE)
+        equal = played(placed(6, **{pair[0]: sound, pair[1]: sound}), RATE)
+        later = slice(round(0.1 * RATE), round(0.45 * RATE))
+        assert level_db(opposite[later]) == pytest.approx(level_db(equal[later]), abs=1.0)
+
+
+# --- streams ------------------------------------------------------------------------------------
+
+
+@functools.cache
+def turning(samplerate, channels=2):
+    """Return a sound whose channels are equal, opposite, independent and silent in turn."""
+    parts = [
+        columns(one, sign * one)
+        for one, sign in itertools.product(
+            (tone(220, 0.1, samplerate, 0.4), low_noise(0.1, samplerate, 0.1)), (1.0, -1.0)
+        )
+    ]
+    parts.append(np.zeros((round(0.08 * samplerate), 2)))
+    other = white_noise(0.05, samplerate, 0.3, seed=9)
+    parts.append(columns(white_noise(0.05, samplerate, 0.3), other))
+    stereo = np.concatenate([*parts, *parts[::-1]])
+    sound = np.zeros((len(stereo), channels))
+    sound[:, :2], sound[:, -2:] = stereo, 0.5 * stereo[::-1]
+    sound[:, :2] = stereo
+    return sound
+
+
+@every_way
+@settings(max_examples=15, deadline=None)
+@given(
+    blocks=st.lists(st.integers(0, 2_000), max_size=30),
+    channels=st.sampled_from([2, 3, 6]),
+)
+def test_no_byte_depends_on_how_sound_with_opposite_channels_is_cut(form, blocks, channels):
+    sound = turning(8_000, channels)
+    whole = played(sound, 8_000, form=form)
+    assert identical(in_blocks(sound, blocks, 8_000, form=form), whole)
+
+
+@every_way
+def test_a_new_stream_remembers_nothing_of_the_one_before(form):
+    sound = turning(8_000)
+    transform = made(sound, 8_000, form=form)
+    first = np.concatenate((transform.process(sound), transform.finish()))
+    transform.process(columns(*2 * [white_noise(0.1, 8_000)]))
+    transform.reset()
+    again = np.concatenate((transform.process(sound), transform.finish()))
+    assert identical(again, first)
+    assert identical(np.concatenate((transform.process(sound), transform.finish())), first)
+
+
+def test_a_kernels_state_includes_the_powers():
+    sound = turning(8_000)
+    design = LiveDesign.of(TransformParameters(), 8_000)
+    one, other = (KernelStream(design, 2, False) for _ in range(2))
+    half = 900  # within the opposite part
+    one.process(sound[:half])
+    other.__setstate__(one.__getstate__())
+    assert identical(one.process(sound[half:]), other.process(sound[half:]))
+    bank = ChannelBank([LiveTransform(design)], 2)
+    bank.process(sound[:half])
+    one.reset()
+    one.process(sound[:half])
+    np.testing.assert_allclose(
+        one.process(sound[half:]), bank.process(sound[half:]), rtol=0, atol=1e-9
+    )
+
+
+@every_way
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
+def test_damage_in_one_channel_counts_as_0_and_ends_with_it(form, value):
+    sound = columns(*2 * [speech_like(16_000)])
+    damaged, zeroed = sound.copy(), sound.copy()
+    damaged[2_000:6_000, 1], zeroed[2_000:6_000, 1] = value, 0.0
+    transform = made(damaged, 16_000, form=form)
+    got = np.concatenate((transform.process(damaged), transform.finish()))
+    assert identical(got, played(zeroed, 16_000, form=form))
+    assert transform.replaced_samples == 4_000
+
+
+@every_live_way
+def test_a_whisper_with_opposite_channels_after_a_minute_of_silence_is_as_from_the_start(form):
+    whisper = tone(300, 0.3, 8_000, 0.1)
+    sound = columns(whisper, -whisper)
+    alone = played(sound, 8_000, form=form)
+    transform = made(sound, 8_000, form=form)
+    transform.process(columns(*2 * [white_noise(0.2, 8_000)]))
+    for _ in range(60):
+        transform.process(np.zeros((8_000, 2)))
+    again = np.concatenate((transform.process(sound), transform.finish()))
+    np.testing.assert_allclose(again, alone, rtol=0, atol=1e-9)
