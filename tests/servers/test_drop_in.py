@@ -25,7 +25,15 @@ from device.stream.pcms import PcmConfig, ServerDevice
 from device.stream.streams import PlaybackStream
 from device.units import Float32Array
 from tests.servers.daemons import ROOT, modules_of, tone
-from tests.servers.listening import RATE_HZ, arriving, playing, recording, steady, wait_for
+from tests.servers.listening import (
+    RATE_HZ,
+    arriving,
+    insist_on_default,
+    playing,
+    recording,
+    steady,
+    wait_for,
+)
 from tools.sound_server import SoundServer
 
 DEFAULT = "@DEFAULT_SINK@"
@@ -387,12 +395,10 @@ def test_what_cannot_be_forwarded_to_is_refused_and_leaves_nothing(
         DropIn(connection, "haptic", haptic_sink="haptic")
     with pytest.raises(UsageError, match=r"delay_s=0\.6 is out of range; choose 0 to 0\.5 s"):
         DropIn(connection, delay_s=0.6)
-    server.choose_default("haptic")
-    wait_for(lambda: connection.snapshot().default_sink == "haptic", "the default sink")
+    insist_on_default(server, connection, "haptic")
     with pytest.raises(NotFoundError, match="'haptic': the vibration goes there"):
         DropIn(connection, haptic_sink="haptic")
-    server.choose_default("desktop")
-    wait_for(lambda: connection.snapshot().default_sink == "desktop", "the default sink")
+    insist_on_default(server, connection, "desktop")
     assert everything(server, connection) == before
     server.add_sink(SINK)
     with pytest.raises(NotFoundError, match="is not ours"):
@@ -457,25 +463,6 @@ def test_a_program_that_wants_the_default_sink_for_itself_gets_it(
         assert forwarded(connection, drop_in)
         server.pactl("set-default-sink", SINK)
         wait_for(lambda: drop_in.reason == "", "the end of the contest")
-
-
-def insist_on_default(server: SoundServer, connection: PulseConnection, sink: str) -> None:
-    """Make a sink that is new the default one, and see that it stays.
-
-    WirePlumber at times forgets a wish for a new sink, and an equal wish changes nothing.
-    So another sink is wished for in between.
-    """
-
-    def stays() -> bool:
-        server.choose_default(sink)
-        seen_s = time.monotonic()
-        while connection.snapshot().default_sink == sink:
-            if time.monotonic() - seen_s > 0.3:
-                return True
-        server.choose_default("desktop")
-        return False
-
-    wait_for(stays, f"default sink {sink} that stays", 30.0)
 
 
 def test_a_virtual_sink_that_is_forwarded_to_brings_nothing_back(
