@@ -29,7 +29,7 @@ from tests.servers.daemons import (
     tone,
 )
 from tests.servers.listening import RATE_HZ, noise, playing, recording, wait_for
-from tests.servers.witness import bare_sound, check_step
+from tests.servers.witness import ATTEMPTS, UNEXCUSED, bare_sound, check_step
 from tools.sound_server import SoundServer
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
@@ -166,17 +166,30 @@ def test_the_vibration_is_that_of_render_bit_for_bit(pipewire: SoundServer, tmp_
         == 0
     )
     wanted, _ = soundfile.read(tmp_path / "vibration.wav", dtype="float32")
-    with (
-        running(pipewire, engine="native"),
-        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
-        playing(pipewire, "desktop", sound),
-    ):
-        wait_for(lambda: len(felt()) > 8 * RATE_HZ, "eight seconds", 20.0)
-        got = felt()
-    assert (got[:, 0] == got[:, 1]).all()
-    first, start = np.flatnonzero(got[:, 0])[0], np.flatnonzero(wanted)[0]
-    length = len(wanted) - start
-    assert np.array_equal(got[first : first + length, 0], wanted[start:])
+    with running(pipewire, engine="native"):
+        for attempt in range(ATTEMPTS):
+            with (
+                recording(pipewire, "desktop.monitor", tmp_path / f"heard{attempt}") as heard,
+                recording(pipewire, "haptic.monitor", tmp_path / f"felt{attempt}") as felt,
+                playing(pipewire, "desktop", sound),
+            ):
+                wait_for_more(felt, 8.0)
+                wait_for_more(heard, 0.5)
+                got, tapped = felt(), heard()
+            if is_within(tapped[:, 0], sound[:, 0]) and is_within(got[:, 0], wanted):
+                assert (got[:, 0] == got[:, 1]).all()
+                return
+            assert attempt < UNEXCUSED or not is_within(tapped[:, 0], sound[:, 0])
+    pytest.skip("not shown on a machine that tears the played sound itself")
+
+
+def is_within(heard: Float32Array, wanted: Float32Array) -> bool:
+    """Whether the wanted samples are in a recording, bit for bit, from the first that sounds."""
+    first, start = np.flatnonzero(heard)[:1], np.flatnonzero(wanted)[0]
+    if not len(first):
+        return False
+    part = heard[first[0] : first[0] + len(wanted) - start]
+    return np.array_equal(part, wanted[start:])
 
 
 def test_each_actuator_plays_its_own_side_level_and_polarity(
@@ -539,6 +552,36 @@ def test_fifty_clients_do_not_disturb_it(pipewire: SoundServer, tmp_path: Path) 
                 client.wait()
         wait_for(lambda: felt_now(felt), "vibration")
         assert engine_process(daemon) == child
+
+
+def test_the_users_own_nodes_of_the_installed_chains_names_keep_their_links(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    own = ["pw-loopback", "--capture", "desktop", "--playback", "other"]
+    pipewire.add_sink("other")
+    with subprocess.Popen(
+        [
+            *own,
+            "--capture-props=node.name=haptic-cushion.tap stream.capture.sink=true",
+            "--playback-props=node.name=haptic-cushion.vibration",
+        ],
+        env=pipewire.environment,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as users:
+        try:
+            wanted = "haptic-cushion.vibration:output_FL"
+            wait_for(lambda: wanted in links_of(pipewire), "the user's own links")
+            with (
+                playing(pipewire, "desktop", tone(60.0, 60.0)),
+                running(pipewire, engine="native"),
+                recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+            ):
+                wait_until_felt(felt)
+                assert wanted in links_of(pipewire)
+            assert wanted in links_of(pipewire)
+        finally:
+            users.kill()
 
 
 def test_a_second_daemon_is_refused_and_the_first_plays_on(pipewire: SoundServer) -> None:
