@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.soft_fade import SoftFade
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.service.meters import BufferClock, BufferedLevelMeter
@@ -64,7 +65,8 @@ class Engine:
     before all effects, which it must copy. last_sound_s: when the latest frames that were not
     silent arrived. faded: whether the latest measured vibration is below FADED. sound, vibration:
     levels of the mix, and of the vibration before the drive. driven: level of each named actuator.
-    before_fill: called by `fill` before it reads; set it before the first `fill`.
+    before_fill: called by `fill` before it reads; set it before the first `fill`. fade: of what
+    `fill` writes; silent: whether it begins with silence.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class Engine:
         block_frames: int = 256,
         now_s: float = 0.0,
         bypass_late: bool = True,
+        silent: bool = False,
         on_step: OnStep | None = None,
         on_mix: OnMix | None = None,
     ) -> None:
@@ -106,6 +109,7 @@ class Engine:
         self.frames = 0
         self.frames_max = self.framework.mixer.frames
         self.before_fill: Callable[[], None] = lambda: None
+        self.fade = SoftFade(output_samplerate, audible=not silent)
         self.filled_s = -math.inf
         self.faded = True
         self.last_sound_s = now_s
@@ -217,6 +221,8 @@ class Engine:
         start = self._start
         self._start = min(start + frames, self._end)
         out[:] = self._read[start : self._start]
+        if not (self.fade.audible and self.fade.position == 1.0):
+            self.fade.apply(out)
 
     def _read_on(self, frames: int, now_s: float) -> None:
         """Read `frames` frames from the delay line, and more if they are already available."""

@@ -133,9 +133,13 @@ class EngineSwitch:
         if self.native is not None and self.native.lose_links(now_s):
             self._states.recover(cause, now_s, reason)
 
-    def fade_out(self, now_s: float) -> bool:
-        """Let the native engine's vibration end softly; return whether it has ended."""
-        return self.native is None or self.native.fade_out(now_s)
+    def leave(self, now_s: float) -> bool:
+        """Let the native engine leave the graph softly; return whether it has left.
+
+        Repeat it until then. `close` ends it.
+        """
+        native = self.native
+        return native is None or (native.fade_out(now_s) and native.leave(now_s))
 
     def close(self) -> None:
         """End the native engine until the next `maintain`. May be repeated; raises nothing."""

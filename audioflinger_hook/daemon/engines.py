@@ -8,7 +8,7 @@ from pathlib import Path
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.engine_switch import EngineSwitch
-from audioflinger_hook.daemon.handover import Handover
+from audioflinger_hook.daemon.handover import Dip, Handover
 from audioflinger_hook.daemon.inputs.base import AudioNode
 from audioflinger_hook.daemon.outputs.base import StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
@@ -46,6 +46,7 @@ class Engines:
         self._clocks = clocks
         self._endpoints = endpoints
         self._handover = Handover()
+        self._dip = Dip()
         self._heard_before_s = 0.0
         self.python: Engine | None = None
         self.switch = EngineSwitch(config, folder, states, on_change)
@@ -53,7 +54,7 @@ class Engines:
     @property
     def tick_s(self) -> float | None:
         """Longest time until the next tick, None for the usual one."""
-        if self._handover.is_under_way:
+        if self._handover.is_under_way or self._dip.is_under_way:
             return HANDOVER_TICK_S
         native = self.switch.native
         return NATIVE_TICK_S if native is not None and native.is_steady else None
@@ -67,7 +68,7 @@ class Engines:
         native = self.switch.native
         if not self._endpoints.needs_server:
             return "", ""
-        if native is not None and native.audible:
+        if native is not None and (native.audible or self._dip.is_under_way):
             return "native", ""
         return ("python", self.switch.reason) if self.python else ("", "")
 
@@ -96,6 +97,7 @@ class Engines:
         """Forget the Python engine, so that `prepare` makes another one."""
         self._heard_before_s, self.python = self.heard_s, None
         self._handover.reset()
+        self._dip.end()
 
     def native_plays(
         self,
@@ -109,6 +111,7 @@ class Engines:
         seen = connection.latest if connection else None
         if not switch.takes_native(source, seen) or connection is None:
             return False
+        self._dip.end()
         assert isinstance(self._endpoints.output, StreamOutput)
         ready = switch.maintain(
             source,
@@ -123,15 +126,31 @@ class Engines:
             return not switch.reason
         if not ready:
             return False
-        if handover.move(engine, self._config.settings, self._delay_s, now_s, down=True):
-            # What was lowered last has left the delay line by now.
+        if handover.fade_out(engine.fade, now_s):
             self._endpoints.close()
             self.drop()
+        return True
+
+    def may_open(self, now_s: float) -> bool:
+        """Return whether streams of the Python engine may open.
+
+        Each stream that joins the graph may cost the native engine a cycle, so it must be silent.
+        """
+        native = self.switch.native
+        if native is None or not (native.audible or self._dip.is_under_way):
+            return True
+        if self.python is None:
+            self._dip.begin(now_s)
+            return native.fade_out(now_s)
+        if self._dip.is_over(now_s):
+            self._dip.end()
+            native.fade_in()
         return True
 
     def end_native(self, now_s: float) -> None:
         """End a native engine that is not chosen any more, once the Python engine plays evenly."""
         engine = self.python
+        self._dip.note_open(now_s)
         if (
             not self.switch.reason
             or engine is None
@@ -140,19 +159,18 @@ class Engines:
             return
         if engine.delay_line.status.delay_s <= 0.0 or not self._handover.has_settled(now_s):
             return
-        if self.switch.native is not None:
-            if self.switch.fade_out(now_s):
-                self.switch.close()
-                self._handover.hold(now_s)
+        if not self.switch.leave(now_s):
             return
-        if self._handover.move(engine, self._config.settings, self._delay_s, now_s, down=False):
+        if self._handover.fade_in(engine.fade, now_s):
             self._handover.reset()
+            self.switch.close()
 
     def prepare(self, source: AudioNode, device: AudioNode, now_s: float) -> None:
         """Make the engine for the first source; later sources are converted to the first format."""
         engine = self.python
         if engine is None:
-            if self.switch.native is not None and self.switch.native.audible:
+            silent = self._dip.is_under_way
+            if silent:
                 self._handover.begin_silent(now_s)
             recording, feed = self._config.recording, self._endpoints.feed
             on_step, on_mix = None, None
@@ -163,12 +181,13 @@ class Engines:
             engine = self.python = Engine(
                 feed.client(source.samplerate, source.channels),
                 device.samplerate or source.samplerate,
-                self._handover.settings(self._config.settings),
+                self._config.settings,
                 clocks=self._clocks,
                 offset_s=self._delay_s,
                 block_frames=self._config.live.block_frames,
                 now_s=now_s,
                 bypass_late=self._endpoints.input.needs_server,
+                silent=silent,
                 on_step=on_step,
                 on_mix=on_mix,
             )

@@ -1,48 +1,42 @@
 """The soft end and beginning of the Python engine when the native one takes over, or gives way.
 
-Its level moves in steps, each within one buffer, so that nothing clicks.
+A stream or chain that joins or leaves PipeWire's graph may cost others a cycle, so it does that
+while both engines are silent.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
 
-from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.daemon.engine import Engine
-from device.drive.settings import GAIN_MIN_DB
-from device.units import amplitude_to_db
+from audioflinger_hook.daemon.soft_fade import SoftFade
 
-STEPS = 12
-"""Steps from full level to silence. Each takes a twelfth: at full scale a step of one buffer leaves
--52 dB above 250 Hz."""
-
-STEPS_DB = (*(amplitude_to_db(1.0 - step / STEPS) for step in range(STEPS)), GAIN_MIN_DB)
-"""Levels on the way down."""
-
-STEP_S = 0.02
-"""Time between two steps."""
-
-HOLD_S = 0.05
+HOLD_S = 0.03
 """Wait after a chain has left the graph: other streams of its devices then miss a cycle."""
 
-DRAINED_S = 0.15
-"""From the last step down until it has passed the delay line."""
+DRAINED_S = 0.1
+"""From the last sample of a fade until the device has played it."""
+
+FADED_S = 0.5
+"""Longest wait for a fade; a device may request no samples."""
 
 SETTLES_S = 0.7
 """From the first buffer of new streams until they play evenly."""
 
+OPENED_S = 0.04
+"""From the moment at which both streams are open until they have joined the graph."""
+
+DIP_S = 0.15
+"""Longest silence of the native engine while streams open; a device may refuse them."""
+
 
 class Handover:
-    """The level of the Python engine during a change of engine. For the supervising thread alone.
-
-    level_db: relative to the configured level.
-    """
+    """When the Python engine fades in or out. For the supervising thread alone."""
 
     def __init__(self) -> None:
-        self.level_db = 0.0
-        self._step = 0
         self._moved_s: float | None = None
         self._began_s: float | None = None
+        self._silent_s = math.inf
+        self._holds = False
 
     @property
     def is_under_way(self) -> bool:
@@ -50,37 +44,63 @@ class Handover:
         return self._moved_s is not None
 
     def begin_silent(self, now_s: float) -> None:
-        """Let the Python engine's next streams begin silent."""
-        self._step, self._began_s, self._moved_s = len(STEPS_DB) - 1, now_s, now_s
-        self.level_db = GAIN_MIN_DB
-
-    def hold(self, now_s: float) -> None:
-        """Let the next step wait for HOLD_S."""
-        self._moved_s = now_s + HOLD_S - STEP_S
+        """Note that the Python engine's next streams begin silent."""
+        self._began_s = self._moved_s = now_s
 
     def has_settled(self, now_s: float) -> bool:
         """Whether streams that began silent play evenly by now."""
         return self._began_s is None or now_s - self._began_s > SETTLES_S
 
-    def settings(self, settings: Settings) -> Settings:
-        """Return settings at the present level."""
-        gain_db = max(GAIN_MIN_DB, settings.gain_db + self.level_db)
-        return settings if self.level_db == 0.0 else replace(settings, gain_db=gain_db)
+    def fade_out(self, fade: SoftFade, now_s: float) -> bool:
+        """Fade out; return whether the device has played the end. Repeat it until then."""
+        if fade.audible or self._moved_s is None:
+            fade.audible, self._moved_s, self._silent_s = False, now_s, math.inf
+        if fade.position == 0.0:
+            self._silent_s = min(self._silent_s, now_s)
+        return now_s - self._silent_s > DRAINED_S or now_s - self._moved_s > FADED_S
 
-    def move(
-        self, engine: Engine, settings: Settings, offset_s: float, now_s: float, *, down: bool
-    ) -> bool:
-        """Make the next step if it is due; return whether the last one has taken effect."""
-        since_s = STEP_S if self._moved_s is None else now_s - self._moved_s
-        wanted = len(STEPS_DB) - 1 if down else 0
-        if self._step == wanted:
-            return since_s >= (DRAINED_S if down else STEP_S)
-        if since_s >= STEP_S:
-            self._step += 1 if down else -1
-            self.level_db, self._moved_s = STEPS_DB[self._step], now_s
-            engine.follow(self.settings(settings), offset_s)
-        return False
+    def fade_in(self, fade: SoftFade, now_s: float) -> bool:
+        """Fade in after HOLD_S; return whether the level is full. Repeat it until then."""
+        if not self._holds:
+            self._holds, self._moved_s = True, now_s
+        since_s = now_s - (now_s if self._moved_s is None else self._moved_s)
+        if since_s < HOLD_S:
+            return False
+        fade.audible = True
+        return fade.position == 1.0 or since_s > FADED_S
 
     def reset(self) -> None:
         """End a change: the Python engine has its full level from now on."""
-        self.level_db, self._step, self._moved_s, self._began_s = 0.0, 0, None, None
+        self._moved_s = self._began_s = None
+        self._holds = False
+
+
+class Dip:
+    """The native engine's silence while the Python engine's streams join the graph."""
+
+    def __init__(self) -> None:
+        self._began_s: float | None = None
+        self._opened_s = math.inf
+
+    @property
+    def is_under_way(self) -> bool:
+        """Whether the native engine is to be silent."""
+        return self._began_s is not None
+
+    def begin(self, now_s: float) -> None:
+        """Begin, unless it is under way."""
+        if self._began_s is None:
+            self._began_s, self._opened_s = now_s, math.inf
+
+    def note_open(self, now_s: float) -> None:
+        """Note that both streams are open."""
+        self._opened_s = min(self._opened_s, now_s)
+
+    def is_over(self, now_s: float) -> bool:
+        """Whether the streams have joined, or do not open."""
+        began_s = math.inf if self._began_s is None else self._began_s
+        return now_s - self._opened_s > OPENED_S or now_s - began_s > DIP_S
+
+    def end(self) -> None:
+        """End it; the native engine may play."""
+        self._began_s = None

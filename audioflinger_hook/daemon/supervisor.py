@@ -202,7 +202,7 @@ class Supervisor:
             return
         if self.engines.native_plays(connection, source, device, now_s):
             return
-        if self._rests(connection, snapshot, now_s):
+        if self._rests(connection, snapshot, now_s) or not self.engines.may_open(now_s):
             return
         try:
             self.engines.prepare(source, device, now_s)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 import subprocess
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.settings import LiveSettings, Settings
-from audioflinger_hook.daemon.handover import HOLD_S, SETTLES_S, STEP_S, STEPS, STEPS_DB, Handover
+from audioflinger_hook.daemon.handover import (
+    DIP_S,
+    DRAINED_S,
+    FADED_S,
+    HOLD_S,
+    OPENED_S,
+    SETTLES_S,
+    Dip,
+    Handover,
+)
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native import abilities
 from audioflinger_hook.daemon.native import page as page_module
@@ -30,14 +39,13 @@ from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_p
 from audioflinger_hook.daemon.native.ports import in_mixing_order, port_names
 from audioflinger_hook.daemon.native.taps import tap_of, why_not_applications
 from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.soft_fade import FADE_S, SoftFade
 from audioflinger_hook.mixer.layouts import layout
 from audioflinger_hook.sources import parse_tap
 from device.address import parse_device
 from device.drive import ActuatorSettings
-from device.drive.settings import GAIN_MIN_DB
 from device.errors import UsageError
 from device.server.snapshot import ServerSnapshot, Sink, Source, Stream
-from device.units import db_to_amplitude
 
 STEREO = "front-left,front-right"
 SURROUND = "front-left,front-right,front-center,lfe,rear-left,rear-right"
@@ -233,48 +241,68 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------------------- handover
 
 
-class Listening:
-    """Stands in for the engine; takes the levels that it is given."""
-
-    def __init__(self) -> None:
-        self.levels: list[float] = []
-
-    def follow(self, settings: Settings, offset_s: float) -> None:
-        self.levels.append(settings.gain_db)
-
-
-def moved(handover: Handover, engine: Any, now_s: float, *, down: bool) -> float:
-    """The time at which the last step has taken effect."""
-    for _ in range(1_000):
-        if handover.move(engine, Settings(), 0.0, now_s, down=down):
+def faded(ask: Callable[[SoftFade, float], bool], fade: SoftFade, now_s: float) -> float:
+    """The time at which a fade is over; the output requests 10 ms each."""
+    for _ in range(200):
+        if ask(fade, now_s):
             return now_s
-        now_s += 0.005
+        fade.apply(np.ones((480, 1), np.float32))
+        now_s += 0.01
     raise AssertionError("it never ends")
 
 
-def test_the_level_goes_down_and_up_in_steps_of_a_twelfth_without_a_jump() -> None:
-    handover, engine = Handover(), Listening()
+def test_a_fade_ends_once_the_device_has_played_it() -> None:
+    handover, fade = Handover(), SoftFade(48_000)
     assert not handover.is_under_way
-    low_s = moved(handover, engine, 0.0, down=True)
-    assert engine.levels[-1] == GAIN_MIN_DB
+    silent_s = faded(handover.fade_out, fade, 5.0)
+    assert FADE_S + DRAINED_S < silent_s - 5.0 < FADE_S + DRAINED_S + 0.05
     assert handover.is_under_way
-    assert low_s < 0.5
-    moved(handover, engine, low_s, down=False)
-    amplitudes = [1.0, *map(db_to_amplitude, engine.levels)]
-    assert max(np.abs(np.diff(amplitudes))) <= 1.0 / STEPS + 2e-3  # silence is -60 dB
-    assert amplitudes[-1] == 1.0
-    assert len(STEPS_DB) == STEPS + 1
+    assert fade.position == 0.0
+    full_s = faded(handover.fade_in, fade, silent_s)
+    assert HOLD_S + FADE_S <= full_s - silent_s < HOLD_S + FADE_S + 0.05
+    handover.reset()
+    assert not handover.is_under_way
 
 
-def test_streams_that_begin_silent_settle_and_wait_while_the_graph_changes() -> None:
-    handover, engine = Handover(), Listening()
+def test_a_device_that_requests_nothing_does_not_hold_up_the_change() -> None:
+    handover, fade = Handover(), SoftFade(48_000)
+    assert not handover.fade_out(fade, 5.0)
+    assert handover.fade_out(fade, 5.1 + FADED_S)
+
+
+def test_streams_that_begin_silent_settle() -> None:
+    handover = Handover()
     handover.begin_silent(10.0)
-    assert handover.settings(Settings()).gain_db == GAIN_MIN_DB
     assert not handover.has_settled(10.0 + 0.9 * SETTLES_S)
     assert handover.has_settled(10.1 + SETTLES_S)
-    handover.hold(11.0)
-    assert not handover.move(engine, Settings(), 0.0, 11.0 + HOLD_S - STEP_S, down=False)  # type: ignore[arg-type]
-    assert engine.levels == []
-    moved(handover, engine, 11.0 + HOLD_S, down=False)
-    handover.reset()
-    assert handover.settings(replace(Settings(), gain_db=-3.0)).gain_db == -3.0
+
+
+@pytest.mark.parametrize("frames", [1, 64, 512, 8_191])
+def test_a_fade_has_no_step_however_long_the_blocks_are(frames: int) -> None:
+    fade, tone = SoftFade(48_000), np.ones((24_000, 2), np.float32)
+    for audible in (False, True):
+        fade.audible = audible
+        blocks = [tone[start : start + frames].copy() for start in range(0, len(tone), frames)]
+        for block in blocks:
+            fade.apply(block)
+        whole = np.concatenate(blocks)
+        assert np.abs(np.diff(whole[:, 0])).max() < 1.51 / (FADE_S * 48_000)
+        assert (whole[2_000:] == float(audible)).all()
+    block = np.full((100, 1), 0.3, np.float32)
+    fade.apply(block)
+    assert (block == np.float32(0.3)).all()
+
+
+def test_the_native_engine_is_silent_until_streams_have_joined_or_do_not_open() -> None:
+    dip = Dip()
+    assert not dip.is_under_way
+    dip.begin(1.0)
+    dip.begin(1.2)
+    assert not dip.is_over(1.0 + 0.9 * DIP_S)
+    assert dip.is_over(1.01 + DIP_S)
+    dip.note_open(1.05)
+    dip.note_open(1.2)
+    assert not dip.is_over(1.05)
+    assert dip.is_over(1.06 + OPENED_S)
+    dip.end()
+    assert not dip.is_under_way

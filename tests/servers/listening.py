@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from device.errors import LostError
+from device.server.pulse import PulseConnection
 from device.server.snapshot import Event, Listener, ServerSnapshot
 from device.units import Float32Array
 from tools.sound_server import SoundServer
@@ -36,6 +37,28 @@ def wait_for(condition: Callable[[], Found], what: str, limit_s: float = 10.0) -
         assert time.monotonic() < deadline_s, f"no {what} within {limit_s} s"
         time.sleep(0.001)
     return found
+
+
+def insist_on_default(server: SoundServer, connection: PulseConnection, sink: str) -> None:
+    """Make a sink the default one, and see that the connection is told and that it stays.
+
+    PipeWire may leave one connection with the default sink of before, and tells nothing new after
+    an equal wish. So another sink is wished for in between.
+    """
+
+    def stays() -> bool:
+        server.choose_default(sink)
+        asked_s = time.monotonic()
+        seen_s = None
+        while time.monotonic() - asked_s < 2.0:
+            if connection.snapshot().default_sink != sink:
+                seen_s = None
+            elif time.monotonic() - (seen_s := seen_s or time.monotonic()) > 0.3:
+                return True
+        server.choose_default(next(name for name in server.names("sinks") if name != sink))
+        return False
+
+    wait_for(stays, f"default sink {sink} that stays", 30.0)
 
 
 class Notes(Listener):

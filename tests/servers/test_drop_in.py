@@ -25,7 +25,15 @@ from device.stream.pcms import PcmConfig, ServerDevice
 from device.stream.streams import PlaybackStream
 from device.units import Float32Array
 from tests.servers.daemons import ROOT, modules_of, tone
-from tests.servers.listening import RATE_HZ, arriving, playing, recording, steady, wait_for
+from tests.servers.listening import (
+    RATE_HZ,
+    arriving,
+    insist_on_default,
+    playing,
+    recording,
+    steady,
+    wait_for,
+)
 from tools.sound_server import SoundServer
 
 DEFAULT = "@DEFAULT_SINK@"
@@ -387,12 +395,10 @@ def test_what_cannot_be_forwarded_to_is_refused_and_leaves_nothing(
         DropIn(connection, "haptic", haptic_sink="haptic")
     with pytest.raises(UsageError, match=r"delay_s=0\.6 is out of range; choose 0 to 0\.5 s"):
         DropIn(connection, delay_s=0.6)
-    server.choose_default("haptic")
-    wait_for(lambda: connection.snapshot().default_sink == "haptic", "the default sink")
+    insist_on_default(server, connection, "haptic")
     with pytest.raises(NotFoundError, match="'haptic': the vibration goes there"):
         DropIn(connection, haptic_sink="haptic")
-    server.choose_default("desktop")
-    wait_for(lambda: connection.snapshot().default_sink == "desktop", "the default sink")
+    insist_on_default(server, connection, "desktop")
     assert everything(server, connection) == before
     server.add_sink(SINK)
     with pytest.raises(NotFoundError, match="is not ours"):
@@ -465,8 +471,7 @@ def test_a_virtual_sink_that_is_forwarded_to_brings_nothing_back(
     module = server.pactl(
         "load-module", "module-remap-sink", "sink_name=virtual", "master=desktop", "channels=2"
     )
-    server.choose_default("virtual")
-    wait_for(lambda: connection.snapshot().default_sink == "virtual", "the default sink")
+    insist_on_default(server, connection, "virtual")
 
     def outlet() -> Stream:
         streams = connection.snapshot().sink_inputs

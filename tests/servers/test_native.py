@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-from scipy.signal import butter, sosfilt
 
 from audioflinger_hook.service.state import Cause, DaemonState
 from device.units import Float32Array
@@ -30,15 +29,13 @@ from tests.servers.daemons import (
     tone,
 )
 from tests.servers.listening import RATE_HZ, noise, playing, recording, wait_for
+from tests.servers.witness import ATTEMPTS, UNEXCUSED, bare_sound, check_step
 from tools.sound_server import SoundServer
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
 
 BACK_S = 1.0
 """Within this the vibration is back once a fault is over."""
-
-CLICK_DB = -50.0
-"""Loudest click of a change of engine: what is above 250 Hz, against full scale."""
 
 
 @pytest.fixture
@@ -89,16 +86,6 @@ def links_of(server: SoundServer) -> str:
     return subprocess.run(
         ["pw-link", "--links"], env=server.environment, capture_output=True, text=True, check=True
     ).stdout
-
-
-def above_250_hz(frames: Float32Array) -> float:
-    """The loudest sample of what is above 250 Hz, in dB of full scale.
-
-    The first tenth of a second is left out: the filter starts from silence.
-    """
-    high_pass = butter(8, 250.0, "highpass", fs=RATE_HZ, output="sos")
-    rest = sosfilt(high_pass, frames[:, 0].astype(np.float64))[RATE_HZ // 10 :]
-    return 20.0 * float(np.log10(np.abs(rest).max() + 1e-9))
 
 
 # ------------------------------------------------------------------------------------ which engine
@@ -179,17 +166,30 @@ def test_the_vibration_is_that_of_render_bit_for_bit(pipewire: SoundServer, tmp_
         == 0
     )
     wanted, _ = soundfile.read(tmp_path / "vibration.wav", dtype="float32")
-    with (
-        running(pipewire, engine="native"),
-        recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
-        playing(pipewire, "desktop", sound),
-    ):
-        wait_for(lambda: len(felt()) > 8 * RATE_HZ, "eight seconds", 20.0)
-        got = felt()
-    assert (got[:, 0] == got[:, 1]).all()
-    first, start = np.flatnonzero(got[:, 0])[0], np.flatnonzero(wanted)[0]
-    length = len(wanted) - start
-    assert np.array_equal(got[first : first + length, 0], wanted[start:])
+    with running(pipewire, engine="native"):
+        for attempt in range(ATTEMPTS):
+            with (
+                recording(pipewire, "desktop.monitor", tmp_path / f"heard{attempt}") as heard,
+                recording(pipewire, "haptic.monitor", tmp_path / f"felt{attempt}") as felt,
+                playing(pipewire, "desktop", sound),
+            ):
+                wait_for_more(felt, 8.0)
+                wait_for_more(heard, 0.5)
+                got, tapped = felt(), heard()
+            if is_within(tapped[:, 0], sound[:, 0]) and is_within(got[:, 0], wanted):
+                assert (got[:, 0] == got[:, 1]).all()
+                return
+            assert attempt < UNEXCUSED or not is_within(tapped[:, 0], sound[:, 0])
+    pytest.skip("not shown on a machine that tears the played sound itself")
+
+
+def is_within(heard: Float32Array, wanted: Float32Array) -> bool:
+    """Whether the wanted samples are in a recording, bit for bit, from the first that sounds."""
+    first, start = np.flatnonzero(heard)[:1], np.flatnonzero(wanted)[0]
+    if not len(first):
+        return False
+    part = heard[first[0] : first[0] + len(wanted) - start]
+    return np.array_equal(part, wanted[start:])
 
 
 def test_each_actuator_plays_its_own_side_level_and_polarity(
@@ -245,56 +245,55 @@ def test_only_the_chosen_application_is_felt_and_each_of_its_streams(
     assert any(abs(hz - once_hz) > 10 for hz in peaks)
 
 
-def test_a_new_level_profile_and_delay_take_effect_without_a_gap(
-    pipewire: SoundServer, tmp_path: Path
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("gain_db = 0\n", "gain_db = -12\n"),
+        ("gain_db = -12\n", 'profile = "music"\n'),
+        ('profile = "music"\n', "offset_ms = 40\n"),
+    ],
+    ids=["level", "profile", "delay"],
+)
+def test_a_new_level_profile_or_delay_takes_effect_without_a_gap_or_click(
+    pipewire: SoundServer, before: str, after: str, tmp_path: Path
 ) -> None:
     config = tmp_path / "config.toml"
-    config.write_text("gain_db = 0\n")
+    config.write_text(before)
     with (
-        playing(pipewire, "desktop", tone(110.0, 60.0)),
+        bare_sound(tmp_path) as bare,
+        playing(pipewire, "desktop", tone(110.0, 240.0)),
         running(pipewire, "--config", str(config), engine="native") as daemon,
         recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+        recording(pipewire, "desktop.monitor", tmp_path / "sound") as sound,
     ):
-        wait_for(lambda: felt_now(felt), "vibration")
-        for text in ("gain_db = -12\n", 'profile = "music"\n', "offset_ms = 40\n"):
-            before = len(felt())
-            config.write_text(text)
-            daemon.process.send_signal(signal.SIGHUP)
-            wait_for_more(felt, 2.0)
-            part = felt()[before:]
-            blocks = np.abs(part[: len(part) // 960 * 960]).reshape(-1, 960 * 2).max(axis=1)
-            assert (blocks > FELT).all(), text
-            assert above_250_hz(part) < CLICK_DB, text
-        assert daemon.status() is not None
+        wait_until_felt(felt)
+        heard = (felt, sound, bare)
+        check_step(daemon, config, (before, after), heard, lambda which: None, silent_ms=0.0)
 
 
+@pytest.mark.parametrize("engine", ["python", "native"])
 def test_a_change_of_engine_costs_under_300_ms_and_does_not_click(
-    pipewire: SoundServer, tmp_path: Path
+    pipewire: SoundServer, engine: str, tmp_path: Path
 ) -> None:
+    engines = ("native", "python") if engine == "python" else ("python", "native")
     config = tmp_path / "config.toml"
-    config.write_text('engine = "native"\n')
+    config.write_text(f'engine = "{engines[0]}"\n')
     with (
-        playing(pipewire, "desktop", tone(110.0, 60.0)),
+        bare_sound(tmp_path) as bare,
+        playing(pipewire, "desktop", tone(110.0, 240.0)),
         running(pipewire, "--config", str(config), engine=None) as daemon,
         recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+        recording(pipewire, "desktop.monitor", tmp_path / "sound") as sound,
     ):
-        wait_for(lambda: felt_now(felt), "vibration")
-        for engine in ("python", "native"):
-            before = len(felt())
-            config.write_text(f'engine = "{engine}"\n')
-            daemon.process.send_signal(signal.SIGHUP)
-            wait_for_engine(daemon, engine)
-            wait_for_more(felt, 3.0)
-            part = felt()[before:]
-            blocks = np.abs(part[: len(part) // 480 * 480]).reshape(-1, 480 * 2).max(axis=1)
-            silent = np.flatnonzero(np.concatenate([[True], blocks > FELT, [True]]))
-            longest_ms = 10.0 * float(np.diff(silent).max() - 1)
-            click_db = above_250_hz(part)
-            print(f"to {engine}: {longest_ms:.0f} ms without vibration, click {click_db:.0f} dB")
-            assert longest_ms <= 300.0
-            assert click_db < CLICK_DB
-            if engine == "python":
+
+        def settle(which: int) -> None:
+            wait_for_engine(daemon, engines[which])
+            if engines[which] == "python":
                 daemon.wait(lambda status: status.engine_pid == 0, "the native engine's end")
+
+        wait_until_felt(felt)
+        texts = (f'engine = "{engines[0]}"\n', f'engine = "{engines[1]}"\n')
+        check_step(daemon, config, texts, (felt, sound, bare), settle, silent_ms=300.0)
 
 
 def test_it_idles_without_processor_time_and_wakes_at_once(
@@ -339,8 +338,9 @@ def test_a_child_that_dies_or_hangs_is_started_again(
         assert not is_alive(child)
 
 
+@pytest.mark.parametrize("both", [False, True], ids=["daemon", "both"])
 def test_a_killed_daemon_takes_its_child_along_and_the_next_one_plays(
-    pipewire: SoundServer, tmp_path: Path
+    pipewire: SoundServer, both: bool, tmp_path: Path
 ) -> None:
     with (
         playing(pipewire, "desktop", tone(60.0, 60.0)),
@@ -350,6 +350,8 @@ def test_a_killed_daemon_takes_its_child_along_and_the_next_one_plays(
             wait_for(lambda: felt_now(felt), "vibration")
             child = engine_process(daemon)
             daemon.process.kill()
+            if both:
+                os.kill(child, signal.SIGKILL)
             wait_for(lambda: not is_alive(child), "the child's end", 1.0)
             wait_for(lambda: not felt_now(felt), "silence", 1.0)
         with running(pipewire, engine="native"):
@@ -433,9 +435,11 @@ def test_it_plays_again_after_the_server_was_killed(pipewire: SoundServer, tmp_p
             pipewire.start()
             with (
                 playing(pipewire, "desktop", tone(60.0, 30.0)),
+                recording(pipewire, "desktop.monitor", tmp_path / "sound") as sound,
                 recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
             ):
-                wait_until_felt(felt)
+                wait_until_felt(sound)  # the server itself takes its time to link streams
+                back_within(felt, time.monotonic(), "the server played again")
                 status = daemon.wait_state(DaemonState.RUNNING)
         assert status.engine == "native"
         assert recovered(status, Cause.SERVER_LOST) == 2
@@ -548,6 +552,36 @@ def test_fifty_clients_do_not_disturb_it(pipewire: SoundServer, tmp_path: Path) 
                 client.wait()
         wait_for(lambda: felt_now(felt), "vibration")
         assert engine_process(daemon) == child
+
+
+def test_the_users_own_nodes_of_the_installed_chains_names_keep_their_links(
+    pipewire: SoundServer, tmp_path: Path
+) -> None:
+    own = ["pw-loopback", "--capture", "desktop", "--playback", "other"]
+    pipewire.add_sink("other")
+    with subprocess.Popen(
+        [
+            *own,
+            "--capture-props=node.name=haptic-cushion.tap stream.capture.sink=true",
+            "--playback-props=node.name=haptic-cushion.vibration",
+        ],
+        env=pipewire.environment,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    ) as users:
+        try:
+            wanted = "haptic-cushion.vibration:output_FL"
+            wait_for(lambda: wanted in links_of(pipewire), "the user's own links")
+            with (
+                playing(pipewire, "desktop", tone(60.0, 60.0)),
+                running(pipewire, engine="native"),
+                recording(pipewire, "haptic.monitor", tmp_path / "felt") as felt,
+            ):
+                wait_until_felt(felt)
+                assert wanted in links_of(pipewire)
+            assert wanted in links_of(pipewire)
+        finally:
+            users.kill()
 
 
 def test_a_second_daemon_is_refused_and_the_first_plays_on(pipewire: SoundServer) -> None:

@@ -85,7 +85,7 @@ def test_what_plays_is_felt_as_a_file_of_it_is_rendered(
 def test_it_ends_after_the_seconds_asked_for_and_tells_what_it_does_until_then(
     server: SoundServer,
 ) -> None:
-    with playing(server, "desktop", tone(60.0, 30.0)), running(server, "--seconds", "3") as daemon:
+    with playing(server, "desktop", tone(60.0, 30.0)), running(server, "--seconds", "6") as daemon:
         status = daemon.wait(lambda s: s.levels.vibration.peak_dbfs > -60.0, "vibration")
         assert status.state is DaemonState.RUNNING
         assert status.tap.name == "desktop.monitor"

@@ -395,7 +395,7 @@ def test_a_capture_goes_on_when_the_server_is_back(server: SoundServer, tmp_path
 def test_a_file_is_felt_on_the_device_and_ends_the_run(server: SoundServer, tmp_path: Path) -> None:
     record = tmp_path / "rec"
     with recording(server, "haptic.monitor", tmp_path / "felt") as felt:
-        options = ["--tap", "scene:demo", "--record", str(record), "--seconds", "5"]
+        options = ["--tap", "scene:demo", "--record", str(record), "--seconds", "8"]
         done = cushion(server, "run", "--device", "haptic", *options)
         assert (done.returncode, done.stdout) == (0, "")
         assert float(np.abs(felt()).max()) > 0.02

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
@@ -16,6 +15,7 @@ from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.chain import NAME, Chain
 from audioflinger_hook.daemon.native.page import TransformReadings
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports
+from audioflinger_hook.daemon.native.running import RunningChain
 from audioflinger_hook.daemon.native.taps import Tap, tap_of
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
@@ -30,14 +30,8 @@ from device.server.paused_links import PausedLinks
 from device.server.snapshot import Sink, Source
 from device.units import db_to_amplitude
 
-SETTLED_FRAMES = 9_600
-"""Sound that a new chain has heard before it is felt: its analysis looks 0.1 s back."""
-
-SETTLED_S = 0.3
-"""Longest wait for that sound: nothing may play."""
-
-FADE_S = 0.08
-"""From the wish to be silent to the end of a chain; its fade takes 40 ms."""
+FADE_S = 0.4
+"""Longest wait for a chain to fade out. Its fade takes 40 ms; a graph that stands still, longer."""
 
 STUCK_S = 5.0
 """A chain that processes nothing for so long although applications play is started again."""
@@ -47,22 +41,6 @@ START_S = 5.0
 
 LONGEST_WAIT_S = 1.0
 """Longest time between two starts."""
-
-
-@dataclass
-class _Running:
-    """A chain, when it was started and linked, and since when it has processed nothing new."""
-
-    chain: Chain
-    began_s: float
-    linked_s: float = math.inf
-    frames: int = 0
-    moved_s: float = 0.0
-
-    def is_settled(self, now_s: float) -> bool:
-        """Whether its vibration is that of a chain that has always run."""
-        heard = self.chain.page.frames >= SETTLED_FRAMES
-        return self.linked_s < math.inf and (heard or now_s - self.linked_s > SETTLED_S)
 
 
 class NativeEngine:
@@ -83,8 +61,9 @@ class NativeEngine:
         self._states = states
         self._graph = Graph(on_change)
         self._paused_links = PausedLinks()
-        self._current: _Running | None = None
-        self._next: _Running | None = None
+        self._current: RunningChain | None = None
+        self._next: RunningChain | None = None
+        self._leaving: list[RunningChain] = []
         self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
         self._tap: Tap | None = None
         self._has_played = False
@@ -106,7 +85,7 @@ class NativeEngine:
     @property
     def is_steady(self) -> bool:
         """Whether it plays, and no other chain is about to."""
-        return self.audible and self._next is None
+        return self.audible and self._next is None and not self._leaving
 
     @property
     def is_lost(self) -> bool:
@@ -152,6 +131,8 @@ class NativeEngine:
         LostError: the chain or the graph is gone; the next call starts again.
         UsageError: the device lacks a channel.
         """
+        self._faded_s = math.inf
+        self._end_leaving(now_s)
         tap = tap_of(found, self._graph.ports)
         self._note_moves(tap)
         if self._graph.lost:
@@ -177,6 +158,7 @@ class NativeEngine:
     def lose_links(self, now_s: float) -> bool:
         """Remove all links, as tap or device is away; return whether the engine had played."""
         played, self._has_played = self._has_played, False
+        self._end_leaving(now_s)
         for running in filter(None, (self._current, self._next)):
             running.chain.page.set_audible(False)
             self._graph.ensure((), (running.chain.tap, running.chain.vibration), now_s)
@@ -187,17 +169,36 @@ class NativeEngine:
 
     def fade_out(self, now_s: float) -> bool:
         """Let the vibration end softly; return whether it has ended. Repeat it until then."""
-        for running in filter(None, (self._current, self._next)):
+        chains = [running for running in (self._current, self._next) if running]
+        for running in chains:
             running.chain.page.set_audible(False)
         self.audible = False
         self._faded_s = min(self._faded_s, now_s)
-        return now_s - self._faded_s > FADE_S
+        return all(one.is_silent for one in chains) or now_s - self._faded_s > FADE_S
+
+    def fade_in(self) -> None:
+        """Let the vibration begin again after `fade_out`."""
+        self._faded_s = math.inf
+        if self._current is not None and self._current.linked_s < math.inf:
+            self._current.chain.page.set_audible(True)
+            self.audible = True
+
+    def leave(self, now_s: float) -> bool:
+        """Take the chains out of the graph; return whether they are out. Repeat it until then.
+
+        Only after `fade_out`.
+        """
+        self._leaving += filter(None, (self._current, self._next))
+        self._current = self._next = None
+        still_in = [one for one in self._leaving if not one.has_left(self._graph, now_s)]
+        return not still_in
 
     def close(self) -> None:
         """End everything. May be repeated; raises nothing."""
-        for running in filter(None, (self._current, self._next)):
+        for running in (*filter(None, (self._current, self._next)), *self._leaving):
             running.chain.close()
         self._current = self._next = None
+        self._leaving.clear()
         self.audible = False
         self._graph.close()
 
@@ -243,7 +244,7 @@ class NativeEngine:
         if self._backoff.wait_s(now_s) > 0.0:
             return
         chain = Chain(plan, self._folder, realtime=self._config.live.realtime)
-        self._next = _Running(chain, now_s, moved_s=now_s)
+        self._next = RunningChain(chain, now_s, moved_s=now_s)
         self._set_damping(chain)
         self._set_actuators(chain)
 
@@ -272,6 +273,12 @@ class NativeEngine:
             elif not linked:
                 running.linked_s = math.inf
 
+    def _end_leaving(self, now_s: float) -> None:
+        for running in tuple(self._leaving):
+            if running.has_left(self._graph, now_s):
+                self._leaving.remove(running)
+                running.chain.close()
+
     def _adopt_next(self, now_s: float) -> None:
         """Let the next chain take the place of one that has faded out."""
         old, new = self._current, self._next
@@ -279,11 +286,9 @@ class NativeEngine:
             return
         if old is None:
             self._current, self._next = new, None
-        elif new.is_settled(now_s):
-            silent = old.chain.page.faded_out(len(old.chain.plan.actuators))
-            if silent or now_s - old.moved_s >= FADE_S:
-                old.chain.close()
-                self._current, self._next = new, None
+        elif new.is_settled(now_s) and (old.is_silent or now_s - old.moved_s >= FADE_S):
+            self._leaving.append(old)
+            self._current, self._next = new, None
 
     def _let_play(self, now_s: float) -> None:
         """Fade the chains in or out: the next one takes over when it has settled."""

@@ -1,0 +1,57 @@
+"""One chain while it runs: since when it is linked, whether it has settled, and how it leaves."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from audioflinger_hook.daemon.native.chain import Chain
+from device.server.graph import Graph
+
+SETTLED_FRAMES = 9_600
+"""Sound that a new chain has heard before it is felt: its analysis looks 0.1 s back."""
+
+SETTLED_S = 0.3
+"""Longest wait for that sound: nothing may play."""
+
+LEAVE_S = 0.5
+"""Longest wait for the links of a chain to vanish before its process ends."""
+
+
+@dataclass
+class RunningChain:
+    """A chain and its times in seconds. For the supervising thread alone.
+
+    began_s: its start. linked_s: since when it has all its links. frames, moved_s: what it has
+    processed, and when that last changed. left_s: when its links were first removed.
+    """
+
+    chain: Chain
+    began_s: float
+    linked_s: float = math.inf
+    frames: int = 0
+    moved_s: float = 0.0
+    left_s: float = math.inf
+
+    @property
+    def is_silent(self) -> bool:
+        """Whether it has faded out."""
+        return self.chain.page.faded_out(len(self.chain.plan.actuators))
+
+    def is_settled(self, now_s: float) -> bool:
+        """Whether its vibration is that of a chain that has always run."""
+        heard = self.chain.page.frames >= SETTLED_FRAMES
+        return self.linked_s < math.inf and (heard or now_s - self.linked_s > SETTLED_S)
+
+    def has_left(self, graph: Graph, now_s: float) -> bool:
+        """Remove its links; return whether they are gone. Repeat it until then.
+
+        A process that ends while its nodes are linked keeps the cycle waiting, which costs all
+        other streams of the device a cycle: a click.
+        """
+        self.left_s = min(self.left_s, now_s)
+        nodes = self.chain.tap, self.chain.vibration
+        graph.ensure((), nodes, now_s)
+        starts = tuple(f"{node}:" for node in nodes)
+        linked = any(port.startswith(starts) for link in graph.links for port in link)
+        return not linked or now_s - self.left_s > LEAVE_S
