@@ -117,7 +117,9 @@ def _lag_rows(
     yield Row(f"{kind}: half of the peak, 95th percentile", p95, "ms", name, must)
     # A noise has no peak of its own: where explosions have theirs is chance.
     limit = method.must("<=", PEAK_LIMIT_MS) if kind != "explosions" else None
-    yield Row(f"{kind}: peak after the sound's, median", float(np.median(peak)), "ms", name, limit)
+    yield Row(
+        f"{kind}: peak off the sound's, median", float(np.median(np.abs(peak))), "ms", name, limit
+    )
     yield Row(f"{kind}: felt as impacts", float(len(felt)), f"of {len(found)}", name)
 
 
