@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.config.profiles import DEFAULT_PROFILE, parameters_of, values_of
-from audioflinger_hook.config.schema import ACTUATOR, HEADERS, KEYS, RENAMED, SECTIONS, keys_of
+from audioflinger_hook.config.schema import ACTUATOR, HEADERS, KEYS, RENAMED, SECTIONS, keys_of, rescaled
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings, wiring_refusals
@@ -153,7 +153,7 @@ class _Reading:
                 self.lines[f"{prefix}{name}"] = self._line(shown)
                 self.shown[f"{prefix}{name}"] = self.shown.get(shown, "")
                 self.renamed.append(f"line {self._line(shown)}: {shown} is now {prefix}{name}")
-            resolved = key.description.resolved(value, self.folder)
+            resolved = key.description.resolved(rescaled(written, value), self.folder)
             if refusal := key.description.refuse(resolved):
                 self._add(shown, refusal)
                 self.refused.add((key.owner, key.field))

@@ -14,7 +14,7 @@ import numpy as np
 
 from audioflinger_hook.capture import STREAMS, CaptureRecorder, CaptureWriter
 from audioflinger_hook.capture.format import Facts
-from audioflinger_hook.config.schema import RENAMED_PARAMETERS
+from audioflinger_hook.config.schema import RENAMED_PARAMETERS, rescaled
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import OnMix, OnStep
 from audioflinger_hook.transform import TransformParameters
@@ -59,7 +59,7 @@ def settings_from(facts: Facts) -> Settings | None:
     """
     if "form" not in facts:
         return None
-    facts = {RENAMED_PARAMETERS.get(name, name): value for name, value in facts.items()}
+    facts = {RENAMED_PARAMETERS.get(n, n): rescaled(n, value) for n, value in facts.items()}
     try:
         parameters = TransformParameters(**_named(TransformParameters, facts))
         chosen = _named(Settings, facts)

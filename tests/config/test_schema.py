@@ -44,7 +44,7 @@ threshold = 0.3
 partials_max = 2.5
 band_low_hz = 400
 band_high_hz = 500
-follower_db = 50
+follower_db = 70
 loudness_gate_db = 5
 follower_gate_db = 5
 [[actuator]]
@@ -67,7 +67,7 @@ EXPECTED = [
     (11, "transform.threshold", "0.3", "is an unknown key", "transform, ", "threshold_hz"),
     (12, "transform.partials_max", "2.5", "is not a whole number", "1 to 64", ""),
     (14, "transform.band_high_hz", "500", "is under twice band_low_hz=400", "at least 800 Hz", ""),
-    (15, "transform.follower_db", "50", "is out of range", "0 to 40 dB", ""),
+    (15, "transform.follower_db", "70", "is out of range", "0 to 60 dB", ""),
     (
         17,
         "transform.follower_gate_db",
@@ -190,15 +190,16 @@ def test_old_names_work_with_one_warning_that_names_both(tmp_path: Path) -> None
     expected = (
         "line 3: transform.form is now transform.transform, "
         "line 4: transform.follower_db is now transform.loudness_db, "
-        "line 5: transform.follower_slope_db is now transform.loudness_slope_db; "
+        "line 5: transform.follower_slope_db is now transform.dynamics; "
         "the next release knows the new names only"
     )
     found = config.load(path)
-    new = OLD_NAMES.replace("follower", "loudness").replace("form =", "transform =")
+    new = OLD_NAMES.replace("follower_slope_db = 6.5", "dynamics = 0.325")
+    new = new.replace("follower", "loudness").replace("form =", "transform =")
     assert found.warning == expected
     assert replace(found, warning="") == config.load(written(tmp_path, new))
     assert found.settings.parameters.loudness_db == 20.0
-    assert found.settings.said == ("loudness_db", "loudness_slope_db")
+    assert found.settings.said == ("loudness_db", "dynamics")
 
     path.write_text(OLD_NAMES)
     checked = call("check", "--config", path)

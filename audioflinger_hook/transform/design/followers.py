@@ -33,8 +33,8 @@ BANDWIDTH_DB = (-0.25, -0.6, -0.8, -0.8, -0.5, 0.0, 0.5, 1.1, 1.5, 1.7)
 BANDWIDTH_DB += (1.8, 1.8, 1.7, 1.6, 1.4, 1.2, 0.8, 0.5, 0.0, -0.5)
 """From the level in a third of an octave to the level in a critical band."""
 
-DEEP_HZ, DEEP_DB, LOW_DB = 40.0, 4.0, -8.0
-"""Deep sound is felt more than heard: bins up to 40 Hz count 4 dB more. Above, up to 90 Hz, bins
+DEEP_HZ, DEEP_DB, LOW_DB = 40.0, 5.0, -6.0
+"""Deep sound is felt more than heard: bins up to 40 Hz count 5 dB more. Above, up to 90 Hz, bins
 count less, as the ear weighs them in ISO 532-1."""
 
 FELT_AT_HZ = 40.0
@@ -181,7 +181,11 @@ class LoudnessDesign:
     """... one that is near again."""
     floor_under: float = 55.0
     """The noise floor stays this far below the programme's level: a steady sound is no noise."""
-    onset_under: float = 4.0
+    jitter: float = 1.0
+    """Smaller changes of loudness from hop to hop are jitter, of which ..."""
+    jitter_followed: float = 0.05
+    """... this share is followed."""
+    onset_under: float = 2.0
     """A sound of 5 ms is heard softer than a long one. An onset does not know which it will be."""
     slope_a_bark: float = 0.45
     """Above a band its specific loudness N' falls by this / N'^0.25 of itself for each Bark: nearly

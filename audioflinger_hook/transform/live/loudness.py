@@ -97,6 +97,7 @@ class LoudnessFollower:
         """Take a hop without any sound: there is no noise, and nothing was loud."""
         self.floor_db = self._design.floor_min
         self.loud_db = self._design.floor_min
+        self._steady_db = self._design.floor_min
 
     def loudness_db(self, spectra: ComplexArray) -> list[float]:
         """Return the loudness of each row of (rows, columns), see `LoudnessMeter`."""
@@ -113,6 +114,7 @@ class LoudnessFollower:
         It is 0 where the soft gate is closed. The floor and the programme's level follow.
         """
         design = self._design
+        loudness_db = self._steadied(loudness_db)
         floor_db = min(self.floor_db + design.floor_rise, loudness_db)
         self.floor_db = max(design.floor_min, floor_db)
         self.loud_db = max(design.floor_min, self.loud_db - design.release, loudness_db)
@@ -129,6 +131,16 @@ class LoudnessFollower:
         moved_db += self._jump(above_db)
         self.programme_db = max(design.programme_min, min(design.programme_top, moved_db))
         return gate * self._strength_above(above_db, loudness_db - self.loud_db)
+
+    def _steadied(self, loudness_db: float) -> float:
+        """Return loudness that follows clear changes at once and jitter hardly.
+
+        The windows of a low tone, and of noise, differ by a dB although the sound is steady.
+        """
+        jitter, change = self._design.jitter, loudness_db - self._steady_db
+        small = max(-jitter, min(jitter, change))
+        self._steady_db += (change - small) + self._design.jitter_followed * small
+        return self._steady_db
 
     def _jump(self, above_db: float) -> float:
         """Return how far the programme's level goes after a jump that only a volume control makes.

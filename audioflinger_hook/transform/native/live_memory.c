@@ -64,6 +64,7 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
     voice->follower.programme = allot(next, 1);
     voice->follower.floor = allot(next, 1);
     voice->follower.loud = allot(next, 1);
+    voice->follower.steady = allot(next, 1);
     voice->follower.gain = allot(next, 1);
     voice->follower.far_hops = allot(next, 1);
     voice->smoothing.state = allot(next, smoothing_states(s));

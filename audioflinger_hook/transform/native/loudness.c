@@ -21,7 +21,7 @@ void loudness_reset(const Settings *settings, Loudness *follower)
 
 void loudness_rest(const Settings *settings, Loudness *follower)
 {
-    *follower->floor = *follower->loud = settings->floor_min;
+    *follower->floor = *follower->loud = *follower->steady = settings->floor_min;
 }
 
 /* What measures loudness after ISO 532-1 in spectra of one kind. */
@@ -144,8 +144,17 @@ static double jump(const Settings *s, Loudness *follower, double above)
     return -*far_hops > s->jump_down_hops ? -s->jump_down_step : 0.0;
 }
 
-double loudness_strength(const Settings *s, Loudness *follower, double loudness_db)
+/* Loudness that follows clear changes at once and jitter hardly. */
+static double steadied(const Settings *s, const Loudness *follower, double loudness_db)
 {
+    const double change = loudness_db - *follower->steady;
+    const double small = within(change, -s->jitter, s->jitter);
+    return *follower->steady += (change - small) + s->jitter_followed * small;
+}
+
+double loudness_strength(const Settings *s, Loudness *follower, double measured_db)
+{
+    const double loudness_db = steadied(s, follower, measured_db);
     const double floor = smaller(*follower->floor + s->floor_rise, loudness_db);
     *follower->floor = larger(s->floor_min, floor);
     const double loud = larger(*follower->loud - s->release, loudness_db);
@@ -195,7 +204,7 @@ double loudness_gain(const Settings *s, Loudness *follower, double strength, con
 int loudness_is_possible(const Settings *s, const Loudness *follower)
 {
     return *follower->programme >= s->programme_min && *follower->programme <= s->programme_top &&
-           *follower->floor >= s->floor_min && *follower->loud >= s->floor_min &&
+           isfinite(*follower->steady) && *follower->floor >= s->floor_min && *follower->loud >= s->floor_min &&
            *follower->far_hops <= s->jump_up_hops + 1.0 &&
            -*follower->far_hops <= s->jump_down_hops + 1.0 && *follower->gain >= 0.0 && *follower->gain <= larger(1.0, s->gain_max);
 }

@@ -8,11 +8,11 @@
 /* All of it is state, in dB of loudness but for two: the factor on the last amplitudes, and the
  * hops for which loudness has been far above the programme, or below with a minus. */
 typedef struct {
-    double *programme, *floor, *loud, *gain, *far_hops;
+    double *programme, *floor, *loud, *steady, *gain, *far_hops;
 } Loudness;
 
 /* Numbers in it. */
-#define FOLLOWER_NUMBERS 5
+#define FOLLOWER_NUMBERS 6
 
 /* Whether loudness is followed at all. */
 int loudness_is_on(const Settings *settings);
@@ -28,7 +28,7 @@ double loudness_loudness_db(const Settings *settings, const double *real, const 
 
 /* Return how strong the next hop vibrates, the root of its partials' sum of squares; 0 where the
  * gate is closed. */
-double loudness_strength(const Settings *settings, Loudness *follower, double loudness_db);
+double loudness_strength(const Settings *settings, Loudness *follower, double measured_db);
 
 /* How strong an onset of this level vibrates. power: of the short window's bins. */
 double loudness_onset_strength(const Settings *settings, const Loudness *follower,

@@ -113,6 +113,8 @@
     ENTRY(floor_under) /* it stays under the programme's level */                                  \
     ENTRY(gate)        /* from the floor to where all is felt, */                                  \
     ENTRY(gate_margin) /* of which this share is still silent */                                   \
+    ENTRY(jitter)          /* smaller changes of loudness are jitter, */                           \
+    ENTRY(jitter_followed) /* of which this share is followed */                                   \
     ENTRY(onset_under)  /* loudness of onsets counts so much less: short sounds are heard softer */ \
     ENTRY(slope_a_bark) /* share by which specific loudness falls, times its fourth root */        \
     ENTRY(target)      /* vibration at the programme's level */                                    \
