@@ -56,6 +56,7 @@ class ChannelBank:
             parts.append(self._transform(usable[first:onset]))
             first = onset
             if all(one.asleep for one in self.transforms):
+                self.mix.reset()
                 for one in self.transforms:
                     one.begin_hop()
         parts.append(self._transform(usable[first:]))

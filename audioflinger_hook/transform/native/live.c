@@ -314,6 +314,7 @@ static size_t up_to_onset(Live *live, Sound sound, size_t frames)
         return silent;
     if (asleep(live)) {
         live->filled = live->tick = 0;
+        memset(live->mix_powers, 0, sizeof *live->mix_powers);
         for (size_t which = 0; which < live->voices_count; which++)
             onsets_reset(&live->settings, &live->voices[which].onsets);
     }
