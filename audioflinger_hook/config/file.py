@@ -10,7 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.config.profiles import DEFAULT_PROFILE, parameters_of, values_of
-from audioflinger_hook.config.schema import ACTUATOR, HEADERS, KEYS, RENAMED, SECTIONS, keys_of, rescaled
+from audioflinger_hook.config.schema import (
+    ACTUATOR,
+    HEADERS,
+    KEYS,
+    RENAMED,
+    SECTIONS,
+    keys_of,
+    rescaled,
+)
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings, wiring_refusals

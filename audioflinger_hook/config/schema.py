@@ -62,6 +62,7 @@ RESCALED = {"follower_slope_db": 1.0 / 20.0, "loudness_slope_db": 1.0 / 20.0}
 RENAMED = {"transform": {"form": "transform", **RENAMED_PARAMETERS}}
 """New names of renamed keys, by section and old name. Old names work for one release."""
 
+
 def rescaled(name: str, value: Any) -> Any:
     """Return the value that belongs to the new name, from that of a key or field of this name."""
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)

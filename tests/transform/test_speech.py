@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.transform import HapticTransform, TransformParameters
-from audioflinger_hook.transform.design.followers import SpeechDesign
+from audioflinger_hook.transform.design.speech import SpeechDesign
 from audioflinger_hook.transform.live.speech import SpeechSuppressor
 from tests.support.recordings import require_recordings
 from tests.support.signals import (

@@ -3,7 +3,8 @@
 | module | what it designs |
 | --- | --- |
 | `analysis` | input stage, analysis of windows, search for onsets |
-| `followers` | loudness follower, speech suppression |
+| `loudness` | loudness, felt strength, programme level |
+| `speech` | speech suppression |
 | `synthesis` | time grid, tracking of partials, oscillators, low-pass, limiter |
 | `blob` | the design as bytes |
 """
@@ -17,7 +18,8 @@ import numpy as np
 
 from audioflinger_hook.transform.design import blob
 from audioflinger_hook.transform.design.analysis import AnalysisDesign, InputDesign, OnsetDesign
-from audioflinger_hook.transform.design.followers import LoudnessDesign, SpeechDesign
+from audioflinger_hook.transform.design.loudness import LoudnessDesign
+from audioflinger_hook.transform.design.speech import SpeechDesign
 from audioflinger_hook.transform.design.synthesis import (
     ATTACK_HOPS,
     LiveGrid,

@@ -1,7 +1,7 @@
 """The loudness follower: how strong a hop vibrates by how loud it is in its programme.
 
 After Altinsoy and Merchel, "Cross-Modality Matching of Loudness and Perceived Intensity of
-Whole-Body Vibrations" (HAID 2010). A phon counts as a dB of K-weighted level.
+Whole-Body Vibrations" (HAID 2010). Loudness is measured after ISO 532-1.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import math
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray
-from audioflinger_hook.transform.design.followers import LoudnessDesign
+from audioflinger_hook.transform.design.loudness import FULL_SCALE_DB, LoudnessDesign
+from audioflinger_hook.transform.design.synthesis import SynthesisDesign
 from audioflinger_hook.transform.spectrum import ComplexArray
-
 
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -56,7 +56,7 @@ class LoudnessMeter:
             sone += max(core * width, tail)
             above = max(core, left)
         phon = 40.0 + 10.0 * math.log2(sone) if sone >= 1.0 else 40.0 * (sone + 5e-4) ** 0.35
-        return phon - 94.0
+        return phon - FULL_SCALE_DB
 
 
 class LoudnessFollower:
@@ -69,7 +69,7 @@ class LoudnessFollower:
     def __init__(self, design: LoudnessDesign) -> None:
         self._design = design
         self._bins = design.loudness_weights.size
-        self._felt_hz = 0.25 * np.arange(design.felt_weights.size)
+        self._felt_hz = SynthesisDesign.gain_step_hz * np.arange(design.felt_weights.size)
         self._meter = LoudnessMeter(
             design.loudness_weights,
             design.loudness_edges,
@@ -172,7 +172,8 @@ class LoudnessFollower:
         felt = float((power * self._design.onset_felt_squares).sum() / max(TINY, power.sum()))
         loud_db = max(self.loud_db, loudness_db)
         strength = self._strength_above(loud_db - self.programme_db, loudness_db - loud_db)
-        return min(self._design.gain_max * level, self._gate(loudness_db) * strength / felt**0.5)
+        wanted = self._gate(loudness_db) * strength / math.sqrt(felt)
+        return min(self._design.gain_max * level, wanted)
 
     def felt_weight(self, hz: FloatArray) -> FloatArray:
         """Return how strongly vibration frequencies in Hz are felt."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -65,8 +66,7 @@ def merge(
     groups = sorted((one for one in gathered if one and one.power > 0.0), key=lambda one: one.hz)
     while len(groups) > 1:
         gaps = [
-            (above.hz - below.hz) / design.merging_hz(below.hz)
-            for below, above in zip(groups[:-1], groups[1:], strict=True)
+            (above.hz - below.hz) / design.merging_hz(below.hz) for below, above in pairwise(groups)
         ]
         closest = gaps.index(min(gaps))
         if gaps[closest] >= design.merge_again:

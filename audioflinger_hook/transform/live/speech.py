@@ -26,7 +26,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from audioflinger_hook.transform.arrays import FloatArray, IntArray
-from audioflinger_hook.transform.design.followers import RAMPS, SpeechDesign
+from audioflinger_hook.transform.design.speech import RAMPS, SpeechDesign
 from audioflinger_hook.transform.spectrum import ComplexArray
 
 OCTAVES = 6

@@ -309,9 +309,7 @@ class LiveTransform:
         elif self._ringing:
             self._ringing -= 1
 
-    def _level(
-        self, found: Principals, hz: FloatArray, strength: float
-    ) -> tuple[FloatArray, bool]:
+    def _level(self, found: Principals, hz: FloatArray, strength: float) -> tuple[FloatArray, bool]:
         """Return the amplitudes of one hop's partials, and whether they were limited.
 
         strength: what the follower makes of their loudness.
@@ -333,7 +331,10 @@ class LiveTransform:
         return limit_amplitudes(amplitude * gain, self._ceiling)
 
     def _onset_amplitude(self, hz: float, weight: float, level: float) -> float:
-        """Return the amplitude of what begins: its vibration frequency in Hz, its share, its level."""
+        """Return the amplitude of what begins at a vibration frequency in Hz.
+
+        weight: the share of its level that the amplitude mapping leaves.
+        """
         amplitude = weight * level
         if self.follower:
             amplitude = weight * self.follower.onset_strength(self._detector.power, level)
