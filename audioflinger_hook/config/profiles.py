@@ -57,7 +57,7 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
         **FOLLOWING,
         "dynamics": ProfileValue(0.5, "music has a small range of loudness: keep half of it"),
         "merge_ratio": ProfileValue(0.6, "tones that a body cannot tell apart would warble"),
-        "loudness_target_db": ProfileValue(-22.3, "room for half of the loudness of loud passages"),
+        "loudness_target_db": ProfileValue(-23.0, "room for half of the loudness of loud passages"),
     },
 }
 """Every profile by its name."""

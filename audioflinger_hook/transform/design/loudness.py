@@ -1,4 +1,4 @@
-"""Design of the part that follows the sound's loudness: ISO 532-1, felt strength, programme level."""
+"""Design of the loudness follower: ISO 532-1, felt strength, the programme's level."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ BANDWIDTH_DB = np.array(
 )
 """From the level in a third of an octave to the level in a critical band."""
 
-DEEP_HZ, DEEP_DB, LOW_DB = 40.0, 5.0, -6.0
-"""Deep sound is felt more than heard: bins up to 40 Hz count 5 dB more. Above, up to 90 Hz, bins
-count less, as the ear weighs them in ISO 532-1."""
+DEEP_HZ, DEEP_DB = (25.0, 65.0, 90.0), (7.0, -6.0, -6.0)
+"""Deep sound is felt more than heard: bins under 90 Hz count so many dB more, by frequency. Where
+less, it is as the ear weighs them in ISO 532-1."""
 
 FELT_AT_HZ = 40.0
 """Vibration of this frequency has weight 1. Above 12.5 Hz, the sensitivity of a seated body to
@@ -145,7 +145,7 @@ class LoudnessDesign:
     """Smaller changes of loudness from hop to hop are jitter, of which ..."""
     jitter_followed: float = 0.05
     """... this share is followed."""
-    onset_under: float = 2.0
+    onset_under: float = 3.0
     """A sound of 5 ms is heard softer than a long one. An onset does not know which it will be."""
     slope_a_bark: float = 0.45
     """Above a band its specific loudness N' falls by this / N'^0.25 of itself for each Bark: nearly
@@ -235,8 +235,8 @@ def loudness_tables(bin_hz: float, bins: int, spread: float) -> tuple[FloatArray
             bands.append(band)
     weights = np.repeat(10.0 ** (0.1 * over_db[bands]), np.diff(edges)) / spread
     hz = bin_hz * np.arange(weights.size)
-    weights[hz < DEEP_HZ] *= 10.0 ** (0.1 * DEEP_DB)
-    weights[(hz >= DEEP_HZ) & (hz < BANDS_HZ[0])] *= 10.0 ** (0.1 * LOW_DB)
+    deep = hz < BANDS_HZ[0]
+    weights[deep] *= 10.0 ** (0.1 * np.interp(hz[deep], DEEP_HZ, DEEP_DB))
     return (
         weights,
         np.array(edges, dtype=np.float64),
