@@ -30,6 +30,8 @@ from tests.support.signals import (
 
 NAMES = [field.name for field in fields(TransformParameters)]
 NUMBERS = [name for name in NAMES if name not in CHOICES]
+SLOPES = {"dynamics": "for each phon"}
+"""Numbers with a unit by another one, which their meaning names."""
 
 
 def test_the_defaults_are_the_papers():
@@ -56,7 +58,10 @@ def test_every_parameter_is_documented_with_its_unit_and_meaning():
     for name in NAMES:
         assert name in documentation
         assert (LIMITS.get(name) or CHOICES[name]).meaning
-        if name in LIMITS and LIMITS[name].unit:
+        if name in SLOPES:
+            assert LIMITS[name].unit
+            assert SLOPES[name] in LIMITS[name].meaning
+        elif name in LIMITS and LIMITS[name].unit:
             # The unit stands in the name, too, where a reader of a call sees it.
             assert name.endswith("_" + LIMITS[name].unit.lower())
 

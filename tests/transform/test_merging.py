@@ -1,0 +1,352 @@
+"""Partials that a body cannot tell apart: they become one, steady, and lose no energy."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import butter, sosfiltfilt
+
+from audioflinger_hook.config.profiles import parameters_of
+from audioflinger_hook.transform import TransformParameters
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.design.synthesis import TrackingDesign
+from audioflinger_hook.transform.live.merging import merge
+from audioflinger_hook.transform.live.transform import LiveTransform
+from audioflinger_hook.transform.mapping import VibrationMapping
+from tests.support.signals import (
+    columns,
+    envelope,
+    identical,
+    in_blocks,
+    joined,
+    played,
+    silence,
+    tone,
+    white_noise,
+)
+from tools.bench.measures.steadiness import rises_s
+
+RATE = 16_000
+PROFILES = ("cinema", "game", "music")
+LIVE = ("live", "live in NumPy")
+CHORD_HZ = (220.0, 277.18, 329.63)
+CINEMA = parameters_of("cinema")
+TRACKING = TrackingDesign.of(CINEMA, 0.018)
+
+
+def merged(hz, amplitude, sounding_hz=(), design=TRACKING):
+    return merge(design, np.asarray(hz), np.asarray(amplitude), list(sounding_hz))
+
+
+def modulation(vibration, samplerate=RATE):
+    """Return the depth of the envelope's swings at 4 to 16 Hz; 1.5 s and 0.5 s at the ends do not
+    count: what begins, and what an envelope makes of an end."""
+    level = envelope(vibration, samplerate)[:: samplerate // 1_000]
+    band = butter(2, (4.0, 16.0), "bandpass", fs=1_000, output="sos")
+    swings = sosfiltfilt(band, level)
+    return float(np.sqrt(2.0) * swings[1_500:-500].std() / level[1_500:-500].mean())
+
+
+def tones(audio_hz, seconds, samplerate=RATE, amplitude=0.15, turn=1.0):
+    sines = [
+        tone(hz, seconds, samplerate, amplitude, turn * place) for place, hz in enumerate(audio_hz)
+    ]
+    return np.asarray(np.sum(sines, axis=0))
+
+
+def pink_noise(seconds, samplerate=RATE, rms=0.1, seed=0):
+    """Return noise of equal power in every octave above 20 Hz."""
+    frames = round(seconds * samplerate)
+    spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(frames))
+    hz = np.fft.rfftfreq(frames, 1 / samplerate)
+    spectrum /= np.sqrt(np.maximum(hz, 20.0))
+    spectrum[0] = 0.0
+    noise = np.fft.irfft(spectrum, frames)
+    return rms / float(noise.std()) * noise
+
+
+def clicks(a_second, seconds, samplerate=RATE, height=0.5):
+    sound = silence(seconds, samplerate)
+    sound[samplerate // 10 :: round(samplerate / a_second)] = height
+    return sound
+
+
+# --- the groups
+
+
+PARTIALS = st.lists(
+    st.tuples(st.floats(20.0, 220.0), st.floats(1e-6, 1.0)), min_size=1, max_size=24
+).map(sorted)
+SOUNDING = st.lists(st.floats(20.0, 220.0), max_size=24)
+
+
+@pytest.mark.parametrize("base_hz", [25.0, 40.0, 80.0, 150.0])
+@pytest.mark.parametrize("apart_hz", range(1, 12))
+def test_partials_1_to_11_hz_apart_become_one_of_the_same_energy(base_hz, apart_hz):
+    hz, amplitude, dominance = merged([base_hz, base_hz + apart_hz], [0.3, 0.4])
+    assert amplitude == pytest.approx([0.5])
+    assert hz == pytest.approx([base_hz + apart_hz * 0.64])
+    assert dominance == pytest.approx([0.64])
+
+
+def test_partials_farther_apart_than_the_merging_distance_stay_two():
+    for base_hz in (25.0, 40.0, 80.0):
+        distance = float(TRACKING.merging_hz(base_hz))
+        hz, amplitude, dominance = merged([base_hz, base_hz + 1.01 * distance], [0.3, 0.4])
+        assert hz == pytest.approx([base_hz, base_hz + 1.01 * distance])
+        assert amplitude == pytest.approx([0.3, 0.4])
+        assert dominance.tolist() == [1.0, 1.0]
+
+
+@given(st.floats(20.0, 220.0), st.floats(1e-6, 1.0), SOUNDING)
+def test_a_single_partial_is_left_as_it_is_and_dominates(hz, amplitude, sounding_hz):
+    found = merged([hz], [amplitude], sounding_hz)
+    assert [part.tolist() for part in found] == [
+        pytest.approx([hz], rel=1e-12),
+        pytest.approx([amplitude], rel=1e-12),
+        [1.0],
+    ]
+
+
+@pytest.mark.parametrize("ratio", [0.35, 0.6, 1.0])
+@given(partials=PARTIALS, sounding_hz=SOUNDING)
+def test_whatever_sounds_groups_are_never_close_and_keep_all_energy(ratio, partials, sounding_hz):
+    design = replace(TRACKING, merge_ratio=ratio)
+    hz, amplitude = np.array(partials).T
+    group_hz, group_amplitude, dominance = merged(hz, amplitude, sounding_hz, design)
+    assert 1 <= group_hz.size <= hz.size
+    for one, other in pairwise(group_hz.tolist()):
+        assert other - one >= design.merge_again * float(design.merging_hz(one)) * (1 - 1e-12)
+    energy = amplitude**2
+    assert (group_amplitude**2).sum() == pytest.approx(energy.sum(), rel=1e-9)
+    # The mean frequency by energy is kept, too.
+    assert (group_amplitude**2 * group_hz).sum() == pytest.approx((energy * hz).sum(), rel=1e-9)
+    assert ((dominance > 0.0) & (dominance <= 1.0)).all()
+    assert ((group_hz >= hz.min() - 1e-9) & (group_hz <= hz.max() + 1e-9)).all()
+
+
+@given(PARTIALS, st.lists(st.floats(20.0, 220.0), max_size=24, unique=True), st.randoms())
+def test_the_order_of_what_sounds_does_not_matter(partials, sounding_hz, random):
+    hz, amplitude = np.array(partials).T
+    distances = np.abs(hz[:, None] - np.array(sounding_hz)[None, :])
+    if any(np.unique(row).size < row.size for row in distances):
+        return
+    found = merged(hz, amplitude, sounding_hz)
+    random.shuffle(sounding_hz)
+    for one, other in zip(found, merged(hz, amplitude, sounding_hz), strict=True):
+        assert identical(one, other)
+
+
+def test_what_sounds_keeps_its_partials():
+    # 40 Hz reaches to 64 Hz, 66 Hz from 26.4 Hz on: 54 Hz belongs to that which is nearer.
+    assert merged([40.0, 54.0, 66.0], [0.3, 0.1, 0.3], [40.0, 66.0])[0].size == 2
+    assert merged([40.0, 52.0, 66.0], [0.3, 0.1, 0.3], [40.0, 66.0])[1] == pytest.approx(
+        [np.hypot(0.3, 0.1), 0.3]
+    )
+    assert merged([40.0, 54.0, 66.0], [0.3, 0.1, 0.3], [40.0, 66.0])[1] == pytest.approx(
+        [0.3, np.hypot(0.3, 0.1)]
+    )
+
+
+def test_two_groups_that_wander_by_a_fifth_of_the_distance_stay_what_they_are():
+    distance = float(TRACKING.merging_hz(60.0))
+    # Two that sound, between merge_again and the whole distance, stay two; what is new, one.
+    pair = [60.0, 60.0 + 0.9 * distance]
+    assert merged(pair, [0.3, 0.3], pair)[0].size == 2
+    assert merged(pair, [0.3, 0.3])[0].size == 1
+    assert merged(pair, [0.3, 0.3], [75.0])[0].size == 1
+    pair = [60.0, 60.0 + 0.7 * distance]
+    assert merged(pair, [0.3, 0.3], pair)[0].size == 1
+
+
+@pytest.mark.parametrize("sounding_hz", [[], [30.0, 90.0]])
+def test_nothing_and_partials_without_amplitude_give_no_group(sounding_hz):
+    for hz, amplitude in ((np.zeros(0), np.zeros(0)), ([40.0, 50.0], [0.0, 0.0])):
+        for part in merged(hz, amplitude, sounding_hz):
+            assert part.shape == (0,)
+
+
+# --- what is felt
+
+
+@pytest.mark.parametrize("base_hz", [40.0, 70.0, 110.0])
+@pytest.mark.parametrize("apart_hz", [4.0, 6.0, 8.0, 10.0, 12.0])
+def test_tones_mapped_close_together_are_felt_as_a_steady_one(base_hz, apart_hz):
+    # Their own beats, 33 Hz and more, are faster than what is measured, so none is in the sound.
+    mapping = VibrationMapping.of(CINEMA)
+    sound = tones([mapping.audio_hz(base_hz), mapping.audio_hz(base_hz + apart_hz)], 3.0)
+    apart = replace(CINEMA, merge_ratio=0.0)
+    assert modulation(played(sound, RATE, parameters=CINEMA)[:, 0]) < 0.12
+    assert modulation(played(sound, RATE, parameters=apart)[:, 0]) > 0.2
+
+
+def test_beats_that_are_in_the_sound_are_felt():
+    sound = tones([110.0, 118.0], 3.0)
+    assert modulation(played(sound, RATE, parameters=CINEMA)[:, 0]) > 0.25
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("turn", [0.0, 1.0, 2.5])
+def test_a_steady_chord_is_felt_steady(profile, turn):
+    parameters = parameters_of(profile)
+    sound = tones(CHORD_HZ, 3.0, turn=turn)
+    assert modulation(played(sound, RATE, parameters=parameters)[:, 0]) < 0.12
+    apart = replace(parameters, merge_ratio=0.0)
+    assert modulation(played(sound, RATE, parameters=apart)[:, 0]) > 0.4
+
+
+@pytest.mark.parametrize("samplerate", [8_000, 48_000])
+def test_a_steady_chord_is_felt_steady_at_other_samplerates(samplerate):
+    sound = tones(CHORD_HZ, 3.0, samplerate)
+    assert modulation(played(sound, samplerate, parameters=CINEMA)[:, 0], samplerate) < 0.12
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_steady_noise_is_felt_nearly_steady(profile):
+    sound = pink_noise(6.0)
+    parameters = parameters_of(profile)
+    swings = modulation(played(sound, RATE, parameters=parameters)[:, 0])
+    assert swings < 0.25
+    apart = replace(parameters, merge_ratio=0.0)
+    assert swings < 0.7 * modulation(played(sound, RATE, parameters=apart)[:, 0])
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("a_second", [1, 5, 10])
+def test_up_to_ten_clicks_a_second_are_felt_one_by_one(profile, a_second):
+    sound = clicks(a_second, 4.0)
+    felt_s = rises_s(played(sound, RATE, parameters=parameters_of(profile))[:, 0], RATE)
+    # The first rises from silence as the last falls: at ten a second one of forty may be missed.
+    assert felt_s.size == pytest.approx(4 * a_second, abs=a_second // 10)
+    # Each comes with its click; onsets share one latency.
+    assert np.diff(felt_s) == pytest.approx(np.full(felt_s.size - 1, 1 / a_second), abs=0.03)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_fifty_clicks_a_second_are_no_impacts(profile):
+    # Their harmonics are equally strong, so other ones are principal from hop to hop: some warble
+    # stays, but less than of clicks that are felt one by one, whose envelope swings by over 1.
+    vibration = played(clicks(50, 4.0), RATE, parameters=parameters_of(profile))[:, 0]
+    assert modulation(vibration) < 0.35
+    level = envelope(vibration, RATE, 20.0)[::16][1_500:3_500]
+    assert level.min() > 0.25 * level.max()
+
+
+def test_a_group_of_the_sound_s_energy_is_as_strong_as_one_tone():
+    mapping = VibrationMapping.of(CINEMA)
+    plain = replace(CINEMA, loudness_db=0.0, strength="flat")
+    both = tones([mapping.audio_hz(70.0), mapping.audio_hz(78.0)], 2.0, amplitude=0.2)
+    one = tone(mapping.audio_hz(74.0), 2.0, RATE, 0.2 * np.sqrt(2.0))
+    levels = [
+        10 * np.log10(np.mean(played(sound, RATE, parameters=plain)[RATE : -RATE // 2] ** 2))
+        for sound in (both, one)
+    ]
+    assert levels[0] == pytest.approx(levels[1], abs=0.5)
+
+
+def test_the_paper_s_partials_are_not_merged(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("merged")
+
+    monkeypatch.setattr("audioflinger_hook.transform.live.partials.merge", refuse)
+    sound = tones(CHORD_HZ, 0.5)
+    for parameters in (TransformParameters(), parameters_of("paper")):
+        assert parameters.merge_ratio == 0.0
+        vibration = played(sound, RATE, form="live in NumPy", parameters=parameters)
+        assert np.abs(vibration - played(sound, RATE, parameters=parameters)).max() < 1e-6
+    with pytest.raises(AssertionError, match="merged"):
+        played(sound, RATE, form="live in NumPy", parameters=CINEMA)
+
+
+def test_partials_that_are_one_stay_one_oscillator_from_hop_to_hop():
+    transform = LiveTransform(LiveDesign.of(CINEMA, RATE))
+    sound = tones(CHORD_HZ, 2.0)
+    transform.process(sound[:RATE])
+    tracker = transform._tracker
+    slots, frequencies = set(), []
+    for first in range(RATE, 2 * RATE, transform.design.grid.hop_frames):
+        transform.process(sound[first : first + transform.design.grid.hop_frames])
+        alive = tracker._alive.nonzero()[0]
+        slots.add(tuple(alive.tolist()))
+        frequencies.append(tracker._hz[alive])
+    assert len(slots) == 1
+    assert np.ptp(np.array(frequencies), axis=0).max() < 1.0
+
+
+# --- both implementations, splits, hard cases
+
+
+def sounds():
+    chord = joined(tones(CHORD_HZ, 0.6), tones((330.0, 392.0, 494.0, 523.0), 0.5))
+    return {
+        "chord": chord,
+        "noise": pink_noise(0.8),
+        "clicks": clicks(12, 1.0),
+        "all": joined(chord, silence(0.5, RATE), pink_noise(0.4, rms=0.3), clicks(30, 0.4)),
+    }
+
+
+@pytest.mark.parametrize("ratio", [0.35, 0.6])
+@pytest.mark.parametrize("kind", [*sounds()])
+def test_the_kernel_merges_as_numpy_does(ratio, kind):
+    sound = sounds()[kind]
+    for parameters in (CINEMA, parameters_of("game"), TransformParameters()):
+        kernel, numpy = (
+            played(sound, RATE, form=form, parameters=replace(parameters, merge_ratio=ratio))
+            for form in LIVE
+        )
+        assert kernel.any()
+        assert np.abs(kernel - numpy).max() < 1e-6
+
+
+@pytest.mark.parametrize("form", LIVE)
+@pytest.mark.parametrize("ratio", [0.35, 0.6])
+@pytest.mark.parametrize("frames", [7, 240, 997])
+def test_splits_give_the_same_bytes(form, ratio, frames):
+    sound = sounds()["all"]
+    if frames == 7:
+        sound = sound[-RATE // 2 :]
+    parameters = replace(CINEMA, merge_ratio=ratio)
+    whole = played(sound, RATE, form=form, parameters=parameters)
+    blocks = [frames] * (sound.size // frames)
+    assert identical(in_blocks(sound, blocks, RATE, form=form, parameters=parameters), whole)
+
+
+@pytest.mark.parametrize("form", LIVE)
+def test_opposite_channels_and_a_broken_one_are_felt_as_the_other(form):
+    sound = tones(CHORD_HZ, 0.8)
+    alone = played(sound, RATE, form=form, parameters=CINEMA)
+    for other in (-sound, np.full(sound.size, np.nan)):
+        vibration = played(columns(sound, other), RATE, form=form, parameters=CINEMA)
+        assert np.isfinite(vibration).all()
+        each = played(columns(sound, other), RATE, form=form, per_channel=True, parameters=CINEMA)
+        assert np.isfinite(each).all()
+        assert each[:, 0].any()
+        # Opposite sides do not cancel; a side without sound takes at most its half.
+        assert 10 * np.log10((vibration**2).sum() / (alone**2).sum()) > -3.0
+    kernel, numpy = (
+        played(columns(sound, -sound), RATE, form=each, parameters=CINEMA) for each in LIVE
+    )
+    assert np.abs(kernel - numpy).max() < 1e-6
+
+
+@pytest.mark.parametrize("form", LIVE)
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("frames", [0, 1, 2])
+def test_a_file_of_a_frame_or_none_is_finite(form, profile, frames):
+    vibration = played(np.full(frames, 0.5), RATE, form=form, parameters=parameters_of(profile))
+    assert np.isfinite(vibration).all()
+    assert np.abs(vibration).max() < 1.0
+
+
+@pytest.mark.parametrize("form", LIVE)
+@pytest.mark.parametrize("partials_max", [1, 2, 64])
+def test_any_number_of_partials_is_merged(form, partials_max):
+    parameters = replace(CINEMA, partials_max=partials_max, merge_ratio=0.35)
+    sound = white_noise(0.5, RATE, 0.3)
+    vibration = played(sound, RATE, form=form, parameters=parameters)
+    assert vibration.any()
+    assert np.abs(vibration).max() < 1.0
