@@ -13,7 +13,7 @@ from device.server.pulse import PulseConnection
 from device.stream import portaudio
 from device.stream.pcms import PcmConfig
 from device.stream.streams import CaptureStream, PlaybackStream
-from tests.servers.listening import Notes, count_stuck
+from tests.servers.listening import Notes, count_stuck, need
 from tools.sound_server import PROGRAMS, SoundServer, missing_programs
 
 
@@ -25,8 +25,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def started(kind: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
-    if missing := missing_programs(kind):
-        pytest.skip(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
+    need(missing_programs(kind))
     # not tmp_path: a socket's path has room for some 100 characters only
     with (
         tempfile.TemporaryDirectory(prefix="cushion-") as folder,

@@ -6,12 +6,13 @@ import os
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import pytest
 
 from device.errors import LostError
 from device.server.pulse import PulseConnection
@@ -23,6 +24,14 @@ RATE_HZ = 48_000
 LEVEL = np.float32(0.25)
 
 Found = TypeVar("Found")
+
+
+def need(missing: Sequence[str]) -> None:
+    """Skip a test for which programs are missing; with CI=true, fail it."""
+    if missing and os.environ.get("CI") == "true":
+        pytest.fail(f"missing: {', '.join(missing)}")
+    if missing:
+        pytest.skip(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
 
 
 def count_stuck() -> int:

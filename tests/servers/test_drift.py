@@ -26,7 +26,7 @@ from device.clock.delay_line import DelayState, DelayStatus
 from device.stream import CaptureStream, PcmConfig, PlaybackStream
 from device.stream.pcms import ServerDevice
 from tests.servers.bare_streams import bare_streams
-from tests.servers.listening import RATE_HZ, playing, wait_for
+from tests.servers.listening import RATE_HZ, need, playing, wait_for
 from tools.live_latency.lag import swelling_tone
 from tools.live_latency.pauses import Pause, PauseWitness, undisturbed
 from tools.live_latency.recording import Recording
@@ -104,8 +104,7 @@ class Watched:
 @contextmanager
 def two_cards(ratio: float, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[SoundServer]]:
     """A server of the usual pace and one whose clock runs at this ratio to it."""
-    if missing := missing_programs("pulse") + missing_clock():
-        pytest.skip(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
+    need(missing_programs("pulse") + missing_clock())
     with ExitStack() as stack:
         servers = [
             stack.enter_context(

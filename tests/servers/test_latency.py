@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.servers.daemons import ROOT, environment, running
+from tests.servers.listening import need
 from tools.bench.sections.kept_records import CPU_PERCENT, LAG, NO_GROWTH_MS, USUAL_BLOCK_FRAMES
 from tools.latency import main
 from tools.live_latency.record import (
@@ -58,15 +59,10 @@ def measured(arguments: list[str], environ: dict[str, str] | None = None) -> Liv
     raise AssertionError("unreachable")
 
 
-def skip_without(kind: str) -> None:
-    if missing := missing_programs(kind):
-        pytest.skip(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
-
-
 @pytest.mark.servers
 @pytest.mark.parametrize("kind", sorted(PROGRAMS))
 def test_the_tool_finds_a_plausible_lag_and_no_error_of_its_own(kind: str, tmp_path: Path) -> None:
-    skip_without(kind)
+    need(missing_programs(kind))
     kept = tmp_path / "live.json"
     record = measured(["--kind", kind, "--seconds", "12", "--out", str(kept)])
     assert kind in record.server.lower()
@@ -107,7 +103,7 @@ def test_without_a_daemon_there_is_nothing_to_measure_here(server: SoundServer) 
 @pytest.mark.soak
 @pytest.mark.parametrize("kind", sorted(PROGRAMS))
 def test_the_latency_is_short_and_does_not_grow(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    skip_without(kind)
+    need(missing_programs(kind))
     with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
         out = Path(folder) / "live.json"
         arguments = ["--kind", kind, "--seconds", str(SOAK_S), "--out", str(out)]

@@ -29,7 +29,7 @@ from tests.servers.daemons import (
     tone,
 )
 from tests.servers.listening import RATE_HZ, noise, playing, recording, wait_for
-from tests.servers.witness import ATTEMPTS, UNEXCUSED, bare_sound, check_step
+from tests.servers.witness import ATTEMPTS, UNEXCUSED, bare_sound, check_step, give_up, tears
 from tools.sound_server import SoundServer
 
 pytestmark = [pytest.mark.servers, pytest.mark.calm]
@@ -166,8 +166,10 @@ def test_the_vibration_is_that_of_render_bit_for_bit(pipewire: SoundServer, tmp_
         == 0
     )
     wanted, _ = soundfile.read(tmp_path / "vibration.wav", dtype="float32")
-    with running(pipewire, engine="native"):
+    attempts: list[tuple[bool, bool]] = []
+    with bare_sound(tmp_path) as bare, running(pipewire, engine="native"):
         for attempt in range(ATTEMPTS):
+            begun = len(bare())
             with (
                 recording(pipewire, "desktop.monitor", tmp_path / f"heard{attempt}") as heard,
                 recording(pipewire, "haptic.monitor", tmp_path / f"felt{attempt}") as felt,
@@ -176,11 +178,13 @@ def test_the_vibration_is_that_of_render_bit_for_bit(pipewire: SoundServer, tmp_
                 wait_for_more(felt, 8.0)
                 wait_for_more(heard, 0.5)
                 got, tapped = felt(), heard()
-            if is_within(tapped[:, 0], sound[:, 0]) and is_within(got[:, 0], wanted):
+            sound_torn = not is_within(tapped[:, 0], sound[:, 0])
+            if not sound_torn and is_within(got[:, 0], wanted):
                 assert (got[:, 0] == got[:, 1]).all()
                 return
-            assert attempt < UNEXCUSED or not is_within(tapped[:, 0], sound[:, 0])
-    pytest.skip("not shown on a machine that tears the played sound itself")
+            attempts.append((sound_torn, tears(bare()[begun:]) > 0))
+            assert attempts.count((False, False)) < UNEXCUSED, attempts
+    give_up("played sound and bare server's torn", attempts, sum(torn for _, torn in attempts))
 
 
 def is_within(heard: Float32Array, wanted: Float32Array) -> bool:
@@ -246,16 +250,22 @@ def test_only_the_chosen_application_is_felt_and_each_of_its_streams(
 
 
 @pytest.mark.parametrize(
-    ("before", "after"),
+    ("before", "after", "least", "most", "offset_ms"),
     [
-        ("gain_db = 0\n", "gain_db = -12\n"),
-        ("gain_db = -12\n", 'profile = "music"\n'),
-        ('profile = "music"\n', "offset_ms = 40\n"),
+        ("gain_db = 0\n", "gain_db = -12\n", 0.2, 0.35, 0.0),
+        ("gain_db = -12\n", 'profile = "music"\n', 1.4, 10.0, 0.0),
+        ('profile = "music"\n', "offset_ms = 40\n", 0.1, 10.0, 40.0),
     ],
     ids=["level", "profile", "delay"],
 )
 def test_a_new_level_profile_or_delay_takes_effect_without_a_gap_or_click(
-    pipewire: SoundServer, before: str, after: str, tmp_path: Path
+    pipewire: SoundServer,
+    before: str,
+    after: str,
+    least: float,
+    most: float,
+    offset_ms: float,
+    tmp_path: Path,
 ) -> None:
     config = tmp_path / "config.toml"
     config.write_text(before)
@@ -267,8 +277,14 @@ def test_a_new_level_profile_or_delay_takes_effect_without_a_gap_or_click(
         recording(pipewire, "desktop.monitor", tmp_path / "sound") as sound,
     ):
         wait_until_felt(felt)
+        wait_for_more(felt, 1.0)
+        level = np.abs(felt()[-RATE_HZ // 4 :]).max()
         heard = (felt, sound, bare)
         check_step(daemon, config, (before, after), heard, lambda which: None, silent_ms=0.0)
+        change = np.abs(felt()[-RATE_HZ // 4 :]).max() / level
+        print(f"the level is {change:.2f} times that of before")
+        assert least < change < most
+        daemon.wait(lambda status: status.latency.offset_ms == offset_ms, "the delay")
 
 
 @pytest.mark.parametrize("engine", ["python", "native"])

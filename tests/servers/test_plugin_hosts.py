@@ -16,7 +16,7 @@ import soundfile
 from tests.plugin.hosting import PROFILES, Floats, plugin, vibration, write_design
 from tests.servers.conftest import started
 from tests.servers.daemons import ROOT, felt_now, tone
-from tests.servers.listening import playing, recording, wait_for
+from tests.servers.listening import need, playing, recording, wait_for
 from tools.sound_server import SoundServer
 
 pytestmark = pytest.mark.servers
@@ -26,11 +26,7 @@ RATE_HZ = 48_000
 
 def needs(*programs: str) -> None:
     """Skip without these programs; with CI=true, fail."""
-    missing = [program for program in programs if shutil.which(program) is None]
-    if missing and os.environ.get("CI") == "true":
-        pytest.fail(f"missing: {', '.join(missing)}")
-    if missing:
-        pytest.skip(f"missing: {', '.join(missing)}; run tools/fetch_servers.sh")
+    need([program for program in programs if shutil.which(program) is None])
 
 
 @pytest.fixture

@@ -2,7 +2,8 @@
 
 On a busy machine PipeWire loses cycles of any stream, and a lost cycle is a click. Witnesses are
 recordings that the vibration does not pass. A step that fails is made again: often where one of
-them is torn, and twice where none is.
+them is torn, and twice where none is. The product is near one of them, the played sound: so in the
+end only the bare server's sound tells a busy machine from a product that tears both.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
@@ -32,6 +34,12 @@ ATTEMPTS = 10
 
 UNEXCUSED = 3
 """Failed attempts that no witness excuses, and that end it: a witness does not see every pause."""
+
+BUSY = 3
+"""Failed attempts with a torn bare server; with fewer, a test whose attempts all failed fails."""
+
+AFTER = RATE_HZ
+"""Frames that are looked at once a step is in effect: its last fade may begin only then."""
 
 EARLIER = RATE_HZ // 5
 """Frames before a step that are looked at, too: the filter starts from silence."""
@@ -54,7 +62,8 @@ class Found:
 
     click_db: float
     silent_ms: float
-    torn: str
+    sound_torn: bool
+    bare_torn: bool
 
 
 def above_250_hz(frames: Float32Array) -> FloatArray:
@@ -97,7 +106,7 @@ def bare_sound(folder: Path) -> Iterator[Heard]:
 
 
 def measure(heard: Sequence[Heard], before: Callable[[], None], act: Callable[[], None]) -> Found:
-    """Make a step, and look at the next two seconds; the witnesses also at the two before it.
+    """Make a step, and look at it for two seconds or more; at the witnesses also before it.
 
     heard: what is felt, the played sound, a bare server's sound. before: leads to the step.
     """
@@ -106,23 +115,24 @@ def measure(heard: Sequence[Heard], before: Callable[[], None], act: Callable[[]
     _wait_for_frames(heard[0], len(heard[0]()) + 2 * RATE_HZ)
     starts = [max(0, len(one()) - EARLIER) for one in heard]
     act()
-    for one, start in zip(heard, starts, strict=True):
-        _wait_for_frames(one, start + EARLIER + 2 * RATE_HZ)
-    felt, *_ = parts = [one() for one in heard]
-    torn = [
-        name
-        for name, part, begin, near in (
-            ("the played sound", parts[1], first[1], felt[first[0] :]),
-            ("a bare server's sound", parts[2], first[2], None),
-        )
-        if tears(part[begin:], near)
-    ]
+    done = [len(one()) + AFTER for one in heard]
+    for one, start, end in zip(heard, starts, done, strict=True):
+        _wait_for_frames(one, max(start + EARLIER + 2 * RATE_HZ, end))
+    felt, sound, bare = (one() for one in heard)
     step = felt[starts[0] :]
     return Found(
         float(above_250_hz(step).max()),
         10.0 * float(silent_blocks(step[EARLIER:]).sum()),
-        " and ".join(torn),
+        tears(sound[first[1] :], felt[first[0] :]) > 0,
+        tears(bare[first[2] :]) > 0,
     )
+
+
+def give_up(what: str, attempts: Sequence[object], bare_torn: int) -> NoReturn:
+    """End a test whose attempts all failed: skip it only on a machine that tears a bare server."""
+    figures = f"{what}: a bare server's sound was torn {bare_torn} times: {attempts}"
+    assert bare_torn >= BUSY, figures
+    pytest.skip(figures)
 
 
 def check_step(
@@ -151,9 +161,9 @@ def check_step(
         if found.click_db < CLICK_DB and found.silent_ms <= silent_ms:
             return
         attempts.append(found)
-        unexcused = [one for one in attempts if not one.torn]
+        unexcused = [one for one in attempts if not (one.sound_torn or one.bare_torn)]
         assert len(unexcused) < UNEXCUSED, f"{texts[1]!r}: {unexcused}"
-    pytest.skip(f"{texts[1]!r}: not shown on a machine that tears bare streams: {attempts}")
+    give_up(repr(texts[1]), attempts, sum(one.bare_torn for one in attempts))
 
 
 def _wait_for_frames(heard: Heard, frames: int) -> None:
