@@ -27,7 +27,7 @@ from audioflinger_hook.pipeline.step import Pipeline, RealTimePace
 from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.sources import FramesTap, SceneClient, mixdown
 from device.atomic_file import write_bytes_atomically
-from device.drive.outputs import AlignedOutput
+from device.drive.outputs import FADE_S, AlignedOutput, FadedOutput
 from device.errors import UsageError
 from device.rig import rig_by_name
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
@@ -70,7 +70,8 @@ def run(options: argparse.Namespace) -> int:
     rig = SimulatedRig(rig_by_name(settings.rig), rate, channels, recorder=recorder)
     outputs = (WavOutput(out / "vibration.wav", rate, channels), rig)
     latency = framework.latency_frames
-    aligned = [AlignedOutput(output, latency) for output in outputs]
+    faded = [FadedOutput(output, round(FADE_S * rate)) for output in outputs]
+    aligned = [AlignedOutput(output, latency) for output in faded]
     chain = Pipeline(SceneClient(scene, BLOCKSIZE_FRAMES), framework, aligned)
     try:
         heard.write(sound)
