@@ -92,6 +92,16 @@ def test_partials_1_to_11_hz_apart_become_one_of_the_same_energy(base_hz, apart_
     assert dominance == pytest.approx([0.64])
 
 
+def test_beats_of_up_to_12_hz_are_gone_where_a_small_ratio_would_leave_them():
+    design = replace(TRACKING, merge_ratio=0.1)
+    for base_hz in (25.0, 60.0, 100.0):
+        # Of partials 12 Hz apart, from one that sounds; of new ones four fifths as far.
+        pair = [base_hz, base_hz + 11.9]
+        assert merged(pair, [0.3, 0.4], [base_hz], design)[0].size == 1
+        assert merged([base_hz, base_hz + 9.5], [0.3, 0.4], pair, design)[0].size == 1
+        assert merged([base_hz, base_hz + 12.5], [0.3, 0.4], (), design)[0].size == 2
+
+
 def test_partials_farther_apart_than_the_merging_distance_stay_two():
     for base_hz in (25.0, 40.0, 80.0):
         distance = float(TRACKING.merging_hz(base_hz))
