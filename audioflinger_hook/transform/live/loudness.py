@@ -128,7 +128,7 @@ class LoudnessFollower:
         # Continuous where the loudness is the programme's, as it is of a steady sound.
         towards = max(-1.0, min(1.0, above_db))
         moved_db = self.programme_db + gate * (towards * design.programme_step + faster)
-        moved_db += self._jump(above_db)
+        moved_db += self._jump(above_db, loudness_db - self.programme_db)
         self.programme_db = max(design.programme_min, min(design.programme_top, moved_db))
         return gate * self._strength_above(above_db, loudness_db - self.loud_db)
 
@@ -142,15 +142,17 @@ class LoudnessFollower:
         self._steady_db += (change - small) + self._design.jitter_followed * small
         return self._steady_db
 
-    def _jump(self, above_db: float) -> float:
+    def _jump(self, above_db: float, now_above_db: float) -> float:
         """Return how far the programme's level goes after a jump that only a volume control makes.
 
-        Such a level is far away for long. The programme then goes on until it is near.
+        Such a level is far away for long. The programme then goes on until it is near. Above, only
+        hops count that are far above themselves: one bang is no other volume.
         """
         design = self._design
         up, down = self._far_hops > design.jump_up_hops, -self._far_hops > design.jump_down_hops
         if above_db > (design.near if up else design.jump):
-            self._far_hops = min(design.jump_up_hops, max(0.0, self._far_hops)) + 1.0
+            counted = 1.0 if now_above_db > design.near else 0.0
+            self._far_hops = min(design.jump_up_hops, max(0.0, self._far_hops)) + counted
         elif above_db < -(design.near if down else design.jump):
             self._far_hops = max(-design.jump_down_hops, min(0.0, self._far_hops)) - 1.0
         else:

@@ -128,13 +128,14 @@ static double felt(const Settings *s, double above, double turned_down)
 }
 
 /* How far the programme's level goes after a jump that only a volume control makes: to a level that
- * is far away for long, until it is near. */
-static double jump(const Settings *s, Loudness *follower, double above)
+ * is far away for long, until it is near. Above, only hops count that are far above themselves. */
+static double jump(const Settings *s, Loudness *follower, double above, double now_above)
 {
     double *far_hops = follower->far_hops;
     const int up = *far_hops > s->jump_up_hops, down = -*far_hops > s->jump_down_hops;
     if (above > (up ? s->near : s->jump))
-        *far_hops = smaller(s->jump_up_hops, larger(0.0, *far_hops)) + 1.0;
+        *far_hops = smaller(s->jump_up_hops, larger(0.0, *far_hops)) +
+                    (now_above > s->near ? 1.0 : 0.0);
     else if (above < -(down ? s->near : s->jump))
         *far_hops = larger(-s->jump_down_hops, smaller(0.0, *far_hops)) - 1.0;
     else
@@ -168,7 +169,7 @@ double loudness_strength(const Settings *s, Loudness *follower, double measured_
     const double faster = missing * (missing > 0.0 ? s->programme_rise : s->programme_fall);
     const double towards = within(above, -1.0, 1.0);
     const double moved = programme + gate * (towards * s->programme_step + faster);
-    *follower->programme = within(moved + jump(s, follower, above), s->programme_min, s->programme_top);
+    *follower->programme = within(moved + jump(s, follower, above, loudness_db - programme), s->programme_min, s->programme_top);
     return gate * felt(s, above, loudness_db - *follower->loud);
 }
 
