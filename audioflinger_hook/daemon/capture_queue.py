@@ -12,10 +12,14 @@ import numpy as np
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.sources import PushTap, TapClient
-from device.units import Float32Array
+from device.units import Float32Array, db_to_amplitude
 
 UNASKED_S = 0.05
 """If the output has not called for this time, the capture's thread mixes."""
+
+
+UNDONE_MAX_DB = 40.0
+"""Largest volume that is undone: below it, a sink of 16 bits has mostly noise left."""
 
 
 class FrameReceiver(Protocol):
@@ -34,11 +38,39 @@ class FrameReceiver(Protocol):
         ...
 
 
+def undoing(volume_db: float) -> float:
+    """Return the factor on samples that undoes a volume, 0 dB for 100 %."""
+    return db_to_amplitude(-max(-UNDONE_MAX_DB, volume_db))
+
+
+class SoundGain:
+    """A factor on the frames of a tap, which changes over one buffer.
+
+    The capture's thread calls `apply`; any thread may set `wanted`.
+    """
+
+    def __init__(self) -> None:
+        self.wanted = 1.0
+        self._reached = 1.0
+
+    def apply(self, frames: Float32Array) -> Float32Array:
+        """Return the frames with the factor; the same array where it is 1."""
+        wanted, before = self.wanted, self._reached
+        if wanted == before == 1.0 or not len(frames):
+            return frames
+        self._reached = wanted
+        if wanted == before:
+            return frames * np.float32(wanted)
+        steps = np.arange(1, len(frames) + 1, dtype=np.float32) / np.float32(len(frames))
+        return frames * (np.float32(before) + np.float32(wanted - before) * steps)[:, None]
+
+
 class Feed:
     """Passes one tap's buffers to an engine at once, after a recording has taken them.
 
     The supervising thread calls `client` and `serve` before the first buffer, and `opened` while
-    no thread pushes. engine: None before `serve`.
+    no thread pushes. engine: None before `serve`. gain: of the frames before all else, so that a
+    recording has it as well.
     """
 
     records_mix = False
@@ -46,6 +78,7 @@ class Feed:
 
     def __init__(self, recording: RunRecording | None = None) -> None:
         self.engine: Engine | None = None
+        self.gain = SoundGain()
         self._recording = recording
         self._tap: PushTap | None = None
         self._client: TapClient | None = None
@@ -85,6 +118,7 @@ class Feed:
         tap, client, engine = self._tap, self._client, self.engine
         if tap is None or client is None or engine is None or not len(frames):
             return
+        frames = self.gain.apply(frames)
         broken = tap.push(frames)
         if self._recording:
             self._recording.delivered(frames, tap.samplerate, now_s, broken)

@@ -36,7 +36,8 @@ class EngineSwitch:
 
     config: what to do. folder: private, for files of the native engine; None: Python always.
     states: the daemon's state. on_change: called by another thread when the graph changes.
-    reason: why the Python engine computes, "" while the native one does.
+    reason: why the Python engine computes, "" while the native one does. sound_gain: the factor
+    that undoes the listener's volume.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class EngineSwitch:
         self._played_s = -QUIET_S
         self._refused: dict[str, str] = {}
         self._volume_of: int | None = None
+        self.sound_gain = 1.0
         self.native: NativeEngine | None = None
         self.reason = "nothing has played yet"
 
@@ -109,6 +111,7 @@ class EngineSwitch:
         try:
             native = self._opened()
             self._set_volume(device, connection, volume)
+            native.set_sound_gain(self.sound_gain)
             plays = native.maintain(source, device, players, now_s, linked=linked)
         except CushionError as error:
             self._fail(error, now_s)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from audioflinger_hook.daemon.capture_queue import undoing
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
 from audioflinger_hook.daemon.engine_switch import EngineSwitch
@@ -13,7 +14,7 @@ from audioflinger_hook.daemon.inputs.base import AudioNode
 from audioflinger_hook.daemon.outputs.base import StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import StateKeeper
-from device.server import PulseConnection
+from device.server import PulseConnection, ServerSnapshot
 
 HANDOVER_TICK_S = 0.02
 """Time between ticks during a change of engine."""
@@ -29,8 +30,9 @@ class Engines:
     private, for files of the native engine; None: only the Python engine. on_change: called by
     another thread when PipeWire's graph changes.
 
-    python: what the audio threads run; None before the first sound, and while the native engine
-    plays. switch: the choice, and the native engine.
+    volume_db: the listener's volume that is undone, 0 dB for 100 %. python: what the audio threads
+    run; None before the first sound, and while the native engine plays. switch: the choice, and the
+    native engine.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class Engines:
         self._handover = Handover()
         self._dip = Dip()
         self._heard_before_s = 0.0
+        self.volume_db = 0.0
         self.python: Engine | None = None
         self.switch = EngineSwitch(config, folder, states, on_change)
 
@@ -109,6 +112,7 @@ class Engines:
         """Keep the native engine, if it is chosen; return False while the Python engine plays."""
         switch, handover, engine = self.switch, self._handover, self.python
         seen = connection.latest if connection else None
+        self._undo_volume(seen)
         if not switch.takes_native(source, seen) or connection is None:
             return False
         self._dip.end()
@@ -130,6 +134,16 @@ class Engines:
             self._endpoints.close()
             self.drop()
         return True
+
+    def _undo_volume(self, snapshot: ServerSnapshot | None) -> None:
+        """Undo the listener's volume where vibration follows loudness.
+
+        The profile's promise is that a volume changes nothing. Elsewhere it counts as it is heard.
+        """
+        self.volume_db = 0.0
+        if snapshot is not None and self._config.settings.parameters.loudness_db > 0.0:
+            self.volume_db = self._endpoints.input.volume_db(snapshot)
+        self._endpoints.feed.gain.wanted = self.switch.sound_gain = undoing(self.volume_db)
 
     def may_open(self, now_s: float) -> bool:
         """Return whether streams of the Python engine may open.

@@ -41,6 +41,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         warnings=tuple(supervisor.warnings),
         engine_reason=supervisor.engines.switch.reason,
         engine_pid=native.process_id if native else 0,
+        volume_db=supervisor.engines.volume_db,
     )
     if native is not None and native.audible:
         return with_native(status, native, supervisor.settings, supervisor.offset_s)

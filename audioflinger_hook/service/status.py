@@ -147,7 +147,8 @@ class Status:
     exposure: None without protection; with several actuators, the figures with the least gain and
     with the largest dose. actuators: in the order of the config. profile: "" before the first
     sound. engine: "native" or "python", "" before one plays; engine_reason: why not the native one.
-    engine_pid: the native engine's process, 0 for none.
+    engine_pid: the native engine's process, 0 for none. volume_db: the listener's volume, 0 dB for
+    100 %; the sound's level and the vibration are those without it.
     """
 
     version: str
@@ -175,4 +176,5 @@ class Status:
     engine: str = ""
     engine_reason: str = ""
     engine_pid: int = 0
+    volume_db: float = 0.0
     warnings: tuple[str, ...] = ()

@@ -48,6 +48,7 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
         ("tap", _endpoint(status.tap)),
         ("device", _endpoint(status.device)),
         ("sound", _level(status.levels.sound, "cyan")),
+        *([("volume", Text(f"{status.volume_db:+.1f} dB, undone"))] if status.volume_db else []),
         ("vibration", _level(status.levels.vibration, "yellow")),
         *([("profile", Text(one_line(status.profile)))] if status.profile else []),
         *([("engine", _engine(status))] if status.engine else []),

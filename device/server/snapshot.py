@@ -5,6 +5,7 @@ All values are immutable: any thread may keep and read them.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,13 +15,19 @@ from device.errors import LostError
 NOWHERE = 0xFFFF_FFFF
 """The index that servers give for "none"."""
 
+HARDWARE_VOLUME = 0x01
+FLAT_VOLUMES = 0x40
+"""Flags of sinks, as in pulse/def.h."""
+
 
 @dataclass(frozen=True)
 class Sink:
     """A device to play to. monitor: name of its monitor source.
 
     index: the server's, never reused. module: index of the module that made it, or None.
-    channel_map: such as "front-left,front-right".
+    channel_map: such as "front-left,front-right". volume_db: 0 for 100 %. volume_in_monitor:
+    whether its monitor carries this volume. flat_volumes: whether the volumes of streams that play
+    to it contain its own.
     """
 
     index: int
@@ -32,6 +39,9 @@ class Sink:
     module: int | None
     properties: Mapping[str, str]
     channel_map: str = ""
+    volume_db: float = 0.0
+    volume_in_monitor: bool = False
+    flat_volumes: bool = False
 
     @property
     def positions(self) -> tuple[str, ...]:
@@ -61,6 +71,7 @@ class Stream:
 
     device_index, device_name: of its sink or source; None and "" while it has none. corked: paused
     by the application. module: index of the module that made it; None for an application's.
+    volume_db: 0 for 100 %.
     """
 
     index: int
@@ -75,6 +86,7 @@ class Stream:
     mute: bool
     properties: Mapping[str, str]
     module: int | None = None
+    volume_db: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -135,7 +147,7 @@ def take_snapshot(pulse: Any, events: int) -> ServerSnapshot:
         version=version,
         default_sink=default_name(info.default_sink_name),
         default_source=default_name(info.default_source_name),
-        sinks=tuple(_sink(sink) for sink in sinks),
+        sinks=tuple(_sink(sink, kind) for sink in sinks),
         sources=tuple(_source(source, sink_names) for source in sources),
         sink_inputs=tuple(_stream(item, item.sink, sink_names) for item in sink_inputs),
         source_outputs=tuple(_stream(item, item.source, source_names) for item in source_outputs),
@@ -156,15 +168,27 @@ def default_name(name: str | None) -> str:
     return "" if name is None or name.startswith("@") else name
 
 
-def _sink(item: Any) -> Sink:
-    module = _known(item.owner_module)
-    return Sink(monitor=item.monitor_source_name or "", module=module, **_device(item))
+def _sink(item: Any, kind: str) -> Sink:
+    """Return a sink. Its monitor carries its volume on PulseAudio, unless the card has a volume.
+
+    PipeWire says of each sink whether it does.
+    """
+    in_hardware = bool(item.flags & HARDWARE_VOLUME)
+    pipewire_says = item.proplist.get("monitor.channel-volumes") == "true"
+    return Sink(
+        monitor=item.monitor_source_name or "",
+        module=_known(item.owner_module),
+        volume_db=decibels(_loudest(item)),
+        volume_in_monitor=pipewire_says if kind == "PipeWire" else not in_hardware,
+        flat_volumes=bool(item.flags & FLAT_VOLUMES),
+        **_device(item),
+    )
 
 
 def _source(item: Any, sink_names: Mapping[int, str]) -> Source:
     return Source(
         monitor_of=sink_names.get(item.monitor_of_sink),
-        volume=float(item.volume.value_flat),
+        volume=_loudest(item),
         mute=bool(item.mute),
         **_device(item),
     )
@@ -199,11 +223,22 @@ def _stream(item: Any, device: int, names: Mapping[int, str]) -> Stream:
         properties=properties,
         # for PulseAudio, an application's owner is the module of its connection
         module=_known(item.owner_module) if _known(item.client) is None else None,
+        volume_db=decibels(_loudest(item)),
     )
+
+
+def _loudest(item: Any) -> float:
+    """Return the volume of the loudest channel, 1.0 for a stream without a volume."""
+    return float(max(item.volume.values, default=1.0))
 
 
 def _known(index: int) -> int | None:
     return None if index == NOWHERE else index
+
+
+def decibels(volume: float) -> float:
+    """Return the dB of a server's volume, which is 1.0 at 0 dB: 60 log10 of it."""
+    return 60.0 * math.log10(volume) if volume > 0.0 else -math.inf
 
 
 DEFAULT_SETTLES_S = 0.2  # how long a new default sink must persist until it is reported

@@ -6,6 +6,7 @@ import threading
 from dataclasses import dataclass
 from functools import partial
 
+from audioflinger_hook.daemon.capture_queue import SoundGain
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.inputs.base import Input
 from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
@@ -19,6 +20,7 @@ from device.server import AppCaptures, PulseConnection, ServerSnapshot
 from device.server.app_capture import AppCapture, EndReason
 from device.server.app_rules import app_name
 from device.server.snapshot import Stream
+from device.server.tap_volume import TapVolume
 from device.stream import AudioPriority
 from device.units import Float32Array
 
@@ -55,7 +57,7 @@ class ApplicationsFeed:
     """Passes buffers of several applications to one engine, which mixes them.
 
     The supervising thread calls `client` and `serve` before the first buffer. A recording gets the
-    mix instead of the buffers. priority: of the thread that captures.
+    mix instead of the buffers. priority: of the thread that captures. gain: of all frames.
     """
 
     records_mix = True
@@ -65,6 +67,7 @@ class ApplicationsFeed:
         self._thread: int | None = None
         self.engine: Engine | None = None
         self.voices: VoicesClient | None = None
+        self.gain = SoundGain()
 
     def client(self, samplerate: int, channels: int) -> VoicesClient:
         """Return the client that plays into a mix of this format."""
@@ -84,7 +87,7 @@ class ApplicationsFeed:
         voices, engine = self.voices, self.engine
         if voices is None or engine is None or not len(frames):
             return
-        voices.push(voice, frames, now_s)
+        voices.push(voice, self.gain.apply(frames), now_s)
         while voices.pending_frames and engine.advance(now_s):
             pass
 
@@ -109,6 +112,7 @@ class ApplicationsInput(Input):
         self._open: dict[int, tuple[AppCapture, Voice]] = {}
         self._backoff = Backoff(longest_s=LONGEST_WAIT_S)
         self._found = Applications((), DEFAULT_SAMPLERATE, DEFAULT_CHANNELS)
+        self._volume = TapVolume()
         self._xruns_before = 0
 
     @property
@@ -163,6 +167,10 @@ class ApplicationsInput(Input):
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
         """Return the streams that may play."""
         return frozenset(stream.index for stream in self._found.streams if not stream.corked)
+
+    def volume_db(self, snapshot: ServerSnapshot) -> float:
+        """Return the volume of the application that has played longest."""
+        return self._volume.follow(snapshot, self.players(snapshot))
 
     def maintain(self, connection: PulseConnection | None, now_s: float) -> None:
         """Capture exactly the located applications.

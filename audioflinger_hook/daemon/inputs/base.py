@@ -106,6 +106,10 @@ class Input(Endpoint):
         """Return the streams that may play into the located node."""
         return frozenset()
 
+    def volume_db(self, snapshot: ServerSnapshot) -> float:
+        """Return the volume that its sound carries, as far as it is known; 0 dB for 100 %."""
+        return 0.0
+
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
         """Return whether sound arrived while the input is closed; raises nothing.
 

@@ -17,6 +17,7 @@ from device.server import PulseConnection, ServerSnapshot
 from device.server.forwarding import reachable_sinks
 from device.server.identity import default_monitor, find_tagged, is_cushion_stream, monitor_of
 from device.server.snapshot import Source
+from device.server.tap_volume import TapVolume
 from device.stream import AudioPriority, CaptureStream
 from device.stream.pcms import Pcm, ServerDevice
 from device.stream.portaudio import BLOCK_FRAMES
@@ -60,6 +61,7 @@ class SinkInput(Input):
             ReconnectingStream[CaptureStream]("the tap", states, Cause.TAP_LOST, Cause.TAP_MOVED)
             for _ in range(2)
         )
+        self._volume = TapVolume()
         self._found: Source | None = None
         self._source: Source | None = None
 
@@ -120,6 +122,10 @@ class SinkInput(Input):
             for stream in snapshot.sink_inputs
             if stream.device_name == sink and not stream.corked and not is_cushion_stream(stream)
         )
+
+    def volume_db(self, snapshot: ServerSnapshot) -> float:
+        """Return the volumes of sink, monitor and stream that the monitor carries."""
+        return self._volume.follow(snapshot, self.players(snapshot), self._found)
 
     def listen(self, connection: PulseConnection | None, now_s: float) -> bool:
         """Return whether sound arrived; listens while applications may play.

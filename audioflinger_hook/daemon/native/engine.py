@@ -68,6 +68,7 @@ class NativeEngine:
         self._tap: Tap | None = None
         self._has_played = False
         self._faded_s = math.inf
+        self._sound_gain = 1.0
         self.audible = False
         for left_over in folder.glob(f"{NAME}-*"):  # of a daemon that was killed
             left_over.unlink(missing_ok=True)
@@ -114,6 +115,12 @@ class NativeEngine:
         self._config = config
         for running in filter(None, (self._current, self._next)):
             self._set_actuators(running.chain)
+
+    def set_sound_gain(self, gain: float) -> None:
+        """Set the factor on the tap's sound."""
+        self._sound_gain = gain
+        for running in filter(None, (self._current, self._next)):
+            running.chain.page.set_sound_gain(gain)
 
     def maintain(
         self,
@@ -245,6 +252,7 @@ class NativeEngine:
             return
         chain = Chain(plan, self._folder, realtime=self._config.live.realtime)
         self._next = RunningChain(chain, now_s, moved_s=now_s)
+        chain.page.set_sound_gain(self._sound_gain)
         self._set_damping(chain)
         self._set_actuators(chain)
 

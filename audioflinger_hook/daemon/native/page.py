@@ -17,7 +17,7 @@ from audioflinger_hook.transform.downmix import mix_weights
 from device.drive.damping import Damping
 from device.units import FloatArray, amplitude_to_db
 
-MAGIC = 0x3145474150485543
+MAGIC = 0x3245474150485543
 CHANNELS = 8
 """Largest number of channels of a tap, and of vibrations."""
 
@@ -70,6 +70,7 @@ class _Layout(ctypes.Structure):
     _fields_ = (
         ("magic", ctypes.c_uint64),
         ("size", ctypes.c_uint64),
+        ("sound_gain", ctypes.c_double),
         ("transform", _TransformWishes),
         ("readings", _TransformReadings),
         ("wishes", _ActuatorWishes * ACTUATORS),
@@ -116,9 +117,14 @@ class Page:
             for output in range(outputs):
                 for row, numbers in enumerate(mix_weights(weights[:, output])):
                     page.transform.weights[output][row][:channels] = numbers.tolist()
+        page.sound_gain = 1.0
         for wishes in page.wishes:
             wishes.gain = 1.0
         page.size, page.magic = ctypes.sizeof(_Layout), MAGIC
+
+    def set_sound_gain(self, gain: float) -> None:
+        """Set the factor on the tap's samples, 0 to 100; it changes over one buffer."""
+        self._page.sound_gain = gain
 
     def set_actuator(self, slot: int, gain: float, delay_s: float) -> None:
         """Set an actuator's factor, -1 to 1, and its delay, 0 to DELAY_MAX_S."""

@@ -21,6 +21,7 @@ struct DaemonTransform {
     Live live;
     LevelMeter sound, vibration;
     uint64_t frames, replaced;
+    double sound_gain; /* of the last frame */
     float samples[PIECE_FRAMES * PAGE_CHANNELS];
     MixPowers powers[PAGE_CHANNELS]; /* of the mixes */
     double mean[PIECE_FRAMES], side[PIECE_FRAMES];
@@ -58,6 +59,9 @@ DaemonTransform *daemon_transform_open(unsigned long samplerate)
         daemon_transform_close(transform);
         return NULL;
     }
+    transform->sound_gain = 1.0;
+    if (transform->page)
+        PAGE_LOAD(transform->page->sound_gain, transform->sound_gain);
     transform->sound.samplerate = transform->vibration.samplerate = (double)samplerate;
     return transform;
 }
@@ -109,6 +113,24 @@ static void mix(DaemonTransform *transform, size_t frames)
     }
 }
 
+/* Undo the listener's volume, as daemon/capture_queue.py does. */
+static void apply_gain(DaemonTransform *transform, size_t frames)
+{
+    double wanted = 1.0;
+    if (transform->page)
+        PAGE_LOAD(transform->page->sound_gain, wanted);
+    const double before = transform->sound_gain;
+    if (wanted == 1.0 && before == 1.0)
+        return;
+    const size_t channels = (size_t)transform->wishes.channels;
+    transform->sound_gain = wanted;
+    for (size_t frame = 0; frame < frames; frame++) {
+        const float gain = (float)(before + (wanted - before) * (double)(frame + 1) / (double)frames);
+        for (size_t channel = 0; channel < channels; channel++)
+            transform->samples[frame * channels + channel] *= gain;
+    }
+}
+
 static void process_piece(DaemonTransform *transform, float *const *inputs, float *const *outputs,
                           size_t done, size_t frames)
 {
@@ -118,6 +140,7 @@ static void process_piece(DaemonTransform *transform, float *const *inputs, floa
         for (size_t frame = 0; frame < frames; frame++)
             transform->samples[frame * channels + channel] =
                 inputs[channel] ? inputs[channel][done + frame] : 0.0f;
+    apply_gain(transform, frames);
     level_add(&transform->sound, transform->samples, frames * channels, channels);
     if (wishes->mixed)
         mix(transform, frames);

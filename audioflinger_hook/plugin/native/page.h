@@ -8,7 +8,7 @@
 
 #include <stdint.h>
 
-#define PAGE_MAGIC UINT64_C(0x3145474150485543) /* "CUHPAGE1" */
+#define PAGE_MAGIC UINT64_C(0x3245474150485543) /* "CUHPAGE2" */
 #define PAGE_CHANNELS 8
 #define PAGE_ACTUATORS 32
 #define SECTION_NUMBERS 6
@@ -45,7 +45,8 @@ typedef struct {
 
 typedef struct {
     uint64_t magic;
-    uint64_t size; /* of all of it */
+    uint64_t size;     /* of all of it */
+    double sound_gain; /* factor on the tap's samples; changes over one buffer */
     TransformWishes transform;
     TransformReadings readings;
     ActuatorWishes wishes[PAGE_ACTUATORS];

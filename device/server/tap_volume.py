@@ -1,0 +1,50 @@
+"""The volume that a tap's sound carries, as far as the server knows it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+from device.server.snapshot import NOWHERE, ServerSnapshot, Sink, Source, decibels
+
+
+class TapVolume:
+    """Follows the volumes that lower or raise the sound of one tap. For one thread.
+
+    Volumes of several streams cannot be told apart in their mix. The one that has played longest
+    counts as long as it plays, so that a short notification changes nothing.
+    """
+
+    def __init__(self) -> None:
+        self._stream = NOWHERE
+        self._stream_db = 0.0
+
+    def follow(
+        self, snapshot: ServerSnapshot, players: Collection[int], monitor: Source | None = None
+    ) -> float:
+        """Return the volume in dB; a stream's counts until another one plays.
+
+        players: indices of the streams that play into the tap. monitor: what is captured; None for
+        the streams themselves.
+        """
+        streams = {
+            stream.index: stream
+            for stream in snapshot.sink_inputs
+            if stream.index in players and not stream.mute and math.isfinite(stream.volume_db)
+        }
+        if streams:
+            self._stream = self._stream if self._stream in streams else min(streams)
+            stream = streams[self._stream]
+            self._stream_db = stream.volume_db
+            sink = _sink(snapshot, stream.device_name)
+            if sink is not None and sink.flat_volumes:
+                self._stream_db -= sink.volume_db
+        if monitor is None:
+            return self._stream_db
+        sink = _sink(snapshot, monitor.monitor_of)
+        carried_db = sink.volume_db if sink is not None and sink.volume_in_monitor else 0.0
+        return self._stream_db + carried_db + decibels(monitor.volume)
+
+
+def _sink(snapshot: ServerSnapshot, name: str | None) -> Sink | None:
+    return next((sink for sink in snapshot.sinks if sink.name == name), None)
