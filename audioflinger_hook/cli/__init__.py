@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Sequence
 from types import FrameType
 
-from audioflinger_hook.cli.parser import build_parser
+from audioflinger_hook.cli.parser import NEXT, build_parser
 from device.errors import CushionError, InternalError, WriteError
 
 EXIT_INTERRUPTED = 130
@@ -53,10 +53,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str]) -> int:
+    parser = build_parser()
     try:
-        options = build_parser().parse_args(arguments)
+        options = parser.parse_args(arguments)
     except SystemExit as done:  # raised by the parser for --help and --version
         return int(done.code or 0)
+    if options.command is None:
+        parser.print_help()
+        print(f"\n{NEXT}")
+        return 0
     return int(options.run(options))
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from device.errors import UsageError
+from device.values import nearest
 
 
 class Parser(argparse.ArgumentParser):
@@ -45,7 +47,13 @@ class Parser(argparse.ArgumentParser):
             self.any_order = True
 
     def error(self, message: str) -> NoReturn:
-        """Raise UsageError."""
+        """Raise UsageError; of unknown words, the nearest known one is named."""
+        found = re.fullmatch(r"argument \S+: invalid choice: '(.*)' \(choose from (.*)\)", message)
+        if found:
+            known = re.findall(r"'([^']+)'", found[2])
+            guess = nearest(found[1], known)
+            allowed = f"did you mean {guess}?" if guess else f"allowed: {', '.join(known)}"
+            message = f"{found[1]!r} is not known; {allowed}"
         raise UsageError(f"{message}; see `{self.prog} --help`")
 
 

@@ -12,6 +12,10 @@ from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.pipeline.framework import Framework
 from audioflinger_hook.pipeline.step import Pipeline
 from audioflinger_hook.sources import open_client, parse_tap
+from device.errors import UsageError
+
+DEFAULT_S = 1.0
+"""How much sound is played if none is asked for; a shorter sound is played whole."""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -23,11 +27,17 @@ def run(options: argparse.Namespace) -> int:
     with closing(client):
         framework = Framework(client.samplerate, client.channels, settings, clock=time.thread_time)
         chain = Pipeline(client, framework, ())
-        while frames < options.at * framework.samplerate:
+        until_s = DEFAULT_S if options.at is None else options.at
+        while frames < until_s * framework.samplerate:
             began_s = time.thread_time()
             step = chain.step(frames / framework.samplerate)
-            if step is None:
+            if step is None and options.at is None:
                 break
+            if step is None:
+                raise UsageError(
+                    f"time {options.at:g} s is after the end of the sound; allowed: 0 to "
+                    f"{frames / framework.samplerate:.3f} s"
+                )
             cycle_times_s.append(time.thread_time() - began_s)
             frames += len(step.audio)
     for warning in framework.warnings:

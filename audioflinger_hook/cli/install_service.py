@@ -16,6 +16,9 @@ from device.errors import UsageError
 
 def run(options: argparse.Namespace) -> int:
     """Write or remove the unit, and print what to type next."""
+    if options.udev and options.device is None and not _config_names_a_device():
+        _print_udev()
+        return 0
     if options.remove:
         done = remove()
         print(f"{done.path}: {'removed' if done.changed else 'was not installed'}")
@@ -32,17 +35,26 @@ def run(options: argparse.Namespace) -> int:
     if done.commands:
         print("next, type:", *done.commands, sep="\n    ")
     if options.udev:
-        print("to let this user control USB sound devices, type as root:")
-        print(UDEV_COMMAND)
+        _print_udev()
     sys.stdout.flush()
     return 0
 
 
+def _print_udev() -> None:
+    print("to let this user control USB sound devices, type as root:")
+    print(UDEV_COMMAND)
+
+
+def _config_names_a_device() -> bool:
+    path = config.default_path()
+    return path.exists() and load_config(path).live.device is not None
+
+
 def _refuse_without_device() -> None:
     """Raise UsageError if the config names no device, or has mistakes."""
-    path = config.default_path()
-    if not path.exists() or load_config(path).live.device is None:
+    if not _config_names_a_device():
         raise UsageError(
-            f"no device given; name it with --device, or with the key device in {path}; "
+            "no device given; name it with --device, or with the key device in "
+            f"{config.default_path()}; "
             "`cushion devices` lists them"
         )

@@ -12,6 +12,10 @@ from typing import Any
 from audioflinger_hook import __version__
 from audioflinger_hook.cli.arguments import Parser, count, duration, seconds
 
+NEXT = (
+    "next: `cushion demo` plays a scene, `cushion devices` lists outputs, and `cushion run "
+    "--device DEVICE` plays the vibration of everything"
+)
 DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
 EXIT_CODES = (
     "exit codes: 0 done; 2 wrong usage, config or input; 3 no such tap or device, or no running "
@@ -30,9 +34,9 @@ def build_parser() -> Parser:
     parser = Parser(prog="cushion", description=DESCRIPTION, epilog=EXIT_CODES)
     _switch(parser, "--debug", "show tracebacks")
     parser.add_argument("--version", action="version", version=f"cushion {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, (add_options, does) in COMMANDS.items():
-        _add(commands, name, does, add_options)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for name, (add_options, does, example) in COMMANDS.items():
+        _add(commands, name, does, example, add_options)
     return parser
 
 
@@ -40,10 +44,12 @@ def _add(
     commands: argparse._SubParsersAction[Parser],
     name: str,
     does: str,
+    example: str,
     add_options: Callable[[Parser], None],
 ) -> None:
     """Add a command; `run` of the module with the command's name executes it."""
-    command = commands.add_parser(name, help=does, description=does, epilog=EXIT_CODES)
+    shown = f"example: cushion {name}{' ' if example else ''}{example}"
+    command = commands.add_parser(name, help=does, description=does, epilog=shown)
     command.add_options = add_options
     _switch(command, "--debug", "show tracebacks")
 
@@ -95,7 +101,7 @@ def _replay(command: Parser) -> None:
 
 def _dump(command: Parser) -> None:
     _value(command, "--tap", str, "TAP", "file:PATH, capture:DIR or scene:demo", "scene:demo")
-    _value(command, "--at", seconds, "SECONDS", "how much sound to play first", 1.0)
+    _value(command, "--at", seconds, "SECONDS", "how much sound to play first; default: 1")
     _value(command, "--config", Path, "FILE", CONFIG_HELP)
 
 
@@ -184,7 +190,7 @@ def _install_service(command: Parser) -> None:
     _value(command, "--device", str, "DEVICE", f"{SEE_DEVICES}; default: the config's")
     _value(command, "--tap", str, "TAP", "where the sound comes from; default: the config's")
     _switch(command, "--remove", "remove the unit")
-    _switch(command, "--udev", "also print a rule for USB devices")
+    _switch(command, "--udev", "print a rule for USB devices; without a device, only that")
 
 
 def _check(command: Parser) -> None:
@@ -237,21 +243,45 @@ def _switch(command: Parser, flag: str, meaning: str) -> None:
     command.add_argument(flag, action="store_true", help=meaning)
 
 
-COMMANDS: dict[str, tuple[Callable[[Parser], None], str]] = {
-    "demo": (_demo, "play the bundled scene through the whole chain"),
-    "render": (_render, "write the vibration of sound files"),
-    "inspect": (_inspect, "list the principal frequencies of a sound file"),
-    "capture": (_capture, "record the buffers of a sound as delivered"),
-    "replay": (_replay, "write the vibration of a capture"),
-    "dump": (_dump, "show threads, tracks, effects and counters"),
-    "run": (_run, "play vibration of everything that this computer plays"),
-    "status": (_status, "show the state of the running daemon"),
-    "devices": (_json, "list outputs and playing applications"),
-    "usb": (_usb, "decode a USB audio device, or a dump of one"),
-    "test-tone": (_test_tone, "play a tone on one output, to find the right one"),
-    "calibrate": (_calibrate, "identify a rig with sweeps of rising level"),
-    "plugin": (_plugin, "install the effect as a plugin of other audio software"),
-    "install-service": (_install_service, "start the daemon at every login"),
-    "check": (_check, "report every mistake of a config file"),
+COMMANDS: dict[str, tuple[Callable[[Parser], None], str, str]] = {
+    "demo": (_demo, "play the bundled scene through the whole chain", "--fast"),
+    "render": (
+        _render,
+        "write the vibration of sound files",
+        "film.wav vibration.wav --profile cinema",
+    ),
+    "inspect": (_inspect, "list the principal frequencies of a sound file", "film.wav --at 12.5"),
+    "capture": (_capture, "record the buffers of a sound as delivered", "recorded --seconds 10"),
+    "replay": (_replay, "write the vibration of a capture", "recorded vibration.wav"),
+    "dump": (_dump, "show threads, tracks, effects and counters", "--tap file:film.wav --at 2"),
+    "run": (
+        _run,
+        "play vibration of everything that this computer plays",
+        "--device usb:152a:8750 --profile cinema",
+    ),
+    "status": (_status, "show the state of the running daemon", "--watch"),
+    "devices": (_json, "list outputs and playing applications", ""),
+    "usb": (_usb, "decode a USB audio device, or a dump of one", "describe usb:152a:8750"),
+    "test-tone": (
+        _test_tone,
+        "play a tone on one output, to find the right one",
+        "--device sink:NAME --hz 50",
+    ),
+    "calibrate": (
+        _calibrate,
+        "identify a rig with sweeps of rising level",
+        "--device twin --out rig.toml",
+    ),
+    "plugin": (
+        _plugin,
+        "install the effect as a plugin of other audio software",
+        "install --device NODE",
+    ),
+    "install-service": (
+        _install_service,
+        "start the daemon at every login",
+        "--device usb:152a:8750",
+    ),
+    "check": (_check, "report every mistake of a config file", "--config config.toml"),
 }
-"""Every command: the function that adds its options, and its help."""
+"""Every command: the function that adds its options, its help, and an example's arguments."""

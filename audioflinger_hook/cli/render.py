@@ -17,6 +17,9 @@ from audioflinger_hook.offline.workers import WORKERS_MAX, usable_cores
 from device.errors import UsageError
 from device.values import counted
 
+WAV_SUFFIXES = (".wav", ".wave", ".rf64")
+"""Endings of the names of files that are written as WAV."""
+
 SEE_HELP = "see `cushion render --help`"
 
 
@@ -88,7 +91,22 @@ def _one_each(files: list[Path]) -> tuple[Path, Path]:
             f"unrecognized arguments: {more}; allowed: IN OUT, or any number of IN with "
             f"--out-dir DIR; {SEE_HELP}"
         )
+    check_output(files[1])
     return files[0], files[1]
+
+
+def check_output(path: Path) -> None:
+    """Raise UsageError for a name that a WAV must not have."""
+    if str(path) == "-":
+        raise UsageError(
+            "OUT = '-': standard output cannot take a WAV, whose header needs its length; name a "
+            "file"
+        )
+    if path.suffix.lower() not in (*WAV_SUFFIXES, ""):
+        raise UsageError(
+            f"OUT = '{path}': the vibration is written as WAV; allowed: a name that ends in "
+            f"{', '.join(WAV_SUFFIXES)}, or without an ending"
+        )
 
 
 def _workers(wanted: int | None) -> int:
@@ -121,8 +139,6 @@ def show_report(
     more = more or {}
     for warning in report.warnings:
         warn(warning)
-    if options.output.suffix.lower() not in (".wav", ".wave", ".rf64", ""):
-        warn(f"{options.output} is written as WAV despite its name")
     if options.json:
         print(json.dumps({**dataclasses.asdict(report), **more}, indent=2))
     else:

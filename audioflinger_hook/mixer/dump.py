@@ -83,7 +83,7 @@ def _tracks(mixer: Mixer) -> list[str]:
         table = [_COLUMNS, *rows]
         widths = [max(len(row[column]) for row in table) for column in range(len(_COLUMNS))]
         lines += [
-            "    " + "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+            "    " + " ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
             for row in table
         ]
     return lines

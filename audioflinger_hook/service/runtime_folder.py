@@ -1,4 +1,4 @@
-"""The daemon's private folder in $XDG_RUNTIME_DIR, and the lock that allows one daemon per user."""
+"""The daemon's private folder, usually in $XDG_RUNTIME_DIR, and the lock: one daemon per user."""
 
 from __future__ import annotations
 
@@ -31,6 +31,9 @@ _OPEN_LOCK = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLO
 class RuntimeFolder:
     """The open folder `$XDG_RUNTIME_DIR/cushion`; renaming its path does not redirect it.
 
+    If the variable is not set, it is `/run/user/UID/cushion`, or `cushion-UID` in the folder for
+    temporary files.
+
     Any thread may use the folder until its opener closes it. create: whether to create a missing
     folder. path: for messages. fd: for calls that take a folder's descriptor.
 
@@ -40,7 +43,7 @@ class RuntimeFolder:
     """
 
     def __init__(self, environ: Mapping[str, str], create: bool) -> None:
-        self.path = _base(environ) / FOLDER_NAME
+        self.path = _place(environ)
         try:
             if create:
                 with contextlib.suppress(FileExistsError):
@@ -150,16 +153,18 @@ class DaemonLock:
         self.release()
 
 
-def _base(environ: Mapping[str, str]) -> Path:
+def _place(environ: Mapping[str, str]) -> Path:
+    user = os.geteuid()
     text = environ.get(VARIABLE, "")
-    base = Path(text)
+    base = Path(text or f"/run/user/{user}")
     with contextlib.suppress(OSError, ValueError):
         if base.is_absolute() and base.is_dir():
-            return base
+            return base / FOLDER_NAME
+    if not text:
+        return Path(environ.get("TMPDIR") or "/tmp") / f"{FOLDER_NAME}-{user}"
     raise UsageError(
-        f"{VARIABLE} is {f'{text!r}, not an absolute path of a folder' if text else 'not set'}"
-        f"; set it to a folder of your own, usually /run/user/{os.geteuid()}, for the daemon's "
-        "lock and status socket"
+        f"{VARIABLE} is {text!r}, not an absolute path of a folder; set it to a folder of your "
+        f"own, usually /run/user/{user}, for the daemon's lock and status socket"
     )
 
 

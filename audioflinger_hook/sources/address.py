@@ -24,6 +24,9 @@ GRAMMAR = (
 
 SCENES = ("demo",)
 
+SOUND_SUFFIXES = (".wav", ".flac", ".ogg", ".mp3", ".aiff", ".aif", ".opus")
+"""A word that ends so is taken for a path, not for the name of a sink."""
+
 
 @dataclass(frozen=True)
 class TapAddress:
@@ -47,7 +50,7 @@ class TapAddress:
 def parse_tap(text: str) -> TapAddress:
     """Return the address that a text stands for.
 
-    A word without a colon is the name of a sink. Names are taken literally.
+    A word without a colon is the name of a sink, unless it is a path. Names are taken literally.
 
     Parameters
     ----------
@@ -57,12 +60,17 @@ def parse_tap(text: str) -> TapAddress:
     Raises
     ------
     UsageError
-        The kind is unknown, a name is missing, or `default` has a name.
+        The kind is unknown, a name is missing, or `default` has a name. A path without "file:" is
+        refused as well.
     """
     if text == "default":
         return TapAddress("default")
     before, colon, name = text.partition(":")
     if not colon:
+        if "/" in text or Path(text).suffix.lower() in SOUND_SUFFIXES:
+            raise UsageError(
+                f"tap {text!r} is no name of a sink; did you mean file:{text}? allowed: {GRAMMAR}"
+            )
         kind, name = "sink", text
     else:
         kind = before
@@ -105,9 +113,9 @@ def open_tap(address: TapAddress) -> Tap:
     Raises
     ------
     UsageError
-        The file or the capture cannot be used.
+        The scene is unknown, or the file or the capture cannot be used.
     NotFoundError
-        The scene is unknown, or the source needs a sound server.
+        The source needs a sound server.
     """
     if address.kind == "file":
         return FileTap(Path(address.name))
@@ -124,7 +132,7 @@ def open_tap(address: TapAddress) -> Tap:
 
 def _scene(address: TapAddress) -> Scene:
     if address.name not in SCENES:
-        raise NotFoundError(
+        raise UsageError(
             f"tap {str(address)!r}: unknown scene; allowed: "
             + ", ".join(f"scene:{name}" for name in SCENES)
         )

@@ -27,10 +27,12 @@ NYQUIST_MARGIN = 0.49
 def fit_block(frames: Frames, channels: int) -> Frames:
     """Return a block as (frames, channels) of one of `SAMPLES`.
 
-    frames: (frames, channels) or, of one channel, (frames,); any floating-point type.
+    frames: (frames, channels) or, of one channel, (frames,); an array of any floating-point type,
+    or numbers that make one.
 
     UsageError: the block has another type or shape.
     """
+    frames = np.asarray(frames)
     if frames.dtype.kind != "f":
         raise UsageError(
             f"a block of {frames.dtype} is not sound in full scale; allowed: float32, float64; "

@@ -528,10 +528,9 @@ def test_an_interrupted_demo_leaves_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "COMMAND"),
         (["play"], "'play'"),
-        (["rendr", "a", "b"], "'demo', 'render', 'inspect'"),
-        (["--loud"], "COMMAND"),
+        (["rendr", "a", "b"], "did you mean render?"),
+        (["--loud"], "--loud"),
         (["render"], "IN, OUT"),
         (["render", "a.wav"], "OUT"),
         (["render", "a.wav", "b.wav", "c.wav"], "c.wav"),
@@ -552,12 +551,35 @@ def test_wrong_usage_is_answered_with_what_is_wrong_and_where_to_look(arguments,
 
 
 @pytest.mark.parametrize("command", ["demo", "render", "inspect", "check"])
-def test_every_command_has_its_help_with_the_exit_codes(command):
+def test_every_command_has_its_help_with_an_example(command):
     done = call(command, "--help")
     assert (done.code, done.stderr) == (0, "")
     assert f"cushion {command}" in done.stdout
-    assert "130 interrupted" in " ".join(done.stdout.split())
-    assert command in call("--help").stdout
+    assert f"example: cushion {command}" in done.stdout
+    whole = call("--help").stdout
+    assert command in whole
+    assert "130 interrupted" in " ".join(whole.split())
+
+
+def test_without_a_command_the_help_ends_with_the_next_step():
+    done = call()
+    assert (done.code, done.stderr) == (0, "")
+    assert "usage: cushion" in done.stdout
+    assert "next: `cushion demo`" in done.stdout
+
+
+def test_the_rule_for_usb_devices_needs_no_device(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    done = call("install-service", "--udev")
+    assert (done.code, done.stderr) == (0, "")
+    assert "70-cushion.rules" in done.stdout
+    assert listing(tmp_path) == {}
+
+
+def test_standard_output_takes_no_wav(source, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "name a file" in refused(call("render", source, "-"))
+    assert not (tmp_path / "-").exists()
 
 
 def test_an_error_is_one_line_whatever_its_words_hold(tmp_path, out):

@@ -216,8 +216,9 @@ def test_without_a_sound_server_nothing_that_plays_is_captured(tmp_path, options
         ("file:", 2),
         ("default:x", 2),
         ("", 2),
-        ("scene:other", 3),
+        ("scene:other", 2),
         ("file:/none.wav", 2),
+        ("folder/film.wav", 2),
     ],
 )
 def test_a_tap_that_does_not_exist_is_refused(tmp_path, tap, code):

@@ -113,7 +113,8 @@ def test_a_file_is_one_track_and_its_end_ends_the_dump(tmp_path):
     [
         (["--tap", "default"], 3, "this command cannot capture live sound"),
         (["--tap", "app:x"], 3, "cannot capture live sound"),
-        (["--tap", "scene:x"], 3, "unknown scene"),
+        (["--tap", "scene:x"], 2, "unknown scene"),
+        (["--at", "100"], 2, "allowed: 0 to 15.000 s"),
         (["--tap", "file:/none.wav"], 2, "does not exist"),
         (["--tap", "capture:/none"], 2, "does not exist"),
         (["--tap", "usb:1"], 2, "unknown kind 'usb'"),

@@ -247,14 +247,12 @@ def test_the_limiter_keeps_out_below_full_scale_and_is_counted(tmp_path, out):
     assert np.abs(vibration(out)).max() < 1.0
 
 
-def test_a_name_that_does_not_look_like_wav_is_warned_of(tmp_path):
+def test_a_name_of_another_format_is_refused(tmp_path):
     source = sound(tmp_path / "in.wav", noise(5_000))
-    done = call("render", source, tmp_path / "out.flac")
-    assert done.code == 0
-    assert done.stderr == (
-        f"cushion: warning: {tmp_path / 'out.flac'} is written as WAV despite its name\n"
-    )
-    assert soundfile.info(tmp_path / "out.flac").format == "WAV"
+    done = call("render", source, tmp_path / "out.mp3")
+    assert done.code == 2
+    assert "allowed: a name that ends in .wav, .wave, .rf64" in done.stderr
+    assert not (tmp_path / "out.mp3").exists()
 
 
 @pytest.mark.exhaustive

@@ -237,7 +237,7 @@ def test_a_running_one_tells_what_it_does(tmp_path, folder):
         ("file:{}/in.wav", "wav:{}", [], 2, "it is a folder"),
         ("capture:{}", "twin", [], 2, "is not a capture"),
         ("capture:{}/cap", "wav:{}/cap/tap-0001.wav", [], 2, "name two files"),
-        ("scene:other", "twin", [], 3, "unknown scene"),
+        ("scene:other", "twin", [], 2, "unknown scene"),
         ("scene:demo", "twin", ["--rig", "{}/none.toml"], 2, "cannot read the rig file"),
         ("scene:demo", "twin", ["--protection", "some"], 2, "allowed: off, on"),
         ("scene:demo", "hw:none", [], 3, "no sound card 'none'"),

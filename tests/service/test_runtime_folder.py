@@ -72,13 +72,22 @@ def test_the_folder_is_made_for_its_owner_alone_whatever_the_umask(environ, tmp_
     RuntimeFolder(environ, create=True).close()  # one that is there is taken
 
 
-@pytest.mark.parametrize(
-    "value", [None, "", "relative/path", "/no/such/folder", "/dev/null", "/\0"]
-)
+@pytest.mark.parametrize("value", ["relative/path", "/no/such/folder", "/dev/null", "/\0"])
 def test_a_runtime_dir_that_cannot_be_used_is_refused_with_what_to_set(value):
-    environ = {} if value is None else {"XDG_RUNTIME_DIR": value}
     with pytest.raises(UsageError, match=r"XDG_RUNTIME_DIR is .*; set it to a folder of your own"):
-        RuntimeFolder(environ, create=True)
+        RuntimeFolder({"XDG_RUNTIME_DIR": value}, create=True)
+
+
+@pytest.mark.parametrize("variable", [{}, {"XDG_RUNTIME_DIR": ""}])
+def test_without_the_variable_a_private_folder_for_temporary_files_serves(variable, tmp_path):
+    if Path(f"/run/user/{os.geteuid()}").is_dir():
+        pytest.skip("this user has a folder in /run/user")
+    with RuntimeFolder({**variable, "TMPDIR": str(tmp_path)}, create=True) as folder:
+        assert folder.path == tmp_path / f"cushion-{os.geteuid()}"
+        assert stat.S_IMODE(folder.path.stat().st_mode) == 0o700
+    folder.path.chmod(0o755)
+    with pytest.raises(UsageError, match="open to others"):
+        RuntimeFolder({**variable, "TMPDIR": str(tmp_path)}, create=True)
 
 
 def test_who_only_asks_makes_no_folder(environ, tmp_path):

@@ -439,8 +439,8 @@ def test_without_a_daemon_the_client_says_how_to_start_one(tmp_path):
     RuntimeFolder(environ, create=True).close()
     with pytest.raises(NotFoundError, match=message):
         ask_status(1.0, time.monotonic, environ)
-    with pytest.raises(UsageError, match="XDG_RUNTIME_DIR is not set"):
-        ask_status(1.0, time.monotonic, {})
+    with pytest.raises(UsageError, match="XDG_RUNTIME_DIR is 'nowhere'"):
+        ask_status(1.0, time.monotonic, {"XDG_RUNTIME_DIR": "nowhere"})
 
 
 @pytest.fixture

@@ -40,7 +40,6 @@ names = st.text(min_size=1).filter(str.strip)
         ("Default", "sink", "Default"),
         (" default", "sink", " default"),
         ("sink: x ", "sink", " x "),
-        ("out/", "sink", "out/"),
     ],
 )
 def test_an_address_is_taken_as_it_is_written(text, kind, name):
@@ -53,7 +52,13 @@ def test_an_address_written_out_is_the_same_address(kind, name):
     assert parse_tap(str(address)) == address
 
 
-@given(names.filter(lambda name: ":" not in name and name != "default"))
+@pytest.mark.parametrize("path", ["film.wav", "d1/scene.WAV", "out/", "./film"])
+def test_a_path_alone_is_refused_with_the_address_that_was_meant(path):
+    with pytest.raises(UsageError, match=f"did you mean file:{path}\\?"):
+        parse_tap(path)
+
+
+@given(names.filter(lambda name: not set(":/.") & set(name) and name != "default"))
 def test_a_word_alone_is_a_sinks_name(name):
     assert parse_tap(name) == TapAddress("sink", name)
 
@@ -117,7 +122,7 @@ def test_what_is_playing_cannot_be_tapped_yet_and_the_user_is_told_what_can(text
 
 @pytest.mark.parametrize("opened", [open_tap, open_client])
 def test_there_is_no_other_scene(opened):
-    with pytest.raises(NotFoundError, match=r"'scene:Demo': unknown scene.*scene:demo"):
+    with pytest.raises(UsageError, match=r"'scene:Demo': unknown scene.*scene:demo"):
         opened(parse_tap("scene:Demo"))
 
 

@@ -402,8 +402,9 @@ def test_twins_agree_after_a_silence_in_which_the_band_pass_comes_to_rest():
         np.zeros((1, 10, 2)),
         np.zeros(()),
         np.full((10, 2), "loud"),
+        [1, 2, 3],
     ],
-    ids=lambda block: f"{block.dtype} {block.shape}",
+    ids=lambda block: f"{np.asarray(block).dtype} {np.shape(block)}",
 )
 def test_a_block_that_is_refused_leaves_the_stream_as_it_was(block):
     sound = columns(white_noise(0.3, 8_000, 0.5), tone(300, 0.3, 8_000, 0.5))

@@ -65,8 +65,12 @@ def _run(options: argparse.Namespace) -> int:
     page = report.to_markdown(shown_in(target, drawn) if target and drawn else None)
     print(json.dumps(report.to_json(), indent=2) if options.json else page)
     if report.missing:
-        rows = "; ".join(str(row) for row in report.missing)
-        raise UsageError(f"not everything could be measured, no report was written: {rows}")
+        for row in report.missing:
+            print(f"bench: not measured: {row}", file=sys.stderr)
+        raise UsageError(
+            f"{len(report.missing)} rows could not be measured, so no report was written; see the "
+            "reasons above"
+        )
     if target:
         write_bytes_atomically(target, page.encode())
         print(f"written to {target}", file=sys.stderr)

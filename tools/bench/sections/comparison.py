@@ -76,7 +76,9 @@ def compared(bench: Workbench) -> Section:
         "Other methods from sound to vibration, our own implementations in NumPy, not tuned. "
         "Band-pass: 50 to 250 Hz unchanged. Envelope: levelled, on a resonance at 150 Hz. "
         "Centroid: one sine at the centroid of 30 to 600 Hz. Octave fold: two peaks, halved until "
-        f"under 230 Hz. Lags are of the bursts perceived, over {FELT_DB:g} dB of the burst. High "
+        f"under 230 Hz. Lags are of the bursts perceived, over {FELT_DB:g} dB of the burst. The "
+        "envelope is smoothed without phase, so that a start that overshoots, as that of Envelope, "
+        "reads some ms early. High "
         f"tones are measured at 15 to {AUDIBLE_FROM_HZ:g} Hz, the tactile band.",
         tuple(rows),
         missing,
