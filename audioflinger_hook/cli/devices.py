@@ -21,6 +21,7 @@ from device.errors import CushionError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.identity import identity_of, is_own_stream
 from device.stream import filter_stderr
+from device.stream.pcms import FALLBACK_SINK
 from device.usb import Found, UsbAudioDevice, find_devices, identify
 from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
 from device.usb.mapping import hw_names, sinks_of
@@ -149,6 +150,7 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
                 "identity": asdict(identity_of(sink)),
             }
             for sink in snapshot.sinks
+            if sink.name != FALLBACK_SINK
         ],
         "applications": [
             {

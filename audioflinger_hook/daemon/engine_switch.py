@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from audioflinger_hook.daemon.inputs.applications import Applications
-from audioflinger_hook.daemon.inputs.base import AudioNode
+from audioflinger_hook.daemon.inputs.base import NOTHING, AudioNode
 from audioflinger_hook.daemon.native.abilities import (
     missing_parts,
     why_not_config,
@@ -128,7 +128,8 @@ class EngineSwitch:
         if plays and linked:
             quiet = now_s - self._played_s > QUIET_S
             state = DaemonState.IDLE if quiet else DaemonState.RUNNING
-            self._states.enter(state, now_s, "nothing plays" if quiet else "")
+            reason = source.why_silent if isinstance(source, Applications) else NOTHING
+            self._states.enter(state, now_s, reason if quiet else "")
         return plays
 
     def lose_links(self, cause: Cause, now_s: float, reason: str) -> None:

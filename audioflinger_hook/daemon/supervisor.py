@@ -343,7 +343,7 @@ class Supervisor:
         last_sound_s = engine.last_sound_s if engine and over else now_s
         if not self._idle_policy.update(now_s, players, last_sound_s, heard=heard):
             return False
-        if self.states.enter(DaemonState.IDLE, now_s, "nothing plays"):
+        if self.states.enter(DaemonState.IDLE, now_s, self._input.why_silent):
             self._endpoints.close()
             if engine:
                 engine.rest()

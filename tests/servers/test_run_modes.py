@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from audioflinger_hook.service.state import DaemonState
+from device.stream.pcms import FALLBACK_SINK
 from tests.servers.daemons import cushion, felt_now, pitch_hz, running, tone
 from tests.servers.listening import RATE_HZ, playing, recording, wait_for
 from tools.sound_server import SoundServer
@@ -131,3 +132,14 @@ def test_silence_that_plays_lets_it_rest_and_the_sound_in_it_is_felt(
         daemon.wait_state(DaemonState.IDLE, 24.0)
         wait_for(lambda: feels(MUSIC_FELT_HZ), "the music", 30.0)
         daemon.wait_state(DaemonState.RUNNING)
+
+
+def test_a_tap_of_an_application_that_does_not_play_says_so_and_lists_no_sink_of_ours(
+    server: SoundServer,
+) -> None:
+    with running(server, "--tap", "app:Nobody", ready=False) as daemon:
+        status = daemon.wait_state(DaemonState.IDLE)
+        listed = cushion(server, "devices")
+    assert "no application that the tap names plays" in status.reason
+    assert "sink:haptic" in listed.stdout
+    assert FALLBACK_SINK not in listed.stdout

@@ -8,7 +8,7 @@ from functools import partial
 
 from audioflinger_hook.daemon.capture_queue import SoundGain
 from audioflinger_hook.daemon.engine import Engine
-from audioflinger_hook.daemon.inputs.base import Input
+from audioflinger_hook.daemon.inputs.base import NOTHING, Input
 from audioflinger_hook.daemon.reconnecting_stream import LONGEST_WAIT_S
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
@@ -28,6 +28,7 @@ CAPTURES_MAX = 32
 """Largest number of captured applications, to limit the CPU load; more rarely play at once."""
 
 NO_APPLICATION = "no application plays"
+NONE_SUCH = "no application that the tap names plays; `cushion devices` lists those that do"
 
 DEFAULT_SAMPLERATE = 48_000
 DEFAULT_CHANNELS = 2
@@ -51,6 +52,11 @@ class Applications:
         """Names of the applications."""
         names = dict.fromkeys(app_name(stream) for stream in self.streams)
         return ", ".join(names) or NO_APPLICATION
+
+    @property
+    def why_silent(self) -> str:
+        """Why no sound arrives while the daemon is idle, for the user."""
+        return NOTHING if self.streams else NONE_SUCH
 
 
 class ApplicationsFeed:
@@ -119,6 +125,11 @@ class ApplicationsInput(Input):
     def may_rest(self) -> bool:
         """Whether all applications are paused; a silent one that plays may sound at any moment."""
         return all(stream.corked for stream in self._found.streams)
+
+    @property
+    def why_silent(self) -> str:
+        """Why no sound arrives while the daemon is idle, for the user."""
+        return self._found.why_silent
 
     @property
     def name(self) -> str | None:

@@ -9,6 +9,9 @@ from typing import Protocol
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.server import PulseConnection, ServerSnapshot
 
+NOTHING = "nothing plays"
+"""Why no sound arrives while nothing is wrong."""
+
 
 class AudioNode(Protocol):
     """Something that sound comes from or vibration goes to: a monitor, a sink, a card, a file."""
@@ -105,6 +108,11 @@ class Input(Endpoint):
     def players(self, snapshot: ServerSnapshot | None) -> frozenset[int]:
         """Return the streams that may play into the located node."""
         return frozenset()
+
+    @property
+    def why_silent(self) -> str:
+        """Why no sound arrives while the daemon is idle, for the user."""
+        return NOTHING
 
     def volume_db(self, snapshot: ServerSnapshot) -> float:
         """Return the volume that its sound carries, as far as it is known; 0 dB for 100 %."""
