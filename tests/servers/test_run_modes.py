@@ -138,7 +138,7 @@ def test_a_tap_of_an_application_that_does_not_play_says_so_and_lists_no_sink_of
     server: SoundServer,
 ) -> None:
     with running(server, "--tap", "app:Nobody", ready=False) as daemon:
-        status = daemon.wait_state(DaemonState.IDLE)
+        status = daemon.wait_state(DaemonState.IDLE, 30.0)
         listed = cushion(server, "devices")
     assert "no application that the tap names plays" in status.reason
     assert "sink:haptic" in listed.stdout
