@@ -7,6 +7,7 @@ import sys
 
 from audioflinger_hook.cli.check import load_config
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.service.install import install, remove, systemd_version
 from audioflinger_hook.service.unit import UDEV_COMMAND
 from audioflinger_hook.sources import parse_tap
@@ -41,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
 def _refuse_without_device() -> None:
     """Raise UsageError if the config names no device, or has mistakes."""
     path = config.default_path()
-    if not path.exists() or load_config(path).live.device is None:
+    if not path.exists() or load_config(path, LIVE_DEFAULT).live.device is None:
         raise UsageError(
             f"no device given; name it with --device, or with the key device in {path}; "
             "`cushion devices` lists them"

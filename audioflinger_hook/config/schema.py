@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import MISSING, dataclass, replace
 from typing import Any
 
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
@@ -46,6 +47,9 @@ OPTIONS = {
 "" means that help lists the words of a choice, or that the option is a switch.
 """
 
+BY_COMMAND = {"profile": f"{LIVE_DEFAULT} in run, else {OFFLINE_DEFAULT}"}
+"""Defaults that depend on the command that reads the file, in words, by field."""
+
 RENAMED_PARAMETERS = {
     "follower_db": "loudness_db",
     "follower_target_db": "loudness_target_db",
@@ -85,7 +89,7 @@ class Key:
     section, name: the key's section ("" for the top level) and its name in that section.
     owner, field: the class and the field that hold the value.
     description: the key's meaning and allowed values.
-    default: the default value; None if there is none.
+    default: the default value; None if there is none or if it depends on the command.
     change: the effect of changing the key while the daemon runs, one of `CHANGES`.
     """
 
@@ -113,7 +117,7 @@ class Key:
     def shown_default(self) -> str:
         """The default as help and README show it, "" if there is none."""
         if self.default is None:
-            return ""
+            return BY_COMMAND.get(self.field, "")
         if isinstance(self.default, bool):
             return str(self.default).lower()
         if isinstance(self.default, tuple):
@@ -148,7 +152,7 @@ def _keys() -> tuple[Key, ...]:
                 meaning = described.meaning
                 described = replace(Settings.DESCRIPTIONS["rig"], meaning=meaning)
             default = getattr(owner, field, MISSING)
-            default = None if default is MISSING else default
+            default = None if default is MISSING or field in BY_COMMAND else default
             place = described.section or section, described.name or field
             found.append(Key(*place, owner, field, described, default, described.change or change))
     return tuple(sorted(found, key=lambda key: SECTIONS.index(key.section)))
