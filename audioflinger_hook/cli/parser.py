@@ -216,7 +216,7 @@ def _profile(command: Parser, *, live: bool) -> None:
     from audioflinger_hook.config.schema import option
 
     default = LIVE_DEFAULT if live else OFFLINE_DEFAULT
-    key = replace(option("profile"), default=default)
+    key = replace(option("profile"), default=default, live_default=default)
     command.add_argument(key.flag, dest=key.field, help=key.help, metavar=key.metavar)
     command.set_defaults(default_profile=default)
 
