@@ -15,6 +15,7 @@ import soundfile
 
 from audioflinger_hook.cli.parser import build_parser
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import ACTUATOR, KEYS
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
@@ -53,7 +54,7 @@ def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) ->
     path.write_text(block("toml"))
     found, problems = config.check(path)
     assert problems == []
-    assert found == config.Config(Settings(), LiveSettings(device="sink:NAME"))
+    assert found == config.Config(Settings(profile=LIVE_DEFAULT), LiveSettings(device="sink:NAME"))
     for key in KEYS:
         if key.section == ACTUATOR:
             continue

@@ -23,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from audioflinger_hook.cli.terminal import progress_bar
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.settings import Settings
 from device.errors import CushionError, NotFoundError
 from tools.bench.sections.kept_records import USUAL_BLOCK_FRAMES
@@ -36,6 +37,9 @@ from tools.sound_server import PROGRAMS, ServerError, SoundServer
 
 LOOP_S = 60.0
 MONITOR = ".monitor"
+
+DEFAULT = Settings(profile=LIVE_DEFAULT)
+"""Settings of a daemon that is told none."""
 
 
 def main() -> int:
@@ -140,7 +144,7 @@ def on_server(
         ),
     ):
         frames = None if engine == "native" else block_frames  # the native engine has none
-        return _measured(place, options, Settings(), frames, _name(options.hz), quantum)
+        return _measured(place, options, DEFAULT, frames, _name(options.hz), quantum)
 
 
 def _force_quantum(server: SoundServer, quantum: int) -> None:
@@ -158,7 +162,8 @@ def _here(options: argparse.Namespace) -> Iterator[LiveRecord]:
         raise NotFoundError("no daemon plays here; start one with `cushion run`")
     place = Place(status.tap.name, status.device.name + MONITOR, environment)
     path = config.default_path()
-    settings = config.load(path).settings if path.exists() else Settings()
+    settings = config.load(path).settings if path.exists() else DEFAULT
+    settings = settings.choosing(profile=status.profile)
     with _tone(place, options.hz) if options.play else nullcontext():
         name = _name(options.hz) if options.play else "whatever played"
         yield _measured(place, options, settings, None, name)

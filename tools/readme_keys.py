@@ -34,6 +34,7 @@ def with_table(page: str) -> str:
 def _row(key: Key) -> str:
     flag = f"`{key.flag}`" if key.flag else ""
     default = f"`{key.shown_default}`" if key.shown_default else ""
+    default = default.replace(" in run, else ", "` in `run`, else `")
     described = key.description
     cells = (f"`{key.name}`", described.allowed, default, flag, described.meaning)
     shown = [cell.replace("|", "\\|") for cell in (*cells, CHANGES[key.change])]

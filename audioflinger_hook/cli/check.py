@@ -10,6 +10,7 @@ from pathlib import Path
 
 from audioflinger_hook.cli.terminal import complain, warn
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
 from audioflinger_hook.config.schema import json_schema
 from device.errors import UsageError
 
@@ -26,7 +27,7 @@ def run(options: argparse.Namespace) -> int:
         if not path.exists():
             print("[]" if as_json else f"{path} does not exist: the defaults apply")
             return 0
-    found, mistakes = config.check(path)
+    found, mistakes = config.check(path, LIVE_DEFAULT)
     if as_json:
         print(json.dumps([dataclasses.asdict(mistake) for mistake in mistakes], indent=2))
     elif found is not None:
@@ -38,9 +39,9 @@ def run(options: argparse.Namespace) -> int:
     return UsageError.exit_code if mistakes else 0
 
 
-def load_config(path: Path) -> config.Config:
-    """Return a config file's content and warn of keys with old names. UsageError: as `load`."""
-    found = config.load(path)
+def load_config(path: Path, default_profile: str = OFFLINE_DEFAULT) -> config.Config:
+    """Return a config file's content and warn of keys with old names. Arguments: as `load`."""
+    found = config.load(path, default_profile)
     if found.warning:
         _warn_once(f"{path}: {found.warning}")
     return found

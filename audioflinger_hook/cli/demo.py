@@ -54,7 +54,7 @@ class Played:
 def run(options: argparse.Namespace) -> int:
     """Play the scene, write vibration.wav, acceleration.wav, scene.wav and report.png to `out`."""
     out: Path = options.out
-    settings = Settings(profile=options.profile) if options.profile else Settings()
+    settings = Settings(profile=options.profile or options.default_profile)
     _make_folder(out)
     scene = demo_scene()
     sound = mixdown(scene)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -63,7 +64,7 @@ def _add(
 
 def _demo(command: Parser) -> None:
     _value(command, "--out", Path, "DIR", "folder to write to", Path("out"))
-    _keys(command, "profile")
+    _profile(command, live=True)
     _switch(command, "--fast", "do not wait for real time")
 
 
@@ -113,7 +114,9 @@ def _run(command: Parser) -> None:
     _value(command, "--config", Path, "FILE", "default: ~/.config/cushion/config.toml")
     stop = "stop after S seconds; default: never"
     command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
-    _keys(command, "offset_ms", "device_volume_db", "profile", "rig", "damping", "protection")
+    _keys(command, "offset_ms", "device_volume_db")
+    _profile(command, live=True)
+    _keys(command, "rig", "damping", "protection")
     _switch(command, "--wait", "wait until server, device and tap are available")
 
 
@@ -167,7 +170,7 @@ def _calibrate(command: Parser) -> None:
 
 
 def _plugin(command: Parser) -> None:
-    from audioflinger_hook.config.profiles import PROFILES
+    from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 
     command.add_argument(
         "does",
@@ -178,9 +181,9 @@ def _plugin(command: Parser) -> None:
     command.add_argument(
         "--profile",
         choices=tuple(PROFILES),
-        default="paper",
+        default=LIVE_DEFAULT,
         metavar="NAME",
-        help=f"of the PipeWire chain: {', '.join(PROFILES)}; default: paper",
+        help=f"of the PipeWire chain: {', '.join(PROFILES)}; default: {LIVE_DEFAULT}",
     )
     _value(command, "--device", str, "NODE", "also write a PipeWire chain that plays to this sink")
     _value(command, "--rate", int, "HZ", "also write settings for this sample rate")
@@ -205,10 +208,23 @@ def _json(command: Parser) -> None:
 
 def _rendering(command: Parser) -> None:
     """Add the options that `render` and `replay` share."""
-    _keys(command, "form", "channels", "profile", "rig", "damping", "protection")
+    _keys(command, "form", "channels")
+    _profile(command, live=False)
+    _keys(command, "rig", "damping", "protection")
     _value(command, "--acceleration", Path, "FILE", "also write the simulated acceleration")
     _value(command, "--config", Path, "FILE", CONFIG_HELP)
     _json(command)
+
+
+def _profile(command: Parser, *, live: bool) -> None:
+    """Add `--profile`, and `default_profile` to the parsed options. live: which default it is."""
+    from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
+    from audioflinger_hook.config.schema import option
+
+    default = LIVE_DEFAULT if live else OFFLINE_DEFAULT
+    key = replace(option("profile"), default=default, live_default=default)
+    command.add_argument(key.flag, dest=key.field, help=key.help, metavar=key.metavar)
+    command.set_defaults(default_profile=default)
 
 
 def _keys(command: Parser, *fields: str, **more: Any) -> None:

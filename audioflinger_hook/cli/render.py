@@ -123,7 +123,11 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
 
     recorded: settings to use if no file is named.
     """
-    settings = load_config(options.config).settings if options.config else recorded or Settings()
+    default = options.default_profile
+    if options.config:
+        settings = load_config(options.config, default).settings
+    else:
+        settings = recorded or Settings(profile=default)
     given = {
         name: getattr(options, name)
         for name in ("form", "channels", "profile", "damping", "protection", "rig")

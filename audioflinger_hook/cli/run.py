@@ -16,6 +16,7 @@ from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
 from audioflinger_hook.cli.signals import Signals, freeze_loaded_objects
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Clocks
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, RunConfig
@@ -84,7 +85,10 @@ def run(options: argparse.Namespace) -> int:
 def _run_config(options: argparse.Namespace) -> RunConfig:
     """Return the run's configuration from config and options; options take precedence."""
     path = options.config or config.default_path()
-    found = load_config(path) if options.config or path.exists() else config.Config()
+    if options.config or path.exists():
+        found = load_config(path, options.default_profile)
+    else:
+        found = config.Config(Settings(profile=options.default_profile))
     settings, live = found.settings, found.live
     chosen = {name: getattr(options, name) for name in ("profile", "rig", "damping", "protection")}
     settings = settings.choosing(**{name: c for name, c in chosen.items() if c})

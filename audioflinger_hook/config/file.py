@@ -9,7 +9,7 @@ from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.config.profiles import DEFAULT_PROFILE, parameters_of, values_of
+from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, parameters_of, values_of
 from audioflinger_hook.config.schema import (
     ACTUATOR,
     HEADERS,
@@ -73,26 +73,29 @@ def default_path() -> Path:
     return Path(base).expanduser() / "cushion" / "config.toml"
 
 
-def load(path: Path) -> Config:
-    """Return the content of a config file.
+def load(path: Path, default_profile: str = OFFLINE_DEFAULT) -> Config:
+    """Return the content of a config file. default_profile: if the file names none.
 
     UsageError: the file cannot be read or has mistakes; the message has the first and the count.
     """
-    config, mistakes = check(path)
+    config, mistakes = check(path, default_profile)
     if config is None:
         more = f" (and {len(mistakes) - 1} more; see `cushion check --config {path}`)"
         raise UsageError(f"{path}: {mistakes[0]}{more if mistakes[1:] else ''}")
     return config
 
 
-def check(path: Path) -> tuple[Config | None, list[Mistake]]:
+def check(
+    path: Path, default_profile: str = OFFLINE_DEFAULT
+) -> tuple[Config | None, list[Mistake]]:
     """Return a file's content and an empty list, or None and every mistake in order of lines.
 
+    default_profile: if the file names none.
     UsageError: the file cannot be read, or is not text.
     """
     text = _text_of(path)
     document, mistakes = _parse(text)
-    reading = _Reading(_lines_of_keys(text), path.parent, mistakes)
+    reading = _Reading(_lines_of_keys(text), path.parent, mistakes, default_profile)
     reading.read(document)
     reading.find_contradictions()
     if mistakes:
@@ -103,7 +106,14 @@ def check(path: Path) -> tuple[Config | None, list[Mistake]]:
 class _Reading:
     """Accepted values, mistakes and keys with old names of one document."""
 
-    def __init__(self, lines: dict[str, int], folder: Path, mistakes: list[Mistake]) -> None:
+    def __init__(
+        self,
+        lines: dict[str, int],
+        folder: Path,
+        mistakes: list[Mistake],
+        default_profile: str,
+    ) -> None:
+        self.default_profile = default_profile
         self.lines = lines
         self.folder = folder
         self.mistakes = mistakes
@@ -187,7 +197,7 @@ class _Reading:
     @property
     def profile(self) -> str:
         """The profile that is named, or the default if none or an unknown one is named."""
-        return str(self.accepted[Settings].get("profile", DEFAULT_PROFILE))
+        return str(self.accepted[Settings].get("profile", self.default_profile))
 
     def config(self) -> Config:
         """Return the content of the document, which has no mistakes."""
@@ -195,6 +205,7 @@ class _Reading:
         settings = Settings(
             **self.accepted[Settings]
             | {
+                "profile": self.profile,
                 "parameters": parameters_of(self.profile, chosen),
                 "said": tuple(chosen),
                 "actuators": tuple(ActuatorSettings(**actuator) for actuator in self.actuators),

@@ -1,7 +1,8 @@
 """Profiles: named sets of the transform's parameters, each value with its reason.
 
 The profile `paper` changes no parameter. Other profiles change some parameters; a config file
-overrides the profile. docs/decisions.md has the measurements behind the reasons.
+overrides the profile. docs/decisions.md has the measurements behind the reasons. If nothing names
+a profile, one of two defaults applies; `cli.parser` says for each command which one it is.
 """
 
 from __future__ import annotations
@@ -62,7 +63,11 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
 }
 """Every profile by its name."""
 
-DEFAULT_PROFILE = "paper"
+OFFLINE_DEFAULT = "paper"
+"""Default of this library and of all commands on files: published figures stay what they are."""
+
+LIVE_DEFAULT = "cinema"
+"""Default of `run`, `demo` and the plugin: as strong as sound is loud, also when it is soft."""
 
 
 def parameters_of(profile: str, said: Mapping[str, Any] | None = None) -> TransformParameters:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import MISSING, dataclass, replace
 from typing import Any
 
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, values_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
@@ -86,6 +87,7 @@ class Key:
     owner, field: the class and the field that hold the value.
     description: the key's meaning and allowed values.
     default: the default value; None if there is none.
+    live_default: the default value in `run`, which takes another profile if none is named.
     change: the effect of changing the key while the daemon runs, one of `CHANGES`.
     """
 
@@ -95,6 +97,7 @@ class Key:
     field: str
     description: Description
     default: Any
+    live_default: Any
     change: str
 
     @property
@@ -112,13 +115,8 @@ class Key:
     @property
     def shown_default(self) -> str:
         """The default as help and README show it, "" if there is none."""
-        if self.default is None:
-            return ""
-        if isinstance(self.default, bool):
-            return str(self.default).lower()
-        if isinstance(self.default, tuple):
-            return ", ".join(self.default)
-        return f"{self.default:g}" if isinstance(self.default, float) else str(self.default)
+        shown, live = (_shown(value) for value in (self.default, self.live_default))
+        return shown if shown == live else f"{live} in run, else {shown}"
 
     @property
     def help(self) -> str:
@@ -134,10 +132,20 @@ class Key:
     def json_schema(self) -> dict[str, Any]:
         """Return the JSON Schema of the key's value."""
         schema = {"description": self.help, **self.description.json_schema()}
-        if self.default is None:
+        if self.default is None or self.default != self.live_default:
             return schema
         default = list(self.default) if isinstance(self.default, tuple) else self.default
         return {**schema, "default": default}
+
+
+def _shown(default: Any) -> str:
+    if default is None:
+        return ""
+    if isinstance(default, bool):
+        return str(default).lower()
+    if isinstance(default, tuple):
+        return ", ".join(default)
+    return f"{default:g}" if isinstance(default, float) else str(default)
 
 
 def _keys() -> tuple[Key, ...]:
@@ -148,9 +156,14 @@ def _keys() -> tuple[Key, ...]:
                 meaning = described.meaning
                 described = replace(Settings.DESCRIPTIONS["rig"], meaning=meaning)
             default = getattr(owner, field, MISSING)
-            default = None if default is MISSING else default
+            default = live_default = None if default is MISSING else default
+            if field == "profile":
+                live_default = LIVE_DEFAULT
+            elif owner is TransformParameters:
+                live_default = values_of(LIVE_DEFAULT).get(field, default)
             place = described.section or section, described.name or field
-            found.append(Key(*place, owner, field, described, default, described.change or change))
+            change_of_key = described.change or change
+            found.append(Key(*place, owner, field, described, default, live_default, change_of_key))
     return tuple(sorted(found, key=lambda key: SECTIONS.index(key.section)))
 
 

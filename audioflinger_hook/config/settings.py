@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from audioflinger_hook.config.profiles import DEFAULT_PROFILE, PROFILES, parameters_of
+from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, PROFILES, parameters_of
 from audioflinger_hook.sources import parse_tap
 from audioflinger_hook.sources.address import GRAMMAR as TAPS
 from audioflinger_hook.transform import Form, TransformParameters
@@ -175,7 +175,7 @@ class Settings(Described):
 
     profile: Annotated[
         str, Choice("named set of transform parameters", tuple(PROFILES), change="transform")
-    ] = DEFAULT_PROFILE
+    ] = OFFLINE_DEFAULT
     damping: Annotated[
         str, Choice("reduce the rig's ringing; also turns protection on", DAMPING)
     ] = DAMPING[0]
@@ -215,7 +215,7 @@ class Settings(Described):
 
     def __post_init__(self) -> None:
         if self.parameters is OF_PROFILE:
-            known = self.profile if self.profile in PROFILES else DEFAULT_PROFILE
+            known = self.profile if self.profile in PROFILES else OFFLINE_DEFAULT
             object.__setattr__(self, "parameters", parameters_of(known))
         super().__post_init__()
 
@@ -307,7 +307,7 @@ class LiveSettings(Described):
     engine: Annotated[
         str,
         Choice(
-            "native: inside PipeWire, 7 ms after the sound; auto: native wherever it can",
+            "native: inside PipeWire, 9 ms after the sound; auto: native wherever it can",
             ENGINES,
             change="nothing",
         ),

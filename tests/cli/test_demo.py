@@ -13,6 +13,7 @@ from rich.console import Console
 
 from audioflinger_hook.cli.demo import Meter
 from audioflinger_hook.cli.terminal import level_text
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.sources import mixdown
 from tests.support.commands import (
@@ -104,7 +105,8 @@ def test_the_demo_goes_the_way_that_rendering_its_sound_goes(demo, tmp_path):
     _, out = demo
     assert np.array_equal(vibration(out / "scene.wav"), mixdown(demo_scene()))
     felt = tmp_path / "acceleration.wav"
-    done = call("render", out / "scene.wav", tmp_path / "vibration.wav", "--acceleration", felt)
+    options = ("--profile", LIVE_DEFAULT, "--acceleration", felt)
+    done = call("render", out / "scene.wav", tmp_path / "vibration.wav", *options)
     assert done.code == 0
     for name in ("vibration.wav", "acceleration.wav"):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes()

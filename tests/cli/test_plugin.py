@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.plugin import install as installing
 from audioflinger_hook.plugin.install import RATES_HZ
 from audioflinger_hook.transform.design import LiveDesign
@@ -70,6 +71,13 @@ def test_a_foreign_file_is_neither_overwritten_nor_removed(home: Path, path: str
         assert f"{foreign} is not of `cushion plugin install`" in done.stderr
     assert files(home) == [Path(path)]
     assert foreign.read_text() == "somebody's own\n"
+
+
+def test_the_chain_has_the_default_of_what_is_played_unless_a_profile_is_named(home: Path) -> None:
+    chain = home / ".config/pipewire/filter-chain.conf.d/haptic-cushion.conf"
+    for named, profile in ((), LIVE_DEFAULT), (("--profile", "paper"), "paper"):
+        assert call("plugin", "install", "--device", "dac", *named).code == 0
+        assert f"label = haptic_cushion_{profile} " in chain.read_text()
 
 
 def test_names_of_devices_cannot_break_the_chain(home: Path) -> None:

@@ -7,7 +7,13 @@ import pytest
 import soundfile
 
 from audioflinger_hook.config import file as config
-from audioflinger_hook.config.profiles import PROFILES, parameters_of, values_of
+from audioflinger_hook.config.profiles import (
+    LIVE_DEFAULT,
+    OFFLINE_DEFAULT,
+    PROFILES,
+    parameters_of,
+    values_of,
+)
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.recording import facts_of, settings_from
 from audioflinger_hook.offline.render import render_file
@@ -141,6 +147,28 @@ def test_the_profile_of_the_command_line_goes_over_that_of_the_config(tmp_path):
         render_file(source, tmp_path / "again.wav", Settings(profile=name))
         played, again = (soundfile.read(tmp_path / file)[0] for file in ("out.wav", "again.wav"))
         assert identical(played, again)
+
+
+def test_commands_on_files_take_the_paper_s_profile_unless_one_is_named(tmp_path):
+    source, path = sound(tmp_path / "in.wav", noise(20_000, 1)), tmp_path / "config.toml"
+    path.write_text("gain_db = 0\n")
+    assert call("capture", tmp_path / "cap", "--tap", f"file:{source}").code == 0
+    for command in (("render", source), ("replay", tmp_path / "cap")):
+        for more in ((), ("--config", path)):
+            done = call(*command, tmp_path / "out.wav", *more, "--json")
+            assert json.loads(done.stdout)["profile"] == OFFLINE_DEFAULT == "paper"
+
+
+def test_a_config_that_names_no_profile_is_checked_and_loaded_with_the_command_s(tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text("[transform]\npartials_max = 3\n")
+    for default in PROFILES:
+        settings = config.load(path, default).settings
+        assert settings.profile == default
+        assert settings.parameters == parameters_of(default, {"partials_max": 3})
+    path.write_text("[transform]\nvibration_top_hz = 62\n")
+    assert config.check(path, LIVE_DEFAULT)[1] == []
+    assert "1/window_s=33.3 Hz" in str(config.check(path, "game")[1][0])
 
 
 def test_the_demo_names_the_profiles_that_there_are(tmp_path):

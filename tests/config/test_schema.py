@@ -13,6 +13,7 @@ import fastjsonschema
 import pytest
 
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, KEYS, RENAMED, json_schema, keys_of
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.recording import settings_from
@@ -432,9 +433,14 @@ def test_a_running_daemon_does_what_the_schema_says_of_a_change(key: Any) -> Non
 
 
 @pytest.mark.parametrize("command", ["run", "render", "replay", "demo"])
-def test_help_says_of_every_key_what_it_means_and_its_default(command: str) -> None:
+def test_help_says_of_every_key_what_it_means_and_its_default_in_this_command(
+    command: str,
+) -> None:
     text = " ".join(call(command, "--help").stdout.split())
+    default = LIVE_DEFAULT if command in ("run", "demo") else OFFLINE_DEFAULT
     shown = [key for key in KEYS if key.flag and re.search(rf"{key.flag}\b(?!-)", text)]
     assert shown
     for key in shown:
+        if key.field == "profile":
+            key = replace(key, default=default, live_default=default)
         assert " ".join(key.help.split()) in text

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from device.drive.outputs import FADE_S
 from tests.daemon.test_run_paced import NO_SERVER, aligned, error_db, folder, run
 from tests.support.commands import (
@@ -60,7 +61,7 @@ def source(tmp_path: Path) -> Path:
 @pytest.mark.exhaustive
 def test_a_file_gets_what_the_same_config_renders(tmp_path, folder, source):
     (tmp_path / "c.toml").write_text(THREE)
-    options = ("--config", tmp_path / "c.toml")
+    options = ("--config", tmp_path / "c.toml", "--profile", LIVE_DEFAULT)
     assert call("render", source, tmp_path / "wanted.wav", *options).code == 0
     out = tmp_path / "out.wav"
     done = run(folder, "--tap", f"file:{source}", "--device", f"wav:{out}", *options)

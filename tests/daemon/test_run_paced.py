@@ -13,6 +13,8 @@ import pytest
 import soundfile
 
 from audioflinger_hook.capture import Capture, CaptureWriter
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, parameters_of
+from audioflinger_hook.daemon.recording import settings_from
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.sources import mixdown
 from device.units import Float32Array
@@ -59,6 +61,11 @@ def aligned(whole: Float32Array, wanted: Float32Array) -> Float32Array:
     return whole[int(np.argmax(np.fft.irfft(spectrum, size)[: len(whole)])) :][: len(wanted)]
 
 
+def rendered(source: Path, out: Path) -> Done:
+    """Render a file with the default profile of `cushion run`."""
+    return call("render", source, out, "--profile", LIVE_DEFAULT)
+
+
 def error_db(got: Float32Array, wanted: Float32Array) -> float:
     """The difference in dB of what was wanted."""
     ratio = float(np.sum(np.square(got - wanted)) / np.sum(np.square(wanted)))
@@ -76,7 +83,7 @@ def told(stderr: str) -> list[str]:
 def test_the_scene_into_a_file_is_the_vibration_that_a_file_of_it_gives(tmp_path, folder):
     out, seconds = tmp_path / "out.wav", 4.0
     scene = mixdown(demo_scene())[: int((seconds + 0.2) * RATE)]
-    assert call("render", sound(tmp_path / "in.wav", scene), tmp_path / "wanted.wav").code == 0
+    assert rendered(sound(tmp_path / "in.wav", scene), tmp_path / "wanted.wav").code == 0
     done = run(folder, "--tap", "scene:demo", "--device", f"wav:{out}", "--seconds", seconds)
     assert (done.code, done.stdout, told(done.stderr)) == (0, "", ["running"])
     felt, wanted = vibration(out), vibration(tmp_path / "wanted.wav")
@@ -90,7 +97,7 @@ def test_the_scene_into_a_file_is_the_vibration_that_a_file_of_it_gives(tmp_path
 
 def test_a_file_ends_by_itself_when_its_vibration_has_run_out(tmp_path, folder):
     source = sound(tmp_path / "in.wav", noise(44_100, 2), 44_100)
-    assert call("render", source, tmp_path / "wanted.wav").code == 0
+    assert rendered(source, tmp_path / "wanted.wav").code == 0
     done = run(folder, "--tap", f"file:{source}", "--device", f"wav:{tmp_path / 'out.wav'}")
     assert (done.code, told(done.stderr)) == (0, ["running"])
     felt, wanted = vibration(tmp_path / "out.wav"), vibration(tmp_path / "wanted.wav")
@@ -100,6 +107,33 @@ def test_a_file_ends_by_itself_when_its_vibration_has_run_out(tmp_path, folder):
     assert np.abs(wanted[-1_000:]).max() > 0.0
     assert not felt[-1_000:].any()
     assert soundfile.info(tmp_path / "out.wav").samplerate == 44_100
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "profile", "said"),
+    [
+        ("", (), "cinema", ()),
+        ("[transform]\npartials_max = 5\n", (), "cinema", ("partials_max",)),
+        ('profile = "game"\n', (), "game", ()),
+        ('profile = "game"\n', ("--profile", "paper"), "paper", ()),
+    ],
+    ids=["nothing named", "a parameter", "the config's", "the option's"],
+)
+def test_the_profile_is_cinema_unless_one_is_named_and_a_replay_needs_no_name(
+    tmp_path, folder, text, options, profile, said
+):
+    source, record = sound(tmp_path / "in.wav", noise(RATE // 4)), tmp_path / "rec"
+    (tmp_path / "c.toml").write_text(text)
+    named = ("--config", tmp_path / "c.toml") if text else ()
+    done = run(
+        folder, "--tap", f"file:{source}", "--device", "twin", "--record", record, *named, *options
+    )
+    assert done.code == 0
+    settings = settings_from(Capture(record).facts)
+    assert settings is not None
+    assert (settings.profile, settings.said) == (profile, said)
+    assert settings.parameters == parameters_of(profile, dict.fromkeys(said, 5))
+    assert same_again(record, tmp_path / "out.wav") > RATE // 8
 
 
 @pytest.mark.exhaustive

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from audioflinger_hook.config.profiles import parameters_of
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, parameters_of
 from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import HapticTransform
@@ -112,7 +112,7 @@ def test_mono_takes_one_channel_and_two_instances_do_not_disturb_each_other() ->
         assert not other.run(quiet[: len(part)]).any()
     one.close()
     other.close()
-    assert np.array_equal(np.concatenate(got)[:, 0], vibration(SOUND[:, :1], "paper", RATE_HZ))
+    assert np.array_equal(np.concatenate(got)[:, 0], vibration(SOUND[:, :1], LIVE_DEFAULT, RATE_HZ))
 
 
 def test_activate_begins_a_new_stream() -> None:

@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, parameters_of
 from audioflinger_hook.service.state import Cause, DaemonState
 from audioflinger_hook.service.status import Status
 from audioflinger_hook.service.status_client import ask_status
+from audioflinger_hook.transform.mapping import vibration_hz
 from device.errors import CushionError
 from device.units import Float32Array
 from tests.servers.listening import RATE_HZ, wait_for
@@ -172,6 +174,11 @@ def tone(hz: float, seconds: float, level: float = 0.3) -> Float32Array:
     """A stereo tone."""
     wave = level * np.sin(2.0 * np.pi * hz * np.arange(int(seconds * RATE_HZ)) / RATE_HZ)
     return np.column_stack([wave, wave]).astype(np.float32)
+
+
+def felt_hz(hz: float) -> float:
+    """The vibration of a tone with the default profile of `cushion run`."""
+    return float(vibration_hz(np.array([hz]), parameters_of(LIVE_DEFAULT))[0])
 
 
 def pitch_hz(frames: Float32Array) -> float:

@@ -12,8 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, parameters_of
+from audioflinger_hook.transform import HapticTransform
 from tests.servers.daemons import ROOT, environment, running
-from tests.servers.listening import need
+from tests.servers.listening import RATE_HZ, need
 from tools.bench.sections.kept_records import CPU_PERCENT, LAG, NO_GROWTH_MS, USUAL_BLOCK_FRAMES
 from tools.latency import main
 from tools.live_latency.record import (
@@ -73,7 +75,8 @@ def test_the_tool_finds_a_plausible_lag_and_no_error_of_its_own(kind: str, tmp_p
     assert record.budget_ms is not None
     # the budget leaves out what servers hold back, and no more than that
     assert -5.0 < record.lag_median_ms - record.budget_ms < 60.0
-    assert record.transform_ms == pytest.approx(7.3, abs=0.1)
+    transform = HapticTransform(RATE_HZ, 2, parameters_of(LIVE_DEFAULT))
+    assert record.transform_ms == pytest.approx(1e3 * transform.latency_s, abs=0.1)
     assert len(record.lags_ms) == 4
     assert [each.name for each in read_records(kept)] == [record.name]
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import soundfile
 
-from audioflinger_hook.config.settings import LiveSettings
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
+from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.offline.render import render_file
 from audioflinger_hook.scenes import demo_scene
 from audioflinger_hook.service.state import Cause, DaemonState
@@ -55,7 +56,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Float32Array, Float
     sound = mixdown(demo_scene())[: int(SCENE_S * RATE_HZ)].astype(np.float32)
     assert demo_scene().samplerate == RATE_HZ
     soundfile.write(source, sound, RATE_HZ, subtype="FLOAT")
-    render_file(source, target)
+    render_file(source, target, Settings(profile=LIVE_DEFAULT))
     return sound, soundfile.read(target, always_2d=True)[0][:, 0]
 
 

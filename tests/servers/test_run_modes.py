@@ -11,12 +11,12 @@ import numpy as np
 
 from audioflinger_hook.service.state import DaemonState
 from device.stream.pcms import FALLBACK_SINK
-from tests.servers.daemons import cushion, felt_now, pitch_hz, running, tone
+from tests.servers.daemons import cushion, felt_hz, felt_now, pitch_hz, running, tone
 from tests.servers.listening import RATE_HZ, playing, recording, wait_for
 from tools.sound_server import SoundServer
 
 MUSIC_HZ, GAME_HZ = 110.0, 400.0
-MUSIC_FELT_HZ, GAME_FELT_HZ = 50.0, 97.0
+MUSIC_FELT_HZ, GAME_FELT_HZ = felt_hz(MUSIC_HZ), felt_hz(GAME_HZ)
 """The vibration of these tones."""
 
 NEAR_HZ = 6.0

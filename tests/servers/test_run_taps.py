@@ -13,12 +13,12 @@ import pytest
 
 from audioflinger_hook.service.state import Cause, DaemonState
 from device.stream.pcms import TAG
-from tests.servers.daemons import felt_now, pitch_hz, recovered, running, tone
+from tests.servers.daemons import felt_hz, felt_now, pitch_hz, recovered, running, tone
 from tests.servers.listening import RATE_HZ, playing, recording, wait_for
 from tools.sound_server import ServerError, SoundServer
 
 HERE_HZ, THERE_HZ = 110.0, 400.0
-HERE_FELT_HZ, THERE_FELT_HZ = 50.0, 97.0
+HERE_FELT_HZ, THERE_FELT_HZ = felt_hz(HERE_HZ), felt_hz(THERE_HZ)
 """The vibration of these tones."""
 
 NEAR_HZ = 6.0

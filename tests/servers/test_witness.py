@@ -1,4 +1,4 @@
-"""The measure of clicks finds lost cycles, and only a torn bare server excuses a test."""
+"""The measure of clicks finds lost cycles, and only a torn witness excuses an attempt."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from device.units import Float32Array
 from tests.servers.daemons import tone
 from tests.servers.listening import RATE_HZ
 from tests.servers.witness import (
-    BUSY,
+    CLEAN,
     CLICK_DB,
+    EXCUSED,
+    Verdict,
     above_250_hz,
-    give_up,
     silent_blocks,
     tears,
 )
@@ -44,8 +45,19 @@ def test_a_tear_counts_only_while_something_is_felt() -> None:
     assert tears(without_a_cycle(RATE_HZ, 256), felt) > 0
 
 
-def test_attempts_that_all_failed_fail_unless_a_bare_server_was_torn() -> None:
-    with pytest.raises(AssertionError, match="torn 2 times"):
-        give_up("step", [1, 2, 3], BUSY - 1)
-    with pytest.raises(pytest.skip.Exception, match="torn 3 times"):
-        give_up("step", [1, 2, 3], BUSY)
+def test_a_failed_attempt_fails_unless_the_witness_was_torn_in_it() -> None:
+    verdict = Verdict("step")
+    assert not verdict.add(1, good=True, witness_torn=False)
+    assert not verdict.add(2, good=False, witness_torn=True)
+    with pytest.raises(AssertionError, match="step, after 1 clean attempts: 3"):
+        verdict.add(3, good=False, witness_torn=False)
+
+
+def test_it_is_shown_after_some_clean_attempts_and_skipped_after_many_excused_ones() -> None:
+    verdict = Verdict("step")
+    assert [verdict.add(n, good=True, witness_torn=n > 1) for n in range(CLEAN)][-1]
+    verdict = Verdict("step")
+    for attempt in range(EXCUSED - 1):
+        assert not verdict.add(attempt, good=False, witness_torn=True)
+    with pytest.raises(pytest.skip.Exception, match="too busy"):
+        verdict.add(EXCUSED, good=False, witness_torn=True)

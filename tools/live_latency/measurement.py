@@ -90,7 +90,7 @@ def measure(
     place: Place,
     seconds: float,
     *,
-    settings: Settings | None = None,
+    settings: Settings,
     block_frames: int | None = None,
     quantum_frames: int | None = None,
     stimulus: str = "whatever played",
@@ -107,7 +107,7 @@ def measure(
         The server, one of the monitors or a program needed is not there.
     """
     load_before, date = os.getloadavg()[0], now()
-    listened = _listen(place, max(seconds, WINDOW_S), settings or Settings(), progress)
+    listened = _listen(place, max(seconds, WINDOW_S), settings, progress)
     start_s, end_s, polls = listened.start_s, listened.end_s, listened.polls
 
     windows = int((end_s - start_s) / WINDOW_S + 1e-9)

@@ -15,7 +15,7 @@
 
 #define FIRST_ID 5180 /* of the range for development; LADSPA gives out no other any more */
 #define PORTS_MAX (2 * PAGE_CHANNELS)
-#define MONO_PROFILE "paper"
+#define DEFAULT_PROFILE "cinema" /* LIVE_DEFAULT of config/profiles.py */
 
 /* ---------------------------------------------------------------------------------- what there is */
 
@@ -32,8 +32,8 @@ static const Face FACES[] = {
     {"haptic_cushion_cinema", "Haptic Cushion (cinema)", "cinema", EFFECT, 2, 2},
     {"haptic_cushion_game", "Haptic Cushion (game)", "game", EFFECT, 2, 2},
     {"haptic_cushion_music", "Haptic Cushion (music)", "music", EFFECT, 2, 2},
-    {"haptic_cushion_mono", "Haptic Cushion (mono)", MONO_PROFILE, EFFECT, 1, 1},
-    {"haptic_cushion_daemon", "Haptic Cushion of the daemon", MONO_PROFILE, TRANSFORM, PAGE_CHANNELS,
+    {"haptic_cushion_mono", "Haptic Cushion (mono)", DEFAULT_PROFILE, EFFECT, 1, 1},
+    {"haptic_cushion_daemon", "Haptic Cushion of the daemon", "", TRANSFORM, PAGE_CHANNELS,
      PAGE_CHANNELS},
     {"haptic_cushion_actuator", "Haptic Cushion actuator", "", ACTUATOR, 1, 1},
 };
