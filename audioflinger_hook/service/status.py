@@ -144,10 +144,10 @@ class Status:
 
     since_s: duration of the state. recoveries: counts by cause. effects_bypassed: names of effects.
     limited_samples, replaced_samples: as in `cushion render --json`, since the start. protection,
-    exposure: None without protection; with several actuators, the figures with the least gain and
-    with the largest dose. actuators: in the order of the config. profile: "" before the first
-    sound. engine: "native" or "python", "" before one plays; engine_reason: why not the native one.
-    engine_pid: the native engine's process, 0 for none.
+    exposure: None without protection; with several actuators, the figures with the least gain, and
+    each reading of the exposure where it is worst. actuators: in the order of the config. profile:
+    "" before the first sound. engine: "native" or "python", "" before one plays; engine_reason: why
+    not the native one. engine_pid: the native engine's process, 0 for none.
     """
 
     version: str
