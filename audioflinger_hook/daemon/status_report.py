@@ -144,6 +144,8 @@ def _protection(processor: RigProcessor) -> ProtectionFigures:
         limited_by=seen.limited_by,
         excursion_mm=1e3 * seen.excursion_m,
         coil_c=seen.coil_c,
+        makeup_db=processor.makeup_db,
+        strength_db=processor.strength_db,
     )
 
 

@@ -82,7 +82,9 @@ class ProtectionFigures:
     limited_blocks: blocks with reduced drive; infeasible_blocks: blocks that had to be silenced.
     gain, least_gain: current and smallest gain of the drive, 0 to 1. limited_by: cause of the gain,
     "" for none. excursion_mm: predicted amplitude. coil_c: predicted temperature in degrees C, None
-    if the rig lacks thermal data.
+    if the rig lacks thermal data. makeup_db: gain by which damping makes up for what it takes, 0
+    without damping. strength_db: felt strength against no damping and no protection, None if
+    unknown.
     """
 
     blocks: int
@@ -94,6 +96,8 @@ class ProtectionFigures:
     limited_by: str
     excursion_mm: float
     coil_c: float | None
+    makeup_db: float = 0.0
+    strength_db: float | None = None
 
 
 @dataclass(frozen=True)
