@@ -103,7 +103,7 @@ class Governor:
         self._ahead = _Block(ahead)
 
     def decide(self, most: FloatArray) -> Verdict:
-        """Return the gain of the known block. most: (channels,), the largest that is wanted."""
+        """Return the gain of the known block. most: (channels,), the largest wanted, 0 to 1."""
         channels = self._channels
         states = np.concatenate(
             [self._states, self._states if self._alone is None else self._alone], axis=2
@@ -116,8 +116,8 @@ class Governor:
         a, b, demand = self._bounded(now, current)
         power_a2 = _mean_squares(current[0], channels)
         if np.abs(a + most[:, None] * b).max() <= 1.0:
-            return Verdict(np.clip(most, 0.0, 1.0), demand, 0, power_a2)
-        gain = np.clip(np.minimum(most, _highest(a, b)), 0.0, 1.0)
+            return Verdict(most, demand, 0, power_a2)
+        gain = np.minimum(most, _highest(a, b))
         hopeless = np.abs(a + gain[:, None] * b).max(axis=1) > 1.0 + _ROUNDING
         return Verdict(np.where(hopeless, 0.0, gain), demand, int(hopeless.sum()), power_a2)
 
@@ -246,8 +246,7 @@ def _mean_squares(current: FloatArray, channels: int) -> FloatArray:
 
 def _highest(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the largest g with |a + g b| <= 1 in every column, (channels,); 0 must be possible."""
-    size = np.abs(b)
-    room = 1.0 - np.where(b < 0.0, -a, a)
-    size[size < 1e-300] = 1e-300  # what does not depend on the gain allows any
+    size = np.maximum(np.abs(b), 1e-300)  # what does not depend on the gain allows any
+    room = 1.0 - np.copysign(a, a * b)
     highest: FloatArray = np.min(np.maximum(room, 0.0) / size, axis=1)
     return highest

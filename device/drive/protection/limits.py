@@ -34,7 +34,8 @@ def limits_of(rig: Rig) -> Limits:
 
     The limits are Xmax, the amplifier's current, and the level: full scale, or less if the
     amplifier clips before. If the rig describes how the coil warms up, the coil may reach 120 °C.
-    The stiffening of the actuator is the rig's value, or a usual value.
+    The stiffening of the actuator is the rig's value, or a usual value. The frame may move freely
+    even if the rig describes a seat, and may be as light as that seat.
     """
     full_scale_v = rig.dac.full_scale_v * rig.amplifier.gain
     current_a, large = rig.amplifier.current_limit_a, rig.large_signal
@@ -43,6 +44,7 @@ def limits_of(rig: Rig) -> Limits:
         current_a=None if math.isinf(current_a) else current_a,
         coil_temperature_c=Limits.coil_temperature_c if rig.thermal else None,
         level=min(1.0, rig.amplifier.output_limit_v / full_scale_v),
+        lightest_frame_kg=min(LIGHTEST_FRAME_KG, rig.seat.mass_kg if rig.seat else math.inf),
         stiffness_rise=large.stiffness_rise if large else Limits.stiffness_rise,
     )
 
