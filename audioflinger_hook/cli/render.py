@@ -162,4 +162,6 @@ def _summary(report: RenderReport, output: Path) -> str:
         parts.append(f"{counted(report.replaced_samples, 'unusable samples')} set to 0")
     if report.peak_acceleration_m_s2 is not None:
         parts.append(f"peak acceleration {report.peak_acceleration_m_s2:.1f} m/s²")
+    if report.strength_db is not None:
+        parts.append(f"felt {report.strength_db:+.1f} dB against no damping")
     return ", ".join(parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 
 from audioflinger_hook import __version__
@@ -89,8 +90,25 @@ def _worst_protection(engine: Engine) -> ProtectionFigures | None:
 
 
 def _worst_exposure(engine: Engine) -> ExposureFigures | None:
-    found = [_exposure(one) for one in engine.drive.processors if one]
-    return max(found, key=lambda one: one.a8_m_s2, default=None)
+    return worst_exposure([_exposure(one) for one in engine.drive.processors if one])
+
+
+def worst_exposure(found: Sequence[ExposureFigures]) -> ExposureFigures | None:
+    """Return each reading of the actuator where it is worst; None without actuators."""
+    if not found:
+        return None
+    most = max(found, key=lambda one: one.a8_m_s2)
+    capped = min(found, key=lambda one: one.cap_gain)
+    return replace(
+        most,
+        time_s=max(one.time_s for one in found),
+        running_m_s2=max(one.running_m_s2 for one in found),
+        vdv=max(one.vdv for one in found),
+        above_action=any(one.above_action for one in found),
+        above_limit=any(one.above_limit for one in found),
+        cap=capped.cap,
+        cap_gain=capped.cap_gain,
+    )
 
 
 def _actuators(engine: Engine) -> tuple[ActuatorFigures, ...]:
@@ -127,6 +145,8 @@ def _protection(processor: RigProcessor) -> ProtectionFigures:
         limited_by=seen.limited_by,
         excursion_mm=1e3 * seen.excursion_m,
         coil_c=seen.coil_c,
+        makeup_db=processor.makeup_db,
+        strength_db=processor.strength_db,
     )
 
 

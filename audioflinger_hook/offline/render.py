@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from audioflinger_hook.pipeline.framework import (
 from audioflinger_hook.pipeline.step import HapticSink, Pipeline
 from audioflinger_hook.sources import Client, FileTap, TapClient
 from device.drive.channel_map import ChannelMap
+from device.drive.drive import Drive
 from device.drive.outputs import FADE_S, AlignedOutput, DrivenOutput, FadedOutput
 from device.errors import UsageError
 from device.output import VibrationOutput
@@ -42,7 +44,10 @@ ACCELERATION_COMMENT = (
 
 @dataclass(frozen=True)
 class RenderReport:
-    """What was rendered. Field names contain their units; frames and samples are counts."""
+    """What was rendered. Field names contain their units; frames and samples are counts.
+
+    strength_db: felt strength against no damping and no protection, None without damping.
+    """
 
     frames: int
     samplerate: int
@@ -54,6 +59,7 @@ class RenderReport:
     limited_samples: int
     replaced_samples: int
     peak_acceleration_m_s2: float | None = None
+    strength_db: float | None = None
     warnings: list[str] = field(default_factory=list)
 
 
@@ -140,7 +146,7 @@ def render(
         )
         rate = framework.samplerate
         rig, written = _open_outputs(outputs, target, acceleration, framework, fade_s)
-        chain = Pipeline(client, framework, [taken for _, taken in written])
+        chain = Pipeline(client, framework, [one.taken for one in written])
         frames = 0
         while step := chain.step():
             framework.check_haptics()
@@ -163,10 +169,11 @@ def render(
         transform=settings.form,
         profile=settings.profile,
         latency_s=framework.latency_s,
-        peak=written[0][0].peak,
+        peak=written[0].file.peak,
         limited_samples=framework.limited_samples,
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
+        strength_db=written[0].drive.strength_db,
         warnings=[*framework.warnings, *framework.bypassed(), *warnings],
     )
 
@@ -187,7 +194,7 @@ def _render_sections(
             plan.samplerate, plan.channels, settings, hal_frames=OFFLINE_HAL_FRAMES
         )
         rig, written = _open_outputs(outputs, target, acceleration, framework, FADE_S)
-        sink = HapticSink(*(taken for _, taken in written), clip=False)
+        sink = HapticSink(*(one.taken for one in written), clip=False)
         # Outputs that remove the framework's latency get that many frames before the first section.
         sink.send(np.zeros((framework.latency_frames, framework.haptic_channels), np.float32))
         with closing(sections_of(plan, workers)) as sections:
@@ -199,7 +206,7 @@ def _render_sections(
                     if progress:
                         progress(frames, plan.sections * plan.frames)
                 replaced += section.replaced_samples
-        for output in reversed([taken for _, taken in written]):
+        for output in reversed([one.taken for one in written]):
             output.close()
     except BaseException:
         for output in outputs:
@@ -212,10 +219,11 @@ def _render_sections(
         transform=settings.form,
         profile=settings.profile,
         latency_s=framework.latency_s,
-        peak=written[0][0].peak,
+        peak=written[0].file.peak,
         limited_samples=0,
         replaced_samples=replaced,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
+        strength_db=written[0].drive.strength_db,
         warnings=[*framework.warnings, *section.warnings],
     )
 
@@ -226,8 +234,8 @@ def _open_outputs(
     acceleration: Path | None,
     framework: Framework,
     fade_s: float,
-) -> tuple[SimulatedRig | None, list[tuple[FadedOutput, VibrationOutput]]]:
-    """Add the files to `outputs`; return the simulated rig and a pair as `_driven` per file."""
+) -> tuple[SimulatedRig | None, list[_Driven]]:
+    """Add the files to `outputs`; return the simulated rig, and how each file is driven."""
     rate, settings = framework.samplerate, framework.settings
     channel_map = channel_map_of(settings, framework.haptic_channels)
     outputs.append(WavOutput(target, rate, channel_map.channels))
@@ -240,20 +248,25 @@ def _open_outputs(
     return rig, [_driven(FadedOutput(output, frames), channel_map, framework) for output in outputs]
 
 
-def _driven(
-    written: FadedOutput, channel_map: ChannelMap, framework: Framework
-) -> tuple[FadedOutput, VibrationOutput]:
-    """Return the output that knows the peak of all samples written, and the one to write to.
+class _Driven(NamedTuple):
+    """A file, which knows the peak of all samples written, and the output to write to instead.
 
     The drive is between the two, and the latency of transform and drive is removed.
     """
+
+    file: FadedOutput
+    taken: VibrationOutput
+    drive: Drive
+
+
+def _driven(written: FadedOutput, channel_map: ChannelMap, framework: Framework) -> _Driven:
     drive = drive_of(framework.settings, framework.samplerate, framework.haptic_channels)
     if drive.sources:
         # After the drive: a delayed actuator starts with frames from before the sound.
         aligned = AlignedOutput(written, framework.latency_frames + drive.latency_frames)
-        return written, DrivenOutput(aligned, drive, channel_map)
+        return _Driven(written, DrivenOutput(aligned, drive, channel_map), drive)
     driven = DrivenOutput(AlignedOutput(written, drive.latency_frames), drive, channel_map)
-    return written, AlignedOutput(driven, framework.latency_frames)
+    return _Driven(written, AlignedOutput(driven, framework.latency_frames), drive)
 
 
 def refuse_same_file(source: Path, target: Path, acceleration: Path | None) -> None:

@@ -82,7 +82,9 @@ class ProtectionFigures:
     limited_blocks: blocks with reduced drive; infeasible_blocks: blocks that had to be silenced.
     gain, least_gain: current and smallest gain of the drive, 0 to 1. limited_by: cause of the gain,
     "" for none. excursion_mm: predicted amplitude. coil_c: predicted temperature in degrees C, None
-    if the rig lacks thermal data.
+    if the rig lacks thermal data. makeup_db: gain by which damping makes up for what it takes, 0
+    without damping. strength_db: felt strength against no damping and no protection, None if
+    unknown.
     """
 
     blocks: int
@@ -94,6 +96,8 @@ class ProtectionFigures:
     limited_by: str
     excursion_mm: float
     coil_c: float | None
+    makeup_db: float = 0.0
+    strength_db: float | None = None
 
 
 @dataclass(frozen=True)
@@ -144,11 +148,11 @@ class Status:
 
     since_s: duration of the state. recoveries: counts by cause. effects_bypassed: names of effects.
     limited_samples, replaced_samples: as in `cushion render --json`, since the start. protection,
-    exposure: None without protection; with several actuators, the figures with the least gain and
-    with the largest dose. actuators: in the order of the config. profile: "" before the first
-    sound. engine: "native" or "python", "" before one plays; engine_reason: why not the native one.
-    engine_pid: the native engine's process, 0 for none. volume_db: the listener's volume, 0 dB for
-    100 %; the sound's level and the vibration are those without it.
+    exposure: None without protection; with several actuators, the figures with the least gain, and
+    each reading of the exposure where it is worst. actuators: in the order of the config. profile:
+    "" before the first sound. engine: "native" or "python", "" before one plays; engine_reason: why
+    not the native one. engine_pid: the native engine's process, 0 for none. volume_db: the
+    listener's volume, 0 dB for 100 %; the sound's level and the vibration are those without it.
     """
 
     version: str

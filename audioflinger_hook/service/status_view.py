@@ -184,6 +184,10 @@ def _protection(protection: ProtectionFigures) -> Text:
     text.append(
         f", least {protection.least_gain:.2f}; excursion {protection.excursion_mm:.2f} mm{coil}"
     )
+    if protection.makeup_db:
+        text.append(f"; damping made up by {protection.makeup_db:.1f} dB")
+    if protection.strength_db is not None:
+        text.append(f", felt {protection.strength_db:+.1f} dB against no damping")
     return text
 
 

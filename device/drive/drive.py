@@ -91,6 +91,12 @@ class Drive:
         """Delay set for each named actuator, in frames."""
         return tuple(self._delay(actuator) for actuator in self._settings)
 
+    @property
+    def strength_db(self) -> float | None:
+        """Least felt strength of the damped actuators, see `RigProcessor`; None without any."""
+        found = [one.strength_db for one in self.processors if one]
+        return min((one for one in found if one is not None), default=None)
+
     def change(self, settings: Sequence[ActuatorSettings]) -> None:
         """Fade to other levels, polarities, delays and sources, starting with the next block.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from device.drive.exposure import Exposure, ExposureMeter, cap_gain
 from device.drive.exposure.dose import ACTION_A8_M_S2, ACTION_VDV, LIMIT_A8_M_S2, LIMIT_VDV
 from device.drive.protection import ProtectionStatus, Protector
 from device.rig import ActuatorParameters, Rig, rig_by_name
-from device.units import Block, FloatArray, check_channels
+from device.units import Block, FloatArray, amplitude_to_db, check_channels
 
 CAPS: dict[str, tuple[float, float] | None] = {
     "off": None,
@@ -24,8 +25,9 @@ CAPS: dict[str, tuple[float, float] | None] = {
 class RigProcessor:
     """Damper, protector and exposure meter of one rig, in that order.
 
-    Protection is always on, since a damped signal exceeds full scale and must not be clipped. One
-    thread calls `process`, `reset` and `drain`; any thread may call the rest.
+    The damper makes up for the strength that damping takes. Protection is always on, since a damped
+    signal exceeds full scale and must not be clipped. One thread calls `process`, `reset` and
+    `drain`; any thread may call the rest.
 
     rig: the driven rig, with one actuator per channel.
     samplerate: rate in Hz, 6000 or more.
@@ -53,9 +55,11 @@ class RigProcessor:
         self.exposure_cap = exposure_cap
         self._cap = CAPS[exposure_cap]
         self._damper: Damper | None = None
+        self._undamped: ExposureMeter | None = None
         if damped:
             damping = damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
             self._damper = Damper(damping, samplerate, channels)
+            self._undamped = ExposureMeter(rig, samplerate, channels)
 
     @property
     def latency_frames(self) -> int:
@@ -64,8 +68,9 @@ class RigProcessor:
 
     def reset(self) -> None:
         """Return to rest; counts and doses become 0."""
-        if self._damper:
+        if self._damper and self._undamped:
             self._damper.reset()
+            self._undamped.reset()
         self._protector.reset()
         self._meter.reset()
         self._protector.most = 1.0
@@ -73,7 +78,8 @@ class RigProcessor:
     def process(self, block: Block) -> Block:
         """Process a block, (frames, channels), in place and return it."""
         check_channels(block, self.channels)
-        if self._damper:
+        if self._damper and self._undamped:
+            self._undamped.process(block)
             self._damper.process(block)
         self._protector.process(block)
         self._meter.process(block)
@@ -94,6 +100,22 @@ class RigProcessor:
     def exposure(self) -> Exposure:
         """Return the exposure so far."""
         return self._meter.exposure()
+
+    @property
+    def makeup_db(self) -> float:
+        """Gain of the damping that makes up for what it takes at the resonance; 0 without it."""
+        return amplitude_to_db(self._damper.damping.gain) if self._damper else 0.0
+
+    @property
+    def strength_db(self) -> float | None:
+        """Felt strength so far, against the same vibration without damping and protection, in dB.
+
+        It is the ratio of the Wk-weighted r.m.s.; None without damping or before any vibration.
+        """
+        if self._undamped is None:
+            return None
+        felt, without = self._meter.exposure().a8_m_s2, self._undamped.exposure().a8_m_s2
+        return amplitude_to_db(felt / without) if felt and without else None
 
     @property
     def exposure_gain(self) -> float:
@@ -125,5 +147,6 @@ def make_rig_processor(
 
 @lru_cache(maxsize=8)
 def damping_for(actuator: ActuatorParameters, source_impedance_ohm: float) -> Damping:
-    """Return the damping chosen for a rig; the first call per rig takes some tenths of a second."""
-    return choose_damping(actuator, source_impedance_ohm=source_impedance_ohm)[0].damping
+    """Return the damping chosen for a rig, made up; the first call per rig takes about a second."""
+    chosen = choose_damping(actuator, source_impedance_ohm=source_impedance_ohm)[0]
+    return replace(chosen.damping, gain=chosen.makeup)

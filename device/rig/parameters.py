@@ -169,20 +169,17 @@ def detune(p: ActuatorParameters, share: float) -> ActuatorParameters:
     return replace(p, resonance_hz=p.resonance_hz * factor, q_mechanical=p.q_mechanical * factor)
 
 
-def stiffen(
-    p: ActuatorParameters, stiffness_rise: float, force_factor_loss: float
+def vary(
+    p: ActuatorParameters, mass: float = 1.0, stiffness: float = 1.0, force_factor: float = 1.0
 ) -> ActuatorParameters:
-    """Return the linear actuator that behaves as a non-linear one at Xmax (describing function).
-
-    The arguments are the shares by which stiffness is larger and Bl smaller there, both growing
-    with x^2. Over a sine, x^2 counts 3/4 of its peak for the spring and 1/4 for the damping.
-    """
-    factor = math.sqrt(1.0 + 0.75 * stiffness_rise)
+    """Return the actuator with moving mass, stiffness and Bl times factors; friction stays."""
+    ratio, impedance = math.sqrt(stiffness / mass), math.sqrt(stiffness * mass)
     return replace(
         p,
-        resonance_hz=p.resonance_hz * factor,
-        q_mechanical=p.q_mechanical * factor,
-        force_factor_n_per_a=p.force_factor_n_per_a * (1.0 - 0.25 * force_factor_loss),
+        moving_mass_kg=p.moving_mass_kg * mass,
+        resonance_hz=p.resonance_hz * ratio,
+        q_mechanical=p.q_mechanical * impedance,
+        force_factor_n_per_a=p.force_factor_n_per_a * force_factor,
     )
 
 

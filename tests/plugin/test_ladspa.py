@@ -244,6 +244,31 @@ def test_an_actuator_damps_as_the_python_engine_does_and_follows_the_daemons_pag
     page.close()
 
 
+def test_damping_that_asks_for_more_than_full_scale_lowers_the_level_and_does_not_clip(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = rig_by_name("paper")
+    page = Page(tmp_path / "page", 2, 1)
+    page.set_damping(0, damping_for(rig.actuator, rig.amplifier.source_impedance_ohm), RATE_HZ)
+    page.set_audible(True)
+    monkeypatch.setenv("HAPTIC_CUSHION_PAGE", str(page.path))
+    actuator = Instance("haptic_cushion_actuator", RATE_HZ)
+    sine = np.sin(2 * np.pi * 40.0 * np.arange(4 * RATE_HZ) / RATE_HZ)[:, None]
+    quiet = 0.02 * sine
+    before = actuator.run(quiet.astype(np.float32))[2 * RATE_HZ :]
+    loud = actuator.run(sine.astype(np.float32))[:, 0]
+    assert 0.99 < np.abs(loud).max() <= 1.0
+    # The first quarter of a period is flattened; after it the tone has no harmonics.
+    steady = np.abs(np.fft.rfft(loud[-RATE_HZ:] * np.hanning(RATE_HZ)))
+    assert steady[80:].max() < 1e-3 * steady[40]
+    after = actuator.run(quiet.astype(np.float32))
+    soon = after[RATE_HZ // 10 : RATE_HZ // 4]  # after what the filter itself held
+    assert np.abs(soon).max() < 0.9 * np.abs(before).max()
+    np.testing.assert_allclose(after[-RATE_HZ:], before[-RATE_HZ:], atol=1e-3)
+    actuator.close()
+    page.close()
+
+
 # --------------------------------------------------------------------------- the daemon's transform
 
 

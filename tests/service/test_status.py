@@ -55,7 +55,9 @@ STATUS = Status(
     effects_bypassed=("loudness",),
     limited_samples=12,
     replaced_samples=1,
-    protection=ProtectionFigures(5000, 12, 1, 3, 0.5, 0.25, "temperature", 1.234, 61.5),
+    protection=ProtectionFigures(
+        5000, 12, 1, 3, 0.5, 0.25, "temperature", 1.234, 61.5, 15.48, -1.23
+    ),
     exposure=ExposureFigures(10.0, 1.25, 0.6, 9.5, True, False, 0.31),
     profile="cinema",
     warnings=("the sink runs at 44100 Hz",),
@@ -76,6 +78,7 @@ counts = st.integers(0, 2**40)
 protections = st.builds(
     ProtectionFigures,
     *(counts, counts, counts, counts, numbers, numbers, texts, numbers, st.none() | numbers),
+    *(numbers, st.none() | numbers),
 )
 exposures = st.builds(
     ExposureFigures,
@@ -229,7 +232,8 @@ def test_the_view_shows_every_figure():
         "samples    12 limited, 1 replaced",
         "protection 12 of 5000 blocks limited, 1 silenced; gain 0.50 for temperature, least 0.25; "
         "excursion",
-        "           1.23 mm, coil 62 °C",
+        "           1.23 mm, coil 62 °C; damping made up by 15.5 dB, "
+        "felt -1.2 dB against no damping",
         "exposure   above action, A(8) 0.6 m/s², VDV 9.5 m/s^1.75 (predicted, as if the seat moved "
         "as the",
         "           mass); now 1.25 m/s²",
@@ -314,7 +318,7 @@ def test_several_actuators_are_shown_each_with_its_own_figures():
         delay_ms=5.0,
     )
     status = replace(STATUS, actuators=(left, mix), latency=latency)
-    lines = status_text(status, 140).splitlines()
+    lines = status_text(status, 200).splitlines()
     (first,) = (number for number, line in enumerate(lines) if line.startswith("actuator 1"))
     assert lines[first].split(maxsplit=2)[2] == (
         "left on 0, front-left, paper, -3.0 dB, inverted, 5.0 ms later"

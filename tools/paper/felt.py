@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from audioflinger_hook.transform import FloatArray, HapticTransform
-from device.drive.damping import Damper, Damping, choose_damping
+from device.drive.damping import Damper, Damping
+from device.drive.rig_processor import damping_for
 from device.rig import Rig
 from device.rig.instruments import InstrumentChain
 from device.rig.simulated_rig import SimulatedRig
@@ -68,9 +69,7 @@ def wanted_vibration(mono: FloatArray, samplerate: int) -> FloatArray:
 
 def chosen_damping(rig: Rig) -> Damping:
     """What the automatic choice takes for the rig, at the strength of undamped vibration."""
-    source = rig.amplifier.source_impedance_ohm
-    chosen = choose_damping(rig.actuator, source_impedance_ohm=source)[0]
-    return replace(chosen.damping, gain=chosen.makeup)
+    return damping_for(rig.actuator, rig.amplifier.source_impedance_ohm)
 
 
 def felt(vibration: FloatArray, rig: Rig, samplerate: int, damping: Damping | None = None) -> Felt:

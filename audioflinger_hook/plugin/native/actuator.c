@@ -11,6 +11,8 @@
 #define REST_S 0.05
 #define SILENT 1e-30
 #define ABSURD 1e30
+#define HOLD_S 0.06
+#define RELEASE_S 0.5
 
 static const ActuatorWishes NONE = {.gain = 1.0, .audible = 1};
 
@@ -62,6 +64,22 @@ static ActuatorWishes wishes_of(const Actuator *actuator, size_t slot)
     return found;
 }
 
+/* What exceeds full scale lowers the level at once, and for a while: a gain that stays does not
+ * distort as clipping does. The Python engine's protection sees it coming and starts earlier. */
+static double within_full_scale(Actuator *actuator, double sample)
+{
+    const double size = fabs(sample), samplerate = actuator->meter.samplerate;
+    if (size >= actuator->loudest) {
+        actuator->loudest = size;
+        actuator->held = (size_t)(HOLD_S * samplerate);
+    } else if (actuator->held) {
+        actuator->held--;
+    } else if (actuator->loudest > 1.0) {
+        actuator->loudest *= 1.0 - 1.0 / (RELEASE_S * samplerate);
+    }
+    return actuator->loudest > 1.0 ? sample / actuator->loudest : sample;
+}
+
 /* The second-order section of device/drive/damping/damper.py, with the same roundings. */
 static void damp(Actuator *actuator, const ActuatorWishes *wishes, float *samples, size_t count)
 {
@@ -76,8 +94,7 @@ static void damp(Actuator *actuator, const ActuatorWishes *wishes, float *sample
         const double damped = section[0] * sample + state[0];
         state[0] = section[1] * sample - section[4] * damped + state[1];
         state[1] = section[2] * sample - section[5] * damped;
-        /* Damping may ask for more than full scale. */
-        samples[at] = (float)(damped > 1.0 ? 1.0 : damped < -1.0 ? -1.0 : damped);
+        samples[at] = (float)within_full_scale(actuator, damped);
         if (--actuator->until_check == 0) {
             actuator->until_check = period;
             if (fabs(state[0]) < SILENT && fabs(state[1]) < SILENT)
@@ -91,7 +108,8 @@ static void begin(Actuator *actuator, const ActuatorWishes *wishes, size_t delay
     delay_reset(&actuator->delay, delay);
     fade_reset(&actuator->gain, wishes->gain);
     fade_reset(&actuator->audible, actuator->page ? 0.0 : 1.0);
-    actuator->state[0] = actuator->state[1] = 0.0;
+    actuator->state[0] = actuator->state[1] = actuator->loudest = 0.0;
+    actuator->held = 0;
     actuator->until_check = (size_t)fmax(1.0, rint(REST_S * actuator->meter.samplerate));
     actuator->fresh = 0;
 }

@@ -17,6 +17,8 @@ typedef struct {
     LevelMeter meter;
     double state[2];
     size_t until_check; /* frames until the next look at the state */
+    double loudest;     /* recent peak of the damped drive; its level is lowered above 1 */
+    size_t held;        /* frames until that peak begins to fall */
     uint64_t frames;
     int fresh;
 } Actuator;

@@ -102,17 +102,20 @@ def inverse_damping(
     source_impedance_ohm: float = 0.0,
     *,
     caution: float = 1.0,
+    shift: float = 1.0,
 ) -> Damping:
     """Return the resonance inverse with a chosen Q at the actuator's ringing frequency.
 
     wanted_q: above 0; up to 0.5 the actuator does not swing. caution: factor on the removed Q, up
     to 1. A lower value makes the dip in the drive shallower: it needs fewer volts and tolerates
-    another resonance better, but damps less.
+    another resonance better, but damps less. shift: factor on the frequency. Above 1 it tolerates a
+    higher resonance better, and a lower one worse.
     """
     ringing = resonance_of(p, source_impedance_ohm)
+    frequency_hz = shift * ringing.frequency_hz
     return Damping(
         "inverse",
         source_impedance_ohm,
-        ringing=Resonance(ringing.frequency_hz, caution * ringing.q),
-        wanted=Resonance(ringing.frequency_hz, wanted_q),
+        ringing=Resonance(frequency_hz, caution * ringing.q),
+        wanted=Resonance(frequency_hz, wanted_q),
     )

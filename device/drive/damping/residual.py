@@ -7,6 +7,7 @@ Definitions, for a 50 ms burst of a sine at the f0 of the rig as identified:
 - peak volts: at the actuator's terminals, for the same r.m.s. acceleration within the burst.
 - detuning: the true stiffness gives another f0; mass and friction are as believed. Filter and
   burst do not change.
+- mass: the true moving mass over the believed one.
 """
 
 import math
@@ -18,7 +19,7 @@ from device.drive.damping.damper import Damper
 from device.drive.damping.design import Damping, no_damping
 from device.rig import ActuatorParameters
 from device.rig.actuator import LinearActuator
-from device.rig.parameters import detune
+from device.rig.parameters import detune, vary
 from device.units import FloatArray, amplitude_to_db
 
 BURST_S = 0.05
@@ -69,12 +70,13 @@ def burst_response(
     damping: Damping,
     *,
     detuning: float = 0.0,
+    mass: float = 1.0,
 ) -> BurstResponse:
     """Return the response of the linear model; see the definitions above.
 
     p: the believed actuator; detuning: share by which the true f0 differs.
     """
-    true = detune(p, detuning)
+    true = vary(detune(p, detuning), mass)
     longest_s = decay_s(true, damping.source_impedance_ohm)
     frames = round((BURST_S + max(longest_s, BURST_S)) * SAMPLERATE)
     burst = sine_burst(frames, BURST_S, p.resonance_hz)

@@ -73,7 +73,7 @@ _FREE = 0.5
 
 @dataclass(frozen=True)
 class Exposure:
-    """Readings of the weighted acceleration so far, for the worst channel.
+    """Readings of the weighted acceleration so far, each of the channel where it is largest.
 
     Attributes
     ----------
@@ -88,7 +88,8 @@ class Exposure:
     vdv : float
         Vibration dose value in m/s^1.75.
     extrapolated : float
-        Share of the weighted energy above 80 Hz, where ISO 2631-1 gives no weighting.
+        Share of the weighted energy above 80 Hz, where ISO 2631-1 gives no weighting; of the
+        channel with the largest A(8).
     """
 
     time_s: float
@@ -158,17 +159,18 @@ class Dose:
         self._now = running[-1]
 
     def exposure(self) -> Exposure:
-        """Return the readings of the channel with the largest A(8)."""
+        """Return the readings, each of the channel where it is largest."""
         worst = int(self._squares.argmax())
         squares = float(self._squares[worst])
         time_s = self._frames * self._period_s
         energy = squares * self._period_s
         return Exposure(
             time_s=time_s,
-            running_m_s2=math.sqrt(max(0.0, float(self._now[worst]))),
+            running_m_s2=math.sqrt(max(0.0, float(self._now.max()))),
             rms_m_s2=math.sqrt(energy / time_s) if time_s else 0.0,
             a8_m_s2=math.sqrt(energy / DAY_S),
-            vdv=float(self._fourths[worst] * self._period_s) ** 0.25,
+            # One hard knock may give another channel the largest VDV.
+            vdv=float(self._fourths.max() * self._period_s) ** 0.25,
             extrapolated=min(1.0, float(self._high[worst]) / squares) if squares else 0.0,
         )
 

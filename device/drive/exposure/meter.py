@@ -36,7 +36,7 @@ class ExposureMeter:
     samplerate : int
         Rate in Hz, 6000 or more.
     channels : int
-        Number of channels, 1 or more. Each has a dose; the worst is shown.
+        Number of channels, 1 or more. Each has a dose; each reading is the largest of all.
 
     Attributes
     ----------

@@ -3,6 +3,7 @@
 | module        | holds                                                                          |
 | ------------- | ------------------------------------------------------------------------------ |
 | limits.py     | the limits of a rig; `ProtectionStatus`                                        |
+| bounding_models.py | the few models that bound every actuator that a rig may have        |
 | drive_model.py | amplifier and actuator as one step from sample to sample                      |
 | prediction.py | what a block of drive does to several linear models of the actuator            |
 | governor.py   | the largest gain after which everything can still be stopped                   |

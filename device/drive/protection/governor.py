@@ -103,7 +103,7 @@ class Governor:
         self._ahead = _Block(ahead)
 
     def decide(self, most: FloatArray) -> Verdict:
-        """Return the gain of the known block. most: (channels,), the largest that is wanted."""
+        """Return the gain of the known block. most: (channels,), the largest wanted, 0 to 1."""
         channels = self._channels
         states = np.concatenate(
             [self._states, self._states if self._alone is None else self._alone], axis=2
@@ -115,10 +115,10 @@ class Governor:
         current = self._three(freely @ states[: len(freely)], current_fall, current_rise)
         a, b, demand = self._bounded(now, current)
         power_a2 = _mean_squares(current[0], channels)
-        if np.abs(a + most * b).max() <= 1.0:
-            return Verdict(np.clip(most, 0.0, 1.0), demand, 0, power_a2)
-        gain = np.clip(np.minimum(most, _highest(a, b)), 0.0, 1.0)
-        hopeless = np.abs(a + gain * b).max(axis=0) > 1.0 + _ROUNDING
+        if np.abs(a + most[:, None] * b).max() <= 1.0:
+            return Verdict(most, demand, 0, power_a2)
+        gain = np.minimum(most, _highest(a, b))
+        hopeless = np.abs(a + gain[:, None] * b).max(axis=1) > 1.0 + _ROUNDING
         return Verdict(np.where(hopeless, 0.0, gain), demand, int(hopeless.sum()), power_a2)
 
     def pass_on(self) -> tuple[FloatArray, FloatArray] | None:
@@ -207,7 +207,7 @@ class Governor:
     def _bounded(
         self, now: FloatArray, current: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return a and b of all limited quantities, (n, channels), and the demand, in shares."""
+        """Return a and b of all limited quantities, (channels, n), and the demand, in shares."""
         p, channels = self._prediction, self._channels
         (stop, current_stop), _ = self._halves(self._ahead)
         then = p.moved_freely @ self._end
@@ -223,8 +223,9 @@ class Governor:
             next_current[..., 2 * channels :] += current_stop
             parts += [current / self._current_a, next_current / self._current_a]
         whole = np.vstack([part.reshape(-1, 3 * channels) for part in parts])
-        demand = np.abs(whole[:, 2 * channels :]).max(axis=0)
-        return whole[:, :channels], whole[:, channels : 2 * channels], demand
+        # Contiguous rows take a third of the time in what follows.
+        a, b, alone = np.ascontiguousarray(whole.T).reshape(3, channels, -1)
+        return a, b, np.abs(alone).max(axis=1)
 
     def _levels(self) -> list[FloatArray]:
         """Return the drive of both blocks as a share of the level."""
@@ -238,16 +239,14 @@ class Governor:
 
 def _mean_squares(current: FloatArray, channels: int) -> FloatArray:
     """Return the mean square as coefficients of 1, g and g², and without any gain."""
-    frames = len(current)
-    three = current.reshape(frames, 3, channels)
-    products = np.einsum("fic,fjc->ijc", three, three) / frames
-    return np.array([products[0, 0], 2.0 * products[0, 1], products[1, 1], products[2, 2]])
+    products = (current.T @ current).reshape(3, channels, 3, channels) / len(current)
+    own = np.einsum("icjc->ijc", products)
+    return np.array([own[0, 0], 2.0 * own[0, 1], own[1, 1], own[2, 2]])
 
 
 def _highest(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the largest g with |a + g b| <= 1 in every row, (channels,); 0 must be possible."""
-    size = np.abs(b)
-    room = 1.0 - np.where(b < 0.0, -a, a)
-    size[size < 1e-300] = 1e-300  # rows that do not depend on the gain allow any
-    highest: FloatArray = np.min(np.maximum(room, 0.0) / size, axis=0)
+    """Return the largest g with |a + g b| <= 1 in every column, (channels,); 0 must be possible."""
+    size = np.maximum(np.abs(b), 1e-300)  # what does not depend on the gain allows any
+    room = 1.0 - np.copysign(a, a * b)
+    highest: FloatArray = np.min(np.maximum(room, 0.0) / size, axis=1)
     return highest

@@ -14,9 +14,9 @@ from device.rig import ActuatorParameters
 from device.rig.actuator import LinearActuator, Quantity
 from device.units import FloatArray
 
-_WATCHED_HZ = 12_000.0
+_WATCHED_HZ = 6_000.0
 """Excursion is computed at least this often; `_slacks_m` bounds it in between."""
-_TAIL_POINTS = 48
+_TAIL_POINTS = 32
 _TAIL_PERIODS = 1.25
 _DECAYED = 25.0
 _HORIZON_FRAMES = 1 << 20

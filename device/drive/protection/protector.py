@@ -4,25 +4,20 @@ import math
 
 import numpy as np
 
+from device.drive.protection.bounding_models import RESERVE, bounding_models
 from device.drive.protection.drive_model import amplifier_sections
 from device.drive.protection.governor import Governor
 from device.drive.protection.limits import Limits, ProtectionStatus, limits_of
 from device.drive.protection.prediction import Prediction, most_current_a
 from device.drive.protection.thermal import CoilTemperature, gain_for_power
 from device.errors import UsageError
-from device.rig import ActuatorParameters, Rig
-from device.rig.parameters import detune, stiffen
+from device.rig import Rig
 from device.units import Block, FloatArray, check_channels, finite_or_zero
 
 BLOCK_S = 0.002
 BLOCKS_AHEAD = 2
 """A block leaves when the next block is known: two block lengths after its start."""
 
-_STACK = (0.0, -1.0, -0.5, 0.5, 1.0)
-"""Detunings of the models, as shares of `Limits.detuning`. With only the two ends, a rig half-way
-between them would swing 2 % further than both at its resonance."""
-_RESERVE = 0.015
-"""Share of the excursion that is reserved for rigs between two models: 0.13 dB."""
 _ABSURD = 1e6
 _RECOVERY_S = 0.02
 """Time in which the gain recovers from 0 to what the demand allows."""
@@ -90,13 +85,14 @@ class Protector:
         self._frames = round(BLOCK_S * samplerate)
         self._period_s = self._frames / samplerate
         volts = rig.dac.full_scale_v * rig.amplifier.gain
-        models = _models(rig.actuator, self.limits)
         source = rig.amplifier.source_impedance_ohm
+        models = bounding_models(rig.actuator, self.limits, source)
         sections = amplifier_sections(rig.amplifier, models, samplerate)
         current_a = self.limits.current_a
         if current_a is not None:
             most_a = most_current_a(models, samplerate, source, sections)
             most_a *= self.limits.level * volts
+            current_a *= 1.0 - RESERVE
             # A limit that no drive can reach is left out, to save time.
             current_a = current_a if most_a > current_a else None
         prediction = Prediction(
@@ -106,7 +102,7 @@ class Protector:
             volts=volts,
             source_impedance_ohm=source,
             sections=sections,
-            excursion_m=(1.0 - _RESERVE) * self.limits.excursion_m,
+            excursion_m=(1.0 - RESERVE) * self.limits.excursion_m,
             # The coil's temperature needs only the current of the identified model.
             current_models=1 if current_a is None else len(models),
         )
@@ -312,16 +308,3 @@ class Protector:
             coil.step(power_w)
             self._want(channel, ohm * alone)
         return gain, lowered
-
-
-def _models(p: ActuatorParameters, limits: Limits) -> list[ActuatorParameters]:
-    """Return the models: the actuator as believed, detuned, and stiffened by a large swing."""
-    shares = dict.fromkeys(share * limits.detuning for share in _STACK)
-    models = [detune(p, share) for share in shares]
-    if limits.stiffness_rise or limits.force_factor_loss:
-        far = dict.fromkeys([0.0, limits.detuning])
-        models += [
-            stiffen(detune(p, share), limits.stiffness_rise, limits.force_factor_loss)
-            for share in far
-        ]
-    return models

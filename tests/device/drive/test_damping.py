@@ -18,9 +18,10 @@ from device.drive.damping.design import (
 )
 from device.drive.damping.residual import CURRENT_DRIVE_OHM, burst_response, undamped
 from device.errors import InternalError, UsageError
-from device.rig import PAPER
+from device.rig import CONSUMER, PAPER
 from device.rig.actuator import LinearActuator
 from device.rig.parameters import detune
+from tests.support.random_rigs import random_rig
 
 ACTUATOR = PAPER.actuator
 STRONG = replace(ACTUATOR, force_factor_n_per_a=16.0)
@@ -182,6 +183,46 @@ def test_of_a_resonance_known_exactly_more_is_removed_than_of_one_known_to_ten_p
     assert residual(ACTUATOR, unsure.damping, 0.1).residual_db < (
         residual(ACTUATOR, sure.damping, 0.1).residual_db
     )
+
+
+def worst_against_none(p, source, shares, by_mass):
+    """The largest residual against plain drive by the same amplifier, in dB."""
+    damping = choose_damping(p, source_impedance_ohm=source)[0].damping
+    worst = -math.inf
+    for share in shares:
+        true = {"mass": 1.0 / (1.0 + share) ** 2} if by_mass else {"detuning": share}
+        with_it, without = (
+            burst_response(p, one, **true).residual for one in (damping, no_damping(source))
+        )
+        worst = max(worst, 10 * math.log10(with_it / without))
+    return worst
+
+
+@pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
+@pytest.mark.parametrize("by_mass", [False, True], ids=["by stiffness", "by mass"])
+def test_damping_is_never_worse_than_none_at_any_f0_within_a_fifth(rig, by_mass):
+    source = rig.amplifier.source_impedance_ohm
+    shares = (-0.2, -0.13, -0.07, 0.0, 0.07, 0.13, 0.2)
+    assert worst_against_none(rig.actuator, source, shares, by_mass) < -0.5
+
+
+def test_a_filter_that_is_sure_of_f0_would_be_worse_than_none_where_the_choice_is_not():
+    rig, _ = random_rig(14)
+    source = rig.amplifier.source_impedance_ohm
+    sure = inverse_damping(rig.actuator, 0.35, source, caution=0.5)
+    without = burst_response(rig.actuator, no_damping(source), detuning=0.2).residual
+    assert burst_response(rig.actuator, sure, detuning=0.2).residual > 1.2 * without
+    assert worst_against_none(rig.actuator, source, (-0.2, 0.2), by_mass=False) < 0.0
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("seed", range(60))
+def test_damping_is_never_worse_than_none_on_random_rigs(seed):
+    rig, _ = random_rig(seed)
+    shares = [-0.2, 0.2, *np.random.default_rng(seed).uniform(-0.2, 0.2, 10)]
+    source = rig.amplifier.source_impedance_ohm
+    for by_mass in (False, True):
+        assert worst_against_none(rig.actuator, source, shares, by_mass) < 0.0
 
 
 @pytest.mark.exhaustive

@@ -140,6 +140,28 @@ def test_the_worst_channel_is_shown():
     assert exposure.rms_m_s2 == pytest.approx(3.0)
 
 
+def test_each_reading_is_of_the_channel_where_it_is_largest():
+    # One channel hums with 0.5 m/s^2 for 20 s, the other knocks once with 20 for 10 ms.
+    weighted = np.zeros((20_000, 2))
+    weighted[:, 0] = 0.5
+    weighted[-10:, 1] = 20.0
+    hum, knock = dose_of(weighted[:, :1]), dose_of(weighted[:, 1:])
+    assert (hum.a8_m_s2 > knock.a8_m_s2, hum.vdv < knock.vdv) == (True, True)
+    both = dose_of(weighted)
+    assert (both.a8_m_s2, both.rms_m_s2) == (hum.a8_m_s2, hum.rms_m_s2)
+    assert both.vdv == knock.vdv
+    assert both.running_m_s2 == max(hum.running_m_s2, knock.running_m_s2) == knock.running_m_s2
+
+
+def test_a_value_that_one_quiet_channel_exceeds_is_told():
+    # 100 m/s^2 for 1 ms: VDV 17.8 above its action value, while the other has the larger A(8).
+    weighted = np.zeros((60_000, 2))
+    weighted[:, 0] = 1.0
+    weighted[7, 1] = 100.0
+    assert not dose_of(weighted[:, :1]).above_action
+    assert dose_of(weighted).above_action
+
+
 def test_values_of_the_directive_are_told():
     over = replace(NOTHING, a8_m_s2=0.5)
     assert over.above_action

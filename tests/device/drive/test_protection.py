@@ -9,20 +9,33 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from scipy.optimize import differential_evolution
+from scipy.optimize import linprog
+from scipy.signal import sosfilt
 
 from device.drive.protection import Protector
+from device.drive.protection.bounding_models import RESERVE, bounding_models
 from device.drive.protection.limits import Limits, limits_of
 from device.drive.protection.thermal import CoilTemperature
 from device.errors import InternalError, UsageError
-from device.rig import CONSUMER, PAPER, Rig
+from device.rig import CONSUMER, PAPER
 from device.rig.actuator import LinearActuator
-from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier
-from device.rig.model_levels import ModelLevel
-from device.rig.parameters import ThermalParameters, detune, stiffen
+from device.rig.electronics import Amplifier, Band
+from device.rig.parameters import ThermalParameters, detune
 from device.rig.simulated_rig import SimulatedRig
 from device.rig.thermal import COPPER_PER_K
+from tests.support.possible_actuators import (
+    DRIVES,
+    FREE,
+    GROUND,
+    Possible,
+    excursion_sections,
+    linear_excursions,
+    non_linear_excursion,
+    possible_actuators,
+    search,
+    searched_drive,
+    strong,
+)
 
 ACTUATOR = PAPER.actuator
 assert PAPER.thermal
@@ -87,9 +100,9 @@ def test_a_tone_at_resonance_that_would_exceed_the_excursion_comes_up_to_it_and_
     assert max(excursions(LOUD, drive, samplerate)) > 1.4
     protector, out = protect(LOUD, drive, samplerate)
     largest = max(excursions(LOUD, out, samplerate))
-    # At 1 kHz frames of the stiffest model lie 47 degrees apart: more is held back for what is
-    # between them.
-    assert (0.97 if samplerate > 1_000 else 0.8) < largest <= 1.0
+    # 9 % are held back for actuators between the models. At 1 kHz frames of the stiffest model lie
+    # 55 degrees apart: more is held back for what is between them.
+    assert (0.85 if samplerate > 1_000 else 0.6) < largest <= 1.0
     assert protector.status().infeasible_blocks == 0
     assert np.abs(out).max() <= 1.0
 
@@ -132,27 +145,175 @@ def test_no_steps_exceed_the_excursion_at_any_f0_within_ten_percent(steps, rig):
     assert protector.status().infeasible_blocks == 0
 
 
+# --------------------------------------------------------------- every cause of a shifted f0
+
+STRONGER = (1.5, 2.5, 4.0)
+"""Amplifiers, by how far full scale at the resonance would swing, in Xmax."""
+STANDARD = pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
+
+
+def governed(protector, waves):
+    """What leaves for drives of (frames, channels), with enough silence."""
+    protector.reset()
+    silence = np.zeros((protector.latency_frames + RATE // 20, waves.shape[1]))
+    return protector.process(np.concatenate([waves, silence]))
+
+
+def worst_linear(rig, stronger, *, drives, generations, seed):
+    """The largest excursion of any possible actuator, for the worst drive that is found."""
+    loud = strong(rig, stronger)
+    protector, f0 = Protector(loud, RATE, drives), rig.actuator.resonance_hz
+    possible = possible_actuators(rig)
+
+    def reached(tries):
+        waves = np.column_stack([searched_drive(f0, RATE, numbers) for numbers in tries])
+        out = governed(protector, waves)
+        assert protector.status().infeasible_blocks == 0
+        return np.max([linear_excursions(loud, one, out, RATE) for one in possible], axis=0)
+
+    return search(reached, DRIVES, drives=drives, generations=generations, seed=seed)
+
+
+ACTUATORS = ((0.9, 1.1), (0.81, 1.21), (0.9, 1.1), (0.0, 3.0 - 1e-6))
+"""Bounds of mass, stiffness and Bl, and which seat."""
+
+
+def worst_non_linear(rig, stronger, *, drives, generations, seed):
+    """The same of the non-linear model, whose actuator is searched as well."""
+    loud = strong(rig, stronger)
+    protector, f0 = Protector(loud, RATE, drives), rig.actuator.resonance_hz
+
+    def reached(tries):
+        waves = np.column_stack([searched_drive(f0, RATE, numbers[:7]) for numbers in tries])
+        out = governed(protector, waves)
+        found = []
+        for (mass, stiffness, bl, seat), column in zip(tries[:, 7:], out.T, strict=True):
+            possible = Possible(mass, stiffness, bl, (GROUND, rig.seat, FREE)[int(seat)])
+            found.append(non_linear_excursion(loud, possible, column, RATE))
+        return np.array(found)
+
+    bounds = DRIVES + ACTUATORS
+    return search(reached, bounds, drives=drives, generations=generations, seed=seed)
+
+
+@STANDARD
+def test_no_drive_of_some_takes_any_actuator_that_the_rig_may_have_beyond_xmax(rig):
+    worst, found, _ = worst_linear(rig, 2.5, drives=32, generations=2, seed=1)
+    assert 0.85 < worst <= 1.0, found
+
+
+@STANDARD
+def test_no_drive_of_some_takes_the_non_linear_model_a_tenth_beyond_xmax(rig):
+    worst, found, _ = worst_non_linear(rig, 4.0, drives=16, generations=1, seed=1)
+    assert 0.6 < worst <= 1.10, found
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("stronger", STRONGER)
+@STANDARD
+def test_no_drive_that_an_optimiser_finds_takes_any_possible_actuator_beyond_xmax(rig, stronger):
+    worst, found, tries = worst_linear(rig, stronger, drives=48, generations=20, seed=2)
+    assert tries >= 1_000
+    assert worst <= 1.0, found
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("stronger", STRONGER)
+@STANDARD
+def test_no_drive_that_an_optimiser_finds_takes_the_non_linear_model_a_tenth_beyond(rig, stronger):
+    worst, found, tries = worst_non_linear(rig, stronger, drives=48, generations=20, seed=3)
+    assert tries >= 1_000
+    assert worst <= 1.10, found
+
+
 @pytest.mark.soak
-@pytest.mark.parametrize("rig", [LOUD, LOUDER], ids=["20 V", "30 V"])
-def test_no_drive_of_ten_thousand_that_an_optimiser_tries_exceeds_the_excursion(rig):
-    worst = 0.0
-    tries = 0
+@STANDARD
+def test_no_drive_of_thousands_takes_any_possible_actuator_beyond_its_limit(rig):
+    for stronger in STRONGER:
+        linear, found, tries = worst_linear(rig, stronger, drives=64, generations=80, seed=4)
+        print(f"{rig.name}, {stronger} Xmax: {tries} drives, linear {linear:.4f} by {found}")
+        assert linear <= 1.0
+        bent, found, tries = worst_non_linear(rig, stronger, drives=64, generations=80, seed=5)
+        print(f"{rig.name}, {stronger} Xmax: {tries} drives, non-linear {bent:.4f} by {found}")
+        assert bent <= 1.10
 
-    def reached(x):
-        nonlocal worst, tries
-        frequency_hz, phase, until_s, other_hz, other, level, squared = x.tolist()
-        drive = drive_of(frequency_hz, phase, until_s, other_hz, other, level, squared > 0.5)
-        _, out = protect(rig, drive)
-        tries += 1
-        largest = max(excursions(rig, out))
-        worst = max(worst, largest)
-        return -largest
 
-    bounds = [(60, 110), (0, 1), (0.02, 0.2), (10, 300), (-1, 1), (0.2, 1.5), (0, 1)]
-    differential_evolution(reached, bounds, popsize=14, maxiter=53, tol=0.0, polish=False, rng=1)
-    print(f"{rig.amplifier.gain:g} V: {tries} drives, at most {worst:.4f} Xmax")
-    assert tries >= 5_000
-    assert worst <= 1.0
+def impulse_matrix(sections, frames):
+    """The lower triangular matrix from a drive to what sections make of it."""
+    impulse = sosfilt(sections, np.eye(1, frames)[0])
+    delay = np.arange(frames)[:, None] - np.arange(frames)
+    return np.where(delay >= 0, impulse[np.abs(delay)], 0.0)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(
+    ("rig", "rate"), [(PAPER, 2_000), (CONSUMER, 1_000)], ids=["paper", "consumer"]
+)
+def test_no_drive_at_all_takes_a_possible_actuator_beyond_xmax_while_the_models_stay_inside(
+    rig, rate
+):
+    # The largest excursion over all drives, by linear programming: an optimiser cannot find more.
+    loud = strong(rig, 4.0)
+    source = rig.amplifier.source_impedance_ohm
+    models = bounding_models(rig.actuator, limits_of(loud), source)
+    assert len(models) <= 10
+    frames = 5 * rate // round(rig.actuator.resonance_hz)
+    volts = loud.dac.full_scale_v * loud.amplifier.gain
+    band = Band(loud.amplifier.low_cut_hz, math.inf, rate).sections
+
+    def matrix(mass, stiffness, force_factor, seat):
+        possible = Possible(mass, stiffness, force_factor, seat)
+        sections = np.concatenate([band, excursion_sections(loud, possible, rate)])
+        return volts * impulse_matrix(sections, frames)
+
+    p = rig.actuator
+    inside = np.vstack(
+        [
+            matrix(
+                model.moving_mass_kg / p.moving_mass_kg,
+                model.stiffness_n_per_m / p.stiffness_n_per_m,
+                model.force_factor_n_per_a / p.force_factor_n_per_a,
+                GROUND,
+            )
+            for model in models
+        ]
+    )
+    worst = []
+    for possible in possible_actuators(rig):
+        last = matrix(possible.mass, possible.stiffness, possible.force_factor, possible.seat)[-1]
+        found = linprog(
+            -last,
+            A_ub=np.vstack([inside, -inside]),
+            b_ub=np.full(2 * len(inside), 1.0 - RESERVE),
+            bounds=(-1.0, 1.0),
+        )
+        worst.append((-found.fun, possible))
+    assert max(worst, key=lambda one: one[0])[0] <= 1.0
+
+
+def test_a_frame_that_moves_freely_makes_the_mass_lighter():
+    drive = tone(85.0, 0.3)[:, None]
+    mass = ACTUATOR.moving_mass_kg
+    lighter = Possible(mass=FREE.mass_kg / (FREE.mass_kg + mass))
+    free = linear_excursions(LOUD, Possible(seat=FREE), drive, RATE)
+    # The board's own 2 Hz are the difference.
+    assert free == pytest.approx(linear_excursions(LOUD, lighter, drive, RATE), rel=2e-3)
+
+
+@STANDARD
+def test_the_models_span_all_resonances_from_the_softest_to_a_stiffened_free_one(rig):
+    models = bounding_models(rig.actuator, limits_of(rig), rig.amplifier.source_impedance_ohm)
+    believed, *others = [model.resonance_hz / rig.actuator.resonance_hz for model in models]
+    assert believed == 1.0
+    assert others == sorted(others)
+    assert others[0] == pytest.approx(0.9 / math.sqrt(1.1))
+    lightest = 0.9 * 0.57 / (0.57 + 0.9 * rig.actuator.moving_mass_kg)
+    assert others[-1] == pytest.approx(1.1 * math.sqrt(1.375 / lightest))
+
+
+def test_a_rig_that_is_known_exactly_has_one_model():
+    known = replace(limits_of(PAPER), deviation=0.0, lightest_frame_kg=math.inf, stiffness_rise=0.0)
+    assert bounding_models(ACTUATOR, known, 0.0) == [ACTUATOR]
 
 
 # ------------------------------------------------------------------------- behind the amplifier
@@ -200,7 +361,7 @@ def test_no_tones_and_bursts_take_the_whole_twin_beyond_xmax(found, rig):
     assert protector.status().infeasible_blocks == 0
 
 
-@pytest.mark.parametrize(("rig", "frequency_hz"), [(TIGHT[0], 45.0), (TIGHT[2], 15.0)])
+@pytest.mark.parametrize(("rig", "frequency_hz"), [(TIGHT[0], 15.0), (TIGHT[2], 15.0)])
 def test_a_protection_that_did_not_know_the_amplifiers_band_would_let_it_through(rig, frequency_hz):
     unaware = replace(rig, amplifier=replace(rig.amplifier, low_cut_hz=0.0))
     _, out = protect(unaware, tone(frequency_hz, 0.3, shape=square))
@@ -220,7 +381,8 @@ def test_what_an_amplifier_swings_back_long_after_a_stop_stays_within_xmax(frequ
             protector, out = protect(rig, drive)
             reached.append(max(excursions(rig, out)))
             assert protector.status().infeasible_blocks == 0
-    assert 0.95 < max(reached) <= 1.0
+    # 9 % are held back, and 7 % for another Bl.
+    assert 0.8 < max(reached) <= 1.0
 
 
 @pytest.mark.parametrize("samplerate", [8_000, 44_100, 48_000])
@@ -235,96 +397,6 @@ def test_what_once_had_an_answer_has_one_a_block_later(samplerate):
 # ------------------------------------------------------------------------- the non-linear level
 
 
-STRONGER = [1.0, 1.5, 2.5, 4.0]
-"""Amplifiers, by how far full scale at the resonance would swing, in Xmax."""
-protectors: dict[tuple[str, float], tuple[Rig, Protector]] = {}
-
-
-def strong_amplifier(rig, stronger):
-    """The rig behind an amplifier that could drive it so many times as far as Xmax, and no limit
-    of its current; and its protector, at rest."""
-    if (rig.name, stronger) not in protectors:
-        f0 = rig.actuator.resonance_hz
-        steady = max(excursions(rig, tone(f0, 0.5), detunings=(0.0,)))
-        gain = rig.amplifier.gain * stronger / steady
-        amplifier = replace(
-            rig.amplifier, gain=gain, output_limit_v=2.0 * gain, current_limit_a=math.inf
-        )
-        strong = replace(rig, amplifier=amplifier)
-        protectors[rig.name, stronger] = strong, Protector(strong, RATE, 1)
-    strong, protector = protectors[rig.name, stronger]
-    protector.reset()
-    return strong, protector
-
-
-def searched_drive(f0, kind, ratio, other_ratio, other, phase, until, level, seconds=0.25):
-    """A burst, square burst, sweep, staircase or pair of tones, (frames,), by numbers alone."""
-    frames = round(seconds * RATE)
-    time_s = np.arange(frames) / RATE
-    sine = np.sin(math.tau * (ratio * f0 * time_s + phase))
-    second = np.sin(math.tau * (other_ratio * f0 * time_s + 2.0 * phase))
-    if kind < 1:
-        wave = sine
-    elif kind < 2:
-        wave = np.sign(sine)
-    elif kind < 3:
-        along = time_s / seconds
-        rate = f0 * (ratio + (other_ratio - ratio) * along / 2.0)
-        wave = np.sin(math.tau * (rate * time_s + phase))
-    elif kind < 4:
-        wave = np.sign(sine) * (1.0 - other) + other * np.sign(second)
-    else:
-        wave = sine * (1.0 + other * np.sin(math.tau * other_ratio * f0 / 8.0 * time_s))
-    wave = wave + (other * second if kind < 2 else 0.0)
-    return level * np.where(time_s < until * seconds, wave, 0.0)
-
-
-SEARCHED = [
-    (0.0, 5.0), (0.3, 1.6), (0.1, 3.0), (0.0, 1.0), (0.0, 1.0), (0.1, 1.0), (0.3, 1.5),
-    (0.0, len(STRONGER) - 1e-6), (-0.1, 0.1),
-]  # fmt: skip
-
-
-def largest_on_the_non_linear_model(rig, numbers):
-    """|x| over Xmax of the non-linear level, protected, for a drive and a rig by numbers."""
-    *drive, stronger, detuning = numbers
-    strong, protector = strong_amplifier(rig, STRONGER[int(stronger)])
-    silence = np.zeros(protector.latency_frames + RATE // 20)
-    wave = searched_drive(rig.actuator.resonance_hz, *drive)
-    out = protector.process(np.concatenate([wave, silence])[:, None])[:, 0]
-    true = replace(strong, actuator=detune(rig.actuator, detuning))
-    adaptive = AdaptiveActuator(true, RATE, level=ModelLevel.NONLINEAR)
-    x = adaptive.move(volts_of(strong, out), ("displacement_m",)).displacement_m
-    return float(np.abs(x).max()) / rig.actuator.x_max_m
-
-
-@pytest.mark.exhaustive
-@settings(max_examples=25)
-@given(st.tuples(*(st.floats(low, high) for low, high in SEARCHED)))
-def test_few_drives_on_the_non_linear_model_stay_under_a_tenth_more_than_xmax(numbers):
-    for rig in (PAPER, CONSUMER):
-        assert largest_on_the_non_linear_model(rig, numbers) <= 1.10
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=["paper", "consumer"])
-def test_no_drive_that_an_optimiser_finds_takes_the_non_linear_model_a_tenth_beyond_xmax(rig):
-    tries, worst, found = 0, 0.0, []
-
-    def reached(numbers):
-        nonlocal tries, worst, found
-        largest = largest_on_the_non_linear_model(rig, numbers.tolist())
-        tries += 1
-        if largest > worst:
-            worst, found = largest, numbers.tolist()
-        return -largest
-
-    differential_evolution(reached, SEARCHED, popsize=14, maxiter=20, tol=0.0, polish=False, rng=2)
-    print(f"{rig.name}: {tries} drives, at most {worst:.4f} Xmax, by {found}")
-    assert tries >= 2_500
-    assert worst <= 1.10
-
-
 @pytest.mark.sweep
 @pytest.mark.parametrize("frequency_hz", [30.0, 86.0, 90.0, 140.0])
 def test_a_steady_drive_keeps_as_much_as_the_fixed_gain_that_would_do(frequency_hz):
@@ -333,8 +405,9 @@ def test_a_steady_drive_keeps_as_much_as_the_fixed_gain_that_would_do(frequency_
     late = slice(RATE // 2, RATE)
     fixed = min(1.0 / max(excursions(LOUD, drive)), 1.0 / 3.0)
     kept = np.sqrt(np.mean(out[late] ** 2)) / np.sqrt(np.mean((fixed * drive[late]) ** 2))
-    # 0.13 dB are held back for rigs between the models, 1 dB for the stop that may come next.
-    assert 20 * math.log10(kept) > -1.2
+    # 0.8 dB are held back for actuators between the models, up to 0.8 dB for other masses and Bl,
+    # 1 dB for the stop that may come next.
+    assert 20 * math.log10(kept) > -2.6
 
 
 def test_what_follows_a_loud_part_is_not_turned_down_for_long():
@@ -394,13 +467,6 @@ def test_a_rig_that_stiffens_stays_under_a_tenth_more_than_its_limit():
     steps = [np.repeat(rng.uniform(-2, 2, frames // 20), 20) for _ in range(6)]
     outs = np.column_stack([protect(LOUD, drive)[1] for drive in tones + sweeps + steps])
     assert largest_non_linear(LOUD, outs).max() <= 1.10
-
-
-def test_far_from_rest_a_stiffening_actuator_is_a_stiffer_one_with_less_force():
-    far = stiffen(ACTUATOR, 0.5, 0.25)
-    assert far.stiffness_n_per_m == pytest.approx(1.375 * ACTUATOR.stiffness_n_per_m)
-    assert far.damping_n_s_per_m == pytest.approx(ACTUATOR.damping_n_s_per_m)
-    assert far.force_factor_n_per_a == pytest.approx(0.9375 * ACTUATOR.force_factor_n_per_a)
 
 
 # -------------------------------------------------------------------------------- untouched

@@ -58,6 +58,33 @@ def test_damping_brings_protection_along_and_adds_no_delay_of_its_own():
     assert rings(through(damped, vibration)) < 0.3 * rings(vibration)
 
 
+def felt_rms(drive):
+    motion = LinearActuator(PAPER.actuator, RATE, SOURCE_OHM)
+    volts = drive[:, 0].astype(float) * PAPER.amplifier.gain
+    return math.sqrt(np.mean(motion.move(volts).acceleration_m_s2 ** 2))
+
+
+def test_damping_makes_up_for_what_it_takes_and_says_what_remains():
+    # Bursts at the resonance, quiet enough for the make-up.
+    vibration = np.concatenate([tone(90.0, 0.05, 0.1), np.zeros((RATE // 5, 1), np.float32)] * 4)
+    damped = RigProcessor(PAPER, RATE, 1, damped=True)
+    assert damped.strength_db is None
+    out = through(damped, vibration)
+    assert 10.0 < damped.makeup_db < 20.0
+    # Within a burst as strong; what rang on after it is missing: 6 dB of the energy.
+    strength_db = 20 * math.log10(felt_rms(out) / felt_rms(vibration))
+    assert -1.0 < strength_db < 0.5
+    # Weighted by Wk at the seat, which counts the lower frequencies of a burst's edges more.
+    assert damped.strength_db == pytest.approx(strength_db, abs=1.5)
+    loud = RigProcessor(PAPER, RATE, 1, damped=True)
+    through(loud, 10.0 * vibration)
+    assert loud.protection().least_gain < 0.6
+    assert loud.strength_db < damped.strength_db - 3.0
+    plain = RigProcessor(PAPER, RATE, 1)
+    through(plain, vibration)
+    assert (plain.makeup_db, plain.strength_db) == (0.0, None)
+
+
 def test_a_damped_drive_stays_within_full_scale_and_is_never_clipped():
     processor = RigProcessor(PAPER, RATE, 1, damped=True)
     vibration = np.sign(tone(90.0, 0.3, 1.0))
