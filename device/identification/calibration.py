@@ -112,8 +112,10 @@ class Calibration:
 
     @property
     def on_seat(self) -> bool:
-        """Whether any response needs a moving frame."""
-        return any(found.on_seat for found in (self.mode, self.driven, self.impedance) if found)
+        """Whether a response needs a moving frame, first of all one without the coil's part."""
+        return next(
+            (found.on_seat for found in (self.mode, self.impedance, self.driven) if found), False
+        )
 
 
 def calibrate(
@@ -140,10 +142,10 @@ def calibrate(
         mode = identify_mode(recording, x_max_m)
         level = mode.level_of_x_max if scaled else None
     if recording := there.get(("voltage", "acceleration")) or there.get(("drive", "acceleration")):
-        driven = identify_mode(recording, x_max_m)
+        driven = identify_mode(recording, x_max_m, on_seat=mode.on_seat if mode else None)
         level = driven.level_of_x_max if scaled and level is None else level
     if recording := there.get(("voltage", "current")):
-        impedance = identify_impedance(recording, level_of_x_max=level or 0.0)
+        impedance = identify_impedance(recording, level_of_x_max=level or 0.0, mode=mode)
     found = Calibration(
         None, {}, mode, driven, impedance, sweep, level,
         qualities=tuple(assess_quality(recording) for recording in recordings),
@@ -166,7 +168,6 @@ def _add_direct(
         values["actuator.q_mechanical"] = impedance.q_mechanical
     if impedance is not None:
         values["actuator.resistance_ohm"] = impedance.resistance_ohm
-        values["actuator.inductance_h"] = impedance.inductance_h
         if weighed is not None and not found.on_seat:
             values |= by_known_mass(impedance, weighed)
         elif mode is not None and scaled and not found.on_seat:

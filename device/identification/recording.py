@@ -29,6 +29,7 @@ class Recording:
     names: tuple[str, str] = ("drive", "acceleration")  # for messages
     limits: tuple[float, float] = (float("inf"), float("inf"))  # where the inputs clip
     correction: Any = None  # frequency response of the instruments, (bins,), to divide out
+    high_pass_hz: float | None = None  # the amplifier's assumed corner in it; None: no amplifier
     delayed: bool = False  # the response has an unknown delay of some ms
     polarity_known: bool = True  # False: the response may be inverted
     drift_reach: float = 0.0  # half the 95 % interval of the remaining clock drift, as a share

@@ -1,7 +1,7 @@
 """A laboratory that plays sweeps to the simulated rig and reads its instruments."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from device.errors import UsageError
 from device.identification.recording import Recording
 from device.identification.sweep import Sweep
+from device.rig.actuator import Motion
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.electronics import Amplifier, Dac
 from device.rig.instruments import Daq, InstrumentChain
@@ -26,7 +27,8 @@ class SimulatedLaboratory:
     """One rig with its instruments; every run begins at rest. One thread uses it.
 
     snr_db sets noise that is added to each response, in the whole recorded band, relative to it
-    during the sweep.
+    during the sweep. move(volts, samplerate) takes the place of the rig's own models, for coils
+    that these do not describe.
     """
 
     def __init__(
@@ -37,8 +39,9 @@ class SimulatedLaboratory:
         level: ModelLevel = ModelLevel.NONLINEAR,
         snr_db: float = math.inf,
         seed: int = 0,
+        move: Callable[[FloatArray, float], Motion] | None = None,
     ) -> None:
-        self.rig = rig
+        self.rig, self._move = rig, move
         self._seat, self._level, self._snr_db, self._seed = seat, level, snr_db, seed
         InstrumentChain(rig, 48_000)  # refuses a rig without instruments
 
@@ -54,8 +57,11 @@ class SimulatedLaboratory:
         rate = sweep.samplerate
         amplifier = self.rig.amplifier
         drive = Amplifier(amplifier, rate).drive(Dac(self.rig.dac).volts(sweep.samples()))
-        adaptive = AdaptiveActuator(self.rig, rate, level=self._level, seat=self._seat)
-        motion = adaptive.move(drive, ["acceleration_m_s2", "current_a"])
+        if self._move:
+            motion = self._move(drive, rate)
+        else:
+            adaptive = AdaptiveActuator(self.rig, rate, level=self._level, seat=self._seat)
+            motion = adaptive.move(drive, ["acceleration_m_s2", "current_a"])
         voltage = drive - amplifier.source_impedance_ohm * motion.current_a
 
         chain = InstrumentChain(self.rig, rate, self._seed)

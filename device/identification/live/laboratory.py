@@ -243,7 +243,8 @@ class LiveLaboratory:
         )
         if reference == DRIVE and (a := self._amplifier) is not None:
             band = Band(a.low_cut_hz, a.high_cut_hz, sweep.samplerate)
-            found = replace(found, correction=band.response(found.frequencies_hz))
+            correction = band.response(found.frequencies_hz)
+            found = replace(found, correction=correction, high_pass_hz=a.low_cut_hz)
         return found
 
     def _clearest(self) -> tuple[int, str]:
