@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.terminal import progress_bar, warn
 from device.address import parse_device
 from device.errors import UsageError
 from device.identification.acceleration import Mode
-from device.identification.calibration import Calibration, calibrate
+from device.identification.calibration import STEPS, Calibration, calibrate
 from device.identification.live.laboratory import Devices
 from device.identification.mechanics import write_rig
 from device.identification.output_error import Estimate
@@ -31,26 +32,42 @@ def run(options: argparse.Namespace) -> int:
     rig = rig_by_name(options.rig)
     _check_out(options.out)
     sweep = Sweep(low_hz=options.low_hz, high_hz=options.high_hz, duration_s=options.seconds)
-
-    def tell(level: float) -> None:
-        if not options.json:
-            print(f"sweep {sweep.low_hz:g} to {sweep.high_hz:g} Hz, level {level:.4f}", flush=True)
-
     devices = None
-    if device.kind == "twin":
-        if given := [name for name in NOT_FOR_TWIN if getattr(options, name)]:
-            raise UsageError(f"--{given[0].replace('_', '-')} is not for twin; choose --share")
-        bench = SimulatedLaboratory(rig, seat=options.seat)
-        share = USUAL_SHARE if options.share is None else options.share
-        found = calibrate(bench, rig, bench.sweep_at_excursion(sweep, share), tell)
-    else:
-        from audioflinger_hook.cli.calibrate_live import calibrate_live
+    with progress_bar(f"sweeps of {sweep.low_hz:g} to {sweep.high_hz:g} Hz") as show:
+        progress = Progress(show)
+        if device.kind == "twin":
+            if given := [name for name in NOT_FOR_TWIN if getattr(options, name)]:
+                raise UsageError(f"--{given[0].replace('_', '-')} is not for twin; choose --share")
+            bench = SimulatedLaboratory(rig, seat=options.seat)
+            share = USUAL_SHARE if options.share is None else options.share
+            sweep = bench.sweep_at_excursion(sweep, share)
+            found = calibrate(bench, rig, sweep, progress.begin)
+        else:
+            from audioflinger_hook.cli.calibrate_live import calibrate_live
 
-        found, devices = calibrate_live(device, rig, sweep, options, tell)
-        rig = replace(rig, name=options.out.stem) if options.out else rig
-        if found.rig:
-            found = replace(found, rig=replace(found.rig, name=rig.name))
+            found, devices = calibrate_live(device, rig, sweep, options, progress)
+            rig = replace(rig, name=devices.output)
+    if options.out:
+        rig = replace(rig, name=options.out.stem)
+    if found.rig:
+        found = replace(found, rig=replace(found.rig, name=rig.name))
     return _conclude(found, rig, devices, options)
+
+
+class Progress:
+    """How far the sweeps are. The fit after them counts like one."""
+
+    def __init__(self, show: Callable[[float, float | None], None]) -> None:
+        self._show, self._begun = show, 0
+
+    def begin(self, level: float) -> None:
+        """Begin the next sweep."""
+        self._begun += 1
+        self.within(0.0)
+
+    def within(self, share: float) -> None:
+        """Show which share of the sweep is over; 1 also at its end."""
+        self._show(self._begun - 1 + share, len(STEPS) + 1)
 
 
 def _check_out(path: Path | None) -> None:

@@ -182,7 +182,7 @@ def seat_extra(log_hz: float) -> Extra | None:
     if np.any(highest < lowest + 0.5):
         return None
     starts = tuple(np.array([own + shift, 0.0] * 2) for shift in (0.0, 0.5))
-    return Extra("seat", SEAT, starts, lowest, highest, doubt=4.0)
+    return Extra("seat", SEAT, starts, lowest, highest, doubt=2.5)
 
 
 def _starts(recording: Recording, factors: Sequence[Factor]) -> list[FloatArray]:

@@ -8,7 +8,7 @@ frequency. The simplest law that explains a measurement is used.
 | plain | s L | L |
 | parallel | s L1 + (s L2, parallel to R2); Wright, JAES 38 (1990) | L1, L2, corner R2 / (2 pi L2) |
 | power | K s^n; Leach, JAES 50 (2002) | reactance K w^n at 100 Hz, n |
-| mixed | s L1 + K s^n; both of the above, for iron that neither describes alone | L1, reactance, n |
+| mixed | s L1 + K s^n, for iron that neither describes alone | L1, reactance, n |
 """
 
 import math
@@ -16,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from device.identification.recording import ComplexArray
 from device.units import FloatArray
@@ -62,8 +63,8 @@ def _parallel(f: FloatArray, p: FloatArray) -> Impedance:
 
 def _power(f: FloatArray, p: FloatArray) -> Impedance:
     exponent = math.exp(p[1])
-    log = np.log(np.maximum(f, 1e-9) / REFERENCE_HZ) + 0.5j * np.pi
-    z = math.exp(p[0]) * np.exp(exponent * log)
+    log: ComplexArray = np.log(np.maximum(f, 1e-9) / REFERENCE_HZ) + 0.5j * np.pi
+    z = np.asarray(math.exp(p[0]) * np.exp(exponent * log), np.complex128)
     return z, [z, z * exponent * log]
 
 
@@ -96,3 +97,33 @@ PARALLEL = _law("parallel", _parallel, (_L, _L, _CORNER), _CORNERS)
 POWER = _law("power", _power, (_X, _N), _EXPONENTS)
 MIXED = _law("mixed", _mixed, (_L, _X, _N), _EXPONENTS)
 LAWS = PLAIN, POWER, PARALLEL, MIXED
+
+
+def closest_parallel(
+    law: CoilLaw, logs: FloatArray, covariance: FloatArray, low_hz: float, high_hz: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return parameters of PARALLEL, and their covariance, closest to a law between frequencies."""
+    f = np.geomspace(low_hz, high_hz, 60)
+    limits = np.array(PARALLEL.lowest), np.array(PARALLEL.highest)
+
+    def solved(p: FloatArray, start: FloatArray) -> FloatArray:
+        aim = law.impedance(f, p)[0]
+
+        def left(q: FloatArray) -> FloatArray:
+            e = (PARALLEL.impedance(f, q)[0] - aim) / np.abs(aim).max()
+            return np.concatenate([e.real, e.imag])
+
+        return np.asarray(least_squares(left, start, bounds=limits, xtol=1e-12, ftol=1e-12).x)
+
+    size = math.log(float(np.abs(law.impedance(f, logs)[0]).max()) / (math.tau * high_hz))
+    starts = [np.array([size - 1.0, size, corner]) for corner in _CORNERS[1:4]]
+    aim = law.impedance(f, logs)[0]
+    tried = [solved(logs, start) for start in starts]
+    best = min(tried, key=lambda q: float(np.sum(np.abs(PARALLEL.impedance(f, q)[0] - aim) ** 2)))
+    step = 1e-3
+    slopes = [
+        (solved(logs + d, best) - solved(logs - d, best)) / (2.0 * step)
+        for d in step * np.eye(len(logs))
+    ]
+    change = np.column_stack(slopes)
+    return best, change @ covariance @ change.T

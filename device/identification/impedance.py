@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -16,7 +16,7 @@ from device.identification.acceleration import (
     refuse_outside,
     seat_extra,
 )
-from device.identification.coil_laws import LAWS, CoilLaw
+from device.identification.coil_laws import LAWS, MIXED, PARALLEL, PLAIN, CoilLaw, closest_parallel
 from device.identification.output_error import (
     Estimate,
     Fit,
@@ -28,7 +28,7 @@ from device.identification.output_error import (
     require,
     unlimited,
 )
-from device.identification.recording import Recording
+from device.identification.recording import ComplexArray, IdentificationError, Recording
 from device.identification.transfer import check_recording
 from device.units import FloatArray
 
@@ -39,6 +39,8 @@ WIDEST = {
     "q_electrical": 0.3,
 }
 """Half the widest accepted 95 % interval, as a share."""
+COIL_OHM = 0.3, 150.0
+"""Resistances of coils that an amplifier for loudspeakers drives, with room on both sides."""
 _ADVICE = (
     "its rise at the resonance is small against the noise: raise the level a little, make the "
     "sweep longer, or measure the acceleration"
@@ -57,6 +59,29 @@ class Impedance:
     on_seat: bool  # see `Mode`
     law: CoilLaw
     fit: Fit
+
+    def admittance(self, frequencies_hz: FloatArray) -> ComplexArray:
+        """Return current for voltage, (bins,), of the fitted model."""
+        return responses.admittance(frequencies_hz, self.fit.logs, self.law)[0]
+
+    def inductances(self, low_hz: float, high_hz: float) -> dict[str, Estimate]:
+        """Return L, and L2 and R2 where there are eddy currents, by the rig's parameters.
+
+        Other laws than L1 + (L2 || R2) are given as the closest of that kind between both
+        frequencies.
+        """
+        first, last = 4, 4 + self.law.parameters
+        if self.law is PLAIN:
+            return {"inductance_h": self.fit.estimate({first: 1.0})}
+        logs, covariance = self.fit.logs[first:last], self.fit.covariance[first:last, first:last]
+        if self.law is not PARALLEL:
+            logs, covariance = closest_parallel(self.law, logs, covariance, low_hz, high_hz)
+        found = replace(self.fit, logs=logs, covariance=covariance)
+        return {
+            "inductance_h": found.estimate({0: 1.0}),
+            "inductance_eddy_h": found.estimate({1: 1.0}),
+            "resistance_eddy_ohm": found.estimate({1: 1.0, 2: 1.0}, math.tau),
+        }
 
 
 MOTIONAL = {3: 1.0, 1: 1.0, 2: -1.0}
@@ -81,6 +106,14 @@ def identify_impedance(
         "this is not a coil with one resonance; check what is connected, and that voltage and "
         "current are not swapped",
     )
+    ohm = math.exp(found.logs[0])
+    if not COIL_OHM[0] <= ohm <= COIL_OHM[1]:
+        raise IdentificationError(
+            f"resistance_ohm={ohm:.3g} is not that of a coil that moves a cushion, "
+            f"{COIL_OHM[0]:g} to {COIL_OHM[1]:g} ohm is allowed: the scale of current or voltage "
+            "is wrong; measure the shunt and the divider, and correct --shunt-ohm and "
+            "--voltage-ratio"
+        )
     powers = {
         "resistance_ohm": {0: 1.0},
         "f0_hz": {1: 1.0},
@@ -103,6 +136,10 @@ _SAME_F0, _SAME_Q = 1e-3, 5e-3
 weighs differently on both. These are standard deviations."""
 
 
+_LEAST_EDDY = 3e-4
+"""A law that changes the admittance by less than this share is not taken for that of the coil."""
+
+
 def _choose(recording: Recording, mode: Mode | None) -> tuple[Fit, CoilLaw, bool]:
     """Return the fit with the best evidence, its law, and whether it has a seat."""
     tried: list[tuple[bool, float, Fit, CoilLaw, bool]] = []
@@ -112,6 +149,8 @@ def _choose(recording: Recording, mode: Mode | None) -> tuple[Fit, CoilLaw, bool
         noise = np.diag(mode.fit.covariance)[1:3]
         known = Known(1, near, np.sqrt(noise + np.array([_SAME_F0, _SAME_Q]) ** 2))
     for law in LAWS:
+        if law is MIXED and min(tried, key=lambda one: one[:2])[3] is PLAIN:
+            break
         model = partial(responses.admittance, law=law)
         low, high = unlimited(4 + law.parameters)
         low[1], high[1] = np.log([0.8 * recording.sweep.low_hz, 1.2 * recording.sweep.high_hz])
@@ -126,7 +165,13 @@ def _choose(recording: Recording, mode: Mode | None) -> tuple[Fit, CoilLaw, bool
             found = fit(recording, model, starts, ends, known)
             price += seat.doubt * penalty(seat.factor.parameters, found.bins)
             tried.append((not found.converged, found.cost + price, found, law, True))
-    _, _, found, law, seated = min(tried, key=lambda one: one[:2])
+    best = min(tried, key=lambda one: one[:2])
+    plain = min((one for one in tried if one[3] is PLAIN), key=lambda one: one[:2])
+    f = recording.frequencies_hz[recording.band]
+    if not plain[0]:  # without noise, also what no coil has would be evidence
+        shown, simple = (responses.admittance(f, one[2].logs, one[3])[0] for one in (best, plain))
+        best = plain if np.abs(simple / shown - 1.0).max() < _LEAST_EDDY else best
+    _, _, found, law, seated = best
     return found, law, seated
 
 
@@ -142,7 +187,7 @@ def _starts(recording: Recording, law: CoilLaw, near: FloatArray | None) -> list
     qs = np.log([1.0, 3.0, 10.0, 30.0])
     if near is not None:
         tones, qs = near[:1], near[1] + np.log([0.6, 1.0, 1.6])
-    shapes = [(shape,) for shape in law.shapes] or [()]
+    shapes: list[tuple[float, ...]] = [(shape,) for shape in law.shapes] or [()]
     starts = []
     for log_hz, log_q, shape in itertools.product(tones, qs, shapes):
         damped = 1j * f / math.exp(log_hz + log_q)

@@ -28,6 +28,9 @@ _NORMAL_95 = 1.959964
 _WEIGHTINGS = 4
 """The fit needs the noise's spectrum, which follows from a fit: both alternate this often."""
 _SMOOTH_BINS = 101
+_LEFT_OUT = 1e-4
+"""Standard deviation of each parameter without any noise: what resampling, converters and a level
+above 0 leave."""
 _FAR = 25.0
 """The bound of all logarithms; it keeps exponentials finite."""
 
@@ -43,12 +46,16 @@ class Estimate:
     @property
     def relative(self) -> float:
         """Half the interval as a share of the value."""
-        return 0.5 * (self.high - self.low) / abs(self.value)
+        return 0.5 * (self.high - self.low) / abs(self.value) if self.value else math.inf
 
     @property
     def interval(self) -> tuple[float, float]:
         """low and high."""
         return self.low, self.high
+
+    def scaled(self, factor: float) -> "Estimate":
+        """Return it in another unit."""
+        return Estimate(factor * self.value, factor * self.low, factor * self.high)
 
     def extend_down(self, share: float) -> "Estimate":
         """Return the estimate with its interval extended downwards by a share of the value."""
@@ -127,9 +134,10 @@ def fit(
     parameter at a limit is fixed and has no variance. Only a converged fit has meaning.
     """
     low, high = limits or unlimited(len(starts[0]))
-    band = recording.band
-    f = recording.frequencies_hz[band]
-    drive, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
+    band, usable = recording.band, recording.usable
+    f = recording.frequencies_hz[band][usable]
+    drive = recording.reference_spectrum[band][usable]
+    measured = recording.response_spectrum[band][usable]
     deviation = np.full(len(f), float(np.sqrt(np.mean(np.abs(measured) ** 2))))
 
     def left(p: FloatArray) -> ComplexArray:
@@ -179,6 +187,7 @@ def fit(
     covariance[np.ix_(free, free)] = np.linalg.pinv(
         information[np.ix_(free, free)], rcond=1e-14, hermitian=True
     )
+    covariance[free, free] += _LEFT_OUT**2
     power = float(np.sum(np.abs(measured) ** 2))
     misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / power)
     likelihood = float(np.sum(np.log(deviation**2))) + float(np.sum(np.abs(e) ** 2))

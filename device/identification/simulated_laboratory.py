@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from device.errors import UsageError
-from device.identification.recording import Recording
+from device.identification.recording import PLAYED, Recording
 from device.identification.sweep import Sweep
 from device.rig.actuator import Motion
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier, Dac
+from device.rig.electronics import Amplifier, Band, Dac
 from device.rig.instruments import Daq, InstrumentChain
 from device.rig.model_levels import ModelLevel
-from device.rig.parameters import DaqParameters
+from device.rig.parameters import AmplifierParameters, DaqParameters
 from device.rig.rig import Rig
 from device.units import FloatArray
 
@@ -52,7 +52,7 @@ class SimulatedLaboratory:
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """Return a recording per pair (reference, response), all of the same sweep.
 
-        Each is of "voltage" (at the coil's terminals), "current" or "acceleration".
+        Each is of "voltage" (at the coil's terminals), "current", "acceleration" or PLAYED.
         """
         rate = sweep.samplerate
         amplifier = self.rig.amplifier
@@ -83,12 +83,14 @@ class SimulatedLaboratory:
             "current": _read_scaled(daq, current_range, rate, self._seed + 2, current),
             # The reference is a divider's volts: loud, without the noise of the others.
             "voltage": _read_scaled(daq, amplifier.output_limit_v, rate, self._seed + 3, voltage),
+            PLAYED: sweep.samples(),
         }
         step = 2.0 ** (1 - daq.bits)
         limits = {
             "acceleration": daq.range_v * (1.0 - step) / chain.v_per_m_s2,
             "current": current_range * (1.0 - step),
             "voltage": amplifier.output_limit_v * (1.0 - step),
+            PLAYED: math.inf,
         }
         recordings = []
         for pair in pairs:
@@ -97,6 +99,8 @@ class SimulatedLaboratory:
             found = Recording(sweep, read[reference], read[response], pair, ends)
             if response == "acceleration":
                 found = replace(found, correction=chain.band.response(found.frequencies_hz))
+            if reference == PLAYED:
+                found = through_amplifier(found, amplifier)
             recordings.append(found)
         return recordings
 
@@ -108,6 +112,13 @@ class SimulatedLaboratory:
         sounding = signal[sweep.lead_frames : len(signal) - round(sweep.tail_s * sweep.samplerate)]
         rms = float(np.sqrt(np.mean(sounding**2))) * 10.0 ** (-self._snr_db / 20.0)
         return np.asarray(signal + rms * random.standard_normal(len(signal)))
+
+
+def through_amplifier(recording: Recording, amplifier: AmplifierParameters) -> Recording:
+    """Return a recording of a response to samples, with the amplifier's band to divide out."""
+    band = Band(amplifier.low_cut_hz, amplifier.high_cut_hz, recording.sweep.samplerate)
+    correction = band.response(recording.frequencies_hz)
+    return replace(recording, correction=correction, high_pass_hz=amplifier.low_cut_hz)
 
 
 def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = False) -> Sweep:
