@@ -13,9 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.signal import lfilter
 
 from device.rig import Rig
-from device.rig.actuator import Motion
+from device.rig.actuator import Motion, first_order_hold
+from device.rig.parameters import ActuatorParameters
 from device.units import FloatArray
 from tests.support.random_rigs import random_rig
 
@@ -113,6 +115,44 @@ class CoilRig:
         return Motion(y[:frames], v[:frames], i[:frames], acceleration)
 
 
+class EddyActuator:
+    """A linear actuator with L1 + (L2 || R2), block by block; exact for straight lines of volts."""
+
+    def __init__(self, p: ActuatorParameters, samplerate: float, source_ohm: float) -> None:
+        m, bl, main, inner = (
+            p.moving_mass_kg, p.force_factor_n_per_a, p.inductance_h, p.inductance_eddy_h,
+        )  # fmt: skip
+        r, r2 = p.resistance_ohm + source_ohm, p.resistance_eddy_ohm
+        rate = np.array(
+            [
+                [0.0, 1.0, 0.0, 0.0],
+                [-p.stiffness_n_per_m / m, -p.damping_n_s_per_m / m, bl / m, 0.0],
+                [0.0, -bl / main, -(r + r2) / main, r2 / main],
+                [0.0, 0.0, r2 / inner, -r2 / inner],
+            ]
+        )
+        drive = np.array([0.0, 0.0, 1.0 / main, 0.0])
+        self._step, self._before, self._now = first_order_hold(rate, drive, 1.0 / samplerate)
+        self._acceleration = rate[1]
+        self._values, vectors = np.linalg.eig(self._step)
+        self._vectors, self._inverse = vectors, np.linalg.inv(vectors)
+        self._state, self._last = np.zeros(4, complex), 0.0
+
+    def move(self, volts: FloatArray, _: object = None) -> Motion:
+        """Return the next frames of the motion."""
+        before = np.concatenate([[self._last], volts[:-1]])
+        pushed = np.outer(self._inverse @ self._before, before)
+        pushed += np.outer(self._inverse @ self._now, volts)
+        modes = np.empty_like(pushed)
+        for k, value in enumerate(self._values):
+            start = [value * self._state[k]]
+            modes[k], _ = lfilter([1.0], [1.0, -value], pushed[k], zi=start)
+        if len(volts):
+            self._state, self._last = modes[:, -1], float(volts[-1])
+        states = (self._vectors @ modes).real
+        return Motion(states[0], states[1], states[2], self._acceleration @ states)
+
+
 KINDS = ("plain", "parallel", "leach")
 
 
@@ -145,15 +185,13 @@ def random_coil_rig(seed: int, kind: str | None = None) -> tuple[CoilRig, str]:
         )
     elif kind == "ladder":
         main = 0.3 * reactance / w
-        corners = np.exp(random.uniform(math.log(40.0), math.log(1000.0), 2))
-        law = ladder(
-            main,
-            *(
-                (h, math.tau * float(c) * h)
-                for h, c in zip((reactance / w, 0.5 * reactance / w), corners)
-            ),
-        )
+        first, second = np.exp(random.uniform(math.log(40.0), math.log(1000.0), 2)).tolist()
+        big, small = reactance / w, 0.5 * reactance / w
+        law = ladder(main, (big, math.tau * first * big), (small, math.tau * second * small))
     else:
         raise AssertionError(kind)
     actuator = replace(rig.actuator, inductance_h=main)
+    if kind == "parallel":
+        ohm = math.tau * corner * eddy
+        actuator = replace(actuator, inductance_eddy_h=eddy, resistance_eddy_ohm=ohm)
     return CoilRig(replace(rig, actuator=actuator), law, seat), kind

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
+from device.identification.live.exchange import MOST_LATENCY_S
 from device.identification.recording import IdentificationError
 from device.identification.sweep import Excitation
 from device.units import FloatArray
@@ -67,7 +68,7 @@ def check_latency(excitation: Excitation, channel: FloatArray, name: str) -> Non
     if peak > room and clearness >= CLEAREST:
         raise IdentificationError(
             f"{name}: the sweep arrives {peak / rate:.2f} s after it was played, at most "
-            f"{room / rate:.2g} s is allowed; use a wired output and input, and smaller buffers of "
+            f"{MOST_LATENCY_S:g} s is allowed; use a wired output and input, and smaller buffers of "
             "the sound server"
         )
 
