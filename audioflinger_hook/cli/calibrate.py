@@ -26,6 +26,16 @@ SUFFIX = ".toml"
 NOT_FOR_TWIN = ("input", "channels", "shunt_ohm", "moving_mass_kg", "level", "loud")
 
 
+_CLOSEST = "the file has the closest L1 + (L2 || R2) in the swept band"
+COILS = {
+    "plain": "coil: R + L, no eddy currents seen",
+    "parallel": "coil with eddy currents: R + L1 + (L2 || R2)",
+    "power": f"coil with eddy currents: R + K (jw)^n; {_CLOSEST}",
+    "mixed": f"coil with eddy currents: R + L + K (jw)^n; {_CLOSEST}",
+}
+"""The law of the coil in words, by its name."""
+
+
 def run(options: argparse.Namespace) -> int:
     """Calibrate with rising levels; anything unexpected ends the run before it becomes loud."""
     device = parse_device(options.device)
@@ -121,6 +131,8 @@ def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str,
         "driven_q_interval": driven and list(driven.q.interval),
         "driven_sensitivity": _estimate(driven.sensitivity) if driven and scaled else None,
         "values": {parameter: _estimate(estimate) for parameter, estimate in found.values.items()},
+        "coil_law": found.impedance and found.impedance.law.name,
+        "volts_per_full_scale": found.drive and _estimate(found.drive.volts),
         "matched": found.matched,
         "devices": devices and asdict(devices),
         "recordings": [_quality(one) for one in found.qualities],
@@ -154,6 +166,14 @@ def table(found: Calibration, devices: Devices | None) -> str:
         f"{parameter:<32} {estimate.value:>12.5g}   {estimate.low:.5g} to {estimate.high:.5g}"
         for parameter, estimate in found.values.items()
     ]
+    if found.impedance:
+        rows.append(COILS[found.impedance.law.name])
+    if found.drive:
+        volts = found.drive.volts
+        rows.append(
+            f"full scale gives {volts.value:.4g} V without a load ({volts.low:.4g} to "
+            f"{volts.high:.4g})"
+        )
     if found.driven:
         rows += _mode(found.driven, found)
     rows += [_line(one) for one in found.qualities]

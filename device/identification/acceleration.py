@@ -39,6 +39,9 @@ F0_BY_LEVEL, Q_BY_LEVEL = 0.19, 0.4
 """Shares by which f0 and Q rise, per square of the level in Xmax. If stiffness is 50 % higher at
 Xmax, f0 rises by 3/8 of that (describing function). Q rises with it, and because Bl falls by a
 quarter. Intervals are extended down by this much, because they are for the rig at rest."""
+HARDENING = 0.5
+"""A spring that hardens changes the response by up to this share, r.m.s., per square of the level
+in Xmax. A seat that changes it less is not taken for one, however little noise there is."""
 _DELAYS_S = np.arange(-8e-3, 4e-3, 0.25e-3)
 """Starts for an unknown delay. It was measured at the peak of the impulse response, up to a quarter
 of a period after its beginning."""
@@ -72,6 +75,22 @@ def identify_mode(
     there is a seat, if another recording shows it.
     """
     check_recording(recording)
+    mode, shown = _identify(recording, x_max_m, widest, on_seat)
+    if mode.on_seat and on_seat is None:
+        try:
+            simple, without = _identify(recording, x_max_m, widest, False)
+        except IdentificationError:
+            return mode
+        change = float(np.sqrt(np.mean(np.abs(without / shown - 1.0) ** 2)))
+        if change < HARDENING * mode.level_of_x_max**2:
+            return simple
+    return mode
+
+
+def _identify(
+    recording: Recording, x_max_m: float, widest: float, on_seat: bool | None
+) -> tuple[Mode, ComplexArray]:
+    """Return the mode, and the fitted response in the band."""
     electrical = recording.names[0] != "current"
     factors = [MODE, *([LAG] if electrical else []), *([DELAY] if recording.delayed else [])]
     recording, found, extras, inverted = _fit_mode(recording, factors, on_seat)
@@ -90,7 +109,8 @@ def identify_mode(
         require(name, value, limit * widest, _ADVICE)
     f = recording.frequencies_hz[recording.band]
     model = product(*factors, *(extra.factor for extra in extras))
-    moved = recording.excursion_m(model(f, found.logs)[0])
+    shown = model(f, found.logs)[0]
+    moved = recording.excursion_m(shown)
     sensitivity, f0, q = values
     # Clock drift turns the phase by this angle, which at f0 shifts it by angle / (2 Q).
     turned = math.tau * f0.value * recording.drift_reach * recording.sweep.duration_s
@@ -99,7 +119,7 @@ def identify_mode(
     square = excursion_square(share, on_seat)
     f0, q = f0.extend_down(F0_BY_LEVEL * square), q.extend_down(Q_BY_LEVEL * square)
     corner = corner_of(found, extras, sum(factor.parameters for factor in factors))
-    return Mode(f0, q, sensitivity, on_seat, share, found, inverted, corner)
+    return Mode(f0, q, sensitivity, on_seat, share, found, inverted, corner), shown
 
 
 def _fit_mode(

@@ -68,8 +68,8 @@ def check_latency(excitation: Excitation, channel: FloatArray, name: str) -> Non
     if peak > room and clearness >= CLEAREST:
         raise IdentificationError(
             f"{name}: the sweep arrives {peak / rate:.2f} s after it was played, at most "
-            f"{MOST_LATENCY_S:g} s is allowed; use a wired output and input, and smaller buffers of "
-            "the sound server"
+            f"{MOST_LATENCY_S:g} s is allowed; use a wired output and input, and smaller buffers "
+            "of the sound server"
         )
 
 
