@@ -32,9 +32,9 @@ class Parser(argparse.ArgumentParser):
         if self.add_options:
             add_options, self.add_options = self.add_options, None
             add_options(self)
+        given = join_lists(sys.argv[1:] if args is None else args)
         if not self.any_order:
-            return super().parse_known_args(args, namespace)
-        given = list(sys.argv[1:] if args is None else args)
+            return super().parse_known_args(given, namespace)
         if "--" in given:
             # The rest is parsed again without the mark "--": no name may look like an option then.
             place = given.index("--")
@@ -55,6 +55,17 @@ class Parser(argparse.ArgumentParser):
             allowed = f"did you mean {guess}?" if guess else f"allowed: {', '.join(known)}"
             message = f"{found[1]!r} is not known; {allowed}"
         raise UsageError(f"{message}; see `{self.prog} --help`")
+
+
+def join_lists(arguments: Sequence[str]) -> list[str]:
+    """Return the arguments with `--option -,a` as `--option=-,a`: argparse sees no value there."""
+    joined: list[str] = []
+    for argument in arguments:
+        if argument.startswith("-,") and joined and joined[-1].startswith("--"):
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
 
 
 def count(text: str) -> int:

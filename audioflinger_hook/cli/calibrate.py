@@ -5,14 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.terminal import progress_bar, warn
 from device.address import parse_device
 from device.errors import UsageError
 from device.identification.acceleration import Mode
-from device.identification.calibration import Calibration, calibrate
+from device.identification.calibration import STEPS, Calibration, calibrate
 from device.identification.live.laboratory import Devices
 from device.identification.mechanics import write_rig
 from device.identification.output_error import Estimate
@@ -25,32 +26,58 @@ SUFFIX = ".toml"
 NOT_FOR_TWIN = ("input", "channels", "shunt_ohm", "moving_mass_kg", "level", "loud")
 
 
+_CLOSEST = "the file has the closest L1 + (L2 || R2) in the swept band"
+COILS = {
+    "plain": "coil: R + L, no eddy currents seen",
+    "parallel": "coil with eddy currents: R + L1 + (L2 || R2)",
+    "power": f"coil with eddy currents: R + K (jw)^n; {_CLOSEST}",
+    "mixed": f"coil with eddy currents: R + L + K (jw)^n; {_CLOSEST}",
+}
+"""The law of the coil in words, by its name."""
+
+
 def run(options: argparse.Namespace) -> int:
     """Calibrate with rising levels; anything unexpected ends the run before it becomes loud."""
     device = parse_device(options.device)
     rig = rig_by_name(options.rig)
     _check_out(options.out)
     sweep = Sweep(low_hz=options.low_hz, high_hz=options.high_hz, duration_s=options.seconds)
-
-    def tell(level: float) -> None:
-        if not options.json:
-            print(f"sweep {sweep.low_hz:g} to {sweep.high_hz:g} Hz, level {level:.4f}", flush=True)
-
     devices = None
-    if device.kind == "twin":
-        if given := [name for name in NOT_FOR_TWIN if getattr(options, name)]:
-            raise UsageError(f"--{given[0].replace('_', '-')} is not for twin; choose --share")
-        bench = SimulatedLaboratory(rig, seat=options.seat)
-        share = USUAL_SHARE if options.share is None else options.share
-        found = calibrate(bench, rig, bench.sweep_at_excursion(sweep, share), tell)
-    else:
-        from audioflinger_hook.cli.calibrate_live import calibrate_live
+    with progress_bar(f"sweeps of {sweep.low_hz:g} to {sweep.high_hz:g} Hz") as show:
+        progress = Progress(show)
+        if device.kind == "twin":
+            if given := [name for name in NOT_FOR_TWIN if getattr(options, name)]:
+                raise UsageError(f"--{given[0].replace('_', '-')} is not for twin; choose --share")
+            bench = SimulatedLaboratory(rig, seat=options.seat)
+            share = USUAL_SHARE if options.share is None else options.share
+            sweep = bench.sweep_at_excursion(sweep, share)
+            found = calibrate(bench, rig, sweep, progress.begin)
+        else:
+            from audioflinger_hook.cli.calibrate_live import calibrate_live
 
-        found, devices = calibrate_live(device, rig, sweep, options, tell)
-        rig = replace(rig, name=options.out.stem) if options.out else rig
-        if found.rig:
-            found = replace(found, rig=replace(found.rig, name=rig.name))
+            found, devices = calibrate_live(device, rig, sweep, options, progress)
+            rig = replace(rig, name=devices.output)
+    if options.out:
+        rig = replace(rig, name=options.out.stem)
+    if found.rig:
+        found = replace(found, rig=replace(found.rig, name=rig.name))
     return _conclude(found, rig, devices, options)
+
+
+class Progress:
+    """How far the sweeps are. The fit after them counts like one."""
+
+    def __init__(self, show: Callable[[float, float | None], None]) -> None:
+        self._show, self._begun = show, 0
+
+    def begin(self, level: float) -> None:
+        """Begin the next sweep."""
+        self._begun += 1
+        self.within(0.0)
+
+    def within(self, share: float) -> None:
+        """Show which share of the sweep is over; 1 also at its end."""
+        self._show(self._begun - 1 + share, len(STEPS) + 1)
 
 
 def _check_out(path: Path | None) -> None:
@@ -104,6 +131,8 @@ def document(found: Calibration, rig: Rig, devices: Devices | None) -> dict[str,
         "driven_q_interval": driven and list(driven.q.interval),
         "driven_sensitivity": _estimate(driven.sensitivity) if driven and scaled else None,
         "values": {parameter: _estimate(estimate) for parameter, estimate in found.values.items()},
+        "coil_law": found.impedance and found.impedance.law.name,
+        "volts_per_full_scale": found.drive and _estimate(found.drive.volts),
         "matched": found.matched,
         "devices": devices and asdict(devices),
         "recordings": [_quality(one) for one in found.qualities],
@@ -137,6 +166,14 @@ def table(found: Calibration, devices: Devices | None) -> str:
         f"{parameter:<32} {estimate.value:>12.5g}   {estimate.low:.5g} to {estimate.high:.5g}"
         for parameter, estimate in found.values.items()
     ]
+    if found.impedance:
+        rows.append(COILS[found.impedance.law.name])
+    if found.drive:
+        volts = found.drive.volts
+        rows.append(
+            f"full scale gives {volts.value:.4g} V without a load ({volts.low:.4g} to "
+            f"{volts.high:.4g})"
+        )
     if found.driven:
         rows += _mode(found.driven, found)
     rows += [_line(one) for one in found.qualities]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
+from typing import Protocol
 
 from audioflinger_hook.cli.measurement_streams import (
     INPUT,
@@ -63,12 +63,22 @@ _HAS_TO_BE_KNOWN = (
 )
 
 
+class Progress(Protocol):
+    """Shows how far the sweeps are."""
+
+    def begin(self, level: float) -> None:
+        """Begin the next sweep."""
+
+    def within(self, share: float) -> None:
+        """Show which share of the sweep is over."""
+
+
 def calibrate_live(
     device: DeviceAddress,
     rig: Rig,
     sweep: Sweep,
     options: argparse.Namespace,
-    tell: Callable[[float], None],
+    progress: Progress,
 ) -> tuple[Calibration, Devices]:
     """Calibrate the rig on this device; record only from the named input."""
     if device.kind not in ("sink", "usb", "hw"):
@@ -106,13 +116,13 @@ def calibrate_live(
         inputs = replace(
             inputs, names=(*inputs.names, *[UNUSED] * (heard.channels - len(inputs.names)))
         )
-        transport = MeasurementStreams(pcms, output, heard, rate, connection)
+        transport = MeasurementStreams(pcms, output, heard, rate, connection, progress.within)
         laboratory = LiveLaboratory(transport, inputs, channel - 1, rig.amplifier)
         found = calibrate(
             laboratory,
             rig,
             replace(sweep, samplerate=rate),
-            tell,
+            progress.begin,
             pairs=inputs.pairs,
             scaled=inputs.acceleration_scaled,
             weighed=weighed,

@@ -7,6 +7,7 @@ ends the measurement with the reason.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -54,6 +55,7 @@ class MeasurementStreams:
     source: StreamEndpoint
     samplerate: int
     connection: PulseConnection | None  # None if neither stream is on a server
+    progress: Callable[[float], None] = lambda share: None  # called while a measurement runs
 
     def run(self, exchange: Exchange) -> None:
         """Run both streams until the measurement ends; `exchange` keeps the reason."""
@@ -91,6 +93,7 @@ class MeasurementStreams:
             while not exchange.ended.wait(_POLL_S):
                 if error := watch.problem(time.monotonic()):
                     exchange.abort(error)
+                self.progress(exchange.share_recorded)
 
 
 @dataclass

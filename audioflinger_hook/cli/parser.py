@@ -152,7 +152,7 @@ def _calibrate(command: Parser) -> None:
     _value(command, "--input-full-scale-v", float, "V", "peak volts at the input's full scale")
     sensitivity = "sensitivity of the accelerometer"
     _value(command, "--acceleration-mv-per-m-s2", float, "MV", sensitivity)
-    _value(command, "--shunt-ohm", float, "OHM", "resistance of the shunt resistor")
+    _value(command, "--shunt-ohm", float, "OHM", "resistance of the shunt resistor, up to 10")
     _value(command, "--voltage-ratio", float, "X", "volts at the coil per volt at the input", 1.0)
     _value(command, "--moving-mass-kg", float, "KG", "moving mass, if it was weighed; gives Bl")
     _value(command, "--output-channel", int, "N", "output channel to play on, from 1", 1)

@@ -2,22 +2,33 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from device.identification import responses
 from device.identification.output_error import (
     Estimate,
+    Extra,
     Fit,
-    Model,
+    check_converged,
     check_misfit,
     fit,
-    is_better,
+    fit_with_extras,
     require,
 )
-from device.identification.recording import IdentificationError, Recording
+from device.identification.recording import ComplexArray, IdentificationError, Recording
+from device.identification.responses import (
+    DELAY,
+    EDDY,
+    LAG,
+    MODE,
+    SEAT,
+    Factor,
+    high_pass,
+    product,
+)
 from device.identification.transfer import check_recording
 from device.units import FloatArray
 
@@ -28,6 +39,9 @@ F0_BY_LEVEL, Q_BY_LEVEL = 0.19, 0.4
 """Shares by which f0 and Q rise, per square of the level in Xmax. If stiffness is 50 % higher at
 Xmax, f0 rises by 3/8 of that (describing function). Q rises with it, and because Bl falls by a
 quarter. Intervals are extended down by this much, because they are for the rig at rest."""
+HARDENING = 0.5
+"""A spring that hardens changes the response by up to this share, r.m.s., per square of the level
+in Xmax. A seat that changes it less is not taken for one, however little noise there is."""
 _DELAYS_S = np.arange(-8e-3, 4e-3, 0.25e-3)
 """Starts for an unknown delay. It was measured at the peak of the impulse response, up to a quarter
 of a period after its beginning."""
@@ -49,20 +63,43 @@ class Mode:
     level_of_x_max: float  # largest excursion of the moving mass, without the frame's
     fit: Fit
     inverted: bool = False  # the accelerometer has the other sign
+    high_pass_hz: Estimate | None = None  # the amplifier's corner, if it is not that of the rig
 
 
-def identify_mode(recording: Recording, x_max_m: float, *, widest: float = 1.0) -> Mode:
+def identify_mode(
+    recording: Recording, x_max_m: float, *, widest: float = 1.0, on_seat: bool | None = None
+) -> Mode:
     """Return the mode that a recording of acceleration, for a current or a voltage, shows.
 
-    x_max_m gives the level; `widest` is a factor on the widest accepted intervals.
+    x_max_m gives the level; `widest` is a factor on the widest accepted intervals. on_seat: whether
+    there is a seat, if another recording shows it.
     """
     check_recording(recording)
+    mode, shown = _identify(recording, x_max_m, widest, on_seat)
+    if mode.on_seat and on_seat is None:
+        try:
+            simple, without = _identify(recording, x_max_m, widest, False)
+        except IdentificationError:
+            return mode
+        change = float(np.sqrt(np.mean(np.abs(without / shown - 1.0) ** 2)))
+        if change < HARDENING * mode.level_of_x_max**2:
+            return simple
+    return mode
+
+
+def _identify(
+    recording: Recording, x_max_m: float, widest: float, on_seat: bool | None
+) -> tuple[Mode, ComplexArray]:
+    """Return the mode, and the fitted response in the band."""
     electrical = recording.names[0] != "current"
-    recording, found, on_seat, inverted = _fit_mode(recording, electrical)
+    factors = [MODE, *([LAG] if electrical else []), *([DELAY] if recording.delayed else [])]
+    recording, found, extras, inverted = _fit_mode(recording, factors, on_seat)
+    on_seat = any(extra.name == "seat" for extra in extras)
+    check_converged(recording, found)
     refuse_outside(recording, found.logs[1])
     check_misfit(
+        recording,
         found,
-        "acceleration",
         "more than one resonance and a seat are in the band, or this is another channel; check "
         "which input it is, fasten what rattles, or sweep a narrower band around the resonance",
     )
@@ -71,7 +108,9 @@ def identify_mode(recording: Recording, x_max_m: float, *, widest: float = 1.0) 
     for (name, limit), value in zip(limits, values, strict=True):
         require(name, value, limit * widest, _ADVICE)
     f = recording.frequencies_hz[recording.band]
-    moved = recording.excursion_m(_model(recording, electrical)(f, found.logs)[0])
+    model = product(*factors, *(extra.factor for extra in extras))
+    shown = model(f, found.logs)[0]
+    moved = recording.excursion_m(shown)
     sensitivity, f0, q = values
     # Clock drift turns the phase by this angle, which at f0 shifts it by angle / (2 Q).
     turned = math.tau * f0.value * recording.drift_reach * recording.sweep.duration_s
@@ -79,36 +118,67 @@ def identify_mode(recording: Recording, x_max_m: float, *, widest: float = 1.0) 
     share = moved / x_max_m
     square = excursion_square(share, on_seat)
     f0, q = f0.extend_down(F0_BY_LEVEL * square), q.extend_down(Q_BY_LEVEL * square)
-    return Mode(f0, q, sensitivity, on_seat, share, found, inverted)
+    corner = corner_of(found, extras, sum(factor.parameters for factor in factors))
+    return Mode(f0, q, sensitivity, on_seat, share, found, inverted, corner), shown
 
 
-def _model(recording: Recording, electrical: bool) -> Model:
-    if recording.delayed:
-        return responses.delayed_acceleration
-    return partial(responses.acceleration, electrical=electrical)
-
-
-def _fit_mode(recording: Recording, electrical: bool) -> tuple[Recording, Fit, bool, bool]:
-    """Return recording, fit, whether it needs a seat, and whether the polarity is inverted.
-
-    The simple fit is used unless one with a seat, or the other unknown polarity, explains more.
-    """
+def _fit_mode(
+    recording: Recording, factors: list[Factor], on_seat: bool | None
+) -> tuple[Recording, Fit, tuple[Extra, ...], bool]:
+    """Return recording, fit, what the evidence adds, and whether the polarity is inverted."""
     candidates = [recording]
     if not recording.polarity_known:
         candidates.append(replace(recording, response=-recording.response))
-    model = _model(recording, electrical)
-    found: list[tuple[Recording, Fit]] = []
-    errors: list[IdentificationError] = []
+    found = []
     for candidate in candidates:
-        try:
-            found.append((candidate, fit(candidate, model, _starts(candidate, electrical))))
-        except IdentificationError as error:
-            errors.append(error)
-    if not found:
-        raise errors[0]
-    chosen, simple = min(found, key=lambda one: one[1].cost)
-    best, on_seat = fit_seat(chosen, model, simple, simple.logs[1])
-    return chosen, best, on_seat, chosen is not recording
+        starts = _starts(candidate, factors)
+        simple = fit(candidate, product(*factors), starts)
+        extras = []
+        if LAG in factors:
+            extras.append(_eddy())
+        if recording.high_pass_hz is not None:
+            extras.append(high_pass_extra(recording))
+        if on_seat is not False and (seat := seat_extra(simple.logs[1])):
+            extras.append(seat)
+        best, chosen, score = fit_with_extras(candidate, factors, [simple.logs], extras)
+        found.append((not best.converged, score, candidate, best, chosen))
+    _, _, candidate, best, chosen = min(found, key=lambda one: one[:2])
+    return candidate, best, chosen, candidate is not recording
+
+
+def _eddy() -> Extra:
+    """Return what a coil with eddy currents adds to its lag under voltage drive."""
+    corners = np.log([60.0, 200.0, 600.0])
+    starts = tuple(-math.log(math.tau) - np.array([hz, hz - 0.2]) for hz in corners)
+    ends = -math.log(math.tau) - np.log([10e3, 5.0])
+    return Extra("eddy", EDDY, starts, np.full(2, ends[0]), np.full(2, ends[1]))
+
+
+def high_pass_extra(recording: Recording) -> Extra:
+    """Return another corner of the amplifier's high-pass than the one divided out."""
+    known, low = recording.high_pass_hz or 0.0, recording.sweep.low_hz
+    starts = tuple(np.log([hz]) for hz in (0.3 * low, 0.7 * low, 0.1 * low, 1.5 * low))
+    limits = np.log([LOWEST_CORNER * low]), np.log([4.0 * low])
+    return Extra("high_pass", high_pass(known), starts, *limits)
+
+
+LOWEST_CORNER = 0.02
+"""As a share of the sweep's lowest frequency: a lower corner is as good as none."""
+
+
+def corner_of(found: Fit, extras: Sequence[Extra], first: int) -> Estimate | None:
+    """Return the fitted corner, 0 if it is too low to be seen; None if it was not fitted.
+
+    first: the number of parameters before those of the extras.
+    """
+    for extra in extras:
+        if extra.name == "high_pass":
+            corner = found.estimate({first: 1.0})
+            if found.logs[first] > extra.lowest[0] + 0.1 and corner.low > 0.5 * corner.value:
+                return corner
+            return Estimate(0.0, 0.0, corner.high if corner.high < math.inf else corner.value)
+        first += extra.factor.parameters
+    return None
 
 
 def excursion_square(level_of_x_max: float, on_seat: bool) -> float:
@@ -120,49 +190,49 @@ def excursion_square(level_of_x_max: float, on_seat: bool) -> float:
     return level_of_x_max**2 * (2.0 if on_seat else 1.0)
 
 
-def fit_seat(recording: Recording, model: Model, simple: Fit, log_hz: float) -> tuple[Fit, bool]:
-    """Return the simple fit or, if it explains more, one with a seat; and which it is.
+def seat_extra(log_hz: float) -> Extra | None:
+    """Return the seat of an actuator by its log f0; None if none fits below such a mode.
 
-    A seat's own mode must be damped and lie below that of the actuator, log_hz.
+    A seat's own mode must be damped and lie below that of the actuator. It must explain far more
+    than noise would, as a hardening spring looks like one.
     """
     own = log_hz - math.log(4.0)
     highest = np.array([log_hz - math.log(1.5), math.log(5.0)] * 2)
     lowest = np.array([math.log(2.0), math.log(0.2)] * 2)
     if np.any(highest < lowest + 0.5):
-        return simple, False  # no seat fits below such a mode
-    far = np.full(len(simple.logs), 25.0)
-    limits = np.concatenate([-far, lowest]), np.concatenate([far, highest])
-    seats = [
-        np.concatenate([simple.logs, [own + shift, 0.0, own + shift, 0.0]]) for shift in (0.0, 0.5)
-    ]
-    try:
-        richer = fit(recording, model, seats, limits)
-    except IdentificationError:
-        return simple, False
-    return (richer, True) if is_better(simple, richer) else (simple, False)
+        return None
+    starts = tuple(np.array([own + shift, 0.0] * 2) for shift in (0.0, 0.5))
+    return Extra("seat", SEAT, starts, lowest, highest, doubt=2.5)
 
 
-def _starts(recording: Recording, electrical: bool) -> list[FloatArray]:
+def _starts(recording: Recording, factors: Sequence[Factor]) -> list[FloatArray]:
     """Return a grid over the band and usual Q, each with its best sensitivity."""
     sweep, band = recording.sweep, recording.band
     f = recording.frequencies_hz[band]
     drive, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
-    lags = [-8.0] if electrical else []
+    lags = [-8.0] if LAG in factors else []
+    model = product(*(factor for factor in factors if factor is not DELAY))
     starts = []
     for hz, q in itertools.product(
         np.geomspace(sweep.low_hz, sweep.high_hz, 24), (1.0, 3.0, 10.0, 30.0)
     ):
         p = np.array([0.0, math.log(hz), math.log(q), *lags])
-        explained = responses.acceleration(f, p, electrical=electrical)[0] * drive
+        explained = model(f, p)[0] * drive
         agreement, late = np.vdot(explained, measured), []
-        if recording.delayed:
+        if DELAY in factors:
             turned = explained.conj() * measured
-            agreements = [np.sum(turned * np.exp(1j * math.tau * f * s)) for s in _DELAYS_S]
-            best = int(np.argmax(np.real(agreements)))
-            agreement, late = agreements[best], [_DELAYS_S[best] / responses.DELAY_S]
+            delay_s = find_delay_s(f, turned)
+            agreement = np.sum(turned * np.exp(1j * math.tau * f * delay_s))
+            late = [delay_s / responses.DELAY_S]
         scale = float(np.abs(agreement) / np.vdot(explained, explained).real)
         starts.append(np.array([math.log(max(scale, 1e-10)), *p[1:], *late]))
     return starts
+
+
+def find_delay_s(f: FloatArray, turned: ComplexArray) -> float:
+    """Return the delay, s, that makes a cross-spectrum, (bins,), most positive."""
+    agreements = [np.sum(turned * np.exp(1j * math.tau * f * s)).real for s in _DELAYS_S]
+    return float(_DELAYS_S[int(np.argmax(agreements))])
 
 
 def refuse_outside(recording: Recording, log_hz: float) -> None:

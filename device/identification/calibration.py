@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from device.identification.acceleration import Mode, identify_mode
+from device.identification.drive import Drive, identify_drive
 from device.identification.impedance import Impedance, identify_impedance
 from device.identification.mechanics import (
     Values,
@@ -20,7 +21,7 @@ from device.identification.mechanics import (
     solve_mechanics,
 )
 from device.identification.output_error import Estimate
-from device.identification.recording import IdentificationError, Recording
+from device.identification.recording import PLAYED, IdentificationError, Recording
 from device.identification.simulated_laboratory import LARGEST_SHARE
 from device.identification.sweep import Sweep
 from device.identification.transfer import (
@@ -29,7 +30,8 @@ from device.identification.transfer import (
     check_recording,
     estimate_transfer,
 )
-from device.rig.rig import Rig
+from device.rig.parameters import DriveMode
+from device.rig.rig import MIN_CURRENT_DRIVE_RATIO, Rig, Source
 
 STEPS = (0.25, 0.5, 1.0)
 """The levels in order, as shares of the wanted level."""
@@ -89,7 +91,12 @@ def _compare(quiet: Recording, loud: Recording) -> None:
         )
 
 
-ALL_PAIRS = (("current", "acceleration"), ("voltage", "current"), ("voltage", "acceleration"))
+ALL_PAIRS = (
+    ("current", "acceleration"),
+    ("voltage", "current"),
+    ("voltage", "acceleration"),
+    (PLAYED, "voltage"),
+)
 
 COIL = ("force_factor_n_per_a", "resistance_ohm", "inductance_h", "moving_mass_kg")
 """Parameters from which the mechanics follow from the damped mode."""
@@ -109,11 +116,14 @@ class Calibration:
     matched: bool = False  # the rig's f0 and Qms rely on its assumed coil, so they are no values
     why_not: str = ""  # why there is no rig
     qualities: tuple[Quality, ...] = ()  # of every recording
+    drive: Drive | None = None  # from samples to volts at the coil
 
     @property
     def on_seat(self) -> bool:
-        """Whether any response needs a moving frame."""
-        return any(found.on_seat for found in (self.mode, self.driven, self.impedance) if found)
+        """Whether a response needs a moving frame, first of all one without the coil's part."""
+        return next(
+            (found.on_seat for found in (self.mode, self.impedance, self.driven) if found), False
+        )
 
 
 def calibrate(
@@ -140,17 +150,23 @@ def calibrate(
         mode = identify_mode(recording, x_max_m)
         level = mode.level_of_x_max if scaled else None
     if recording := there.get(("voltage", "acceleration")) or there.get(("drive", "acceleration")):
-        driven = identify_mode(recording, x_max_m)
+        driven = identify_mode(recording, x_max_m, on_seat=mode.on_seat if mode else None)
         level = driven.level_of_x_max if scaled and level is None else level
     if recording := there.get(("voltage", "current")):
-        impedance = identify_impedance(recording, level_of_x_max=level or 0.0)
+        impedance = identify_impedance(recording, level_of_x_max=level or 0.0, mode=mode)
+    drive = None
+    if recording := there.get((PLAYED, "voltage")):
+        drive = identify_drive(recording, rig, impedance)
     found = Calibration(
         None, {}, mode, driven, impedance, sweep, level,
         qualities=tuple(assess_quality(recording) for recording in recordings),
+        drive=drive,
     )  # fmt: skip
     if impedance is None and mode is None:
-        return _add_by_coil(found, rig, there)
-    return _add_direct(found, rig, scaled, weighed)
+        found = _add_by_coil(found, rig, there)
+    else:
+        found = _add_direct(found, rig, scaled, weighed)
+    return _add_drive(found)
 
 
 def _add_direct(
@@ -166,7 +182,10 @@ def _add_direct(
         values["actuator.q_mechanical"] = impedance.q_mechanical
     if impedance is not None:
         values["actuator.resistance_ohm"] = impedance.resistance_ohm
-        values["actuator.inductance_h"] = impedance.inductance_h
+        ends = found.sweep.low_hz, found.sweep.high_hz
+        for name, value in impedance.inductances(*ends).items():
+            values[f"actuator.{name}"] = value
+        rig = _without_eddy(rig)
         if weighed is not None and not found.on_seat:
             values |= by_known_mass(impedance, weighed)
         elif mode is not None and scaled and not found.on_seat:
@@ -196,6 +215,53 @@ def _add_by_coil(
         f"{driven.f0_hz.value:.2f} Hz with Q {driven.q.value:.2f}: {_describe(found)}"
     )
     return replace(found, rig=add_values(rig, values, words, assumed=True), matched=True)
+
+
+def _without_eddy(rig: Rig) -> Rig:
+    """Return the rig without what its file said of eddy currents."""
+    plain = replace(rig.actuator, inductance_eddy_h=0.0, resistance_eddy_ohm=0.0)
+    sources = tuple(s for s in rig.sources if not s.parameter.endswith(("eddy_h", "eddy_ohm")))
+    return replace(rig, actuator=plain, sources=sources)
+
+
+def _add_drive(found: Calibration) -> Calibration:
+    """Add what the amplifier does, also if only the acceleration shows its high-pass."""
+    drive, rig, values = found.drive, found.rig, {}
+    corner = next((c.high_pass_hz for c in (drive, found.driven) if c and c.high_pass_hz), None)
+    if corner:
+        values["amplifier.low_cut_hz"] = corner
+    if rig is None or (drive is None and corner is None):
+        return found
+    amplifier = rig.amplifier
+    if drive is not None:
+        values["amplifier.gain"] = drive.volts.scaled(1.0 / rig.dac.full_scale_v)
+        volts = drive.volts.value
+        sources = tuple(
+            replace(
+                source,
+                kind="identified",
+                words=f"only amplifier.gain times this counts: {volts:.4g} V, which was identified",
+            )
+            if source.parameter == "dac.full_scale_v" and source.kind == "assumed"
+            else source
+            for source in rig.sources
+        )
+        if amplifier.output_limit_v < volts:
+            # No sweep is so loud that it clips; a limit that is too low hides excursion.
+            amplifier = replace(amplifier, output_limit_v=volts)
+            words = "full scale without clipping: the sweep was too quiet to show a limit"
+            sources = (
+                *(s for s in sources if s.parameter != "amplifier.output_limit_v"),
+                Source("amplifier.output_limit_v", "assumed", words),
+            )
+        if source_ohm := drive.source_ohm:
+            values["amplifier.source_impedance_ohm"] = source_ohm
+            ratio = source_ohm.value / rig.actuator.resistance_ohm
+            mode: DriveMode = "current" if ratio >= MIN_CURRENT_DRIVE_RATIO else "voltage"
+            amplifier = replace(amplifier, drive_mode=mode, source_impedance_ohm=source_ohm.value)
+        rig = replace(rig, amplifier=amplifier, sources=sources)
+    rig = add_values(rig, values, _describe(found))
+    return replace(found, rig=rig, values=found.values | values)
 
 
 def _describe(found: Calibration) -> str:

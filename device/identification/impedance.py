@@ -1,8 +1,9 @@
-"""The electrical side of a rig from its impedance: Re, Le, f0, Qms, Qes, with intervals."""
+"""The electrical side of a rig from its impedance: Re, coil, f0, Qms, Qes, with intervals."""
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -10,23 +11,36 @@ from device.identification import responses
 from device.identification.acceleration import (
     F0_BY_LEVEL,
     Q_BY_LEVEL,
+    Mode,
     excursion_square,
-    fit_seat,
     refuse_outside,
+    seat_extra,
 )
-from device.identification.output_error import Estimate, Fit, check_misfit, fit, require
-from device.identification.recording import Recording
+from device.identification.coil_laws import LAWS, MIXED, PARALLEL, PLAIN, CoilLaw, closest_parallel
+from device.identification.output_error import (
+    Estimate,
+    Fit,
+    Known,
+    check_converged,
+    check_misfit,
+    fit,
+    penalty,
+    require,
+    unlimited,
+)
+from device.identification.recording import ComplexArray, IdentificationError, Recording
 from device.identification.transfer import check_recording
 from device.units import FloatArray
 
 WIDEST = {
     "resistance_ohm": 0.05,
-    "inductance_h": 0.3,
     "f0_hz": 0.03,
     "q_mechanical": 0.3,
     "q_electrical": 0.3,
 }
 """Half the widest accepted 95 % interval, as a share."""
+COIL_OHM = 0.3, 150.0
+"""Resistances of coils that an amplifier for loudspeakers drives, with room on both sides."""
 _ADVICE = (
     "its rise at the resonance is small against the noise: raise the level a little, make the "
     "sweep longer, or measure the acceleration"
@@ -38,40 +52,73 @@ class Impedance:
     """What current for voltage at the coil shows; on a seat, f0 and m are those on it."""
 
     resistance_ohm: Estimate
-    inductance_h: Estimate
     f0_hz: Estimate  # with the coil open
     q_mechanical: Estimate
     q_electrical: Estimate  # at the coil itself, without a source
     motional_ohm_rad_s: Estimate  # Bl^2 / m
     on_seat: bool  # see `Mode`
+    law: CoilLaw
     fit: Fit
 
+    def admittance(self, frequencies_hz: FloatArray) -> ComplexArray:
+        """Return current for voltage, (bins,), of the fitted model."""
+        return responses.admittance(frequencies_hz, self.fit.logs, self.law)[0]
 
-MOTIONAL = {4: 1.0, 2: 1.0, 3: -1.0}
+    def inductances(self, low_hz: float, high_hz: float) -> dict[str, Estimate]:
+        """Return L, and L2 and R2 where there are eddy currents, by the rig's parameters.
+
+        Other laws than L1 + (L2 || R2) are given as the closest of that kind between both
+        frequencies.
+        """
+        first, last = 4, 4 + self.law.parameters
+        if self.law is PLAIN:
+            return {"inductance_h": self.fit.estimate({first: 1.0})}
+        logs, covariance = self.fit.logs[first:last], self.fit.covariance[first:last, first:last]
+        if self.law is not PARALLEL:
+            logs, covariance = closest_parallel(self.law, logs, covariance, low_hz, high_hz)
+        found = replace(self.fit, logs=logs, covariance=covariance)
+        return {
+            "inductance_h": found.estimate({0: 1.0}),
+            "inductance_eddy_h": found.estimate({1: 1.0}),
+            "resistance_eddy_ohm": found.estimate({1: 1.0, 2: 1.0}, math.tau),
+        }
+
+
+MOTIONAL = {3: 1.0, 1: 1.0, 2: -1.0}
 """Bl^2 / m = Res w0 / Qms as powers of the fit's parameters, times tau because w0 = tau f0."""
 
 
-def identify_impedance(recording: Recording, *, level_of_x_max: float = 0.0) -> Impedance:
+def identify_impedance(
+    recording: Recording, *, level_of_x_max: float = 0.0, mode: Mode | None = None
+) -> Impedance:
     """Return the electrical side from a recording of current for the coil's voltage.
 
-    The intervals of f0 and Q are extended down by the shift at level_of_x_max.
+    The intervals of f0 and Q are extended down by the shift at level_of_x_max. mode: that of the
+    acceleration for the current, which the coil's law does not touch; None if it was not measured.
     """
     check_recording(recording)
-    simple = fit(recording, responses.admittance, _starts(recording))
-    found, on_seat = fit_seat(recording, responses.admittance, simple, simple.logs[2])
-    refuse_outside(recording, found.logs[2])
+    found, law, on_seat = _choose(recording, mode)
+    check_converged(recording, found)
+    refuse_outside(recording, found.logs[1])
     check_misfit(
+        recording,
         found,
-        "current",
         "this is not a coil with one resonance; check what is connected, and that voltage and "
         "current are not swapped",
     )
+    ohm = math.exp(found.logs[0])
+    if not COIL_OHM[0] <= ohm <= COIL_OHM[1]:
+        raise IdentificationError(
+            f"resistance_ohm={ohm:.3g} is not that of a coil that moves a cushion, "
+            f"{COIL_OHM[0]:g} to {COIL_OHM[1]:g} ohm is allowed: the scale of current or voltage "
+            "is wrong; measure the shunt and the divider, and correct --shunt-ohm and "
+            "--voltage-ratio"
+        )
     powers = {
         "resistance_ohm": {0: 1.0},
-        "inductance_h": {1: 1.0},
-        "f0_hz": {2: 1.0},
-        "q_mechanical": {3: 1.0},
-        "q_electrical": {3: 1.0, 0: 1.0, 4: -1.0},
+        "f0_hz": {1: 1.0},
+        "q_mechanical": {2: 1.0},
+        "q_electrical": {2: 1.0, 0: 1.0, 3: -1.0},
     }
     values = {name: found.estimate(power) for name, power in powers.items()}
     for name, value in values.items():
@@ -81,26 +128,82 @@ def identify_impedance(recording: Recording, *, level_of_x_max: float = 0.0) -> 
     for name in ("q_mechanical", "q_electrical"):
         values[name] = values[name].extend_down(Q_BY_LEVEL * square)
     motional = found.estimate(MOTIONAL, math.tau)
-    return Impedance(**values, motional_ohm_rad_s=motional, on_seat=on_seat, fit=found)
+    return Impedance(**values, motional_ohm_rad_s=motional, on_seat=on_seat, law=law, fit=found)
 
 
-def _starts(recording: Recording) -> list[FloatArray]:
-    """Return a grid of f0 and Qms; the other parameters follow by linear least squares."""
+_SAME_F0, _SAME_Q = 1e-3, 5e-3
+"""Shares by which f0 and Qms may differ from those of the acceleration, besides noise: the level
+weighs differently on both. These are standard deviations."""
+
+
+_LEAST_EDDY = 3e-4
+"""A law that changes the admittance by less than this share is not taken for that of the coil."""
+
+
+def _choose(recording: Recording, mode: Mode | None) -> tuple[Fit, CoilLaw, bool]:
+    """Return the fit with the best evidence, its law, and whether it has a seat."""
+    tried: list[tuple[bool, float, Fit, CoilLaw, bool]] = []
+    known, near = None, None
+    if mode:
+        near = mode.fit.logs[1:3]
+        noise = np.diag(mode.fit.covariance)[1:3]
+        known = Known(1, near, np.sqrt(noise + np.array([_SAME_F0, _SAME_Q]) ** 2))
+    for law in LAWS:
+        if law is MIXED and min(tried, key=lambda one: one[:2])[3] is PLAIN:
+            break
+        model = partial(responses.admittance, law=law)
+        low, high = unlimited(4 + law.parameters)
+        low[1], high[1] = np.log([0.8 * recording.sweep.low_hz, 1.2 * recording.sweep.high_hz])
+        low[4:], high[4:] = law.lowest, law.highest
+        found = fit(recording, model, _starts(recording, law, near), (low, high), known)
+        near = found.logs[1:3] if near is None and found.converged else near
+        price = penalty(law.parameters, found.bins)
+        tried.append((not found.converged, found.cost + price, found, law, False))
+        if (not mode or mode.on_seat) and (seat := seat_extra(found.logs[1])):
+            starts = [np.concatenate([found.logs, start]) for start in seat.starts]
+            ends = np.concatenate([low, seat.lowest]), np.concatenate([high, seat.highest])
+            found = fit(recording, model, starts, ends, known)
+            price += seat.doubt * penalty(seat.factor.parameters, found.bins)
+            tried.append((not found.converged, found.cost + price, found, law, True))
+    best = min(tried, key=lambda one: one[:2])
+    plain = min((one for one in tried if one[3] is PLAIN), key=lambda one: one[:2])
+    f = recording.frequencies_hz[recording.band]
+    if not plain[0]:  # without noise, also what no coil has would be evidence
+        shown, simple = (responses.admittance(f, one[2].logs, one[3])[0] for one in (best, plain))
+        best = plain if np.abs(simple / shown - 1.0).max() < _LEAST_EDDY else best
+    _, _, found, law, seated = best
+    return found, law, seated
+
+
+def _starts(recording: Recording, law: CoilLaw, near: FloatArray | None) -> list[FloatArray]:
+    """Return a grid of f0, Qms and the law's shape; the rest follows by linear least squares.
+
+    near: the logs of f0 and Qms, if the acceleration or a simpler law has shown them.
+    """
     sweep, band = recording.sweep, recording.band
     f = recording.frequencies_hz[band]
     drive, current = recording.reference_spectrum[band], recording.response_spectrum[band]
+    tones = np.log(np.geomspace(sweep.low_hz, sweep.high_hz, 32))
+    qs = np.log([1.0, 3.0, 10.0, 30.0])
+    if near is not None:
+        tones, qs = near[:1], near[1] + np.log([0.6, 1.0, 1.6])
+    shapes: list[tuple[float, ...]] = [(shape,) for shape in law.shapes] or [()]
     starts = []
-    for hz, q in itertools.product(
-        np.geomspace(sweep.low_hz, sweep.high_hz, 32), (1.0, 3.0, 10.0, 30.0)
-    ):
-        damped = 1j * f / (hz * q)
-        shape = damped / responses.pair(f, math.log(hz), math.log(q))[0]
-        columns = np.column_stack([np.ones_like(shape), 1j * math.tau * f, shape])
-        volts = columns * current[:, None]
+    for log_hz, log_q, shape in itertools.product(tones, qs, shapes):
+        damped = 1j * f / math.exp(log_hz + log_q)
+        motional = damped / responses.pair(f, log_hz, log_q)[0]
+        columns = [np.ones_like(motional), motional, *law.columns(f, shape)]
+        volts = np.column_stack(columns) * current[:, None]
         both = np.concatenate([volts.real, volts.imag])
         scale = np.linalg.norm(both, axis=0)
-        solved = np.linalg.lstsq(both / scale, np.concatenate([drive.real, drive.imag]))[0] / scale
+        aim = np.concatenate([drive.real, drive.imag])
+        solved = np.linalg.lstsq(both / scale, aim)[0] / scale
         re = max(solved[0], 1e-3)
-        le, rise = max(solved[1], 1e-6 * re), max(solved[2], 1e-3 * re)
-        starts.append(np.log([re, le, hz, q, rise]))
+        rise = max(solved[1], 1e-3 * re)
+        amplitudes = np.maximum(solved[2:], 1e-6 * re)
+        starts.append(
+            np.concatenate(
+                [[math.log(re), log_hz, log_q, math.log(rise)], np.log(amplitudes), shape]
+            )
+        )
     return starts

@@ -1,6 +1,7 @@
 """Moving mass, Bl, f0 and Qms, from several measurements or with what the rig's file states.
 
-Under voltage drive the mode's poles solve (s^2 + s w0 / Qms + w0^2) (R + s L) + s Bl^2 / m = 0.
+Under voltage drive the mode's poles solve (s^2 + s w0 / Qms + w0^2) Z + s Bl^2 / m = 0, where Z
+is the coil's impedance at rest.
 The impedance alone gives Bl^2 / m only (Thiele, Small).
 """
 
@@ -29,7 +30,7 @@ from device.rig.rig import Rig, Source
 from device.units import FloatArray
 
 Values = dict[str, Estimate]
-"""By parameter of the actuator, such as "actuator.resonance_hz"."""
+"""By parameter of the rig, such as "actuator.resonance_hz"."""
 
 
 def add_values(rig: Rig, values: Values, words: str, *, assumed: bool = False) -> Rig:
@@ -44,8 +45,12 @@ def add_values(rig: Rig, values: Values, words: str, *, assumed: bool = False) -
         for name, estimate in values.items()
     )
     others = tuple(source for source in rig.sources if source.parameter not in values)
-    found = {name.removeprefix("actuator."): estimate.value for name, estimate in values.items()}
-    return replace(rig, actuator=replace(rig.actuator, **found), sources=others + known)
+    found: dict[str, dict[str, float]] = {}
+    for parameter, estimate in values.items():
+        stage, name = parameter.split(".")
+        found.setdefault(stage, {})[name] = estimate.value
+    stages = {name: replace(getattr(rig, name), **new) for name, new in found.items()}
+    return replace(rig, **stages, sources=others + known)
 
 
 def format_rig(rig: Rig) -> str:
@@ -55,7 +60,10 @@ def format_rig(rig: Rig) -> str:
     for stage, parameters in rig.stages().items():
         lines += ["", f"[{stage}]"]
         for field in fields(parameters):
-            value = _toml(getattr(parameters, field.name))
+            plain = getattr(parameters, field.name)
+            value = _toml(plain)
+            if plain == field.default and f"{stage}.{field.name}" not in sources:
+                continue
             if source := sources.get(f"{stage}.{field.name}"):
                 interval = ""
                 if source.interval:
@@ -123,7 +131,7 @@ def _solve_logs(logs: FloatArray, rig: Rig) -> FloatArray:
             "follow; measure the current as well"
         )
     motional = a.force_factor_n_per_a**2 / a.moving_mass_kg
-    whole = -(pole**2) - motional * pole / (a.resistance_ohm + pole * a.inductance_h)
+    whole = -(pole**2) - motional * pole / a.coil_ohm(pole)
     rate = whole.imag / pole.imag
     square = whole.real - rate * pole.real
     if rate <= 0.0 or square <= 0.0:

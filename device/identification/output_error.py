@@ -18,7 +18,7 @@ from device.identification.recording import (
     Recording,
     box_mean,
 )
-from device.identification.responses import Response
+from device.identification.responses import Factor, Response, product
 from device.units import FloatArray
 
 Model = Callable[[FloatArray, FloatArray], Response]
@@ -28,6 +28,9 @@ _NORMAL_95 = 1.959964
 _WEIGHTINGS = 4
 """The fit needs the noise's spectrum, which follows from a fit: both alternate this often."""
 _SMOOTH_BINS = 101
+_LEFT_OUT = 1e-4
+"""Standard deviation of each parameter without any noise: what resampling, converters and a level
+above 0 leave."""
 _FAR = 25.0
 """The bound of all logarithms; it keeps exponentials finite."""
 
@@ -43,12 +46,16 @@ class Estimate:
     @property
     def relative(self) -> float:
         """Half the interval as a share of the value."""
-        return 0.5 * (self.high - self.low) / abs(self.value)
+        return 0.5 * (self.high - self.low) / abs(self.value) if self.value else math.inf
 
     @property
     def interval(self) -> tuple[float, float]:
         """low and high."""
         return self.low, self.high
+
+    def scaled(self, factor: float) -> "Estimate":
+        """Return it in another unit."""
+        return Estimate(factor * self.value, factor * self.low, factor * self.high)
 
     def extend_down(self, share: float) -> "Estimate":
         """Return the estimate with its interval extended downwards by a share of the value."""
@@ -68,8 +75,9 @@ class Fit:
     logs: FloatArray  # logarithms of the parameters, (parameters,)
     covariance: FloatArray  # of the logarithms
     misfit: float  # r.m.s. of the residual beyond noise, as a share of the response's r.m.s.
-    cost: float  # for comparing models
+    cost: float  # the negative logarithm of the likelihood
     bins: int
+    converged: bool = True
 
     def estimate(self, weights: dict[int, float], factor: float = 1.0) -> Estimate:
         """Return factor times the product of parameters to some powers, {index: power}."""
@@ -94,34 +102,60 @@ def multiply_powers(parts: Sequence[tuple[Fit, dict[int, float]]], factor: float
     return Estimate(math.exp(log), math.exp(log - reach), math.exp(log + reach))
 
 
+@dataclass(frozen=True)
+class Known:
+    """What another measurement says of the first parameters of a model from `first` on."""
+
+    first: int
+    logs: FloatArray
+    deviation: FloatArray  # standard deviation of each
+
+    def misses(self, p: FloatArray) -> FloatArray:
+        """Return by how many standard deviations the parameters differ."""
+        return (p[self.first : self.first + len(self.logs)] - self.logs) / self.deviation
+
+    def slopes(self, parameters: int) -> FloatArray:
+        """Return the derivatives of `misses`."""
+        rows = np.zeros((len(self.logs), parameters))
+        rows[:, self.first : self.first + len(self.logs)] = np.diag(1.0 / self.deviation)
+        return rows
+
+
 def fit(
     recording: Recording,
     model: Model,
     starts: Sequence[FloatArray],
     limits: tuple[FloatArray, FloatArray] | None = None,
+    known: Known | None = None,
 ) -> Fit:
     """Return the parameters of a model that explain a checked recording best.
 
     Of the starts, the best two are followed. The limits are the lowest and highest logarithms; a
-    parameter at a limit is fixed and has no variance.
+    parameter at a limit is fixed and has no variance. Only a converged fit has meaning.
     """
-    far = np.full(len(starts[0]), _FAR)
-    low, high = limits or (-far, far)
-    band = recording.band
-    f = recording.frequencies_hz[band]
-    drive, measured = recording.reference_spectrum[band], recording.response_spectrum[band]
+    low, high = limits or unlimited(len(starts[0]))
+    band, usable = recording.band, recording.usable
+    f = recording.frequencies_hz[band][usable]
+    drive = recording.reference_spectrum[band][usable]
+    measured = recording.response_spectrum[band][usable]
     deviation = np.full(len(f), float(np.sqrt(np.mean(np.abs(measured) ** 2))))
 
     def left(p: FloatArray) -> ComplexArray:
         return np.asarray((measured - model(f, p)[0] * drive) / deviation)
 
+    # Real and imaginary part of a residual have a variance of a half each.
     def stacked(p: FloatArray) -> FloatArray:
         e = left(p)
-        return np.concatenate([e.real, e.imag])
+        more = [known.misses(p) / math.sqrt(2.0)] if known else []
+        return np.concatenate([e.real, e.imag, *more])
 
-    def jacobian(p: FloatArray) -> FloatArray:
+    def measured_slopes(p: FloatArray) -> FloatArray:
         slopes = -model(f, p)[1] * (drive / deviation)[:, None]
         return np.concatenate([slopes.real, slopes.imag])
+
+    def jacobian(p: FloatArray) -> FloatArray:
+        more = [known.slopes(len(p)) / math.sqrt(2.0)] if known else []
+        return np.concatenate([measured_slopes(p), *more])
 
     def solved(start: FloatArray) -> tuple[float, FloatArray, bool]:
         inside = np.clip(start, low + 1e-6, high - 1e-6)
@@ -138,14 +172,8 @@ def fit(
     for _ in range(_WEIGHTINGS):
         deviation = deviation * np.sqrt(_smooth(np.abs(left(logs)) ** 2))
         _, logs, converged = solved(logs)
-    if not converged:
-        raise IdentificationError(
-            f"the fit of {recording.names[1]} for {recording.names[0]} does not converge: its "
-            "response is not that of one resonance; check that these channels are not swapped or "
-            "others, fasten what rattles, and sweep around the resonance"
-        )
     e = left(logs)
-    slopes = jacobian(logs)
+    slopes = measured_slopes(logs)
     # Neighbouring bins correlate where the model cannot follow; those of noise are independent.
     turned = e * np.exp(-1j * np.angle(drive))
     correlation = float(np.real(np.vdot(turned[1:], turned[:-1])) / np.sum(np.abs(turned) ** 2))
@@ -153,27 +181,97 @@ def fit(
     variance = 0.5 * float(np.mean(np.abs(e) ** 2)) * (1.0 + held) / (1.0 - held)
     free = np.flatnonzero(np.minimum(logs - low, high - logs) > 1e-3)
     covariance = np.zeros((len(logs), len(logs)))
-    inverse = np.linalg.pinv(slopes[:, free].T @ slopes[:, free], rcond=1e-14, hermitian=True)
-    covariance[np.ix_(free, free)] = variance * inverse
+    information = slopes.T @ slopes / variance
+    if known:
+        information += known.slopes(len(logs)).T @ known.slopes(len(logs))
+    covariance[np.ix_(free, free)] = np.linalg.pinv(
+        information[np.ix_(free, free)], rcond=1e-14, hermitian=True
+    )
+    covariance[free, free] += _LEFT_OUT**2
     power = float(np.sum(np.abs(measured) ** 2))
     misfit = math.sqrt(held * float(np.sum(np.abs(e * deviation) ** 2)) / power)
     likelihood = float(np.sum(np.log(deviation**2))) + float(np.sum(np.abs(e) ** 2))
-    return Fit(logs, covariance, misfit, likelihood, len(f))
+    if known:
+        likelihood += 0.5 * float(np.sum(known.misses(logs) ** 2))
+    return Fit(logs, covariance, misfit, likelihood, len(f), converged)
 
 
-def check_misfit(found: Fit, response: str, advice: str) -> None:
-    """Refuse a fit that leaves too much of the response unexplained."""
-    if found.misfit > MOST_MISFIT:
+def unlimited(parameters: int) -> tuple[FloatArray, FloatArray]:
+    """Return limits that only keep exponentials finite."""
+    return np.full(parameters, -_FAR), np.full(parameters, _FAR)
+
+
+def check_converged(recording: Recording, found: Fit) -> None:
+    """Refuse a fit that did not converge."""
+    if not found.converged:
         raise IdentificationError(
-            f"the fit leaves {100 * found.misfit:.0f} % of the {response} unexplained, at most "
-            f"{100 * MOST_MISFIT:.0f} % is allowed: {advice}"
+            f"the fit of {recording.names[1]} for {recording.names[0]} does not converge: its "
+            "response is not that of one resonance; check that these channels are not swapped or "
+            "others, fasten what rattles, and sweep around the resonance"
         )
 
 
-def is_better(simple: Fit, richer: Fit) -> bool:
-    """Return whether the richer model explains more than its parameters would of noise."""
-    more = len(richer.logs) - len(simple.logs)
-    return simple.cost - richer.cost > 2.0 * more * math.log(2 * richer.bins)
+def check_misfit(recording: Recording, found: Fit, advice: str) -> None:
+    """Refuse a fit that leaves too much of the response unexplained."""
+    if found.misfit > MOST_MISFIT:
+        raise IdentificationError(
+            f"the fit leaves {100 * found.misfit:.0f} % of the {recording.names[1]} unexplained, "
+            f"at most {100 * MOST_MISFIT:.0f} % is allowed: {advice}"
+        )
+
+
+@dataclass(frozen=True)
+class Extra:
+    """Something a response may contain beyond the simple model."""
+
+    name: str
+    factor: Factor
+    starts: tuple[FloatArray, ...]  # of its parameters
+    lowest: FloatArray
+    highest: FloatArray
+    doubt: float = 1.0  # how much more it must explain than Schwarz's criterion asks
+
+
+def penalty(parameters: int, bins: int) -> float:
+    """Return by how much more parameters must lower the cost (Schwarz 1978)."""
+    return 0.5 * parameters * math.log(2 * bins)
+
+
+def fit_with_extras(
+    recording: Recording,
+    factors: Sequence[Factor],
+    starts: Sequence[FloatArray],
+    extras: Sequence[Extra],
+    limits: tuple[FloatArray, FloatArray] | None = None,
+) -> tuple[Fit, tuple[Extra, ...], float]:
+    """Return the fit, those of the extras that the evidence asks for, and its cost with penalties.
+
+    The extra that explains most comes first. Their parameters follow those of the factors in the
+    order of the second result.
+    """
+    found = fit(recording, product(*factors), starts, limits)
+    chosen: tuple[Extra, ...] = ()
+    low, high = limits or unlimited(len(found.logs))
+    left = list(extras)
+    paid = 0.0
+    while left:
+        tried = []
+        for extra in left:
+            model = product(*factors, *(one.factor for one in (*chosen, extra)))
+            ends = np.concatenate([low, extra.lowest]), np.concatenate([high, extra.highest])
+            more = [np.concatenate([found.logs, start]) for start in extra.starts]
+            richer = fit(recording, model, more, ends)
+            price = extra.doubt * penalty(extra.factor.parameters, richer.bins)
+            if richer.converged:
+                tried.append((richer.cost + price, price, richer, extra, ends))
+        if not tried:
+            break
+        score, price, richer, extra, ends = min(tried, key=lambda one: one[0])
+        if found.converged and score >= found.cost:
+            break
+        found, chosen, (low, high), paid = richer, (*chosen, extra), ends, paid + price
+        left.remove(extra)
+    return found, chosen, found.cost + paid
 
 
 def require(name: str, estimate: Estimate, relative: float, advice: str) -> None:

@@ -12,6 +12,12 @@ from device.errors import UsageError
 from device.identification.sweep import Sweep
 from device.units import FloatArray
 
+PLAYED = "played signal"
+"""The name of the samples themselves, as a reference."""
+
+_HUM_REACH_HZ = 2.0
+"""A line of a recording of some seconds, and what mains frequencies differ from 50 or 60 Hz."""
+
 ComplexArray = NDArray[np.complexfloating[Any, Any]]
 
 
@@ -29,6 +35,8 @@ class Recording:
     names: tuple[str, str] = ("drive", "acceleration")  # for messages
     limits: tuple[float, float] = (float("inf"), float("inf"))  # where the inputs clip
     correction: Any = None  # frequency response of the instruments, (bins,), to divide out
+    high_pass_hz: float | None = None  # the amplifier's assumed corner in it; None: no amplifier
+    hum_hz: float = 0.0  # mains frequency whose multiples no fit uses; 0: none
     delayed: bool = False  # the response has an unknown delay of some ms
     polarity_known: bool = True  # False: the response may be inverted
     drift_reach: float = 0.0  # half the 95 % interval of the remaining clock drift, as a share
@@ -76,6 +84,15 @@ class Recording:
         f, sweep = self.frequencies_hz, self.sweep
         low, high = np.searchsorted(f, [1.05 * sweep.low_hz, 0.97 * sweep.high_hz])
         return slice(int(low), int(high))
+
+    @cached_property
+    def usable(self) -> NDArray[np.bool_]:
+        """Which bins of the band are free of hum."""
+        f = self.frequencies_hz[self.band]
+        if not self.hum_hz:
+            return np.ones(len(f), np.bool_)
+        nearest = np.maximum(np.rint(f / self.hum_hz), 1.0) * self.hum_hz
+        return np.asarray(np.abs(f - nearest) > _HUM_REACH_HZ)
 
     def excursion_m(self, response: ComplexArray) -> float:
         """Return the peak excursion, m, of an acceleration response inside the band, (bins,)."""

@@ -1,19 +1,20 @@
 """A laboratory that plays sweeps to the simulated rig and reads its instruments."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from device.errors import UsageError
-from device.identification.recording import Recording
+from device.identification.recording import PLAYED, Recording
 from device.identification.sweep import Sweep
+from device.rig.actuator import Motion
 from device.rig.adaptive_actuator import AdaptiveActuator
-from device.rig.electronics import Amplifier, Dac
+from device.rig.electronics import Amplifier, Band, Dac
 from device.rig.instruments import Daq, InstrumentChain
 from device.rig.model_levels import ModelLevel
-from device.rig.parameters import DaqParameters
+from device.rig.parameters import AmplifierParameters, DaqParameters
 from device.rig.rig import Rig
 from device.units import FloatArray
 
@@ -26,7 +27,8 @@ class SimulatedLaboratory:
     """One rig with its instruments; every run begins at rest. One thread uses it.
 
     snr_db sets noise that is added to each response, in the whole recorded band, relative to it
-    during the sweep.
+    during the sweep. move(volts, samplerate) takes the place of the rig's own models, for coils
+    that these do not describe.
     """
 
     def __init__(
@@ -37,8 +39,9 @@ class SimulatedLaboratory:
         level: ModelLevel = ModelLevel.NONLINEAR,
         snr_db: float = math.inf,
         seed: int = 0,
+        move: Callable[[FloatArray, float], Motion] | None = None,
     ) -> None:
-        self.rig = rig
+        self.rig, self._move = rig, move
         self._seat, self._level, self._snr_db, self._seed = seat, level, snr_db, seed
         InstrumentChain(rig, 48_000)  # refuses a rig without instruments
 
@@ -49,13 +52,16 @@ class SimulatedLaboratory:
     def measure(self, sweep: Sweep, pairs: Sequence[tuple[str, str]]) -> list[Recording]:
         """Return a recording per pair (reference, response), all of the same sweep.
 
-        Each is of "voltage" (at the coil's terminals), "current" or "acceleration".
+        Each is of "voltage" (at the coil's terminals), "current", "acceleration" or PLAYED.
         """
         rate = sweep.samplerate
         amplifier = self.rig.amplifier
         drive = Amplifier(amplifier, rate).drive(Dac(self.rig.dac).volts(sweep.samples()))
-        adaptive = AdaptiveActuator(self.rig, rate, level=self._level, seat=self._seat)
-        motion = adaptive.move(drive, ["acceleration_m_s2", "current_a"])
+        if self._move:
+            motion = self._move(drive, rate)
+        else:
+            adaptive = AdaptiveActuator(self.rig, rate, level=self._level, seat=self._seat)
+            motion = adaptive.move(drive, ["acceleration_m_s2", "current_a"])
         voltage = drive - amplifier.source_impedance_ohm * motion.current_a
 
         chain = InstrumentChain(self.rig, rate, self._seed)
@@ -77,12 +83,14 @@ class SimulatedLaboratory:
             "current": _read_scaled(daq, current_range, rate, self._seed + 2, current),
             # The reference is a divider's volts: loud, without the noise of the others.
             "voltage": _read_scaled(daq, amplifier.output_limit_v, rate, self._seed + 3, voltage),
+            PLAYED: sweep.samples(),
         }
         step = 2.0 ** (1 - daq.bits)
         limits = {
             "acceleration": daq.range_v * (1.0 - step) / chain.v_per_m_s2,
             "current": current_range * (1.0 - step),
             "voltage": amplifier.output_limit_v * (1.0 - step),
+            PLAYED: math.inf,
         }
         recordings = []
         for pair in pairs:
@@ -91,6 +99,8 @@ class SimulatedLaboratory:
             found = Recording(sweep, read[reference], read[response], pair, ends)
             if response == "acceleration":
                 found = replace(found, correction=chain.band.response(found.frequencies_hz))
+            if reference == PLAYED:
+                found = through_amplifier(found, amplifier)
             recordings.append(found)
         return recordings
 
@@ -102,6 +112,13 @@ class SimulatedLaboratory:
         sounding = signal[sweep.lead_frames : len(signal) - round(sweep.tail_s * sweep.samplerate)]
         rms = float(np.sqrt(np.mean(sounding**2))) * 10.0 ** (-self._snr_db / 20.0)
         return np.asarray(signal + rms * random.standard_normal(len(signal)))
+
+
+def through_amplifier(recording: Recording, amplifier: AmplifierParameters) -> Recording:
+    """Return a recording of a response to samples, with the amplifier's band to divide out."""
+    band = Band(amplifier.low_cut_hz, amplifier.high_cut_hz, recording.sweep.samplerate)
+    correction = band.response(recording.frequencies_hz)
+    return replace(recording, correction=correction, high_pass_hz=amplifier.low_cut_hz)
 
 
 def sweep_at_excursion(rig: Rig, sweep: Sweep, share: float, *, seat: bool = False) -> Sweep:

@@ -104,7 +104,7 @@ class AmplifierParameters(Stage):
 
 @dataclass(frozen=True)
 class ActuatorParameters(Stage):
-    """A voice-coil actuator near its rest position; every value is above 0.
+    """A voice-coil actuator near its rest position; all but the last two values are above 0.
 
     Attributes
     ----------
@@ -122,6 +122,9 @@ class ActuatorParameters(Stage):
         L of the coil.
     x_max_m : float
         The excursion, either way, up to which the linear model holds.
+    inductance_eddy_h, resistance_eddy_ohm : float
+        L2 and R2 of eddy currents, R2 parallel to L2, in series with L; 0: none. Calibration uses
+        them; the models of the rig leave them out.
 
     Raises
     ------
@@ -136,6 +139,29 @@ class ActuatorParameters(Stage):
     resistance_ohm: Positive
     inductance_h: Positive
     x_max_m: Positive
+    inductance_eddy_h: NotNegative = 0.0
+    resistance_eddy_ohm: NotNegative = 0.0
+
+    @classmethod
+    def problems(cls, values: dict[str, Any]) -> list[str]:
+        """Return what is wrong with the values; L2 without R2, and R2 without L2, too."""
+        found = super().problems(values)
+        eddy_h, eddy_ohm = (
+            values.get(name, 0.0) for name in ("inductance_eddy_h", "resistance_eddy_ohm")
+        )
+        if not found and (eddy_h > 0.0) != (eddy_ohm > 0.0):
+            found = [
+                f"inductance_eddy_h={eddy_h!r} and resistance_eddy_ohm={eddy_ohm!r} must both be "
+                "above 0, or both 0"
+            ]
+        return found
+
+    def coil_ohm(self, s: complex) -> complex:
+        """Return the coil's impedance at rest, R + s L1 + (s L2, parallel to R2)."""
+        eddy = s * self.inductance_eddy_h
+        if eddy:
+            eddy *= self.resistance_eddy_ohm / (self.resistance_eddy_ohm + eddy)
+        return self.resistance_ohm + s * self.inductance_h + eddy
 
     @property
     def resonance_rad_s(self) -> float:

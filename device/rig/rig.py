@@ -21,7 +21,7 @@ from device.rig.parameters import (
 SourceKind = Literal["given", "assumed", "measured", "identified"]
 SOURCE_KINDS: tuple[SourceKind, ...] = get_args(SourceKind)
 
-_MIN_CURRENT_DRIVE_RATIO = 10.0
+MIN_CURRENT_DRIVE_RATIO = 10.0
 """Ten times the coil's resistance removes nine tenths of the electrical damping."""
 
 
@@ -118,7 +118,7 @@ def find_contradictions(stages: dict[str, Any]) -> list[str]:
                 )
     if actuator and amplifier:
         ratio = amplifier.source_impedance_ohm / actuator.resistance_ohm
-        if (amplifier.drive_mode == "current") != (ratio >= _MIN_CURRENT_DRIVE_RATIO):
+        if (amplifier.drive_mode == "current") != (ratio >= MIN_CURRENT_DRIVE_RATIO):
             wrong.append(
                 f"amplifier.drive_mode={amplifier.drive_mode!r} contradicts "
                 f"source_impedance_ohm={amplifier.source_impedance_ohm!r}, {ratio:.3g} times "

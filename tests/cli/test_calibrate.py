@@ -2,6 +2,9 @@
 
 import argparse
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +21,7 @@ from tests.support.commands import call, noise, sound
 
 HEARD = ("--input", "source:none")
 ALONE = ("--channels", "acceleration")
+FULL_SCALE = ("--input-full-scale-v", "1")
 SHORT = Sweep(low_hz=15.0, high_hz=400.0, duration_s=2.0)
 
 
@@ -64,15 +68,34 @@ def test_the_twin_is_calibrated_and_its_file_holds_what_was_identified(tmp_path)
         source = next(source for source in rig.sources if source.parameter == parameter)
         assert source.kind == "identified"
         assert list(source.interval or ()) == estimate["interval"]
-    assert len(found["values"]) == 6
+    assert len(found["values"]) == 7
+    assert found["rig"] == rig.name == "mine"
+    assert done.stderr == ""
     recordings = found["recordings"]
-    assert [one["response"] for one in recordings] == ["acceleration", "current", "acceleration"]
+    responses = [one["response"] for one in recordings]
+    assert responses == ["acceleration", "current", "acceleration", "voltage"]
     assert all(one["coherence"] > 0.9 for one in recordings)
     assert [one["order"] for one in recordings[0]["distortion"]] == [2, 3, 4, 5]
     sound(tmp_path / "in.wav", noise(4_800))
     used = call("render", tmp_path / "in.wav", tmp_path / "out.wav", "--rig", path)
     assert used.code == 0, used.stderr
     assert "0.05" in next(s.words for s in rig.sources if s.kind == "identified")
+
+
+@pytest.mark.exhaustive
+def test_a_terminal_sees_how_far_it_is_and_a_pipe_only_the_result():
+    leader, follower = os.openpty()
+    command = [sys.executable, "-m", "audioflinger_hook", "calibrate", "--device", "twin"]
+    done = subprocess.run(
+        [*command, "--seconds", "1"], stdout=subprocess.PIPE, stderr=follower, text=True, check=True
+    )
+    os.close(follower)
+    shown = os.read(leader, 100_000).decode()
+    os.close(leader)
+    assert "sweeps of 15 to 400 Hz" in shown
+    assert "25 %" in shown
+    assert "sweeps of" not in done.stdout
+    assert "\x1b" not in done.stdout
 
 
 @pytest.mark.exhaustive
@@ -110,6 +133,21 @@ def test_on_a_seat_neither_force_factor_nor_mass_is_given():
             "weigh the moving part",
         ),
         (["--device", "hw:none", "--input", "hw:none", *ALONE], 3, "no sound card"),
+        (["--device", "hw:none", "--input", "hw:none", "--channels", "-,acceleration"], 3, "card"),
+        (
+            [
+                "--device",
+                "sink:none",
+                *HEARD,
+                "--channels",
+                "-,current,voltage",
+                *FULL_SCALE,
+                "--shunt-ohm",
+                "59",
+            ],
+            2,
+            "shunt=59 ohm",
+        ),
         (["--device", "twin", "--level", "0.9"], 2, "--level is not for twin"),
         (["--device", "twin", "--share", "0.5"], 2, "share=0.5 of Xmax must be"),
         (["--device", "twin", "--rig", "consumer"], 2, "describes no [accelerometer]"),

@@ -3,7 +3,8 @@
 A program of its own, `python -m tests.servers.cushion_on_a_bench HAPTIC INSTRUMENTS RIG`, until it
 is killed. It reads the monitor of the sink HAPTIC and plays to the sink INSTRUMENTS, whose monitor
 is the input of a measurement: acceleration, 5 mV per m/s^2, current across 0.1 ohm, and voltage
-through a divider of 20, all at 1 V full scale.
+through a divider of 20, all at 1 V full scale. RIG may be a file, also of a coil with eddy
+currents.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from device.rig import rig_by_name
 from device.rig.actuator import LinearActuator
 from device.rig.electronics import Amplifier, Dac
+from tests.support.eddy_coils import EddyActuator
 
 RATE_HZ = 48_000
 FRAMES = 480
@@ -35,7 +37,8 @@ def main(haptic: str, instruments: str, rig_name: str) -> None:
     random = np.random.default_rng(1)
     dac, amplifier = Dac(rig.dac), Amplifier(rig.amplifier, RATE_HZ)
     source = rig.amplifier.source_impedance_ohm
-    actuator = LinearActuator(rig.actuator, RATE_HZ, source)
+    kind = EddyActuator if rig.actuator.inductance_eddy_h else LinearActuator
+    actuator = kind(rig.actuator, RATE_HZ, source)
     form = ["--raw", "--format=float32le", f"--rate={RATE_HZ}"]
     listen = [f"--device={haptic}.monitor", "--channels=2", "--latency-msec=20"]
     show = [f"--device={instruments}", f"--channels={CHANNELS}", f"--channel-map={MAP}"]

@@ -9,10 +9,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from device.identification.mechanics import write_rig
 from device.rig import PAPER, read_rig
 from tests.servers.conftest import started
 from tests.servers.cushion_on_a_bench import CHANNELS, MAP, NAMES, OPTIONS
@@ -35,9 +37,9 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[SoundServer]:
 
 
 @contextmanager
-def on_a_bench(server: SoundServer) -> Iterator[None]:
+def on_a_bench(server: SoundServer, rig: str = "paper") -> Iterator[None]:
     process = subprocess.Popen(
-        [sys.executable, "-m", BENCH, "haptic", "instruments", "paper"],
+        [sys.executable, "-m", BENCH, "haptic", "instruments", rig],
         env=environment(server),
         cwd=ROOT,
         start_new_session=True,
@@ -80,7 +82,38 @@ def test_a_cushion_on_a_sound_server_is_identified_and_its_file_is_used_at_once(
     assert rig.name == "mine"
     assert rig.actuator.resonance_hz == pytest.approx(PAPER.actuator.resonance_hz, rel=0.005)
     assert rig.actuator.q_mechanical == pytest.approx(PAPER.actuator.q_mechanical, rel=0.05)
-    assert len(found["values"]) == 6
+    assert len(found["values"]) == 7
+    assert found["values"]["amplifier.gain"]["value"] == pytest.approx(2.5, rel=0.01)
+
+
+@pytest.mark.calm
+def test_a_coil_with_eddy_currents_on_another_amplifier_is_identified(
+    server: SoundServer, tmp_path: Path
+) -> None:
+    eddy = replace(
+        PAPER.actuator, inductance_h=5e-4, inductance_eddy_h=1.5e-3, resistance_eddy_ohm=1.5
+    )
+    amplifier = replace(PAPER.amplifier, gain=5.0, low_cut_hz=3.0)
+    true = replace(PAPER, name="true", actuator=eddy, amplifier=amplifier, sources=())
+    write_rig(true, tmp_path / "true.toml")
+    path = tmp_path / "mine.toml"
+    with on_a_bench(server, str(tmp_path / "true.toml")):
+        done = cushion(server, *arguments(path), "--seconds", "2", "--level", "0.02", "--json")
+    assert done.returncode == 0, done.stderr
+    found = read_rig(path)
+    for name in ("resistance_ohm", "force_factor_n_per_a", "moving_mass_kg"):
+        assert getattr(found.actuator, name) == pytest.approx(getattr(eddy, name), rel=0.02)
+    assert found.amplifier.gain == pytest.approx(5.0, rel=0.01)
+    assert found.amplifier.low_cut_hz == pytest.approx(3.0, rel=0.05)
+    values = json.loads(done.stdout)["values"].items()
+    held = [
+        one["interval"][0]
+        <= getattr(getattr(true, name.split(".")[0]), name.split(".")[1])
+        <= one["interval"][1]
+        for name, one in values
+    ]
+    print(held)
+    assert sum(held) >= len(held) - 1
 
 
 def test_where_nothing_hangs_on_it_there_is_no_signal_and_no_file(

@@ -4,6 +4,7 @@ import numpy as np
 
 from device.rig.actuator import LinearActuator
 from device.rig.electronics import Amplifier, Dac
+from tests.support.eddy_coils import EddyActuator
 
 BLOCK = 256
 RATE = 48_000
@@ -53,7 +54,8 @@ class SimulatedDevices:
         rig = self.rig
         dac, amplifier = Dac(rig.dac), Amplifier(rig.amplifier, RATE)
         source = rig.amplifier.source_impedance_ohm
-        actuator = LinearActuator(rig.actuator, RATE, source)
+        kind = EddyActuator if rig.actuator.inductance_eddy_h else LinearActuator
+        actuator = kind(rig.actuator, RATE, source)
         names = self.inputs.names
         names_of_all = ("acceleration", "current", "voltage", "loopback")
         history = {name: np.zeros(20 * RATE) for name in names_of_all}

@@ -19,7 +19,7 @@ BACKGROUND_S = 0.4  # without output, to measure the background
 MOST_LATENCY_S = 0.8  # from a played frame until it is recorded
 STALL_S = 0.5  # a stream without a callback for this long has stopped
 LOUDEST_BACKGROUND = 0.02  # largest r.m.s. before the sweep, as a share of full scale
-NO_SIGNAL_S = 1.1  # of digital silence on a channel after playback began
+NO_SIGNAL_S = 1.5  # of digital silence on a channel after playback began
 _CLIPPED = 0.999
 
 
@@ -65,6 +65,16 @@ class Exchange:
         """The recording, (frames, channels), background first; valid after `ended`."""
         return self._recorded[: self._got]
 
+    @property
+    def played(self) -> bool:
+        """Whether anything was played. Any thread may ask."""
+        return self._played > 0
+
+    @property
+    def share_recorded(self) -> float:
+        """Which share of the measurement is over, 0 to 1. Any thread may ask."""
+        return self._got / len(self._recorded)
+
     def fill(self, out: Float32Array, now_s: float) -> None:
         """Write the next frames into `out`, (frames, channels) of zeros. The output's thread."""
         self._filled_s = now_s
@@ -97,8 +107,9 @@ class Exchange:
             silent = next(i for i in self._used if not self._heard[i])
             self.abort(
                 IdentificationError(
-                    f"{self._names[silent]}: no signal, nothing but zeros; check power, cables and "
-                    "that channel, and that the input is not muted"
+                    f"{self._names[silent]}: no signal, nothing but zeros for {NO_SIGNAL_S:g} s; "
+                    "check power, cables and that channel, that the input is not muted, and that "
+                    f"the loop's delay is at most {MOST_LATENCY_S:g} s"
                 )
             )
         if self._got == len(self._recorded):

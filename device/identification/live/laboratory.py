@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -10,21 +11,25 @@ import numpy as np
 
 from device.errors import UsageError
 from device.identification.live.exchange import Exchange
+from device.identification.live.mains_hum import check_hum
 from device.identification.live.two_clocks import (
     Drift,
     DropoutError,
+    check_latency,
     find_delay,
     find_drift,
     resample_to_played,
 )
-from device.identification.recording import IdentificationError, Recording
+from device.identification.recording import PLAYED, IdentificationError, Recording
+from device.identification.simulated_laboratory import through_amplifier
 from device.identification.sweep import Excitation, Sweep
-from device.rig.electronics import Band
 from device.rig.parameters import AmplifierParameters
 from device.units import FloatArray
 
 QUANTITIES = ("acceleration", "current", "voltage", "loopback")
 UNUSED = "-"
+SHUNT_OHM = 1e-3, 10.0
+"""A larger resistor would leave the coil too little voltage, a smaller one no signal."""
 DRIVE = "drive"
 """The name of the played signal, and of its loop-back."""
 
@@ -69,6 +74,12 @@ class Inputs:
         ):
             if value is not None and not 0.0 < value < 1e9:
                 raise UsageError(f"{name}={value!r} must be above 0; correct it")
+        if self.shunt_ohm is not None and not SHUNT_OHM[0] <= self.shunt_ohm <= SHUNT_OHM[1]:
+            raise UsageError(
+                f"shunt={self.shunt_ohm:g} ohm is not that of a resistor in a coil's line: "
+                f"{SHUNT_OHM[0]:g} to {SHUNT_OHM[1]:g} ohm is allowed, 0.1 to 1 usual; measure "
+                "the resistor and give --shunt-ohm in ohm"
+            )
         physical = {"voltage", "current"} & set(used) or self.acceleration_scaled
         if physical and self.full_scale_v is None:
             raise UsageError(
@@ -118,6 +129,8 @@ class Inputs:
             pairs.append(("voltage", "current"))
         if "acceleration" in there:
             pairs.append(("voltage" if "voltage" in there else DRIVE, "acceleration"))
+        if "voltage" in there:
+            pairs.append((PLAYED, "voltage"))
         return tuple(pairs)
 
 
@@ -199,14 +212,26 @@ class LiveLaboratory:
             excitation.samples, sweep.samplerate, self._inputs.names, self._output_channel
         )
         self._transport.run(exchange)
-        if exchange.error is not None:
-            raise exchange.error
         recorded = exchange.recorded.astype(np.float64)
+        if exchange.error is not None:
+            if not exchange.played:  # it was too loud before; hum has a remedy of its own
+                for channel in self._inputs.used:
+                    silence = recorded[:, channel]
+                    name = self._inputs.names[channel]
+                    check_hum(silence, float(np.std(silence)), sweep.samplerate, name)
+            raise exchange.error
         background = exchange.background_frames
+        hum_hz = {
+            self._inputs.names[channel]: self._check_signal(
+                recorded[:, channel], background, self._inputs.names[channel]
+            )
+            for channel in self._inputs.used
+        }
+        clearest, name = self._clearest()
+        after = recorded[background:, clearest]
+        check_latency(excitation, after, name)
         for channel in self._inputs.used:
-            self._check_signal(recorded[:, channel], background, self._inputs.names[channel])
-        channel, name = self._clearest()
-        after = recorded[background:, channel]
+            self._check_end(recorded[:, channel], background, self._inputs.names[channel])
         delay = find_delay(excitation, after, name)
         drift = find_drift(excitation, after, delay, name)
         self._compare(drift, name)
@@ -221,15 +246,23 @@ class LiveLaboratory:
             self.current_turned = float(np.mean(read["voltage"] * read["current"])) < 0.0
             if self.current_turned:
                 read["current"] = -read["current"]
-        read[DRIVE] = read.get("loopback", sweep.samples())
-        return [self._recording(sweep, read, pair) for pair in pairs]
+        read[PLAYED] = sweep.samples()
+        read[DRIVE] = read.get("loopback", read[PLAYED])
+        return [
+            replace(
+                self._recording(sweep, read, pair),
+                hum_hz=max(hum_hz.get(name, 0.0) for name in pair),
+            )
+            for pair in pairs
+        ]
 
     def _recording(
         self, sweep: Sweep, read: dict[str, FloatArray], pair: tuple[str, str]
     ) -> Recording:
         reference, response = pair
-        limits = tuple(self._inputs.scale(name) if name != DRIVE else float("inf") for name in pair)
-        delayed = reference == DRIVE and "loopback" not in read
+        there = self._inputs.names
+        limits = tuple(self._inputs.scale(name) if name in there else math.inf for name in pair)
+        delayed = reference == PLAYED or (reference == DRIVE and "loopback" not in read)
         drift = self._drifts[-1]
         found = Recording(
             sweep,
@@ -241,9 +274,8 @@ class LiveLaboratory:
             polarity_known=response != "acceleration",
             drift_reach=1e-6 * drift.reach if delayed else 0.0,
         )
-        if reference == DRIVE and (a := self._amplifier) is not None:
-            band = Band(a.low_cut_hz, a.high_cut_hz, sweep.samplerate)
-            found = replace(found, correction=band.response(found.frequencies_hz))
+        if reference in (DRIVE, PLAYED) and self._amplifier is not None:
+            found = through_amplifier(found, self._amplifier)
         return found
 
     def _clearest(self) -> tuple[int, str]:
@@ -252,14 +284,20 @@ class LiveLaboratory:
         name = next(n for n in ("loopback", "voltage", "current", "acceleration") if n in names)
         return names.index(name), name
 
-    def _check_signal(self, samples: FloatArray, background: int, name: str) -> None:
+    def _check_signal(self, samples: FloatArray, background: int, name: str) -> float:
+        """Refuse a channel without a signal or with loud hum; return the frequency of its hum."""
         noise, whole = (float(np.std(s)) for s in (samples[:background], samples[background:]))
+        hum_hz = check_hum(samples[:background], whole, self._transport.samplerate, name)
         if whole <= _MIN_SIGNAL * noise or whole == 0.0:
             raise IdentificationError(
                 f"{name}: no signal, {whole:.3g} r.m.s. of full scale during the sweep and "
                 f"{noise:.3g} before it; check power, volume, cables and that channel, or raise "
                 "the level"
             )
+        return hum_hz
+
+    def _check_end(self, samples: FloatArray, background: int, name: str) -> None:
+        noise, whole = (float(np.std(s)) for s in (samples[:background], samples[background:]))
         after = float(np.std(samples[-round(_REST_S * self._transport.samplerate) :]))
         if after > max(3.0 * noise, _MAX_AFTER * whole):
             raise IdentificationError(

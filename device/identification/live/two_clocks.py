@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
+from device.identification.live.exchange import MOST_LATENCY_S
 from device.identification.recording import IdentificationError
 from device.identification.sweep import Excitation
 from device.units import FloatArray
@@ -57,15 +58,36 @@ def find_delay(excitation: Excitation, channel: FloatArray, name: str) -> int:
     return peak
 
 
-def _peak(excitation: Excitation, played: FloatArray, channel: FloatArray) -> tuple[int, float]:
-    """Return the delay of the impulse response's peak in frames, and its clearness."""
+def check_latency(excitation: Excitation, channel: FloatArray, name: str) -> None:
+    """Refuse a recorded channel, (frames,), in which the playback begins too late to be whole."""
+    rate = excitation.sweep.samplerate
+    room = len(channel) - excitation.frames
+    peak, clearness = _peak(
+        excitation, excitation.samples, channel, len(channel) - round(_EARLY_S * rate)
+    )
+    if peak > room and clearness >= CLEAREST:
+        raise IdentificationError(
+            f"{name}: the sweep arrives {peak / rate:.2f} s after it was played, at most "
+            f"{MOST_LATENCY_S:g} s is allowed; use a wired output and input, and smaller buffers "
+            "of the sound server"
+        )
+
+
+def _peak(
+    excitation: Excitation, played: FloatArray, channel: FloatArray, latest: int | None = None
+) -> tuple[int, float]:
+    """Return the delay of the impulse response's peak in frames, and its clearness.
+
+    latest: the largest delay; None for the one at which all of `played` is recorded.
+    """
     length = int(next_fast_len(len(channel) + len(played), real=True))
     reference, response = rfft(played, length), rfft(channel - channel.mean(), length)
     power = np.where(_inside(excitation, length), np.abs(reference) ** 2, 0.0)
     floor = _BELOW * float(power.max())
     impulse = irfft(np.where(power > 0.0, response * reference.conj() / (power + floor), 0), length)
     size = np.abs(impulse)
-    peak = int(np.argmax(size[: max(1, len(channel) - len(played) + 1)]))
+    latest = len(channel) - len(played) + 1 if latest is None else latest
+    peak = int(np.argmax(size[: max(1, latest)]))
     return peak, float(size[peak] / max(float(np.sqrt(np.mean(size**2))), 1e-300))
 
 

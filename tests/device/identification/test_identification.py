@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from device.errors import UsageError
 from device.identification import IdentificationError, responses
 from device.identification.acceleration import identify_mode
+from device.identification.coil_laws import MIXED, PARALLEL, PLAIN, POWER
 from device.identification.impedance import identify_impedance
 from device.identification.mechanics import (
     add_values,
@@ -22,6 +23,16 @@ from device.identification.mechanics import (
 )
 from device.identification.output_error import Estimate
 from device.identification.recording import Recording
+from device.identification.responses import (
+    DELAY,
+    EDDY,
+    LAG,
+    MODE,
+    SEAT,
+    high_pass,
+    load,
+    product,
+)
 from device.identification.simulated_laboratory import SimulatedLaboratory
 from device.identification.sweep import Sweep
 from device.identification.transfer import assess_quality, estimate_transfer, measure_distortion
@@ -118,7 +129,9 @@ def test_the_impedance_and_the_acceleration_for_the_current_give_the_whole_actua
     assert mode.f0_hz.value == pytest.approx(a.resonance_hz, rel=0.002)
     assert mode.q.value == pytest.approx(a.q_mechanical, rel=0.02)
     assert impedance.resistance_ohm.value == pytest.approx(a.resistance_ohm, rel=0.005)
-    assert impedance.inductance_h.value == pytest.approx(a.inductance_h, rel=0.02)
+    assert impedance.law is PLAIN
+    inductance = impedance.inductances(SWEEP.low_hz, SWEEP.high_hz)["inductance_h"]
+    assert inductance.value == pytest.approx(a.inductance_h, rel=0.02)
     assert impedance.q_mechanical.value == pytest.approx(a.q_mechanical, rel=0.05)
     assert impedance.q_electrical.value == pytest.approx(a.q_electrical(), rel=0.05)
     assert force["actuator.force_factor_n_per_a"].value == pytest.approx(
@@ -163,7 +176,7 @@ def test_the_transfer_function_is_coherent_and_its_peak_is_the_modes(recordings)
     found = estimate_transfer(recordings[0])
     assert np.median(found.coherence) > 0.99
     f, p = found.frequencies_hz, identify_mode(recordings[0], X_MAX_M).fit.logs
-    model = responses.acceleration(f, p, electrical=True)[0]
+    model = product(MODE, LAG)(f, p)[0]
     inner = (f > 30.0) & (f < 300.0)
     assert np.abs(found.response / model - 1.0)[inner].max() < 0.15
 
@@ -206,20 +219,29 @@ def test_a_narrow_band_has_room_for_fewer_orders(low_hz):
 
 
 @settings(max_examples=25)
-@given(st.lists(st.floats(-0.5, 0.5), min_size=9, max_size=9))
+@given(st.lists(st.floats(-0.5, 0.5), min_size=13, max_size=13))
 def test_the_jacobians_are_the_derivatives(shifts):
     f = np.geomspace(10.0, 400.0, 40)
     seat = [2.5, 0.0, 2.6, 0.2]
+    coil = responses.admittance(f, np.log([7.0, 40.0, 5.0, 6.0, 1e-3]), PLAIN)[0]
+    everything = product(MODE, LAG, DELAY, EDDY, high_pass(8.0), load(coil), SEAT)
     cases = [
-        (lambda p: responses.acceleration(f, p, electrical=True), [0.5, 4.3, 1.0, -8.0, *seat]),
-        (lambda p: responses.acceleration(f, p, electrical=False), [0.5, 4.3, 1.0, *seat]),
-        (lambda p: responses.admittance(f, p), [1.2, -7.0, 4.5, 2.0, 1.8, *seat]),
+        (everything, [0.5, 4.3, 1.0, -8.0, 0.4, -6.0, -5.8, 1.2, 0.1, *seat]),
+        *(
+            (lambda f, p, law=law: responses.admittance(f, p, law), start)
+            for law, start in (
+                (PLAIN, [1.2, 4.5, 2.0, 1.8, -7.0, *seat]),
+                (PARALLEL, [1.2, 4.5, 2.0, 1.8, -7.0, -7.0, 5.0, *seat]),
+                (POWER, [1.2, 4.5, 2.0, 1.8, 0.3, -0.4, *seat]),
+                (MIXED, [1.2, 4.5, 2.0, 1.8, -7.0, 0.3, -0.4, *seat]),
+            )
+        ),
     ]
     for model, start in cases:
         p = np.array(start) + np.array(shifts)[: len(start)]
-        slopes = model(p)[1]
+        slopes = model(f, p)[1]
         for index, step in enumerate(1e-6 * np.eye(len(p))):
-            difference = (model(p + step)[0] - model(p - step)[0]) / 2e-6
+            difference = (model(f, p + step)[0] - model(f, p - step)[0]) / 2e-6
             assert np.abs(slopes[:, index] - difference).max() < 1e-6 * np.abs(slopes).max()
 
 
@@ -299,8 +321,7 @@ def test_a_resonance_outside_the_band_is_refused_without_a_number(low_hz, high_h
 def test_a_response_of_several_resonances_is_refused(recordings):
     f = recordings[0].frequencies_hz
     comb = recordings[0].reference_spectrum * sum(
-        responses.acceleration(f, np.log([1.0, hz, 40.0]), electrical=False)[0]
-        for hz in (40.0, 75.0, 130.0, 210.0, 290.0)
+        product(MODE)(f, np.log([1.0, hz, 40.0]))[0] for hz in (40.0, 75.0, 130.0, 210.0, 290.0)
     )
     response = np.fft.irfft(comb, recordings[0].length)[: recordings[0].sweep.frames]
     message = refused(replace(recordings[0], response=response, correction=None))

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from device.drive.rig_processor import RigProcessor
 from device.errors import LostError, UsageError
 from device.identification import IdentificationError
 from device.identification.calibration import STEPS, calibrate
@@ -16,6 +17,9 @@ from device.identification.mechanics import write_rig
 from device.identification.output_error import Estimate
 from device.identification.sweep import Excitation, Sweep
 from device.rig import CONSUMER, PAPER, read_rig
+from device.rig.actuator import LinearActuator
+from device.rig.electronics import Amplifier, Dac
+from tests.support.eddy_coils import EddyActuator
 from tests.support.random_rigs import truth
 from tests.support.simulated_devices import BLOCK, RATE, SimulatedDevices
 
@@ -60,15 +64,17 @@ def refused(devices, rig=PAPER, sweep=SWEEP, error=IdentificationError):
 @pytest.mark.parametrize("rig", [PAPER, pytest.param(CONSUMER, marks=EXHAUSTIVE)])
 def test_acceleration_current_and_voltage_give_the_whole_actuator_in_its_file(rig, tmp_path):
     found = calibrated(SimulatedDevices(rig, ALL, drift_ppm=60.0), rig)
-    assert len(found.values) == 6
+    assert len(found.values) == (7 if rig is PAPER else 8)  # one has no source impedance
     write_rig(found.rig, tmp_path / "mine.toml")
     again = read_rig(tmp_path / "mine.toml")
     assert again == found.rig
     for parameter, estimate in found.values.items():
-        name = parameter.removeprefix("actuator.")
-        true, limit = getattr(rig.actuator, name), 0.005 if name == "resonance_hz" else 0.02
+        stage, name = parameter.split(".")
+        true = getattr(getattr(rig, stage), name)
+        limit = 0.005 if name == "resonance_hz" else 0.02
         assert estimate.value == pytest.approx(true, rel=limit)
-        assert getattr(again.actuator, name) == estimate.value
+        assert estimate.low <= true <= estimate.high
+        assert getattr(getattr(again, stage), name) == estimate.value
     sources = {source.parameter: source for source in again.sources}
     assert sources["actuator.resonance_hz"].kind == "identified"
 
@@ -146,7 +152,7 @@ def test_voltage_and_current_alone_give_the_impedance_and_with_a_weighed_mass_bl
     assert sorted(found.values) == [
         f"actuator.{name}"
         for name in ("inductance_h", "q_mechanical", "resistance_ohm", "resonance_hz")
-    ]
+    ] + ["amplifier.gain"]
     weighed = Estimate(0.25, 0.245, 0.255)
     found = calibrated(devices, weighed=weighed)
     assert found.values["actuator.force_factor_n_per_a"].value == pytest.approx(10.0, rel=0.02)
@@ -166,7 +172,106 @@ def test_distortion_and_coherence_are_said_of_every_recording():
     assert clean.qualities[0].coherence > 0.99
 
 
+LOUD = replace(
+    CONSUMER,
+    amplifier=replace(CONSUMER.amplifier, gain=20.0, low_cut_hz=3.0, output_limit_v=40.0),
+)
+EDDY = replace(
+    PAPER,
+    actuator=replace(
+        PAPER.actuator, inductance_h=5e-4, inductance_eddy_h=1.5e-3, resistance_eddy_ohm=1.5
+    ),
+)
+
+
+@pytest.mark.parametrize("rig", [LOUD, pytest.param(EDDY, marks=EXHAUSTIVE)])
+def test_protection_with_a_calibrated_file_keeps_the_real_rig_within_its_excursion(rig):
+    # the file that it begins with says 8 V of full scale and a coil without eddy currents
+    before = CONSUMER if rig is LOUD else PAPER
+    found = calibrated(SimulatedDevices(rig, ALL), before, replace(SWEEP, level=0.02))
+    volts = rig.dac.full_scale_v * rig.amplifier.gain
+    assert found.rig.dac.full_scale_v * found.rig.amplifier.gain == pytest.approx(volts, rel=0.01)
+    assert found.rig.amplifier.output_limit_v >= 0.99 * min(volts, rig.amplifier.output_limit_v)
+    assert not {"amplifier.gain", "dac.full_scale_v"} & set(found.rig.assumed())
+    excursions = []
+    for file in (before, found.rig):
+        processor = RigProcessor(file, RATE, 1)
+        drives = []
+        for hz in (30.0, 42.0, 50.0, 90.0):
+            tone = np.sin(2.0 * np.pi * hz * np.arange(RATE) / RATE)
+            parts = [processor.process(part[:, None].copy()) for part in np.split(tone, 100)]
+            drives.append(np.concatenate(parts)[:, 0])
+        drive = Amplifier(rig.amplifier, RATE).drive(Dac(rig.dac).volts(np.concatenate(drives)))
+        kind = EddyActuator if rig is EDDY else LinearActuator
+        actuator = kind(rig.actuator, RATE, rig.amplifier.source_impedance_ohm)
+        moved = actuator.move(drive, ("displacement_m",)).displacement_m
+        excursions.append(float(np.abs(moved).max()) / rig.actuator.x_max_m)
+    print(excursions)
+    assert excursions[1] <= 1.0
+    if rig is LOUD:
+        assert excursions[0] > 1.2  # the file before it promised what it could not keep
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("corner_hz", [3.0, 0.0])
+def test_another_corner_of_the_amplifier_is_fitted_from_the_acceleration_alone(corner_hz):
+    true = replace(CONSUMER, amplifier=replace(CONSUMER.amplifier, low_cut_hz=corner_hz))
+    found = calibrated(SimulatedDevices(true, ALONE, drift_ppm=60.0), CONSUMER)
+    mode = truth(replace(true, seat=PAPER.seat), False)
+    assert found.driven.f0_hz.value == pytest.approx(mode.f0_hz, rel=0.001)
+    assert found.driven.q.value == pytest.approx(mode.q, rel=0.005)
+    assert found.rig.amplifier.low_cut_hz == pytest.approx(corner_hz, abs=0.1)
+    assert not found.on_seat
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("hz", [50.0, 60.2])
+@pytest.mark.parametrize("channel", ["acceleration", "current", "voltage"])
+def test_weak_hum_changes_nothing(hz, channel):
+    share = {"acceleration": 0.77, "current": 0.0132, "voltage": 0.048}[channel] * 0.01
+
+    def hum(name, samples, first):
+        turns = 2.0 * np.pi * hz * (first + np.arange(len(samples))) / RATE
+        lines = sum(np.sin(k * turns + 0.7) / k for k in (1, 3, 5))
+        return samples + (1.41 * share * lines if name == channel else 0.0)
+
+    found = calibrated(SimulatedDevices(PAPER, ALL, change=hum), sweep=replace(SWEEP, duration_s=2))
+    assert not found.on_seat
+    for parameter, estimate in found.values.items():
+        if parameter.startswith("actuator."):
+            true = getattr(PAPER.actuator, parameter.removeprefix("actuator."))
+            assert estimate.value == pytest.approx(true, rel=1e-3)
+
+
 # ------------------------------------------------------------------------ what ends it in silence
+
+
+@pytest.mark.parametrize(("share", "played"), [(0.3, True), (1.5, True), (40.0, False)])
+def test_loud_hum_is_named_with_its_frequency(share, played):
+    def hum(name, samples, first):
+        turns = 2.0 * np.pi * 60.0 * (first + np.arange(len(samples))) / RATE
+        return samples + share * 0.2 * (np.sin(turns) + 0.3 * np.sin(3.0 * turns))
+
+    devices = SimulatedDevices(PAPER, ALONE, change=hum)
+    message = refused(devices)
+    assert message.startswith("acceleration: mains hum of 60 Hz, ")
+    assert "at most 5 % is allowed; break the ground loop" in message
+    assert bool(np.any(devices.played)) == played
+
+
+@pytest.mark.parametrize("delay_s", [0.9, pytest.param(2.5, marks=EXHAUSTIVE)])
+def test_a_loop_that_is_too_slow_is_told_with_its_delay(delay_s):
+    message = refused(SimulatedDevices(PAPER, ALL, delay_s=delay_s))
+    assert f"the sweep arrives {delay_s:.1f}" in message
+    assert "at most 0.8 s is allowed; use a wired" in message
+
+
+def test_a_resistance_that_no_coil_has_is_laid_to_the_shunt():
+    # the real one is 0.01 ohm, a digit was lost
+    devices = SimulatedDevices(PAPER, ELECTRICAL, gains={"current": 0.01})
+    message = refused(devices)
+    assert message.startswith("resistance_ohm=3")
+    assert "correct --shunt-ohm" in message
 
 
 @pytest.mark.exhaustive
@@ -392,6 +497,7 @@ def test_the_first_error_is_kept_whichever_thread_tells_another():
         ("voltage,current", {"full_scale_v": 1.0}, "--shunt-ohm"),
         ("acceleration", {"acceleration_v_per_m_s2": 0.01}, "--input-full-scale-v"),
         ("acceleration", {"full_scale_v": 0.0}, "must be above 0"),
+        ("voltage,current", {**SCALES, "shunt_ohm": 59.0}, "shunt=59 ohm is not that of"),
         (",".join(["-"] * 40), {}, "1 to 32"),
     ],
 )

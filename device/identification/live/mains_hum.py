@@ -1,0 +1,53 @@
+"""Mains hum in a channel, found in the silence before anything is played."""
+
+import math
+
+import numpy as np
+
+from device.identification.recording import IdentificationError
+from device.units import FloatArray
+
+MAINS_HZ = 50.0, 60.0
+HARMONICS = 8
+MOST_HUM = 0.05
+"""Largest r.m.s. of the hum as a share of that during the sweep. Fits leave
+its lines out; what is louder hides the marks that compare the clocks."""
+_CLEAR = 0.02
+"""Share of the silence's power that hum must be; of white noise 0.1 % looks like hum."""
+_MOST = 0.3
+"""From this share on, the silence is hum; otherwise it is noise with some hum in it."""
+
+
+def find_hum(silence: FloatArray, samplerate: float) -> tuple[float, float, float]:
+    """Return the mains hum in (frames,) of silence: frequency, Hz, r.m.s. and share of the power.
+
+    All are 0 if there is none.
+    """
+    time_s = np.arange(len(silence)) / samplerate
+    still = silence - silence.mean()
+    power = float(np.mean(still**2))
+    best = (0.0, 0.0)
+    for hz in MAINS_HZ:
+        turns = math.tau * hz * np.outer(time_s, np.arange(1, HARMONICS + 1))
+        waves = np.concatenate([np.cos(turns), np.sin(turns)], axis=1)
+        hum = waves @ np.linalg.lstsq(waves, still)[0]
+        best = max(best, (float(np.sqrt(np.mean(hum**2))), hz))
+    rms, hz = best
+    share = rms**2 / max(power, 1e-300)
+    return (hz, rms, share) if share > _CLEAR else (0.0, 0.0, 0.0)
+
+
+def check_hum(silence: FloatArray, loud: float, samplerate: float, name: str) -> float:
+    """Return the frequency of the hum that fits must leave out, Hz; 0 if there is none.
+
+    A channel whose hum is too large a share of `loud`, its r.m.s. during the sweep, is refused.
+    """
+    hz, rms, share = find_hum(silence, samplerate)
+    if share > _MOST and rms > MOST_HUM * loud:
+        raise IdentificationError(
+            f"{name}: mains hum of {hz:g} Hz, {rms:.3g} r.m.s. of full scale, is "
+            f"{100 * rms / loud:.2g} % of the signal, at most {100 * MOST_HUM:g} % is allowed; "
+            "break the ground loop (a balanced input, a transformer, one socket for all), move "
+            "cables away from power supplies, or raise the level"
+        )
+    return hz
