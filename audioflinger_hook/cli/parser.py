@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook import __version__
-from audioflinger_hook.cli.arguments import Parser, count, duration, seconds
+from audioflinger_hook.cli.arguments import Parser, count, duration, number_or_off, seconds
 
 DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
 EXIT_CODES = (
@@ -214,6 +214,8 @@ def _keys(command: Parser, *fields: str, **more: Any) -> None:
         kind: dict[str, Any] = {"metavar": key.metavar}
         if isinstance(key.description, Switch):
             kind = {"action": "store_true", "default": None}
+        elif key.metavar.endswith("|off"):
+            kind["type"] = number_or_off
         elif isinstance(key.description, Number):
             kind["type"] = float
         command.add_argument(key.flag, dest=key.field, help=key.help, **kind, **more)

@@ -157,18 +157,21 @@ class Supervisor:
         return [*warnings, *filter(None, others)]
 
     def look(self) -> None:
-        """Check once that the server, device and tap that the config needs are available.
+        """Check once that server, device and tap are available and the device's volume can be set.
 
         LostError, NotFoundError: the first missing item, with advice.
         """
         if not self._output.needs_server:
             self._output.locate(None)
+            self._output.set_volume(None)
         if not self._endpoints.needs_server:
             return
         connection = PulseConnection()
         try:
             self._locate_tap(connection.latest, self._output.locate(connection.latest))
             self.engines.switch.check(connection.latest)
+            if self._output.needs_server:
+                self._output.set_volume(connection)
         finally:
             connection.close()
 

@@ -253,11 +253,40 @@ def software(folder: Path, uac: int, ppm: float, seconds: float) -> dict[str, An
     }
 
 
+def unsettable(folder: Path) -> dict[str, Any]:
+    """Muted DACs whose volume cannot be set: a run that sets it, and one that leaves it."""
+    told = {}
+    for which, has_volume in (("none", False), ("kept", True)):
+        descriptors = usb_builder.device(product=0xDAC1) + dac_1(volume=has_volume)
+        volumes = {1: -256, 2: -256} if has_volume else {}
+        dac = SoftwareDac(
+            descriptors, 1, ["Soft", which], volumes=volumes, mutes={0: 1}, keeps_volume=True
+        )
+        taken = bytearray()
+        plugged = VirtualDac(dac, taken.extend)
+        with ExitStack() as stack:
+            stack.callback(plugged.unplug)
+            (device,) = devices(1)
+            tap = ("--tap", sound(20.0), "--device", device["device"], "--seconds", "2")
+            runs = []
+            for level in ("-30", "off"):
+                done = subprocess.run(
+                    [*CUSHION, "run", *tap, "--device-volume-db", level],
+                    capture_output=True,
+                    text=True,
+                )
+                runs.append([done.returncode, done.stderr, dac.mutes[0], any(taken)])
+            told[which] = runs
+        await_cards(0)
+    return told
+
+
 SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "bits": bits,
     "pulled": pulled,
     "fast": lambda folder: software(folder, 1, 200.0, 40.0),
     "slow": lambda folder: software(folder, 1, -200.0, 40.0),
+    "unsettable": unsettable,
     "feedback": lambda folder: software(folder, 2, 150.0, 30.0),
 }
 

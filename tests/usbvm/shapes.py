@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from tests.support import usb_builder
 from tests.support.usb_builder import (
     ADAPTIVE,
@@ -37,19 +39,23 @@ from tests.support.usb_builder import (
 )
 
 STEREO = 0x3
+PCM, PCM8 = 1, 2
 MILLISECOND_2 = 4
 """bInterval at high speed: 2^(4-1) microframes."""
 
 
-def dac_1() -> bytes:
-    """1.0, full speed, 16 bits, adaptive: it takes what comes."""
+def dac_1(
+    volume: bool = True, subslot: int = 2, rates: Sequence[int] = (44_100, 48_000)
+) -> bytes:
+    """1.0, full speed, adaptive: it takes what comes. subslot: bytes of a sample."""
+    on_channel = VOLUME_1 if volume else 0
     units = header_1(
         [1],
         input_1(1, STREAMING_TERMINAL, 2, STEREO),
-        feature_1(2, 1, [MUTE_1, VOLUME_1, VOLUME_1]),
+        feature_1(2, 1, [MUTE_1, on_channel, on_channel]),
         output_1(3, SPEAKER, 2),
     )
-    play = (general_1(1), format_1(2, 2, 16, [44_100, 48_000]))
+    play = (general_1(1, PCM8 if subslot == 1 else PCM), format_1(2, subslot, 8 * subslot, rates))
     data = audio_endpoint_1(1, ISOCHRONOUS | ADAPTIVE, 200)
     return usb_builder.configuration(
         usb_builder.control(0, UAC1, units),

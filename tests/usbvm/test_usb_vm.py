@@ -159,3 +159,19 @@ def test_a_dac_of_class_2_gets_what_its_feedback_asks_for_bit_for_bit(tmp_path: 
     # all 32 bits are sent, of which such a device heeds 24
     assert_all_heard(taken, np.concatenate(sent(tmp_path, 32)), RATE_HZ)
     assert_followed(result, 150.0)
+
+
+def test_a_muted_dac_whose_volume_cannot_be_set_stays_muted_and_is_not_played_to(
+    tmp_path: Path,
+) -> None:
+    result = done(tmp_path, "unsettable")
+    assert set(result) == {"none", "kept"}
+    for refused, left in result.values():
+        code, told, muted, played = refused
+        assert (code, muted, played) == (3, 1, False)
+        assert "device_volume_db = -30 cannot be set" in told
+        assert "--device-volume-db off" in told
+        code, told, muted, played = left
+        assert (code, muted, played) == (0, 1, True), told
+    assert "has a mute and no volume" in result["none"][0][1]
+    assert "was set to -30 dB and is -1 dB" in result["kept"][0][1]

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.daemon.outputs.base import Fill, StreamOutput
+from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import DaemonState
 from device.alsa import choose_setup, find_playback, set_card_volume
@@ -124,9 +124,10 @@ class CardOutput(StreamOutput[CardNode]):
                 self.close()
             else:
                 stream.check(now_s)
-        set_volume = partial(set_card_volume, node.playback.card.number)
+        set_volume = self._volume_setter(node, connection)
         if stream.stream is not None:
-            self.volume.update(set_volume)
+            with self._waiting(now_s):
+                self.volume.update(set_volume)
             return
         setup = node.setup
         if setup is None:
@@ -149,6 +150,9 @@ class CardOutput(StreamOutput[CardNode]):
         """Stop. May be repeated; raises nothing."""
         super().close()
         self._playing = None
+
+    def _volume_setter(self, node: CardNode, connection: PulseConnection | None) -> SetVolume:
+        return partial(set_card_volume, node.playback.card.number)
 
     def _find(self) -> PlaybackDevice:
         if self.address.kind != "usb":

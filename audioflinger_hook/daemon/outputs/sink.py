@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from audioflinger_hook.daemon.outputs.base import Fill, StreamOutput
+from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.channel_positions import sink_channel_map
@@ -60,13 +60,20 @@ class SinkOutput(StreamOutput[Sink]):
                 stream.close()
             else:
                 stream.check(now_s)
-        set_volume = partial(connection.set_sink_volume_db, sink.name)
-        if stream.stream is not None:
-            self.volume.update(set_volume)
-            return
-        self._pcm.target = ServerDevice(sink.name)
-        stream.open(lambda: self._playback(sink, fill, set_volume), connection, sink.name, now_s)
+        set_volume = self._volume_setter(sink, connection)
+        with self._waiting(now_s):
+            if stream.stream is not None:
+                self.volume.update(set_volume)
+                return
+            self._pcm.target = ServerDevice(sink.name)
+            stream.open(
+                lambda: self._playback(sink, fill, set_volume), connection, sink.name, now_s
+            )
         self._playing = sink
+
+    def _volume_setter(self, node: Sink, connection: PulseConnection | None) -> SetVolume:
+        assert connection is not None
+        return partial(connection.set_sink_volume_db, node.name)
 
     def _channel_map(self, node: Sink, actuators: Sequence[ActuatorSettings]) -> ChannelMap:
         return sink_channel_map(node, actuators, self._haptic_channels)

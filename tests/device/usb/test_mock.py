@@ -136,6 +136,55 @@ def test_a_whole_card_is_set_to_a_level_never_above_it_and_its_mute_is_lifted() 
     assert states == [[[level] * 2, [False]] for (level,) in levels_db]
 
 
+SETS_QUIETLY = """
+import json
+from device.alsa import set_card_volume
+from device.alsa.mixer import CardMixer
+from device.errors import CushionError
+
+try:
+    told = list(set_card_volume(1, -30.0))
+except CushionError as error:
+    told = [type(error).__name__, error.exit_code, str(error)]
+try:
+    with CardMixer(1) as mixer:
+        told.append([mixer.muted(switch) for switch in mixer.switches])
+except CushionError as error:
+    told.append("gone")
+print(json.dumps(told))
+"""
+
+SWITCH, VOLUME = 1, 2
+
+WHY_NOT = {
+    "has no volume": ({"controls": [SWITCH]}, "has a mute and no volume"),
+    "has a volume of one value": ({"lowest": 128}, "does not say what the steps"),
+    "is never as quiet": ({"lowest": 100}, "the lowest level of 'PCM Playback Volume' is -14 dB"),
+    "drops the volume": ({"drops": [VOLUME]}, "'PCM Playback Volume' was set to -30 dB and is -8"),
+    "stalls": ({"stalls": [VOLUME]}, "does not answer"),
+    "vanishes": ({"vanishes": True}, "is missing"),
+}
+
+
+@pytest.mark.parametrize("which", WHY_NOT)
+def test_a_muted_card_that_cannot_be_set_so_low_stays_muted_and_says_why(which: str) -> None:
+    mixer, why = WHY_NOT[which]
+    done = within(
+        [plugged(1, mixer={"on": False, **mixer})], sys.executable, "-c", SETS_QUIETLY
+    )
+    assert done.returncode == 0, done.stderr
+    _, exit_code, message, mutes = json.loads(done.stdout)
+    assert why in message
+    assert exit_code in (2, 3)
+    assert mutes == ("gone" if which == "vanishes" else [[True]])
+
+
+def test_a_mute_that_cannot_be_lifted_is_told() -> None:
+    mixer = {"on": False, "drops": [SWITCH]}
+    done = within([plugged(1, mixer=mixer)], sys.executable, "-c", SETS_QUIETLY)
+    assert "'PCM Playback Switch' stays muted" in json.loads(done.stdout)[2]
+
+
 @versions
 def test_while_its_driver_holds_it_nothing_is_asked_of_its_controls(
     uac: int, tmp_path: Path

@@ -25,7 +25,8 @@ class SoftwareDac:
 
     volumes: 1/256 dB by channel; volume_range: lowest, highest, step; mute: by channel. unit,
     clock: ids of the feature unit and the clock source; endpoint: address that takes samples.
-    stalls: every class request is refused. log: (request type, request, value, index, data).
+    stalls: every class request is refused; keeps_volume: every new volume is; ignores: a volume is
+    taken, and stays what it was. log: (request type, request, value, index, data).
     """
 
     def __init__(
@@ -42,6 +43,8 @@ class SoftwareDac:
         volumes: dict[int, int] | None = None,
         mutes: dict[int, int] | None = None,
         stalls: bool = False,
+        keeps_volume: bool = False,
+        ignores: bool = False,
     ) -> None:
         self.descriptors = descriptors
         self.uac = uac
@@ -52,7 +55,7 @@ class SoftwareDac:
         self.volume_range = volume_range
         self.volumes = {1: -0x800, 2: -0x800} if volumes is None else dict(volumes)
         self.mutes = {0: 0} if mutes is None else dict(mutes)
-        self.stalls = stalls
+        self.stalls, self.keeps_volume, self.ignores = stalls, keeps_volume, ignores
         self.log: list[tuple[int, int, int, int, str]] = []
 
     def control(self, setup: bytes, data: bytes) -> bytes | None:
@@ -149,8 +152,10 @@ class SoftwareDac:
         return bytes([self.mutes[channel]]) if asks else None
 
     def _set_volume(self, channel: int, data: bytes) -> bytes | None:
-        if len(data) != 2:
+        if len(data) != 2 or self.keeps_volume:
             return None
+        if self.ignores:
+            return b""
         (units,) = struct.unpack("<h", data)
         lowest, highest, _ = self.volume_range
         self.volumes[channel] = units if units == -0x8000 else max(lowest, min(highest, units))
