@@ -199,6 +199,7 @@ class Supervisor:
             return
         except NotFoundError as error:
             self._input.close()
+            self.priority.restore()
             self.engines.switch.lose_links(Cause.TAP_LOST, now_s, str(error))
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
@@ -323,6 +324,7 @@ class Supervisor:
             if self._output.is_open:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
             self._output.close()
+            self.priority.restore()
             self.engines.switch.lose_links(Cause.DEVICE_LOST, now_s, str(error))
             if not self._input.needs_server:  # a file waits for the device
                 self._input.close()

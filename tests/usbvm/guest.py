@@ -7,6 +7,7 @@ instructions and leaps: limits are far away.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -191,6 +192,15 @@ def cushion_run(*arguments: str) -> str:
     return told
 
 
+def count_real_time(process: int) -> int:
+    """How many of a process's threads have real-time priority."""
+    policies = [
+        os.sched_getscheduler(int(thread.name)) & ~os.SCHED_RESET_ON_FORK
+        for thread in Path(f"/proc/{process}/task").iterdir()
+    ]
+    return policies.count(os.SCHED_RR)
+
+
 def pulled(folder: Path) -> dict[str, Any]:
     """The card that plays is pulled out and plugged into another port."""
     (device,) = devices(1)
@@ -199,6 +209,7 @@ def pulled(folder: Path) -> dict[str, Any]:
     run = Run(sound(60.0), "--device", name)
     playing = run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
+    first = count_real_time(run.process.pid)
     order(folder, "unplug", "dac")
     pulled_s = time.monotonic()
     noticed = run.wait(lambda status: status["state"] != "running")
@@ -212,11 +223,13 @@ def pulled(folder: Path) -> dict[str, Any]:
     back = run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
     last = run.look()
+    real_time = count_real_time(run.process.pid)
     told = run.end()
     return {
         "name": name,
         "ports": [device["port"], again.port],
         "playing_s": playing,
+        "real_time_threads": [first, real_time],
         "noticed_after_s": noticed - pulled_s,
         "back_after_s": back - plugged_s,
         "states": run.states,

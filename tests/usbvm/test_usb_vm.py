@@ -105,6 +105,8 @@ def test_a_card_that_is_pulled_out_while_it_plays_is_waited_for_in_any_port(tmp_
     assert "waiting-for-device" in states
     assert states[-1] == "running"
     assert result["ports"][0] != result["ports"][1]
+    assert result["real_time_threads"] == [1, 1]
+    assert not [line for line in result["last"]["warnings"] if "without a break" in line]
     pieces = sent(tmp_path, 16)
     assert len(pieces) >= 2
     before, after = heard(tmp_path / "dac.wav"), heard(tmp_path / "dac-again.wav")
