@@ -17,6 +17,7 @@ from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from device.alsa.usb_stream import MeasuredRate
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
@@ -115,6 +116,11 @@ class Supervisor:
     def xruns(self) -> tuple[int, int]:
         """Counts of late buffers of tap and output that PortAudio reported."""
         return self._input.xruns, self._output.xruns
+
+    @property
+    def device_rate(self) -> MeasuredRate | None:
+        """The rate of the device's own clock; None if it is not known. Any thread may ask."""
+        return self._output.measure_rate()
 
     @property
     def settings(self) -> Settings:

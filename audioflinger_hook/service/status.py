@@ -19,6 +19,18 @@ class Endpoint:
 
 
 @dataclass(frozen=True)
+class DeviceRateFigures:
+    """Rate of a USB device's own clock, as its feedback tells. ppm: how much faster than nominal.
+
+    nominal_hz: as the device was opened.
+    """
+
+    nominal_hz: int
+    measured_hz: float
+    ppm: float
+
+
+@dataclass(frozen=True)
 class Levels:
     """Levels of the sound and of the vibration."""
 
@@ -147,7 +159,8 @@ class Status:
     exposure: None without protection; with several actuators, the figures with the least gain and
     with the largest dose. actuators: in the order of the config. profile: "" before the first
     sound. engine: "native" or "python", "" before one plays; engine_reason: why not the native one.
-    engine_pid: the native engine's process, 0 for none.
+    engine_pid: the native engine's process, 0 for none. device_rate: None if the device is no USB
+    device with a feedback endpoint that plays.
     """
 
     version: str
@@ -175,4 +188,5 @@ class Status:
     engine: str = ""
     engine_reason: str = ""
     engine_pid: int = 0
+    device_rate: DeviceRateFigures | None = None
     warnings: tuple[str, ...] = ()

@@ -31,7 +31,7 @@ from device.usb.mapping import hw_names
 from tests.support import usb_builder
 from tests.support.usbmock.software_dac import SoftwareDac
 from tests.usbvm.machine import order
-from tests.usbvm.shapes import dac_1, dac_2
+from tests.usbvm.shapes import dac_1, dac_2, game_pad
 from tests.usbvm.vhci import VirtualDac
 
 CUSHION = (sys.executable, "-m", "audioflinger_hook")
@@ -294,12 +294,43 @@ def unsettable(folder: Path) -> dict[str, Any]:
     return told
 
 
+def shapes(folder: Path) -> dict[str, Any]:
+    """A game pad, a DAC of 8 bits and one of 32 kHz alone, each played to by its name."""
+    told = {}
+    for name, ids, configuration, rates in (
+        ("pad", {"vendor": 0x054C, "product": 0x0CE6}, game_pad(), [48_000]),
+        ("coarse", {"product": 0xDAC8}, dac_1(subslot=1), [44_100, 48_000]),
+        ("slow", {"product": 0xDAC9}, dac_1(rates=[32_000]), [32_000]),
+    ):
+        descriptors = usb_builder.device(**ids) + configuration
+        dac = SoftwareDac(
+            descriptors, 1, ["Soft", name], samplerates=rates, volumes={0: 0, 1: 0, 2: 0}
+        )
+        with (folder / f"{name}.raw").open("wb") as taken, ExitStack() as stack:
+            plugged = VirtualDac(dac, taken.write)
+            stack.callback(plugged.unplug)
+            (device,) = devices(1)
+            full_volume(device["hw"][0])
+            done = subprocess.run(
+                [
+                    *(*CUSHION, "run", "--tap", sound(20.0)),
+                    *("--device", device["device"].partition("@")[0], "--seconds", "2"),
+                ],
+                capture_output=True,
+                text=True,
+            )
+            told[name] = [done.returncode, done.stderr, dac.samplerate]
+        await_cards(0)
+    return told
+
+
 SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "bits": bits,
     "pulled": pulled,
     "fast": lambda folder: software(folder, 1, 200.0, 40.0),
     "slow": lambda folder: software(folder, 1, -200.0, 40.0),
     "unsettable": unsettable,
+    "shapes": shapes,
     "feedback": lambda folder: software(folder, 2, 150.0, 30.0),
 }
 

@@ -44,9 +44,7 @@ MILLISECOND_2 = 4
 """bInterval at high speed: 2^(4-1) microframes."""
 
 
-def dac_1(
-    volume: bool = True, subslot: int = 2, rates: Sequence[int] = (44_100, 48_000)
-) -> bytes:
+def dac_1(volume: bool = True, subslot: int = 2, rates: Sequence[int] = (44_100, 48_000)) -> bytes:
     """1.0, full speed, adaptive: it takes what comes. subslot: bytes of a sample."""
     on_channel = VOLUME_1 if volume else 0
     units = header_1(
@@ -82,4 +80,21 @@ def dac_2() -> bytes:
         usb_builder.control(0, UAC2, units),
         streaming(1, 0, UAC2),
         plays,
+    )
+
+
+def game_pad() -> bytes:
+    """1.0, full speed, as a DualSense: a speaker on channels 1 and 2, coils on 3 and 4."""
+    units = header_1(
+        [1],
+        input_1(1, STREAMING_TERMINAL, 4, 0x33),
+        feature_1(2, 1, [MUTE_1 | VOLUME_1, 0, 0, 0, 0]),
+        output_1(3, SPEAKER, 2),
+    )
+    play = (general_1(1), format_1(4, 2, 16, [48_000]))
+    data = audio_endpoint_1(1, ISOCHRONOUS | ADAPTIVE, 392)
+    return usb_builder.configuration(
+        usb_builder.control(0, UAC1, units),
+        streaming(1, 0, UAC1),
+        streaming(1, 1, UAC1, *play, data, stream_endpoint_1()),
     )

@@ -13,6 +13,7 @@ from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
+from device.alsa.usb_stream import MeasuredRate
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.drive import ChannelRouter
 from device.errors import CushionError, LostError, NotFoundError, UsageError
@@ -56,6 +57,10 @@ class Output(Endpoint):
     def delay_s(self, snapshot: ServerSnapshot | None) -> float:
         """Return the delay of a frame after it was written, 0 if unknown."""
         return 0.0
+
+    def measure_rate(self) -> MeasuredRate | None:
+        """Return the rate of the device's own clock; None if unknown. Any thread may call it."""
+        return None
 
     def configure(self, config: RunConfig) -> None:
         """Use the config's actuators now, and its stream settings for streams opened later."""

@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 
 from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
+from device.alsa import find_playback
+from device.alsa.usb_stream import MeasuredRate, measure_rate
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.channel_positions import sink_channel_map
 from device.errors import NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
+from device.server.identity import identity_of
 from device.server.snapshot import Sink, output_latency_s
 from device.stream.pcms import ServerDevice
+from device.usb import find_devices
+from device.usb.mapping import device_of_sink, hw_names
 
 
 class SinkOutput(StreamOutput[Sink]):
@@ -38,6 +44,22 @@ class SinkOutput(StreamOutput[Sink]):
         if snapshot is None or self._found is None:
             return 0.0
         return output_latency_s(snapshot, self.block_frames, self._found.samplerate)
+
+    def measure_rate(self) -> MeasuredRate | None:
+        """Return the rate of the device behind the sink; None if unknown. Any thread may call it.
+
+        Takes some ms.
+        """
+        sink = self._found
+        if sink is None or identity_of(sink).bus != "usb":
+            return None
+        device = device_of_sink(sink, find_devices().devices)
+        for name in hw_names(device) if device else ():
+            with suppress(NotFoundError):  # it was unplugged meanwhile
+                found = measure_rate(find_playback(name.removeprefix("hw:")))
+                if found is not None:
+                    return found
+        return None
 
     def locate(self, snapshot: ServerSnapshot | None) -> Sink:
         """Find the sink. NotFoundError: it is not available, or lacks channels for actuators."""

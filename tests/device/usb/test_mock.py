@@ -156,7 +156,7 @@ print(json.dumps(told))
 
 SWITCH, VOLUME = 1, 2
 
-WHY_NOT = {
+WHY_NOT: dict[str, tuple[dict[str, Any], str]] = {
     "has no volume": ({"controls": [SWITCH]}, "has a mute and no volume"),
     "has a volume of one value": ({"lowest": 128}, "does not say what the steps"),
     "is never as quiet": ({"lowest": 100}, "the lowest level of 'PCM Playback Volume' is -14 dB"),
@@ -169,9 +169,7 @@ WHY_NOT = {
 @pytest.mark.parametrize("which", WHY_NOT)
 def test_a_muted_card_that_cannot_be_set_so_low_stays_muted_and_says_why(which: str) -> None:
     mixer, why = WHY_NOT[which]
-    done = within(
-        [plugged(1, mixer={"on": False, **mixer})], sys.executable, "-c", SETS_QUIETLY
-    )
+    done = within([plugged(1, mixer={"on": False, **mixer})], sys.executable, "-c", SETS_QUIETLY)
     assert done.returncode == 0, done.stderr
     _, exit_code, message, mutes = json.loads(done.stdout)
     assert why in message

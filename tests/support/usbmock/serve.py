@@ -45,8 +45,8 @@ class Plugged:
     """One device on the testbed.
 
     port: such as "1-2"; address: on bus 1; vendor, product: numbers; bound: whether the driver
-    holds it; dac: arguments of `SoftwareDac`, its descriptors in hex; card: of ALSA, or None; mixer:
-    arguments of the card's `SoftwareMixer`; permission: whether it may be opened.
+    holds it; dac: arguments of `SoftwareDac`, its descriptors in hex; card: of ALSA, or None;
+    mixer: arguments of the card's `SoftwareMixer`; permission: whether it may be opened.
     """
 
     def __init__(self, testbed: Any, described: dict[str, Any]) -> None:
