@@ -337,6 +337,46 @@ def test_unknown_descriptors_are_kept_wherever_they_stand():
     ]
 
 
+# ------------------------------------------------------------------------------------- functions
+
+
+@pytest.mark.parametrize("association", [True, False])
+def test_a_midi_function_whose_header_names_the_stream_does_not_take_it(association):
+    raw = SHAPES["midi_header_names_the_stream"]
+    if not association:  # then a header counts, of the same version
+        raw = usb.configuration(*(part for part in usb.split(raw)[1:] if part[1] != 0x0B))
+    (playback,) = playback_formats(parse_configuration(raw))
+    assert (playback.clock_id, playback.clock_sources) == (0x29, (0x29,))
+    assert (playback.feedback_endpoint, playback.implicit_feedback) == (0x82, True)
+    assert (playback.control_interface, playback.feature_unit) == (0, 5)
+    assert playback.volume_channels == playback.mute_channels == (0,)
+
+
+def test_of_two_functions_each_stream_has_its_own_units_whatever_the_headers_list():
+    def function(first, volume):
+        units = usb.header_1(
+            [1, 3],  # both list both streams
+            usb.input_1(1, usb.STREAMING_TERMINAL, 2, 3),
+            usb.feature_1(volume, 1, [usb.VOLUME_1, 0, 0]),
+            usb.output_1(3, usb.SPEAKER, volume),
+        )
+        data = usb.audio_endpoint_1(first + 1, usb.ISOCHRONOUS | usb.ADAPTIVE, 200)
+        play = (usb.general_1(1), usb.format_1(2, 2, 16, [48_000]), data, usb.stream_endpoint_1())
+        return (
+            usb.association(first, 2, usb.UAC1),
+            usb.control(first, usb.UAC1, units),
+            usb.streaming(first + 1, 0, usb.UAC1),
+            usb.streaming(first + 1, 1, usb.UAC1, *play),
+        )
+
+    raw = usb.configuration(*function(0, 7), *function(2, 9))
+    found = playback_formats(parse_configuration(raw))
+    assert [(one.interface, one.control_interface, one.feature_unit) for one in found] == [
+        (1, 0, 7),
+        (3, 2, 9),
+    ]
+
+
 # ----------------------------------------------------------------------------------- bug reports
 
 
