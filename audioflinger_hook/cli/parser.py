@@ -120,7 +120,13 @@ def _usb(command: Parser) -> None:
     command.add_argument("does", choices=("describe",), metavar="describe", help="show descriptors")
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
     command.add_argument("device", nargs="?", metavar="DEVICE", help=names)
-    _value(command, "--hex", Path, "FILE", "decode a dump; - is standard input")
+    _value(
+        command,
+        "--hex",
+        Path,
+        "FILE",
+        "decode a file: raw, lsusb -v or hex; - is stdin",
+    )
     taken = "also read volumes and sample rates; the card cannot play meanwhile"
     _switch(command, "--take-over", taken)
     _json(command)

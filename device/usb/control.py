@@ -39,8 +39,8 @@ def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
 
     UsbAccessError: nothing can be played on it, or its descriptors cannot be read.
     """
-    configurations = parse_whole(read_descriptors(device)).configurations
-    formats = playback_formats(configurations[0]) if configurations else ()
+    configuration = parse_whole(read_descriptors(device)).active(device.configuration)
+    formats = playback_formats(configuration) if configuration else ()
     if not formats:
         raise UsbAccessError(f"{device.label!r} plays no sound according to its descriptors")
     return max(formats, key=lambda one: (bool(one.volume_channels), bool(one.mute_channels)))

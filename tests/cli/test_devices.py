@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.cli.devices import by_setting
+from audioflinger_hook.cli.usb_formats import by_setting
 from device.usb import UsbAudioDevice, find_devices
 from tests.support.sound_cards import ADAPTIVE, ASYNC, Cards
 from tests.support.usb_tree import UsbTree

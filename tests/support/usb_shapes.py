@@ -301,9 +301,9 @@ def basic_3() -> bytes:
 
 
 def full_3() -> bytes:
-    """3.0 with units: named, not understood."""
+    """3.0 with units, which are named and not understood; 24 bits in 4 bytes."""
     units = class_specific(1, bytes([8]) + le(0x28, 2) + bytes(4)) + class_specific(7, bytes(20))
-    play = class_specific(1, bytes(20))
+    play = class_specific(1, bytes([5, *bytes(4), 2, 0, 1, *bytes(7), 4, 24, 0, 0, 4]))
     return configuration(
         association(0, 2, UAC3),
         control(0, UAC3, units),

@@ -97,6 +97,7 @@ def a_device(uac: int) -> UsbAudioDevice:
         address=5,
         speed=480.0,
         max_power_ma=100,
+        configuration=1,
         descriptors=usb_builder.device() + SHAPES[uac](),
         node=Path("/dev/bus/usb/001/005"),
         interfaces=(AudioInterface(0, 1, 0, ""),),

@@ -294,6 +294,12 @@ def test_without_permission_all_that_the_kernel_tells_is_shown_and_the_way_out(u
     assert "plays: interface 1.1" in done.stdout
     assert "permission" in done.stderr
     assert "cushion install-service --udev" in done.stderr
+    for bound in (False, True):
+        scene = [plugged(uac, bound=bound, permission=False)]
+        arguments = ("usb", "describe", f"usb:1209:dac{uac}", "--take-over")
+        taken = within(scene, *command, *arguments)
+        assert (taken.returncode, taken.stdout) == (3, "")
+        assert "cushion install-service --udev" in taken.stderr
     listed = within(scene, *command, "devices", "--json")
     assert json.loads(listed.stdout)["usb"][0]["device"] == f"usb:1209:dac{uac}:SN1"
 
