@@ -115,8 +115,8 @@ def _detach(device: UsbAudioDevice, handle: Any, number: int) -> None:
             handle.detach_kernel_driver(number)
     except usb.core.USBError as error:
         raise UsbAccessError(
-            f"{device.label!r} at {device.node} cannot be opened, or taken from its driver ({error}); "
-            "`cushion install-service --udev` prints a rule that gives the permission"
+            f"{device.label!r} at {device.node} cannot be opened, or taken from its driver "
+            f"({error}); `cushion install-service --udev` prints a rule that gives the permission"
         ) from None
 
 

@@ -27,6 +27,7 @@ _RAW_TYPES = (b"\x01", b"\x02")
 
 _OUR_BYTES = re.compile(r"^bytes:\n((?:[0-9a-f]{4,}: .*(?:\n|$))+)", re.MULTILINE)
 
+_OF_LSUSB = re.compile(r"^[ \t]*bLength[ \t]+\d+[ \t]*$", re.MULTILINE)
 _OUTSIDE = re.compile(r"\s*(?:Device Qualifier|Binary Object Store|Device Status|Hub Descriptor)\b")
 _INSIDE = re.compile(r"\s*(Device|Configuration) Descriptor:")
 _FIELD = re.compile(
@@ -68,7 +69,7 @@ def parse_dump(content: bytes) -> tuple[bytes, ...]:
         return (content,)
     text = content.decode("utf-8", errors="replace").removeprefix("\N{BOM}")
     text = text.replace("\r\n", "\n")
-    if "bDescriptorType" in text and "bLength" in text:
+    if _OF_LSUSB.search(text):
         return _devices_of_lsusb(text)
     ours = _OUR_BYTES.findall(text)
     return tuple(parse_hex(part) for part in ours or [text])

@@ -12,10 +12,11 @@ from typing import Any
 
 import pytest
 
-from device.usb.descriptors import parse_configuration, playback_formats
+from device.usb.descriptors import parse_configuration, parse_dump, playback_formats
 from tests.device.usb.test_control import plain_dac
 from tests.support import usb_builder
-from tests.support.usb_shapes import headset_adapter
+from tests.support.usb_shapes import SHAPES as ALL_SHAPES
+from tests.support.usb_shapes import headset_adapter, hid
 
 ROOT = Path(__file__).parents[3]
 SYSTEM_PYTHON = "/usr/bin/python3"
@@ -26,6 +27,8 @@ def why_not() -> str:
     """What is missing for these tests, "" for nothing."""
     if not shutil.which("umockdev-wrapper"):
         return "umockdev is missing; run tools/fetch_usb_mock.sh"
+    if not shutil.which("lsusb"):
+        return "lsusb is missing; run tools/fetch_usb_mock.sh"
     check = "import gi; gi.require_version('UMockdev', '1.0'); gi.require_version('GLib', '2.0')"
     done = subprocess.run([SYSTEM_PYTHON, "-c", check], capture_output=True)
     return "" if done.returncode == 0 else "umockdev has no bindings; run tools/fetch_usb_mock.sh"
@@ -40,7 +43,7 @@ def plugged(uac: int, port: str = "1-1", address: int = 5, **options: Any) -> di
     playback = max(
         playback_formats(parse_configuration(configuration)), key=lambda one: one.volume_channels
     )
-    device = usb_builder.device(product=0xDAC0 + uac)
+    device = usb_builder.device(**{"product": 0xDAC0 + uac, **options.pop("ids", {})})
     dac: dict[str, Any] = {
         "descriptors": (device + configuration).hex(),
         "uac": uac,
@@ -110,6 +113,66 @@ def test_two_alike_are_told_apart_by_their_ports() -> None:
     assert refused.returncode == 3
     assert "is not one device but 2" in refused.stderr
     assert names[1] in refused.stderr
+
+
+def test_names_are_whole_on_lines_of_their_own_however_narrow_the_terminal() -> None:
+    ids = {"vendor": 0x152A, "product": 0x8750}
+    strings = ["Topping", "D50s USB Audio 2.0 of a very long name", "00"]
+    twins = [
+        plugged(2, port, address, card=card, ids=ids, dac={"strings": strings})
+        for port, address, card in (("1-1.4.3", 5, 1), ("1-2", 6, 2))
+    ]
+    done = within(
+        twins, *("env", "COLUMNS=80"), sys.executable, "-m", "audioflinger_hook", "devices"
+    )
+    assert done.returncode == 0, done.stderr
+    lines = [line.strip() for line in done.stdout.splitlines()]
+    names = [line for line in lines if line.startswith("usb:")]
+    assert names == ["usb:152a:8750:00@1-1.4.3", "usb:152a:8750:00@1-2"]
+    assert "is also hw:2,0" in lines
+    for name in names:
+        assert cushion(twins, "usb", "describe", name).returncode == 0
+
+
+def test_the_active_configuration_is_listed_and_not_the_first_one() -> None:
+    def numbered(configuration: bytes, value: int) -> bytes:
+        return configuration[:5] + bytes([value]) + configuration[6:]
+
+    hid_only = numbered(usb_builder.configuration(hid(0, 0x81)), 1)
+    plays = numbered(headset_adapter(), 2)
+    ids = {"vendor": 0x05AC, "product": 0x110A}
+    raw = (usb_builder.device(**ids) + hid_only + plays).hex()
+    adapter = plugged(1, dac={"descriptors": raw}, configuration=2)
+    (device,) = json.loads(cushion([adapter], "devices", "--json").stdout)["usb"]
+    assert (device["audio_class"], device["volume"], device["mute"]) == (1, True, True)
+    assert [each["samplerates"] for each in device["formats"]] == [[48_000, 44_100]]
+    told = cushion([adapter], "usb", "describe").stdout
+    assert "configuration 2 is the active one" in told
+    document = json.loads(cushion([adapter], "usb", "describe", "--json").stdout)[0]
+    assert [each["active"] for each in document["configurations"]] == [False, True]
+    # It is also the one that is asked and set.
+    free = plugged(1, dac={"descriptors": raw}, configuration=2, bound=False)
+    document = json.loads(cushion([free], "usb", "describe", "--json").stdout)[0]
+    assert document["settings"]["samplerate"] == 44_100
+
+
+def test_the_rates_that_a_clock_was_asked_for_are_told() -> None:
+    done = cushion([plugged(2, bound=False)], "usb", "describe")
+    assert "samplerates of its clock: 44100, 48000 Hz" in done.stdout
+    assert "PCM of 24 bits in 4 bytes, 2 channels, 44100, 48000 Hz, asynchronous" in done.stdout
+
+
+@pytest.mark.parametrize("shape", ALL_SHAPES)
+def test_the_text_of_lsusb_gives_the_bytes_that_it_was_made_from(shape: str) -> None:
+    raw = usb_builder.device() + ALL_SHAPES[shape]
+    scene = [plugged(2, bound=False, dac={"descriptors": raw.hex()})]
+    text = within(scene, "lsusb", "-v").stdout
+    (found,) = parse_dump(text.encode())
+    assert len(found) == len(raw)
+    different = [at for at in range(len(raw)) if found[at] != raw[at]]
+    # It does not show what is behind the fields of an interface or endpoint that it knows.
+    assert {found[at] for at in different} <= {0}
+    assert not different or shape == "longer_than_the_standard"
 
 
 WHOLE_CARD = """
