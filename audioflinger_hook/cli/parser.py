@@ -117,18 +117,16 @@ def _status(command: Parser) -> None:
 
 
 def _usb(command: Parser) -> None:
-    command.add_argument("does", choices=("describe",), metavar="describe", help="show descriptors")
+    does = "describe: show descriptors; set: set volume, samplerate and mute, without a driver"
+    command.add_argument("does", choices=("describe", "set"), metavar="describe|set", help=does)
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
     command.add_argument("device", nargs="?", metavar="DEVICE", help=names)
-    _value(
-        command,
-        "--hex",
-        Path,
-        "FILE",
-        "decode a file: raw, lsusb -v or hex; - is stdin",
-    )
+    _value(command, "--hex", Path, "FILE", "decode a file: raw, lsusb -v or hex; - is stdin")
     taken = "also read volumes and sample rates; the card cannot play meanwhile"
     _switch(command, "--take-over", taken)
+    _value(command, "--volume-db", float, "DB", "set: volume, up to 0")
+    _value(command, "--samplerate", count, "HZ", "set: samplerate")
+    command.add_argument("--mute", choices=("on", "off"), metavar="on|off", help="set: mute")
     _json(command)
 
 

@@ -1,4 +1,4 @@
-"""`cushion usb describe`: a USB audio device's descriptors, for people and for bug reports."""
+"""`cushion usb`: a USB audio device's descriptors, for people and for bug reports; its settings."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from audioflinger_hook.cli import usb_set
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.usb_formats import format_text, formats_of, joined, samplerates_text
 from device.alsa.mixer import CardMixer
@@ -40,7 +41,11 @@ Found = tuple[UsbAudioDevice | None, WholeDevice, dict[str, Any] | None]
 
 
 def run(options: argparse.Namespace) -> int:
-    """Decode a dump, one device or, without a name, all connected devices."""
+    """Decode a dump, one device or, without a name, all connected devices; or set a device."""
+    if options.does == "set":
+        return usb_set.run(options)
+    if (options.volume_db, options.samplerate, options.mute) != (None, None, None):
+        raise UsageError("usb describe sets nothing; --volume-db and so on go with `usb set`")
     if options.hex is not None and (options.device or options.take_over):
         raise UsageError("--hex decodes a file; it goes with neither DEVICE nor --take-over")
     found: list[Found]

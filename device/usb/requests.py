@@ -124,7 +124,11 @@ def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
 
 def volume_db(answer: bytes) -> float:
     """Return a volume in dB; -inf is silence. UsbAccessError: no volume."""
-    (units,) = _units("volume", answer, "<h")
+    return from_volume_units(_units("volume", answer, "<h")[0])
+
+
+def from_volume_units(units: int) -> float:
+    """Return a volume in dB of 1/256 dB; -inf is silence."""
     return -math.inf if units == SILENCE_UNITS else units / VOLUME_UNITS_PER_DB
 
 

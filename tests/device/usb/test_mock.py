@@ -287,6 +287,58 @@ def test_a_device_that_stalls_everything_is_described_all_the_same(uac: int) -> 
     assert "Traceback" not in done.stderr
 
 
+@versions
+def test_volume_rate_and_mute_of_a_device_without_a_driver_are_set_and_read_back(
+    uac: int, tmp_path: Path
+) -> None:
+    log = tmp_path / "log"
+    name = f"usb:1209:dac{uac}"
+    scene = [plugged(uac, bound=False)]
+    wanted = ("--volume-db", "-20.2", "--samplerate", "48000", "--mute", "on")
+    done = cushion(scene, "usb", "set", name, *wanted, log=log)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == [
+        "mute of channel 0: on",
+        "samplerate: 48000 Hz",
+        "volume of channel 1: -20.50 dB",
+        "volume of channel 2: -20.50 dB",
+    ]
+    (asked,) = json.loads(log.read_text()).values()
+    sets = [data for request_type, *_, data in asked if request_type in (0x21, 0x22)]
+    assert sets == ["01", *(["80bb00"] if uac == 1 else ["80bb0000"]), "80eb", "80eb"]
+
+
+@pytest.mark.parametrize(
+    ("options", "dac", "code", "words"),
+    [
+        (["--volume-db", "-30"], {"ignores": True}, 3, "takes -30 dB for channel 1"),
+        (["--volume-db", "-30"], {"keeps_volume": True}, 3, "refuses the request"),
+        (["--volume-db", "-30"], {"volume_range": (-0x1400, 0, 1)}, 3, "lowest volume of channel"),
+        (["--volume-db", "-30"], {"volume_range": (0, -0x1400, 1)}, 3, "not a valid range"),
+        (["--volume-db", "nan"], {}, 2, "not a number"),
+        (["--samplerate", "12345"], {}, 3, "refuses the request"),
+        (["--samplerate", "0"], {}, 2, "not possible"),
+        ([], {}, 2, "needs --volume-db, --samplerate or --mute"),
+        (["--mute", "off", "--take-over"], {}, 2, "goes with neither"),
+        (["--mute", "perhaps"], {}, 2, "invalid choice"),
+    ],
+)
+def test_what_cannot_be_set_is_told_and_no_mute_is_lifted(
+    options: list[str], dac: dict[str, Any], code: int, words: str
+) -> None:
+    scene = [plugged(2, bound=False, dac={**dac, "mutes": {0: 1}})]
+    done = cushion(scene, "usb", "set", "usb:1209:dac2", *options)
+    assert done.returncode == code
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_device_of_a_driver_is_not_set_past_it() -> None:
+    done = cushion([plugged(2)], "usb", "set", "usb:1209:dac2", "--volume-db", "-30")
+    assert done.returncode == 3
+    assert "belongs to the driver snd-usb-audio" in done.stderr
+
+
 TAKES_OVER = """
 import os, signal, sys
 from device.usb import find_devices

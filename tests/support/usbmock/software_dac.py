@@ -26,7 +26,8 @@ class SoftwareDac:
     volumes: 1/256 dB by channel; volume_range: lowest, highest, step; mute: by channel. unit,
     clock: ids of the feature unit and the clock source; endpoint: address that takes samples.
     stalls: every class request is refused; keeps_volume: every new volume is; ignores: a volume is
-    taken, and stays what it was. log: (request type, request, value, index, data).
+    taken, and stays what it was. real_range: where it differs from the range that it tells.
+    log: (request type, request, value, index, data).
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class SoftwareDac:
         self.volumes = {1: -0x800, 2: -0x800} if volumes is None else dict(volumes)
         self.mutes = {0: 0} if mutes is None else dict(mutes)
         self.stalls, self.keeps_volume, self.ignores = stalls, keeps_volume, ignores
+        self.real_range: tuple[int, int] | None = None
         self.log: list[tuple[int, int, int, int, str]] = []
 
     def control(self, setup: bytes, data: bytes) -> bytes | None:
@@ -157,7 +159,7 @@ class SoftwareDac:
         if self.ignores:
             return b""
         (units,) = struct.unpack("<h", data)
-        lowest, highest, _ = self.volume_range
+        lowest, highest = self.real_range or self.volume_range[:2]
         self.volumes[channel] = units if units == -0x8000 else max(lowest, min(highest, units))
         return b""
 
