@@ -67,7 +67,13 @@ def describe(
 
 
 def hex_lines(raw: bytes) -> list[str]:
-    """Return bytes as the lines of a dump that `parse_hex` can read."""
+    """Return bytes as the lines of a dump that `parse_hex` can read.
+
+    Parameters
+    ----------
+    raw : bytes
+        Any bytes.
+    """
     starts = range(0, len(raw), _DUMP_BYTES)
     return [f"{at:04x}: {raw[at : at + _DUMP_BYTES].hex(' ')}" for at in starts]
 
