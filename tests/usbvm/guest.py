@@ -31,7 +31,7 @@ from device.usb.mapping import hw_names
 from tests.support import usb_builder
 from tests.support.usbmock.software_dac import SoftwareDac
 from tests.usbvm.machine import order
-from tests.usbvm.shapes import dac_1, dac_2, game_pad
+from tests.usbvm.shapes import dac_1, dac_2, game_pad, headphones_3, two_configurations
 from tests.usbvm.vhci import VirtualDac
 
 CUSHION = (sys.executable, "-m", "audioflinger_hook")
@@ -324,6 +324,50 @@ def shapes(folder: Path) -> dict[str, Any]:
     return told
 
 
+def configurations(folder: Path) -> dict[str, Any]:
+    """A DAC in its second configuration, and one of class 3."""
+    told = {}
+    for name, uac, configuration in (
+        ("second", 1, two_configurations()),
+        ("class 3", 3, headphones_3()),
+    ):
+        device = usb_builder.device(product=0xDAC1, configurations=2 if uac == 1 else 1)
+        # Requests of class 3 are those of class 2.
+        dac = SoftwareDac(
+            device + configuration,
+            min(uac, 2),
+            ["Soft", name],
+            samplerates=[48_000],
+            volumes={0: 0, 1: 0, 2: 0},
+        )
+        taken = bytearray()
+        plugged = VirtualDac(dac, taken.extend)
+        with ExitStack() as stack:
+            stack.callback(plugged.unplug)
+            if uac == 1:
+                choose_configuration(2)
+            (listed,) = devices(1)
+            described = cushion("usb", "describe", listed["device"])
+            full_volume(listed["hw"][0])
+            run = ("run", "--tap", sound(20.0), "--device", listed["device"], "--seconds", "2")
+            cushion(*run)
+            told[name] = [listed, described, any(taken)]
+        await_cards(0)
+    return told
+
+
+def choose_configuration(value: int) -> None:
+    """Have the only device of this vendor use another configuration, as udev's rules may."""
+    deadline_s = time.monotonic() + LIMIT_S
+    while True:
+        for vendor in Path("/sys/bus/usb/devices").glob("*/idVendor"):
+            if vendor.read_text().strip() == "1209":
+                (vendor.parent / "bConfigurationValue").write_text(str(value))
+                return
+        assert time.monotonic() < deadline_s
+        time.sleep(POLL_S)
+
+
 SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "bits": bits,
     "pulled": pulled,
@@ -331,6 +375,7 @@ SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "slow": lambda folder: software(folder, 1, -200.0, 40.0),
     "unsettable": unsettable,
     "shapes": shapes,
+    "configurations": configurations,
     "feedback": lambda folder: software(folder, 2, 150.0, 30.0),
 }
 

@@ -16,6 +16,7 @@ from tests.support.usb_builder import (
     STREAMING_TERMINAL,
     UAC1,
     UAC2,
+    UAC3,
     VOLUME_1,
     VOLUME_2,
     audio_endpoint_1,
@@ -37,9 +38,11 @@ from tests.support.usb_builder import (
     stream_endpoint_2,
     streaming,
 )
+from tests.support.usb_shapes import hid
 
 STEREO = 0x3
 PCM, PCM8 = 1, 2
+HEADPHONE_PROFILE = 0x21
 MILLISECOND_2 = 4
 """bInterval at high speed: 2^(4-1) microframes."""
 
@@ -98,3 +101,19 @@ def game_pad() -> bytes:
         streaming(1, 0, UAC1),
         streaming(1, 1, UAC1, *play, data, stream_endpoint_1()),
     )
+
+
+def headphones_3() -> bytes:
+    """3.0 with the basic profile of headphones, high speed: 16 bits, stereo, 48 kHz."""
+    data = endpoint(1, ISOCHRONOUS | ADAPTIVE, 192, MILLISECOND_2)
+    return usb_builder.configuration(
+        usb_builder.association(0, 2, UAC3, HEADPHONE_PROFILE),
+        usb_builder.control(0, UAC3),
+        streaming(1, 0, UAC3),
+        streaming(1, 1, UAC3, data),
+    )
+
+
+def two_configurations() -> bytes:
+    """Volume keys alone first, then a DAC of class 1; behind the device descriptor."""
+    return usb_builder.configuration(hid(0, 0x81)) + usb_builder.numbered(dac_1(), 2)

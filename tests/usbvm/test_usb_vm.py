@@ -199,3 +199,18 @@ def test_a_pad_vibrates_on_its_coils_alone_and_odd_formats_are_played_or_refused
     code, told, samplerate = result["slow"]
     assert (code, samplerate) == (0, 32_000), told
     assert np.ptp(np.fromfile(tmp_path / "slow.raw", "<i2")) > 100
+
+
+def test_a_second_configuration_and_class_3_are_listed_and_played_to(tmp_path: Path) -> None:
+    result = done(tmp_path, "configurations")
+    listed, described, played = result["second"]
+    assert played
+    assert listed["audio_class"] == 1
+    assert [each["samplerates"] for each in listed["formats"]] == [[44_100, 48_000]]
+    assert "configuration 2 is the active one" in described
+    listed, described, played = result["class 3"]
+    assert played
+    assert listed["audio_class"] == 3
+    (offered,) = listed["formats"]
+    assert (offered["channels"], offered["bits"], offered["samplerates"]) == (2, 16, [48_000])
+    assert "USB Audio 3.0" in described

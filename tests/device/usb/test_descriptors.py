@@ -204,11 +204,8 @@ def test_a_basic_profile_of_3_0_has_the_format_that_its_packets_have_room_for(
 
 
 def test_the_active_configuration_counts_and_else_the_first_that_plays():
-    def numbered(raw, number):
-        return raw[:5] + bytes([number]) + raw[6:]
-
-    hid_only = numbered(usb.configuration(usb.interface(0, 0, (3, 0, 0))), 1)
-    plays = numbered(SHAPES["headset_adapter"], 2)
+    hid_only = usb.configuration(usb.interface(0, 0, (3, 0, 0)))
+    plays = usb.numbered(SHAPES["headset_adapter"], 2)
     whole = parse_whole(usb.device() + hid_only + plays)
     assert [one.header.value for one in whole.configurations] == [1, 2]
     for value, active in ((1, 1), (2, 2), (None, 2), (7, 2)):

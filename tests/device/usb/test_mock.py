@@ -135,13 +135,10 @@ def test_names_are_whole_on_lines_of_their_own_however_narrow_the_terminal() -> 
 
 
 def test_the_active_configuration_is_listed_and_not_the_first_one() -> None:
-    def numbered(configuration: bytes, value: int) -> bytes:
-        return configuration[:5] + bytes([value]) + configuration[6:]
-
-    hid_only = numbered(usb_builder.configuration(hid(0, 0x81)), 1)
-    plays = numbered(headset_adapter(), 2)
+    hid_only = usb_builder.configuration(hid(0, 0x81))
+    plays = usb_builder.numbered(headset_adapter(), 2)
     ids = {"vendor": 0x05AC, "product": 0x110A}
-    raw = (usb_builder.device(**ids) + hid_only + plays).hex()
+    raw = (usb_builder.device(**ids, configurations=2) + hid_only + plays).hex()
     adapter = plugged(1, dac={"descriptors": raw}, configuration=2)
     (device,) = json.loads(cushion([adapter], "devices", "--json").stdout)["usb"]
     assert (device["audio_class"], device["volume"], device["mute"]) == (1, True, True)

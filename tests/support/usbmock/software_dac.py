@@ -85,8 +85,8 @@ class SoftwareDac:
         kind, number = value >> 8, value & 0xFF
         if kind == DEVICE:
             return self.descriptors[:18]
-        if kind == CONFIGURATION and number == 0:
-            return self.descriptors[18:]
+        if kind == CONFIGURATION:
+            return self._configuration(number)
         if kind == QUALIFIER and self.uac > 1:
             return bytes([10, QUALIFIER]) + self.descriptors[2:8] + b"\1\0"
         if kind == STRING and number == 0:
@@ -95,6 +95,13 @@ class SoftwareDac:
             text = self.strings[number - 1].encode("utf-16-le")
             return bytes([2 + len(text), STRING]) + text
         return None
+
+    def _configuration(self, number: int) -> bytes | None:
+        rest = self.descriptors[18:]
+        for _ in range(number):
+            rest = rest[int.from_bytes(rest[2:4], "little") :]
+        another = len(self.descriptors) > 17 and self.descriptors[17] > 1
+        return (rest[: int.from_bytes(rest[2:4], "little")] if another else rest) or None
 
     def _class_1(
         self, request_type: int, request: int, value: int, index: int, data: bytes
