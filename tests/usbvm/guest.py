@@ -26,9 +26,10 @@ from audioflinger_hook.service.json_codec import to_json
 from audioflinger_hook.service.status_client import ask_status
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError
-from device.usb import UsbAudioDevice, find_devices
+from device.usb import UsbAudioDevice, find_devices, identify
 from device.usb.mapping import hw_names
 from tests.support import usb_builder
+from tests.support.commands import call
 from tests.support.usbmock.software_dac import SoftwareDac
 from tests.usbvm.machine import order
 from tests.usbvm.shapes import dac_1, dac_2, game_pad, headphones_3, two_configurations
@@ -266,6 +267,12 @@ def software(folder: Path, uac: int, ppm: float, seconds: float) -> dict[str, An
     }
 
 
+def only_name() -> tuple[str, str]:
+    """Name and ALSA's name of the only device, once it has a card."""
+    (device,) = await_cards(1)
+    return str(identify(device, [device])), hw_names(device)[0]
+
+
 def unsettable(folder: Path) -> dict[str, Any]:
     """Muted DACs whose volume cannot be set: a run that sets it, and one that leaves it."""
     told = {}
@@ -279,16 +286,11 @@ def unsettable(folder: Path) -> dict[str, Any]:
         plugged = VirtualDac(dac, taken.extend)
         with ExitStack() as stack:
             stack.callback(plugged.unplug)
-            (device,) = devices(1)
-            tap = ("--tap", sound(20.0), "--device", device["device"], "--seconds", "2")
+            run = ("run", "--tap", sound(20.0), "--device", only_name()[0], "--seconds", "2")
             runs = []
             for level in ("-30", "off"):
-                done = subprocess.run(
-                    [*CUSHION, "run", *tap, "--device-volume-db", level],
-                    capture_output=True,
-                    text=True,
-                )
-                runs.append([done.returncode, done.stderr, dac.mutes[0], any(taken)])
+                done = call(*run, "--device-volume-db", level)
+                runs.append([done.code, done.stderr, dac.mutes[0], any(taken)])
             told[which] = runs
         await_cards(0)
     return told
@@ -309,17 +311,10 @@ def shapes(folder: Path) -> dict[str, Any]:
         with (folder / f"{name}.raw").open("wb") as taken, ExitStack() as stack:
             plugged = VirtualDac(dac, taken.write)
             stack.callback(plugged.unplug)
-            (device,) = devices(1)
-            full_volume(device["hw"][0])
-            done = subprocess.run(
-                [
-                    *(*CUSHION, "run", "--tap", sound(20.0)),
-                    *("--device", device["device"].partition("@")[0], "--seconds", "2"),
-                ],
-                capture_output=True,
-                text=True,
-            )
-            told[name] = [done.returncode, done.stderr, dac.samplerate]
+            device, hw = only_name()
+            full_volume(hw)
+            done = call("run", "--tap", sound(20.0), "--device", device, "--seconds", "2")
+            told[name] = [done.code, done.stderr, dac.samplerate]
         await_cards(0)
     return told
 
@@ -346,12 +341,12 @@ def configurations(folder: Path) -> dict[str, Any]:
             stack.callback(plugged.unplug)
             if uac == 1:
                 choose_configuration(2)
-            (listed,) = devices(1)
-            described = cushion("usb", "describe", listed["device"])
-            full_volume(listed["hw"][0])
-            run = ("run", "--tap", sound(20.0), "--device", listed["device"], "--seconds", "2")
-            cushion(*run)
-            told[name] = [listed, described, any(taken)]
+            device, hw = only_name()
+            (listed,) = json.loads(call("devices", "--json").stdout)["usb"]
+            described = call("usb", "describe", device).stdout
+            full_volume(hw)
+            done = call("run", "--tap", sound(20.0), "--device", device, "--seconds", "2")
+            told[name] = [listed, described, done.code, done.stderr, any(taken)]
         await_cards(0)
     return told
 

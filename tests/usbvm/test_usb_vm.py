@@ -203,13 +203,13 @@ def test_a_pad_vibrates_on_its_coils_alone_and_odd_formats_are_played_or_refused
 
 def test_a_second_configuration_and_class_3_are_listed_and_played_to(tmp_path: Path) -> None:
     result = done(tmp_path, "configurations")
-    listed, described, played = result["second"]
-    assert played
+    listed, described, code, told, played = result["second"]
+    assert (code, played) == (0, True), told
     assert listed["audio_class"] == 1
     assert [each["samplerates"] for each in listed["formats"]] == [[44_100, 48_000]]
     assert "configuration 2 is the active one" in described
-    listed, described, played = result["class 3"]
-    assert played
+    listed, described, code, told, played = result["class 3"]
+    assert (code, played) == (0, True), told
     assert listed["audio_class"] == 3
     (offered,) = listed["formats"]
     assert (offered["channels"], offered["bits"], offered["samplerates"]) == (2, 16, [48_000])

@@ -17,6 +17,8 @@ US_ENGLISH = 0x0409
 
 CUR_1, MIN_1, MAX_1, RES_1 = 0x81, 0x82, 0x83, 0x84
 SET_CUR, CUR_2, RANGE_2 = 0x01, 0x01, 0x02
+POWER_DOMAINS, POWER_STATE = (0x0A, 0x0B), 0x02
+"""Of a basic profile of class 3 (Basic Audio Device 3.0, 5.2.1), whose requests are of class 2."""
 MUTE, VOLUME, SAMPLERATE, VALID = 0x01, 0x02, 0x01, 0x02
 
 
@@ -137,6 +139,8 @@ class SoftwareDac:
             if request != CUR_2:
                 return None
             return self.samplerate.to_bytes(4, "little") if asks else self._set_rate(data)
+        if entity in POWER_DOMAINS and control == POWER_STATE and request == CUR_2:
+            return b"\0" if asks else b""  # fully on, whatever is set
         if entity != self.unit:
             return None
         if control == VOLUME and channel in self.volumes:
