@@ -21,6 +21,7 @@ from device.usb.descriptors import (
     describe,
     parse_configuration,
     parse_device,
+    parse_whole,
     playback_formats,
 )
 from device.usb.descriptors.reading import BYTES_MAX
@@ -60,6 +61,9 @@ def exercise(raw: bytes) -> bool:
         assert strict == configuration
     playback_formats(configuration)
     describe(None, configuration)
+    whole = parse_whole(raw)
+    assert len(raw) > BYTES_MAX or whole.raw() == raw
+    whole.active(None)
     return True
 
 

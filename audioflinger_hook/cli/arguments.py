@@ -76,6 +76,14 @@ def count(text: str) -> int:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
 
 
+def number_or_off(text: str) -> float | str:
+    """Return a number, or "off"."""
+    try:
+        return text if text == "off" else float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor off") from None
+
+
 def seconds(text: str) -> float:
     """Return a time of 0 seconds or more."""
     try:

@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
-from audioflinger_hook.cli.terminal import LineConsole, warn
+from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.usb import mixer_of, volume_now
-from device.alsa import find_playback, list_cards
-from device.alsa.cards import PROC, PlaybackDevice, list_playbacks
-from device.alsa.usb_stream import UsbFormat, read_usb_stream
+from audioflinger_hook.cli.usb_formats import format_text, formats_of
+from audioflinger_hook.service.one_line import one_line
+from device.alsa import list_cards
+from device.alsa.cards import PlaybackDevice, list_playbacks
 from device.alsa.use import why_blocked
-from device.errors import CushionError, NotFoundError
+from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.identity import identity_of, is_own_stream
 from device.stream import filter_stderr
 from device.stream.pcms import FALLBACK_SINK
 from device.usb import Found, UsbAudioDevice, find_devices, identify
-from device.usb.descriptors import PlaybackFormat, RateRange, parse_whole, playback_formats
+from device.usb.descriptors import parse_whole, playback_formats
 from device.usb.mapping import hw_names, sinks_of
+
+DETAIL_MAX = 4_096
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,14 +53,12 @@ def run(options: argparse.Namespace) -> int:
 
 def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) -> dict[str, Any]:
     """Return data of a USB device that can be read without a request to the device."""
-    whole, trouble = None, None
+    configuration, trouble = None, None
     try:
-        whole = parse_whole(device.descriptors)
+        configuration = parse_whole(device.descriptors).active(device.configuration)
     except CushionError as error:
         trouble = str(error)
-    configuration = whole.configurations[0] if whole and whole.configurations else None
-    formats = playback_formats(configuration) if configuration else ()
-    opened = by_setting(device)
+    units = playback_formats(configuration) if configuration else ()
     sinks = sinks_of(device, snapshot.sinks, found.devices) if snapshot else ()
     return {
         "device": str(identify(device, found.devices)),
@@ -68,19 +67,10 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
         "serial": device.serial,
         "port": device.port,
         "plays": device.plays,
-        "audio_class": max((each.uac for each in formats), default=None),
-        "formats": [
-            {
-                "bits": each.bits,
-                "channels": each.channels,
-                "samplerates": _samplerates(each, opened.get((each.interface, each.alternate))),
-                "synchronisation": each.synchronisation.name.lower(),
-                "feedback": each.feedback_endpoint is not None,
-            }
-            for each in formats
-        ],
-        "volume": any(each.volume_channels for each in formats),
-        "mute": any(each.mute_channels for each in formats),
+        "audio_class": configuration.uac if configuration else None,
+        "formats": formats_of(configuration, device),
+        "volume": any(each.volume_channels for each in units),
+        "mute": any(each.mute_channels for each in units),
         "mixer": mixer_of(device),
         "speed_mbit_s": device.speed,
         "max_power_ma": device.max_power_ma,
@@ -89,37 +79,6 @@ def _usb(device: UsbAudioDevice, found: Found, snapshot: ServerSnapshot | None) 
         "sinks": [sink.name for sink in sinks],
         "problem": trouble,
     }
-
-
-def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int], UsbFormat]:
-    """Return a device's formats as the driver lists them, by interface and alternate setting.
-
-    The driver knows the sample rates of devices of class 2; their descriptors do not list them.
-    """
-    found: dict[tuple[int, int], UsbFormat] = {}
-    for name in hw_names(device):
-        try:
-            playback = find_playback(name.removeprefix("hw:"), root)
-        except NotFoundError:
-            continue  # the device was unplugged in the meantime
-        stream = read_usb_stream(playback)
-        for each in stream.formats if stream else ():
-            found[each.interface, each.altsetting] = each
-    return found
-
-
-def _samplerates(
-    playback: PlaybackFormat, offered: UsbFormat | None
-) -> list[int] | dict[str, int] | None:
-    """Return rates in Hz, or their range; None if only the device's clock knows them."""
-    rates = playback.samplerates
-    if isinstance(rates, RateRange):
-        return {"lowest": rates.lowest, "highest": rates.highest}
-    if rates is not None or offered is None:
-        return None if rates is None else list(rates)
-    if offered.rates.least:
-        return {"lowest": offered.rates.least, "highest": offered.rates.most}
-    return list(offered.rates.single)
 
 
 def _card(playback: PlaybackDevice) -> dict[str, Any]:
@@ -169,51 +128,48 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
 
 
 def _show(document: dict[str, Any]) -> None:
-    console = LineConsole()
+    """Print each device's name on a line of its own, whole, so that it can be copied."""
     if document["server"]:
-        sinks = Table("device", "description", "Hz", "channels", title=document["server"])
-        for sink in document["sinks"]:
-            mark = " (default)" if sink["default"] else ""
-            sinks.add_row(
-                sink["device"] + mark,
-                sink["description"],
-                str(sink["samplerate"]),
-                str(sink["channels"]),
-            )
-        console.print(sinks)
-    if document["usb"]:
-        usb = Table("device", "name", "plays", "volume", "is also", title="USB")
-        for device in document["usb"]:
-            usb.add_row(
-                device["device"],
-                f"{device['manufacturer']} {device['product']}".strip(),
-                "; ".join(map(_format_line, device["formats"])) or "-",
-                volume_now(device["mixer"]) or "-",
-                "\n".join([*(f"sink:{name}" for name in device["sinks"]), *device["hw"]]) or "-",
-            )
-        console.print(usb)
-    if document["cards"]:
-        cards_there = Table("device", "name", "", title="sound cards")
-        for card in document["cards"]:
-            cards_there.add_row(card["device"], card["name"], "in use" if card["in_use"] else "")
-        console.print(cards_there)
-    if document["applications"]:
-        playing = Table("application", "binary", "role", "plays to", title="playing")
-        for application in document["applications"]:
-            playing.add_row(
-                application["name"],
-                application["binary"],
-                application["role"],
-                application["sink"] or "-",
-            )
-        console.print(playing)
+        _section(document["server"], map(_sink_lines, document["sinks"]))
+    _section("USB", map(_usb_lines, document["usb"]))
+    _section("sound cards", map(_card_lines, document["cards"]))
+    _section("playing", map(_application_lines, document["applications"]))
 
 
-def _format_line(form: dict[str, Any]) -> str:
-    rates = form["samplerates"]
-    if isinstance(rates, dict):
-        shown = f"{rates['lowest'] / 1e3:g} to {rates['highest'] / 1e3:g} kHz"
-    else:
-        shown = f"{'/'.join(f'{rate / 1e3:g}' for rate in rates)} kHz" if rates else "? kHz"
-    follows = ", feedback" if form["feedback"] else ""
-    return f"{form['channels']} x {form['bits']} bits, {shown}, {form['synchronisation']}{follows}"
+def _section(title: str, blocks: Iterable[list[str]]) -> None:
+    shown = list(blocks)
+    if shown:
+        print(one_line(title))
+    for name, *details in shown:
+        # Not `one_line`, which shortens: a name is to be copied.
+        print(f"  {''.join(sign if sign.isprintable() else '?' for sign in name)}")
+        for detail in details:
+            print(f"    {one_line(detail, DETAIL_MAX)}")
+
+
+def _sink_lines(sink: dict[str, Any]) -> list[str]:
+    mark = ", the default" if sink["default"] else ""
+    what = f"{sink['description']}, {sink['samplerate']} Hz, {sink['channels']} channels{mark}"
+    return [sink["device"], what]
+
+
+def _usb_lines(device: dict[str, Any]) -> list[str]:
+    name = f"{device['manufacturer']} {device['product']}".strip()
+    audio_class = f"class {device['audio_class']}" if device["audio_class"] else "unknown class"
+    lines = [device["device"], ", ".join(filter(None, (name, audio_class)))]
+    lines += [f"plays {format_text(each, units='kHz')}" for each in device["formats"]]
+    if not device["plays"]:
+        lines.append("plays nothing")
+    if volume := volume_now(device["mixer"]):
+        lines.append(f"volume {volume}")
+    others = [*(f"sink:{name}" for name in device["sinks"]), *device["hw"]]
+    return lines + [f"is also {other}" for other in others]
+
+
+def _card_lines(card: dict[str, Any]) -> list[str]:
+    return [card["device"], card["name"] + (", in use" if card["in_use"] else "")]
+
+
+def _application_lines(application: dict[str, Any]) -> list[str]:
+    what = ", ".join(filter(None, (application["binary"], application["role"])))
+    return [application["name"], f"{what or 'unknown'}, to {application['sink'] or 'nothing'}"]

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook import __version__
-from audioflinger_hook.cli.arguments import Parser, count, duration, seconds
+from audioflinger_hook.cli.arguments import Parser, count, duration, number_or_off, seconds
 
 NEXT = (
     "next: `cushion demo` plays a scene, `cushion devices` lists outputs, and `cushion run "
@@ -126,12 +126,16 @@ def _status(command: Parser) -> None:
 
 
 def _usb(command: Parser) -> None:
-    command.add_argument("does", choices=("describe",), metavar="describe", help="show descriptors")
+    does = "describe: show descriptors; set: set volume, samplerate and mute, without a driver"
+    command.add_argument("does", choices=("describe", "set"), metavar="describe|set", help=does)
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
     command.add_argument("device", nargs="?", metavar="DEVICE", help=names)
-    _value(command, "--hex", Path, "FILE", "decode a dump; - is standard input")
+    _value(command, "--hex", Path, "FILE", "decode a file: raw, lsusb -v or hex; - is stdin")
     taken = "also read volumes and sample rates; the card cannot play meanwhile"
     _switch(command, "--take-over", taken)
+    _value(command, "--volume-db", float, "DB", "set: volume, up to 0")
+    _value(command, "--samplerate", count, "HZ", "set: samplerate")
+    command.add_argument("--mute", choices=("on", "off"), metavar="on|off", help="set: mute")
     _json(command)
 
 
@@ -236,6 +240,8 @@ def _keys(command: Parser, *fields: str, **more: Any) -> None:
         kind: dict[str, Any] = {"metavar": key.metavar}
         if isinstance(key.description, Switch):
             kind = {"action": "store_true", "default": None}
+        elif key.metavar.endswith("|off"):
+            kind["type"] = number_or_off
         elif isinstance(key.description, Number):
             kind["type"] = float
         command.add_argument(key.flag, dest=key.field, help=key.help, **kind, **more)

@@ -101,8 +101,10 @@ def _run_config(options: argparse.Namespace) -> RunConfig:
         "device_volume_db": options.device_volume_db,
     }
     live = dataclasses.replace(
-        live, **{name: value for name, value in given.items() if value is not None}
+        live, **{name: value for name, value in given.items() if value not in (None, "off")}
     )
+    if options.device_volume_db == "off":
+        live = dataclasses.replace(live, device_volume_db=None)
     if live.device is None:
         raise UsageError(
             "no device to play the vibration to; `cushion devices` lists them: name one with "

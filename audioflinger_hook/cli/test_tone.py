@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack, closing
 
 import numpy as np
 
 from device.address import parse_device
+from device.drive.channel_positions import sink_channel_map
 from device.errors import LostError, UsageError
 from device.server import FallbackSink, PulseConnection, StreamGuard
 from device.server.guard import Hold
@@ -22,20 +24,23 @@ LIMIT_HZ = (20.0, 220.0)
 
 
 class Tone:
-    """A sine with a soft start and end; `ended` is set once it is over."""
+    """A sine with a soft start and end on some channels; `ended` is set once it is over."""
 
-    def __init__(self, hz: float, level: float, duration_s: float, samplerate: int) -> None:
+    def __init__(
+        self, hz: float, level: float, duration_s: float, samplerate: int, channels: Sequence[int]
+    ) -> None:
         time_s = np.arange(round(duration_s * samplerate)) / samplerate
         fade = np.clip(np.minimum(time_s, duration_s - time_s) / FADE_S, 0.0, 1.0)
         self._wave = (level * fade * np.sin(2.0 * np.pi * hz * time_s)).astype(np.float32)
+        self._channels = list(channels)
         self._position = 0
         self.ended = threading.Event()
 
     def fill(self, out: Float32Array, now_s: float) -> None:
-        """Write the next frames, equal in every channel. Called by the output's thread."""
+        """Write the next frames, equal in all its channels. Called by the output's thread."""
         part = self._wave[self._position : self._position + len(out)]
         self._position += len(part)
-        out[: len(part)] = part[:, None]
+        out[: len(part), self._channels] = part[:, None]
         if len(part) < len(out):
             self.ended.set()
 
@@ -62,7 +67,9 @@ def run(options: argparse.Namespace) -> int:
         stack.callback(FallbackSink(connection).close)
         pcm = pcms.pcms["cushion_output"]
         pcm.target = ServerDevice(sink.name)
-        tone = Tone(options.hz, options.level, options.seconds, sink.samplerate)
+        sources = sink_channel_map(sink, ()).sources
+        channels = [channel for channel, source in enumerate(sources) if source is not None]
+        tone = Tone(options.hz, options.level, options.seconds, sink.samplerate, channels)
         stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
         stack.callback(stream.close)
         guard = StreamGuard(connection, stream, sink.name)

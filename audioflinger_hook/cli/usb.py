@@ -1,4 +1,4 @@
-"""`cushion usb describe`: a USB audio device's descriptors, for people and for bug reports."""
+"""`cushion usb`: a USB audio device's descriptors, for people and for bug reports; its settings."""
 
 from __future__ import annotations
 
@@ -12,12 +12,23 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from audioflinger_hook.cli import usb_set
 from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.usb_formats import format_text, formats_of, joined, samplerates_text
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError, NoUsbDeviceError, UsageError
 from device.usb import UsbAudioDevice, UsbIdentity, find_devices, find_one, identify
 from device.usb.control import UsbControl, held_by, open_control
-from device.usb.descriptors import WholeDevice, describe, parse_hex, parse_whole, playback_formats
+from device.usb.descriptors import (
+    Configuration,
+    RateRange,
+    WholeDevice,
+    describe,
+    hex_lines,
+    parse_dump,
+    parse_whole,
+    playback_formats,
+)
 from device.usb.pyusb_access import read_descriptors
 from device.usb.take_over import take_over
 
@@ -25,13 +36,21 @@ DUMP_BYTES_MAX = 4 << 20
 """Largest size of a dump as text; a device has at most 64 kB of descriptors."""
 
 
+Found = tuple[UsbAudioDevice | None, WholeDevice, dict[str, Any] | None]
+"""A device, None for a dump; its descriptors; its settings, None where it was not asked."""
+
+
 def run(options: argparse.Namespace) -> int:
-    """Decode a dump, one device or, without a name, all connected devices."""
+    """Decode a dump, one device or, without a name, all connected devices; or set a device."""
+    if options.does == "set":
+        return usb_set.run(options)
+    if (options.volume_db, options.samplerate, options.mute) != (None, None, None):
+        raise UsageError("usb describe sets nothing; --volume-db and so on go with `usb set`")
     if options.hex is not None and (options.device or options.take_over):
         raise UsageError("--hex decodes a file; it goes with neither DEVICE nor --take-over")
-    found: list[tuple[UsbAudioDevice | None, WholeDevice, dict[str, Any] | None]]
+    found: list[Found]
     if options.hex is not None:
-        found = [(None, parse_whole(parse_hex(_read(options.hex))), None)]
+        found = [(None, whole, None) for whole in _dumped(options.hex)]
     else:
         found = [
             (device, parse_whole(read_descriptors(device)), _settings(device, options.take_over))
@@ -39,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         ]
     if options.json:
         documents = [_document(*each) for each in found]
-        single = options.hex is not None or options.device
+        single = options.device or (options.hex is not None and len(documents) == 1)
         print(json.dumps(documents[0] if single else documents, indent=2))
     else:
         print("\n\n".join(_text(*each) for each in found))
@@ -55,8 +74,15 @@ def _devices(name: str | None) -> tuple[UsbAudioDevice, ...]:
     return found.devices
 
 
-def _read(path: Path) -> str:
-    """Return a dump's text; "-" is standard input."""
+def _dumped(path: Path) -> list[WholeDevice]:
+    """Return the devices with audio in a dump, or all devices if none has audio."""
+    devices = [parse_whole(raw) for raw in parse_dump(_read(path))]
+    with_audio = [one for one in devices if any(each.uac for each in one.configurations)]
+    return with_audio or devices
+
+
+def _read(path: Path) -> bytes:
+    """Return a dump; "-" is standard input."""
     try:
         if str(path) == "-":
             raw = sys.stdin.buffer.read(DUMP_BYTES_MAX + 1)
@@ -67,7 +93,7 @@ def _read(path: Path) -> str:
         raise UsageError(f"cannot read {path} ({error.strerror}); name a file") from None
     if len(raw) > DUMP_BYTES_MAX:
         raise UsageError(f"{path} is over {DUMP_BYTES_MAX >> 20} MB: no dump of descriptors")
-    return raw.decode("utf-8", errors="replace")
+    return raw
 
 
 def _settings(device: UsbAudioDevice, taken: bool) -> dict[str, Any] | None:
@@ -125,33 +151,35 @@ def _text(
         lines.append(f"{device.label} ({name}), port {device.port}, {cards}")
     if not whole.configurations:
         lines.append("no configuration could be read")
+    active = whole.active(device.configuration) if device else None
     for place, configuration in enumerate(whole.configurations):
-        lines.append(describe(whole.device if not place else None, configuration))
-        lines += [f"plays: {_playback_line(each)}" for each in playback_formats(configuration)]
-    if whole.rest:
-        lines.append(f"not understood: {whole.rest.hex(' ')}")
+        speed = device.speed if device else 0.0
+        lines.append(describe(whole.device if not place else None, configuration, speed))
+        if len(whole.configurations) > 1 and configuration is active:
+            lines.append(f"configuration {configuration.header.value} is the active one")
+        lines += [
+            f"plays: interface {each['interface']}.{each['alternate']}, {format_text(each)}"
+            for each in _formats(configuration, device, active, settings)
+        ]
     if device is not None:
         lines += mixer_lines(mixer_of(device))
     lines += _settings_lines(settings)
-    return "\n".join(lines)
+    if whole.rest:
+        lines.append(f"not understood: {whole.rest.hex(' ')}")
+    return "\n".join([*lines, "bytes:", *hex_lines(whole.raw())])
 
 
-def _playback_line(playback: Any) -> str:
-    rates = playback.samplerates
-    if rates is None:
-        shown = f"rates of clock {playback.clock_id}"
-    elif isinstance(rates, tuple):
-        shown = ", ".join(f"{rate}" for rate in rates) + " Hz"
-    else:
-        shown = f"{rates.lowest} to {rates.highest} Hz"
-    feedback = ""
-    if playback.feedback_endpoint is not None:
-        feedback = ", implicit feedback" if playback.implicit_feedback else ", feedback"
-    return (
-        f"interface {playback.interface}.{playback.alternate}, {'/'.join(playback.encodings)} of "
-        f"{playback.bits} bits in {playback.subslot_bytes} bytes, {playback.channels} channels, "
-        f"{shown}, {playback.synchronisation.name.lower()}{feedback}"
-    )
+def _formats(
+    configuration: Configuration,
+    device: UsbAudioDevice | None,
+    active: Configuration | None,
+    settings: dict[str, Any] | None,
+) -> list[dict[str, Any]]:
+    """Return the formats of a configuration; driver and device tell of the active one."""
+    if configuration is not active:
+        return formats_of(configuration)
+    asked = [RateRange(**each) for each in (settings or {}).get("samplerates", [])]
+    return formats_of(configuration, device, asked)
 
 
 def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
@@ -170,6 +198,8 @@ def _settings_lines(settings: dict[str, Any] | None) -> list[str]:
     ]
     if "samplerate" in settings:
         lines.append(f"samplerate: {settings['samplerate']} Hz")
+    if rates := [RateRange(**each) for each in settings.get("samplerates", [])]:
+        lines.append(f"samplerates of its clock: {samplerates_text(joined(rates))}")
     return lines
 
 
@@ -180,17 +210,21 @@ def _document(
     if device is not None:
         document["name"] = str(identify(device, find_devices().devices))
         document |= {"port": device.port, "cards": _plain(device.cards), "mixer": mixer_of(device)}
+    active = whole.active(device.configuration) if device else None
     configurations = [
         {
             **_plain(configuration),
+            "active": configuration is active if device else None,
             "problems": [str(problem) for problem in configuration.problems],
             "playback": _plain(playback_formats(configuration)),
+            "formats": _formats(configuration, device, active, settings),
             "bytes": configuration.raw().hex(),
         }
         for configuration in whole.configurations
     ]
     document |= {"device": _plain(whole.device), "configurations": configurations}
-    return document | {"rest": whole.rest.hex(), "settings": settings}
+    rest = {"rest": whole.rest.hex(), "settings": settings, "bytes": whole.raw().hex()}
+    return document | rest
 
 
 def _plain(item: Any) -> Any:

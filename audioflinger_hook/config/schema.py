@@ -40,7 +40,7 @@ OPTIONS = {
     "offset_ms": "MS",
     "drop_in": "",
     "engine": "",
-    "device_volume_db": "DB",
+    "device_volume_db": "DB|off",
 }
 """Fields that a command-line option sets, each with the name of its value in help.
 

@@ -13,6 +13,7 @@ from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.status import (
     ActuatorFigures,
     DelayLineFigures,
+    DeviceRateFigures,
     Endpoint,
     ExposureFigures,
     LatencyBudget,
@@ -43,6 +44,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         engine_reason=supervisor.engines.switch.reason,
         engine_pid=native.process_id if native else 0,
         volume_db=supervisor.engines.volume_db,
+        device_rate=_device_rate(supervisor),
     )
     if native is not None and native.audible:
         return with_native(status, native, supervisor.settings, supervisor.offset_s)
@@ -82,6 +84,11 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         profile=engine.framework.settings.profile,
         engine="python",
     )
+
+
+def _device_rate(supervisor: Supervisor) -> DeviceRateFigures | None:
+    found = supervisor.device_rate
+    return DeviceRateFigures(found.nominal_hz, found.measured_hz, found.ppm) if found else None
 
 
 def _worst_protection(engine: Engine) -> ProtectionFigures | None:

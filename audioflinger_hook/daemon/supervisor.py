@@ -17,6 +17,7 @@ from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from device.alsa.usb_stream import MeasuredRate
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.snapshot import tap_latency_s
@@ -117,6 +118,11 @@ class Supervisor:
         return self._input.xruns, self._output.xruns
 
     @property
+    def device_rate(self) -> MeasuredRate | None:
+        """The rate of the device's own clock; None if it is not known. Any thread may ask."""
+        return self._output.measure_rate()
+
+    @property
     def settings(self) -> Settings:
         """The settings of the vibration."""
         return self._config.settings
@@ -157,18 +163,21 @@ class Supervisor:
         return [*warnings, *filter(None, others)]
 
     def look(self) -> None:
-        """Check once that the server, device and tap that the config needs are available.
+        """Check once that server, device and tap are available and the device's volume can be set.
 
         LostError, NotFoundError: the first missing item, with advice.
         """
         if not self._output.needs_server:
             self._output.locate(None)
+            self._output.set_volume(None)
         if not self._endpoints.needs_server:
             return
         connection = PulseConnection()
         try:
             self._locate_tap(connection.latest, self._output.locate(connection.latest))
             self.engines.switch.check(connection.latest)
+            if self._output.needs_server:
+                self._output.set_volume(connection)
         finally:
             connection.close()
 
@@ -196,6 +205,7 @@ class Supervisor:
             return
         except NotFoundError as error:
             self._input.close()
+            self.priority.restore()
             self.engines.switch.lose_links(Cause.TAP_LOST, now_s, str(error))
             self._idle_policy.wake(now_s)
             self.states.enter(DaemonState.WAITING_FOR_SOUND_SOURCE, now_s, str(error))
@@ -320,6 +330,7 @@ class Supervisor:
             if self._output.is_open:
                 self.states.recover(Cause.DEVICE_LOST, now_s, str(error))
             self._output.close()
+            self.priority.restore()
             self.engines.switch.lose_links(Cause.DEVICE_LOST, now_s, str(error))
             if not self._input.needs_server:  # a file waits for the device
                 self._input.close()

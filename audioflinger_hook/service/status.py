@@ -19,6 +19,18 @@ class Endpoint:
 
 
 @dataclass(frozen=True)
+class DeviceRateFigures:
+    """Rate of a USB device's own clock, as its feedback tells. ppm: how much faster than nominal.
+
+    nominal_hz: as the device was opened.
+    """
+
+    nominal_hz: int
+    measured_hz: float
+    ppm: float
+
+
+@dataclass(frozen=True)
 class Levels:
     """Levels of the sound and of the vibration."""
 
@@ -152,7 +164,8 @@ class Status:
     each reading of the exposure where it is worst. actuators: in the order of the config. profile:
     "" before the first sound. engine: "native" or "python", "" before one plays; engine_reason: why
     not the native one. engine_pid: the native engine's process, 0 for none. volume_db: the
-    listener's volume, 0 dB for 100 %; the sound's level and the vibration are those without it.
+    listener's volume, 0 dB for 100 %; the sound's level and the vibration are those without it. device_rate: None if the
+    device is no USB device with a feedback endpoint that plays.
     """
 
     version: str
@@ -181,4 +194,5 @@ class Status:
     engine_reason: str = ""
     engine_pid: int = 0
     volume_db: float = 0.0
+    device_rate: DeviceRateFigures | None = None
     warnings: tuple[str, ...] = ()

@@ -10,6 +10,7 @@ from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import (
     ActuatorFigures,
+    DeviceRateFigures,
     Endpoint,
     ExposureFigures,
     ProtectionFigures,
@@ -41,6 +42,10 @@ def status_view(status: Status) -> Table:
     return table
 
 
+def _device_clock(rate: DeviceRateFigures) -> Text:
+    return Text(f"{rate.measured_hz:.1f} Hz, {rate.ppm:+.1f} ppm off {rate.nominal_hz} Hz")
+
+
 def _rows(status: Status) -> list[tuple[str, Text]]:
     rows = [
         ("cushion", Text(f"{one_line(status.version)}, process {status.pid}")),
@@ -50,6 +55,7 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
         ("sound", _level(status.levels.sound, "cyan")),
         *([("volume", Text(f"{status.volume_db:+.1f} dB, undone"))] if status.volume_db else []),
         ("vibration", _level(status.levels.vibration, "yellow")),
+        *([("device clock", _device_clock(status.device_rate))] if status.device_rate else []),
         *([("profile", Text(one_line(status.profile)))] if status.profile else []),
         *([("engine", _engine(status))] if status.engine else []),
         ("latency", _latency(status)),

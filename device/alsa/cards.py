@@ -45,6 +45,12 @@ class Card:
         """Directory of the kernel's files about this card."""
         return self.root / f"card{self.number}"
 
+    @property
+    def usb_id(self) -> tuple[str, str]:
+        """Vendor and product of a USB card, four hexadecimal digits each; else "" and ""."""
+        vendor, _, product = read_text(self.folder / "usbid").strip().partition(":")
+        return vendor, product
+
 
 @dataclass(frozen=True)
 class PlaybackDevice:

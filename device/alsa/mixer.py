@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import errno
 import fcntl
+import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +24,9 @@ _VOLUME, _SWITCH = "Playback Volume", "Playback Switch"
 _MIXER = 2
 _BOOLEAN, _INTEGER = 1, 2
 _READABLE, _WRITABLE, _HAS_TABLE = 1 << 0, 1 << 1, 1 << 4
+READ_BACK_DB = 1.0
+"""A level may be read back this much lower: drivers round to the steps of the device."""
+
 _MOST_ELEMENTS = 4_096
 _TABLE_WORDS = 1_024
 
@@ -162,10 +166,10 @@ class CardMixer:
     ) -> float:
         """Set all channels to the nearest level not above wanted_db, limit_db and 0 dB.
 
-        A level below the lowest becomes the lowest. Returns the level in dB.
+        A level below the lowest becomes the lowest. Returns the level in dB, as it was read back.
 
         UsageError: wanted_db is NaN, the meaning of the steps is unknown, or the lowest is above
-        the limit.
+        the limit. NotFoundError: the device does not take the level.
         """
         decibels = volume.decibels
         if decibels is None:
@@ -177,15 +181,25 @@ class CardMixer:
         step = decibels.step_at_most(most_db)
         step = decibels.lowest if step is None else step
         self._set(volume, step)
-        return decibels.level(step)
+        level_db, found_db = decibels.level(step), list(map(decibels.level, self._steps(volume)))
+        # The kernel drops a value that the device refuses, and reports success.
+        if not all(level_db - READ_BACK_DB <= found <= level_db for found in found_db):
+            raise NotFoundError(
+                f"sound card {self._card}: {volume.name!r} was set to {_shown(level_db)} and is "
+                f"{_shown(max(found_db))}: the device does not take it"
+            )
+        return max(found_db)
 
     def muted(self, switch: MixerSwitch) -> tuple[bool, ...]:
         """Return whether each channel is muted."""
         return tuple(not on for on in self._steps(switch))
 
     def set_muted(self, switch: MixerSwitch, muted: bool) -> None:
-        """Mute all channels, or none."""
+        """Mute all channels, or none. NotFoundError: the device does not do it."""
         self._set(switch, int(not muted))
+        if set(self.muted(switch)) != {muted}:
+            stays = "muted" if not muted else "open"
+            raise NotFoundError(f"sound card {self._card}: {switch.name!r} stays {stays}")
 
     def close(self) -> None:
         """Close the control file. Further calls do nothing."""
@@ -278,7 +292,8 @@ def set_card_volume(
     """Set all playback volumes of a card, unmute it, and return the level of each volume in dB.
 
     Levels are rounded down and never exceed wanted_db, limit_db or 0 dB. Volumes in series are all
-    set, and all of them before the mutes, so that nothing is too loud for a moment.
+    set and read back, and all of them before the mutes, so that nothing is ever too loud. Where one
+    of them cannot be set, the mutes stay.
 
     Parameters
     ----------
@@ -294,25 +309,30 @@ def set_card_volume(
     Raises
     ------
     NotFoundError
-        The card is missing, or has neither volume nor mute.
+        The card is missing, has no volume, or does not take the level or let its mute be lifted.
     UsageError
-        wanted_db is NaN, or a volume's steps are unknown or cannot be set so low. That volume is
-        unchanged, all others are set, and mutes stay.
+        wanted_db is NaN, or a volume's steps are unknown or cannot be set so low.
     """
     with CardMixer(card, devices) as mixer:
-        if not mixer.volumes and not mixer.switches:
-            raise NotFoundError(
-                f"sound card {card} has no volume control; set the level in the config, or at the "
-                "amplifier"
-            )
+        if not mixer.volumes:
+            has = "a mute and no volume" if mixer.switches else "neither volume nor mute"
+            raise NotFoundError(f"sound card {card} has {has} that can be set")
         levels_db, failures = [], []
         for volume in mixer.volumes:
             try:
-                levels_db.append(mixer.set_volume_db(volume, wanted_db, limit_db))
+                level_db = mixer.set_volume_db(volume, wanted_db, limit_db)
             except UsageError as error:
                 failures.append(str(error))
+                continue
+            levels_db.append(level_db)
+            if level_db > wanted_db + 1e-6:
+                failures.append(f"the lowest level of {volume.name!r} is {_shown(level_db)}")
         if failures:
-            raise UsageError("; ".join(failures))
+            raise UsageError(f"sound card {card}: {'; '.join(failures)}")
         for switch in mixer.switches:
             mixer.set_muted(switch, False)
     return tuple(levels_db)
+
+
+def _shown(level_db: float) -> str:
+    return f"{level_db:g} dB" if math.isfinite(level_db) else "silence"

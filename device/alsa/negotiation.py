@@ -9,14 +9,18 @@ from device.alsa.usb_stream import Rates, UsbStream
 from device.errors import NotFoundError
 from device.stream.sample_format import SampleFormat
 
-MIN_HZ, MAX_HZ = 44_100, 192_000
-"""Rates to play at. Lower rates would suffice, but few cards have them."""
+MIN_HZ, MAX_HZ = 8_000, 192_000
+"""Rates to play at. Rates under USUAL_MIN_HZ suffice, but are taken only if no other is offered."""
+
+USUAL_MIN_HZ = 44_100
 
 CHANNELS_MAX = 32
 """The limit of every stream."""
 
 PREFERRED = (SampleFormat.S32, SampleFormat.S24_3, SampleFormat.S16)
 """In order of preference at equal resolution: whole words cost least."""
+
+_NAMES = frozenset(one.value for one in PREFERRED)
 
 _USUAL_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
 
@@ -25,16 +29,18 @@ _USUAL_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000)
 class Offer:
     """What a card supports in one setting.
 
-    formats: the supported ones of `PREFERRED`. bits: resolution, 0 if unknown.
+    formats: the supported ones of `PREFERRED`. bits: resolution, 0 if unknown. others: ALSA's names
+    of formats that are not supported: 8 bits are too coarse for weak vibration.
     """
 
     formats: tuple[SampleFormat, ...]
     channels: int
     rates: Rates
     bits: int = 0
+    others: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        names = "/".join(one.value for one in self.formats) or "no supported format"
+        names = "/".join((*(one.value for one in self.formats), *self.others))
         return f"{names} with {self.channels} channels at {self.rates}"
 
 
@@ -61,6 +67,7 @@ def list_offers(stream: UsbStream | None) -> tuple[Offer, ...]:
             found.channels,
             found.rates,
             found.bits,
+            tuple(name for name in found.formats if name not in _NAMES),
         )
         for found in stream.formats
     )
@@ -132,6 +139,8 @@ def _rates_to_try(rates: Rates, samplerate: int) -> list[int]:
 
 def _rate_rank(rate: int, samplerate: int) -> tuple[int, int]:
     """Return the rank of a rate; the lowest is best."""
+    if rate < USUAL_MIN_HZ:
+        return 4, -rate
     if rate == samplerate:
         return 0, 0
     if rate % samplerate == 0:

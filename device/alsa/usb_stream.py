@@ -11,8 +11,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from device.alsa.cards import CaptureDevice, PlaybackDevice, read_text
+from device.alsa.use import read_hw_params
 
 _NUMBER = re.compile(r"\d+")
+_MOMENTARY = re.compile(r"(\d+) Hz \(0x([0-9a-f]{1,8})\.([0-9a-f]{4})\)")
 
 
 @dataclass(frozen=True)
@@ -54,9 +56,35 @@ class UsbFormat:
 
 @dataclass(frozen=True)
 class UsbStream:
-    """What a USB card offers in one direction."""
+    """What a USB card offers in one direction.
+
+    measured_hz: the rate that the device asks for through its feedback endpoint while it plays,
+    else None.
+    """
 
     formats: tuple[UsbFormat, ...]
+    measured_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class MeasuredRate:
+    """The rate of a device's own clock, by the host's. nominal_hz: as it was opened."""
+
+    nominal_hz: int
+    measured_hz: float
+
+    @property
+    def ppm(self) -> float:
+        """How much faster than nominal it runs."""
+        return 1e6 * (self.measured_hz / self.nominal_hz - 1.0)
+
+
+def measure_rate(device: PlaybackDevice) -> MeasuredRate | None:
+    """Return the rate of a USB device that plays now; None if it does not say it."""
+    stream, opened = read_usb_stream(device), read_hw_params(device)
+    if stream is None or stream.measured_hz is None or not opened:
+        return None
+    return MeasuredRate(opened[0].samplerate, stream.measured_hz)
 
 
 def read_usb_stream(device: PlaybackDevice) -> UsbStream | None:
@@ -72,17 +100,31 @@ def parse_usb_stream(text: str, side: str = "Playback:") -> UsbStream:
     side: "Playback:" or "Capture:".
     """
     blocks: list[dict[str, str]] = []
+    now: dict[str, str] = {}
     for line in _lines_of(text, side):
         if line.startswith("Interface ") and "=" not in line:
             blocks.append({"Interface": line.removeprefix("Interface ")})
-        elif not blocks:
-            continue  # the present state of the stream
-        elif line.startswith("Altset ") and "=" not in line:
+        elif blocks and line.startswith("Altset ") and "=" not in line:
             blocks[-1]["Altset"] = line.removeprefix("Altset ")
         else:
             name, _, value = line.replace("=", ":", 1).partition(":")
-            blocks[-1][name.strip()] = value.strip()
-    return UsbStream(tuple(found for block in blocks if (found := _format(block))))
+            (blocks[-1] if blocks else now)[name.strip()] = value.strip()
+    formats = tuple(found for block in blocks if (found := _format(block)))
+    return UsbStream(formats, _measured_hz(now))
+
+
+def _measured_hz(now: dict[str, str]) -> float | None:
+    """Return the rate of a stream's present state: whole Hz, then frames in 1 ms or 125 us.
+
+    Without a feedback endpoint it is only what the host assumes.
+    """
+    match = _MOMENTARY.match(now.get("Momentary freq", ""))
+    if match is None or "Feedback Format" not in now:
+        return None
+    whole_hz = float(match[1])
+    frames = int(match[2], 16) + int(match[3], 16) / 65_536.0
+    found_hz = (frames * per_second for per_second in (1_000.0, 8_000.0))
+    return next((hz for hz in found_hz if abs(hz - whole_hz) <= 1.0), whole_hz) or None
 
 
 def _lines_of(text: str, side: str) -> Iterator[str]:

@@ -39,6 +39,28 @@ class ChannelMap:
         return cls(actuators, tuple(channel % actuators for channel in range(channels)))
 
     @classmethod
+    def on_coils(
+        cls, actuators: int, channels: int, coils: Sequence[int], device: str = "the device"
+    ) -> ChannelMap:
+        """Return a map whose actuators repeat over the channels with coils; others are silent.
+
+        coils: these channels, counted from 0; empty where all channels have coils.
+        UsageError: the device's profile lacks such a channel.
+        """
+        if not coils:
+            return cls.repeated(actuators, channels)
+        if max(coils) >= channels:
+            raise UsageError(
+                f"the coils of {device} are on channels {' and '.join(map(str, coils))}, counted "
+                f"from 0, but it has {channels} channels: choose its profile with "
+                f"{max(coils) + 1}, or name channels in an [[actuator]]"
+            )
+        sources: list[int | None] = [None] * channels
+        for place, channel in enumerate(coils):
+            sources[channel] = place % actuators
+        return cls(actuators, tuple(sources))
+
+    @classmethod
     def of(
         cls,
         wiring: Sequence[Sequence[int | str]],

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from device.drive.channel_map import ChannelMap
 from device.drive.settings import ActuatorSettings, wiring_of
 from device.errors import UsageError
+from device.server.identity import identity_of
 from device.server.snapshot import Sink
+from device.usb.coils import coil_channels
 
 _POSITIONS = (
     *("front-left", "front-right", "rear-left", "rear-right"),
@@ -28,12 +30,11 @@ def sink_channel_map(
 
     UsageError: the sink has no such channel, or a stream cannot reach its channels one by one.
     """
-    if not actuators:
-        return ChannelMap.repeated(haptic_channels, sink.channels)
-    name = f"the sink {sink.name!r}"
-    wanted = ChannelMap.of(wiring_of(actuators), sink.channels, sink.positions, name)
-    if len({*wanted.sources}) == 1:  # all channels are equal, so their order has no effect
+    wanted = actuators_of_channels(sink, actuators, haptic_channels)
+    repeats = not actuators and None not in wanted.sources
+    if repeats or len({*wanted.sources}) == 1:  # all channels are equal: their order has no effect
         return wanted
+    name = f"the sink {sink.name!r}"
     stream = STREAM_POSITIONS.get(sink.channels, ())
     if not stream or sorted(stream) != sorted(sink.positions):
         raise UsageError(
@@ -43,3 +44,20 @@ def sink_channel_map(
         )
     channels = [sink.positions.index(position) for position in stream]
     return ChannelMap(wanted.actuators, tuple(wanted.sources[channel] for channel in channels))
+
+
+def actuators_of_channels(
+    sink: Sink, actuators: Sequence[ActuatorSettings], haptic_channels: int
+) -> ChannelMap:
+    """Return which actuator each channel of a sink plays, in the sink's own order.
+
+    Without named actuators, channels of a known device that drive no coils are silent.
+
+    UsageError: the sink has no such channel.
+    """
+    name = f"the sink {sink.name!r}"
+    if actuators:
+        return ChannelMap.of(wiring_of(actuators), sink.channels, sink.positions, name)
+    identity = identity_of(sink)
+    coils = coil_channels(identity.vendor_id, identity.product_id) if identity.bus == "usb" else ()
+    return ChannelMap.on_coils(haptic_channels, sink.channels, coils, name)

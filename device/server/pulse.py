@@ -32,6 +32,11 @@ from device.volume_limit import limit_volume_db
 _GATHER_S = 0.02  # events come in dozens: a snapshot is taken this long after the first of them
 
 
+_VOLUME_LOOKS, _VOLUME_LOOK_S = 25, 0.02
+_VOLUME_ROUNDING = 1e-4
+"""Seven of the 65 536 steps of a server's volume."""
+
+
 class PulseConnection(ConnectionThread):
     """A connection from the moment it is made until it is lost or closed.
 
@@ -84,18 +89,28 @@ class PulseConnection(ConnectionThread):
         self._ask(lambda: self._pulse.sink_input_move(index, sink_index))
 
     def set_sink_volume_db(self, name: str, wanted_db: float) -> None:
-        """Set all channels of a sink, 0 dB at most, and unmute it.
+        """Set all channels of a sink, 0 dB at most, and unmute it once they are so quiet.
 
-        The server's scale is 60 log10 of its own number, with 1.0 at 0 dB.
+        The server's scale is 60 log10 of its own number, with 1.0 at 0 dB. NotFoundError: the sink
+        is gone or stays louder.
         """
         volume = 10.0 ** (limit_volume_db(wanted_db, -math.inf, name) / 60.0)
 
-        def work() -> None:
-            sink = self._pulse.get_sink_by_name(name)
-            self._pulse.volume_set_all_chans(sink, volume)
-            self._pulse.sink_mute(sink.index, False)
+        def loudest() -> float:
+            return max(self._pulse.get_sink_by_name(name).volume.values, default=0.0)
 
-        self._ask(work)
+        def unmute() -> None:
+            self._pulse.sink_mute(self._pulse.get_sink_by_name(name).index, False)
+
+        self._ask(
+            lambda: self._pulse.volume_set_all_chans(self._pulse.get_sink_by_name(name), volume)
+        )
+        for _ in range(_VOLUME_LOOKS):  # PipeWire answers before it has set the volume
+            if self._ask(loudest) <= volume + _VOLUME_ROUNDING:
+                self._ask(unmute)
+                return
+            time.sleep(_VOLUME_LOOK_S)
+        raise NotFoundError(f"the sink {name!r} does not take the level {wanted_db:g} dB")
 
     def set_default_sink(self, name: str) -> None:
         """Make a sink the default, as a user would; streams may follow it up to 50 ms later."""

@@ -37,14 +37,18 @@ class AudioPriority:
     Attributes
     ----------
     wanted : bool
-        As above; set by `set_wanted`, cleared by `revoke`.
+        As above; set by `set_wanted`, cleared by `revoke`, set again by `restore`.
+    round : int
+        Counts the times that `restore` did something: threads that claimed before claim again.
     warning : str
         What is missing and how to get it; "" unless a thread was refused.
     """
 
     def __init__(self, wanted: bool = True) -> None:
         self.wanted = False
+        self.round = 0
         self.warning = ""
+        self._revoked = False
         self._threads: deque[int] = deque(maxlen=THREADS_MAX)
         self._advice = (
             "the audio threads have no real-time priority, so vibration may break up on a busy "
@@ -58,7 +62,7 @@ class AudioPriority:
         if wanted and not self.wanted:
             _use_limits()
             _limit_spinning()
-        self.wanted = wanted
+        self.wanted, self._revoked = wanted, False
         if not wanted:
             self._drop_priorities()
             self.warning = ""
@@ -73,12 +77,23 @@ class AudioPriority:
 
     def revoke(self) -> None:
         """Take priority away from all threads, as one ran too long. For a signal handler."""
+        self._revoked = self._revoked or self.wanted
         self.wanted = False
         self._drop_priorities()
         self.warning = (
             f"an audio thread ran for {SPIN_S:g} s without a break, so all of them lost their "
-            "real-time priority; restart to try again"
+            "real-time priority; restart, or plug the device in again, to try again"
         )
+
+    def restore(self) -> None:
+        """Undo `revoke` once a vanished device's stream is closed. For the main thread.
+
+        PortAudio's thread spins from the moment that its card is pulled out.
+        """
+        if self._revoked:
+            self.round += 1
+            self.warning = ""
+            self.set_wanted(True)
 
     def _drop_priorities(self) -> None:
         mine = {int(entry.name) for entry in Path("/proc/self/task").iterdir()}

@@ -82,6 +82,7 @@ class _Stream(CallbackCounts):
         check_format(samplerate, channels)
         super().__init__(audible)
         self._priority = priority
+        self._claimed = -1
         self.samplerate = samplerate
         self.channels = channels
         self._closing = False
@@ -131,8 +132,9 @@ class _Stream(CallbackCounts):
         try:
             if not self.callbacks:
                 self._gil_state.keep()
-                if self._priority is not None:
-                    self._priority.claim()
+            if self._priority is not None and self._claimed != self._priority.round:
+                self._claimed = self._priority.round
+                self._priority.claim()
             self.last_callback_s = now_s
             self.callbacks += 1
             self.frames += frames

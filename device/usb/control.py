@@ -39,8 +39,8 @@ def playback_of(device: UsbAudioDevice) -> PlaybackFormat:
 
     UsbAccessError: nothing can be played on it, or its descriptors cannot be read.
     """
-    configurations = parse_whole(read_descriptors(device)).configurations
-    formats = playback_formats(configurations[0]) if configurations else ()
+    configuration = parse_whole(read_descriptors(device)).active(device.configuration)
+    formats = playback_formats(configuration) if configuration else ()
     if not formats:
         raise UsbAccessError(f"{device.label!r} plays no sound according to its descriptors")
     return max(formats, key=lambda one: (bool(one.volume_channels), bool(one.mute_channels)))
@@ -91,20 +91,34 @@ class UsbControl:
     def set_volume_db(
         self, channel: int, wanted_db: float, limit_db: float = MAX_VOLUME_DB
     ) -> float:
-        """Set a volume, never above 0 dB nor limit_db; return what it was set to."""
-        limit_volume_db = -math.inf
+        """Set a volume, never above 0 dB nor limit_db; return what it is then, as it was read back.
+
+        What is below the range becomes its lowest value. UsbAccessError, too: it is not taken.
+        """
+        wanted_units, step_db = requests.SILENCE_UNITS, 0.0
         if wanted_db != -math.inf:
-            limit_volume_db = self.volume_range(channel).allowed(wanted_db, limit_db)
-        self._set_units(channel, requests.volume_units(limit_volume_db))
-        return limit_volume_db
+            offered = self.volume_range(channel)
+            wanted_units = requests.volume_units(offered.allowed(wanted_db, limit_db))
+            step_db = offered.step_db
+        self._set_units(channel, wanted_units)
+        found_db, set_db = self.volume_db(channel), requests.from_volume_units(wanted_units)
+        # Devices round to steps of their own, but none may end up louder.
+        if not set_db - max(step_db, 1.0) <= found_db <= set_db:
+            raise UsbAccessError(
+                f"{self._device.label!r} takes {set_db:g} dB for channel {channel} and then says "
+                f"that it is {found_db:g} dB; set the level in the config, or at the amplifier"
+            )
+        return found_db
 
     def muted(self, channel: int) -> bool:
         """Return whether a channel is muted."""
         return bool(requests.number(self._ask_feature(FeatureControl.MUTE, channel), 1))
 
     def set_muted(self, channel: int, muted: bool) -> None:
-        """Mute or unmute a channel."""
+        """Mute or unmute a channel. UsbAccessError, too: it is not taken."""
         self._ask(requests.set_feature(self._playback, FeatureControl.MUTE, channel, int(muted)))
+        if self.muted(channel) is not muted:
+            raise UsbAccessError(f"{self._device.label!r} takes a mute and does not change it")
 
     def samplerate(self) -> int:
         """Return the samplerate in Hz."""
@@ -116,8 +130,12 @@ class UsbControl:
         return requests.samplerate_ranges(self._ask(requests.samplerate(self._playback, "range")))
 
     def set_samplerate(self, hertz: int) -> None:
-        """Set the samplerate in Hz."""
+        """Set the samplerate in Hz. UsbAccessError, too: it is not taken."""
         self._ask(requests.set_samplerate(self._playback, hertz))
+        if (found := self.samplerate()) != hertz:
+            raise UsbAccessError(
+                f"{self._device.label!r} takes {hertz} Hz and then says that it has {found} Hz"
+            )
 
     def state(self) -> ControlState:
         """Return all settings that the device reports."""

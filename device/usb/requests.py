@@ -22,9 +22,11 @@ SILENCE_UNITS = -32_768
 
 _OUT_OF_INTERFACE, _OUT_OF_ENDPOINT = 0xA1, 0xA2
 _INTO_INTERFACE, _INTO_ENDPOINT = 0x21, 0x22
+_GET_2: dict[What, int] = {"now": 0x01, "range": 0x02}
 _GET: dict[int, dict[What, int]] = {
     1: {"now": 0x81, "lowest": 0x82, "highest": 0x83, "step": 0x84},
-    2: {"now": 0x01, "range": 0x02},
+    2: _GET_2,
+    3: _GET_2,
 }
 _SET = 0x01
 _SAMPLERATE = 0x01
@@ -107,7 +109,7 @@ def samplerate(playback: PlaybackFormat, what: What = "now") -> Request:
     clock = playback.clock_sources[0] if playback.clock_sources else None
     index = _unit_index(playback, clock, "a clock")
     length = 4 if what == "now" else 2 + 12 * _MOST_RANGES
-    return Request(_OUT_OF_INTERFACE, _GET[2][what], _SAMPLERATE << 8, index, length)
+    return Request(_OUT_OF_INTERFACE, _GET_2[what], _SAMPLERATE << 8, index, length)
 
 
 def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
@@ -122,7 +124,11 @@ def set_samplerate(playback: PlaybackFormat, hertz: int) -> Request:
 
 def volume_db(answer: bytes) -> float:
     """Return a volume in dB; -inf is silence. UsbAccessError: no volume."""
-    (units,) = _units("volume", answer, "<h")
+    return from_volume_units(_units("volume", answer, "<h")[0])
+
+
+def from_volume_units(units: int) -> float:
+    """Return a volume in dB of 1/256 dB; -inf is silence."""
     return -math.inf if units == SILENCE_UNITS else units / VOLUME_UNITS_PER_DB
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from device.errors import NotFoundError, NoUsbBusError, NoUsbDeviceError
+from device.usb.descriptors import DescriptorError, parse_whole, playback_formats
 
 ROOT = Path("/")
 
@@ -77,6 +78,8 @@ class UsbAudioDevice:
         Mbit/s, 0 if unknown.
     max_power_ma : int or None
         mA, None if unknown.
+    configuration : int or None
+        Number of the active configuration, None if unknown or if none is.
     descriptors : bytes
         Device descriptor first, then the configurations; b"" if they are unreadable.
     node : Path
@@ -98,6 +101,7 @@ class UsbAudioDevice:
     address: int
     speed: float
     max_power_ma: int | None
+    configuration: int | None
     descriptors: bytes
     node: Path
     interfaces: tuple[AudioInterface, ...]
@@ -107,12 +111,18 @@ class UsbAudioDevice:
     def plays(self) -> bool:
         """Whether the device can play sound, and is not only for MIDI or recording.
 
-        ALSA says so once a driver has made a card of it. Without a card, an interface that streams
-        counts: in which direction it does is in the descriptors, which are not read here.
+        A card that plays says so, else the descriptors. Without either, an interface that streams
+        counts.
         """
-        if self.cards:
-            return any(card.playback for card in self.cards)
-        return any(interface.subclass == STREAMING for interface in self.interfaces)
+        if any(card.playback for card in self.cards):
+            return True
+        try:
+            configuration = parse_whole(self.descriptors).active(self.configuration)
+        except DescriptorError:
+            configuration = None
+        if configuration is not None:
+            return bool(playback_formats(configuration))
+        return not self.cards and any(each.subclass == STREAMING for each in self.interfaces)
 
     @property
     def label(self) -> str:
@@ -200,6 +210,7 @@ def _device(
         before = (folder / "devnum").read_bytes()
         real = os.path.realpath(folder)
         bus, address = int((folder / "busnum").read_bytes()), int(before)
+        value = _number(folder / "bConfigurationValue", r"\d+")
         device = UsbAudioDevice(
             port=port,
             path=real.removeprefix(os.path.realpath(root / "sys")),
@@ -212,6 +223,7 @@ def _device(
             address=address,
             speed=float(_number(folder / "speed", r"\d+(\.\d+)?") or 0),
             max_power_ma=int(power) if (power := _number(folder / "bMaxPower", r"\d+")) else None,
+            configuration=int(value) if value else None,
             descriptors=_bytes(folder / "descriptors"),
             node=root / f"dev/bus/usb/{bus:03d}/{address:03d}",
             interfaces=audio,

@@ -46,8 +46,9 @@ def take_over(device: UsbAudioDevice, *, root: Path = ROOT) -> Iterator[UsbContr
     numbers = [each.number for each in device.interfaces if each.driver in held_by(device)]
     guardian = _Guardian(device, root)
     try:
-        for number in numbers:
-            _detach(device, handle, number)
+        # Of all interfaces, as the question alone shows whether the device may be opened.
+        for interface in device.interfaces:
+            _detach(device, handle, interface.number)
         guardian.guard(control.state(), numbers)
         yield control
     finally:
@@ -114,8 +115,8 @@ def _detach(device: UsbAudioDevice, handle: Any, number: int) -> None:
             handle.detach_kernel_driver(number)
     except usb.core.USBError as error:
         raise UsbAccessError(
-            f"{device.label!r} at {device.node} cannot be taken from its driver ({error}); "
-            "`cushion install-service --udev` prints a rule that gives the permission"
+            f"{device.label!r} at {device.node} cannot be opened, or taken from its driver "
+            f"({error}); `cushion install-service --udev` prints a rule that gives the permission"
         ) from None
 
 

@@ -7,9 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from audioflinger_hook.cli.devices import by_setting
+from audioflinger_hook.cli.usb_formats import by_setting, format_text, formats_of
 from device.usb import UsbAudioDevice, find_devices
+from device.usb.descriptors import RateRange, parse_configuration
+from tests.support import usb_builder
 from tests.support.sound_cards import ADAPTIVE, ASYNC, Cards
+from tests.support.usb_builder import (
+    ASYNCHRONOUS,
+    ISOCHRONOUS,
+    UAC3,
+    class_specific,
+    endpoint,
+    streaming,
+)
+from tests.support.usb_shapes import SHAPES
 from tests.support.usb_tree import UsbTree
 
 
@@ -39,3 +50,61 @@ def test_a_card_that_went_meanwhile_or_of_another_device_offers_nothing(
     assert by_setting(device, tmp_path / "asound") == {}
     shutil.rmtree(tmp_path / "asound")
     assert by_setting(device, tmp_path / "asound") == {}
+
+
+CLASS_3 = ASYNC.replace("Altset 1", "Altset 7", 1)
+"""The driver lists settings 2, 3 and 7 of interface 1."""
+
+
+@pytest.fixture
+def cards(tmp_path: Path) -> Path:
+    Cards(tmp_path / "asound").plug(1, "DAC", stream=CLASS_3)
+    return tmp_path / "asound"
+
+
+def test_what_descriptors_of_class_3_leave_open_is_the_driver_s(
+    device: UsbAudioDevice, cards: Path
+) -> None:
+    play = class_specific(1, bytes([5, *bytes(4), 2, 0, 1, *bytes(7), 4, 24, 0, 0, 4]))
+    data = endpoint(1, ISOCHRONOUS | ASYNCHRONOUS, 192)
+    configuration = parse_configuration(
+        usb_builder.configuration(
+            usb_builder.association(0, 2, UAC3),
+            usb_builder.control(0, UAC3),
+            streaming(1, 0, UAC3),
+            streaming(1, 2, UAC3, play, data),
+        )
+    )
+    decoded, *listed = formats_of(configuration, device, root=cards)
+    assert (decoded["audio_class"], decoded["encodings"], decoded["bits"]) == (3, ["PCM"], 24)
+    assert decoded["channels"] == 2
+    assert decoded["samplerates"] == [44_100, 48_000, 88_200, 96_000, 176_400, 192_000]
+    assert [(each["alternate"], each["audio_class"]) for each in listed] == [(7, 3), (3, 3)]
+    assert listed[0]["encodings"] == ["S16_LE"]
+    assert listed[1]["encodings"] == ["DSD"]
+    (alone,) = formats_of(configuration)
+    assert (alone["channels"], alone["samplerates"]) == (0, None)
+
+
+def test_native_dsd_is_not_called_samples_of_32_bits(device: UsbAudioDevice, cards: Path) -> None:
+    configuration = parse_configuration(SHAPES["async_dac"])
+    of_descriptors = [format_text(each) for each in formats_of(configuration)]
+    assert (
+        of_descriptors[2] == "native DSD, 2 channels, unknown samplerates, asynchronous, feedback"
+    )
+    assert of_descriptors[0].startswith("PCM of 24 bits in 4 bytes, 2 channels")
+    # A device that calls it PCM is known to the driver.
+    plain = SHAPES["async_dac"].replace(bytes([1, 0, 0, 0, 0x80, 2]), bytes([1, 1, 0, 0, 0, 2]))
+    assert format_text(formats_of(parse_configuration(plain))[2]).startswith("PCM of 32 bits")
+    of_driver = formats_of(parse_configuration(plain), device, root=cards)[2]
+    assert format_text(of_driver).startswith("native DSD, 2 channels, 44100, 48000 Hz")
+
+
+def test_rates_that_a_clock_was_asked_for_are_those_of_its_formats() -> None:
+    configuration = parse_configuration(SHAPES["async_dac"])
+    single = [RateRange(44_100, 44_100), RateRange(96_000, 96_000)]
+    assert formats_of(configuration, asked=single)[0]["samplerates"] == [44_100, 96_000]
+    some = [RateRange(44_100, 44_100), RateRange(48_000, 96_000)]
+    found = formats_of(configuration, asked=some)[0]
+    assert found["samplerates"] == {"lowest": 44_100, "highest": 96_000}
+    assert ", 44.1 to 96 kHz, " in format_text(found, units="kHz")

@@ -120,6 +120,46 @@ def test_actuators_reach_the_channels_that_they_are_wired_to(
     assert encode(block, PcmFormat.I24) in rig.path(30).read_bytes()
 
 
+PAD = ADAPTIVE.replace("Channels: 8", "Channels: 4")
+
+
+def test_a_pad_whose_coils_are_known_vibrates_on_their_channels_alone(rig: Rig) -> None:
+    rig.cards.plug(30, "DAC", stream=PAD, usb_id="054c:0ce6")
+    rig.output.set_format(RATE, 1)
+    rig.tick()
+    rig.play()
+    rig.output.close()
+    block = np.zeros((256, 4), np.float32)
+    block[:, 2] = block[:, 3] = TONE
+    assert encode(block, PcmFormat.I24) in rig.path(30).read_bytes()
+
+
+def test_a_pad_without_the_channels_of_its_coils_is_not_played_to(rig: Rig) -> None:
+    rig.cards.plug(30, "DAC", stream=ASYNC, usb_id="054c:0ce6")
+    rig.output.set_format(RATE, 1)
+    with pytest.raises(NotFoundError, match="cannot be opened with 4 to 32 channels"):
+        rig.output.locate(None)
+
+
+def test_a_card_whose_volume_cannot_be_set_is_not_played_to(rig: Rig) -> None:
+    rig.cards.plug(30, "DAC", stream=ASYNC)
+    rig.output.set_format(RATE, 1)
+    rig.output.volume.wanted_db = -30.0  # there is no control file of such a card
+    rig.output.locate(None)
+    for attempt in (lambda: rig.output.set_volume(None), rig.tick):
+        with pytest.raises(NotFoundError, match="device_volume_db = -30 cannot be set"):
+            attempt()
+    assert rig.states.state is DaemonState.WAITING_FOR_DEVICE
+    assert not rig.output.is_open
+    rig.output.volume.wanted_db = None
+    rig.tick(later_s=1.0)
+    rig.play()
+    rig.output.volume.wanted_db = -30.0  # the config was read again
+    with pytest.raises(NotFoundError):
+        rig.tick()
+    assert not rig.output.is_open
+
+
 def test_a_card_with_too_few_channels_for_the_actuators_is_none(
     tmp_path: Path, pcms: PcmConfig
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from audioflinger_hook.daemon.outputs.base import DeviceVolume
-from device.errors import NotFoundError
+from device.errors import LostError, NotFoundError, UsageError
 
 
 def test_nothing_is_set_while_nothing_is_wanted() -> None:
@@ -25,20 +25,32 @@ def test_it_is_set_at_each_opening_and_between_them_only_where_another_is_wanted
     assert levels_db[3:] == [-20.0]
 
 
-def test_a_device_that_cannot_is_told_and_not_asked_again_until_it_is_opened_anew() -> None:
-    asked = []
+def refuse(wanted_db: float) -> None:
+    raise UsageError("it has no volume")
 
-    def refuse(wanted_db: float) -> None:
-        asked.append(wanted_db)
-        raise NotFoundError("it has no volume")
 
+def test_a_device_that_cannot_does_not_play_and_is_asked_again_each_time() -> None:
     volume = DeviceVolume(-6.0)
-    volume.set(refuse)
-    volume.update(refuse)
-    assert asked == [-6.0]
-    assert volume.warning == "device_volume_db = -6: it has no volume"
-    volume.set(asked.append)
-    assert volume.warning == ""
+    for attempt in (volume.set, volume.update, volume.update):
+        with pytest.raises(NotFoundError) as raised:
+            attempt(refuse)
+        told = str(raised.value)
+        assert "device_volume_db = -6 cannot be set" in told
+        assert "it has no volume" in told
+        assert "--device-volume-db off" in told
+    levels_db: list[float] = []
+    volume.update(levels_db.append)
+    assert levels_db == [-6.0]
+    volume.wanted_db = None
+    volume.update(refuse)  # nothing is asked of it
+
+
+def test_a_server_that_is_lost_meanwhile_is_no_refusal_of_the_device() -> None:
+    def lose(wanted_db: float) -> None:
+        raise LostError("gone")
+
+    with pytest.raises(LostError):
+        DeviceVolume(-6.0).set(lose)
 
 
 def test_more_than_the_rig_allows_is_never_set_and_that_is_told() -> None:
@@ -58,11 +70,9 @@ def test_more_than_the_rig_allows_is_never_set_and_that_is_told() -> None:
 
 @pytest.mark.parametrize("wanted_db", [None, -3.0])
 def test_a_warning_ends_with_what_it_was_about(wanted_db: float | None) -> None:
-    def refuse(wanted_db: float) -> None:
-        raise NotFoundError("no")
-
-    volume = DeviceVolume(-6.0)
-    volume.set(refuse)
+    volume = DeviceVolume(0.0, -1.0)
+    volume.set(lambda _: None)
+    assert volume.warning
     volume.wanted_db = wanted_db
     volume.update(lambda _: None)
     assert volume.warning == ""

@@ -55,7 +55,7 @@ Capture:
 RUNNING = ASYNC.replace(
     "  Status: Stop\n",
     "  Status: Running\n    Interface = 1\n    Altset = 2\n    Packet Size = 104\n"
-    "    Momentary freq = 48000 Hz (0x6.0010)\n    Feedback Format = 16.16\n",
+    "    Momentary freq = 48002 Hz (0x6.0010)\n    Feedback Format = 16.16\n",
     1,
 )
 

@@ -28,10 +28,16 @@ def descriptor(descriptor_type: int, body: bytes, extra: bytes = b"") -> bytes:
     return bytes([2 + len(body) + len(extra), descriptor_type]) + body + extra
 
 
-def device(vendor: int = 0x1209, product: int = 0x0001, device_class: int = 0, usb: int = 0x0200):
+def device(
+    vendor: int = 0x1209,
+    product: int = 0x0001,
+    device_class: int = 0,
+    usb: int = 0x0200,
+    configurations: int = 1,
+) -> bytes:
     body = le(usb, 2) + bytes([device_class, 0, 0, 64])
     return descriptor(
-        1, body + le(vendor, 2) + le(product, 2) + le(0x0123, 2) + bytes([1, 2, 3, 1])
+        1, body + le(vendor, 2) + le(product, 2) + le(0x0123, 2) + bytes([1, 2, 3, configurations])
     )
 
 
@@ -59,8 +65,13 @@ def split(raw: bytes) -> list[bytes]:
     return found
 
 
-def association(first: int, count: int, protocol: int = UAC2) -> bytes:
-    return descriptor(0x0B, bytes([first, count, AUDIO, 0, protocol, 0]))
+def numbered(configuration: bytes, value: int) -> bytes:
+    """A configuration with another number."""
+    return configuration[:5] + bytes([value]) + configuration[6:]
+
+
+def association(first: int, count: int, protocol: int = UAC2, subclass: int = 0) -> bytes:
+    return descriptor(0x0B, bytes([first, count, AUDIO, subclass, protocol, 0]))
 
 
 def interface(

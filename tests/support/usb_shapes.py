@@ -253,6 +253,43 @@ def midi_between() -> bytes:
     )
 
 
+def midi_header_names_the_stream() -> bytes:
+    """2.0 with implicit feedback and a volume, and a MIDI function whose header lists interface 1.
+
+    As SSL 2+ (31e9:0002) and Behringer WING. The association spans interfaces 0 to 2 alone.
+    """
+    units = header_2(
+        clock_source(0x29),
+        input_2(1, STREAMING_TERMINAL, 0x29, 4, 0),
+        feature_2(5, 1, [MUTE_2 | VOLUME_2, 0, 0, 0, 0]),
+        output_2(2, SPEAKER, 5, 0x29),
+        input_2(3, MICROPHONE, 0x29, 2, 0),
+        output_2(4, STREAMING_TERMINAL, 3, 0x29),
+    )
+    out = endpoint(0x01, ISOCHRONOUS | ASYNCHRONOUS, 112)
+    back = endpoint(0x82, ISOCHRONOUS | ASYNCHRONOUS | IMPLICIT, 56)
+    form = format_2(4, 24)
+    midi = interface(
+        4,
+        0,
+        (0x01, 3, 0),
+        class_specific(1, le(0x0100, 2) + le(13, 2)),
+        class_specific(2, bytes([1, 1, 0])),
+        descriptor(5, bytes([0x03, 2]) + le(512, 2) + bytes([0, 0, 0])),
+        descriptor(0x25, bytes([1, 1, 1])),
+    )
+    return configuration(
+        association(0, 3),
+        control(0, UAC2, units),
+        streaming(1, 0, UAC2),
+        streaming(1, 1, UAC2, general_2(1, 4, 0), form, out, stream_endpoint_2()),
+        streaming(2, 0, UAC2),
+        streaming(2, 1, UAC2, general_2(4, 2, 0), form, back, stream_endpoint_2()),
+        control(3, UAC1, header_1([1])),
+        midi,
+    )
+
+
 def basic_3() -> bytes:
     """3.0 with a basic profile: no unit is described."""
     return configuration(
@@ -264,9 +301,9 @@ def basic_3() -> bytes:
 
 
 def full_3() -> bytes:
-    """3.0 with units: named, not understood."""
+    """3.0 with units, which are named and not understood; 24 bits in 4 bytes."""
     units = class_specific(1, bytes([8]) + le(0x28, 2) + bytes(4)) + class_specific(7, bytes(20))
-    play = class_specific(1, bytes(20))
+    play = class_specific(1, bytes([5, *bytes(4), 2, 0, 1, *bytes(7), 4, 24, 0, 0, 4]))
     return configuration(
         association(0, 2, UAC3),
         control(0, UAC3, units),
@@ -301,6 +338,7 @@ SHAPES = {
         implicit_feedback,
         composite,
         midi_between,
+        midi_header_names_the_stream,
         basic_3,
         full_3,
         longer_than_the_standard,

@@ -7,6 +7,7 @@ instructions and leaps: limits are far away.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import signal
@@ -25,12 +26,13 @@ from audioflinger_hook.service.json_codec import to_json
 from audioflinger_hook.service.status_client import ask_status
 from device.alsa.mixer import CardMixer
 from device.errors import CushionError
-from device.usb import UsbAudioDevice, find_devices
+from device.usb import UsbAudioDevice, find_devices, identify
 from device.usb.mapping import hw_names
 from tests.support import usb_builder
+from tests.support.commands import call
 from tests.support.usbmock.software_dac import SoftwareDac
 from tests.usbvm.machine import order
-from tests.usbvm.shapes import dac_1, dac_2
+from tests.usbvm.shapes import dac_1, dac_2, game_pad, headphones_3, two_configurations
 from tests.usbvm.vhci import VirtualDac
 
 CUSHION = (sys.executable, "-m", "audioflinger_hook")
@@ -191,6 +193,15 @@ def cushion_run(*arguments: str) -> str:
     return told
 
 
+def count_real_time(process: int) -> int:
+    """How many of a process's threads have real-time priority."""
+    policies = [
+        os.sched_getscheduler(int(thread.name)) & ~os.SCHED_RESET_ON_FORK
+        for thread in Path(f"/proc/{process}/task").iterdir()
+    ]
+    return policies.count(os.SCHED_RR)
+
+
 def pulled(folder: Path) -> dict[str, Any]:
     """The card that plays is pulled out and plugged into another port."""
     (device,) = devices(1)
@@ -199,6 +210,7 @@ def pulled(folder: Path) -> dict[str, Any]:
     run = Run(sound(60.0), "--device", name)
     playing = run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
+    first = count_real_time(run.process.pid)
     order(folder, "unplug", "dac")
     pulled_s = time.monotonic()
     noticed = run.wait(lambda status: status["state"] != "running")
@@ -212,11 +224,13 @@ def pulled(folder: Path) -> dict[str, Any]:
     back = run.wait(lambda status: status["state"] == "running")
     time.sleep(3.0)
     last = run.look()
+    real_time = count_real_time(run.process.pid)
     told = run.end()
     return {
         "name": name,
         "ports": [device["port"], again.port],
         "playing_s": playing,
+        "real_time_threads": [first, real_time],
         "noticed_after_s": noticed - pulled_s,
         "back_after_s": back - plugged_s,
         "states": run.states,
@@ -253,11 +267,110 @@ def software(folder: Path, uac: int, ppm: float, seconds: float) -> dict[str, An
     }
 
 
+def only_name() -> tuple[str, str]:
+    """Name and ALSA's name of the only device, once it has a card."""
+    (device,) = await_cards(1)
+    return str(identify(device, [device])), hw_names(device)[0]
+
+
+def unsettable(folder: Path) -> dict[str, Any]:
+    """Muted DACs whose volume cannot be set: a run that sets it, and one that leaves it."""
+    told = {}
+    for which, has_volume in (("none", False), ("kept", True)):
+        descriptors = usb_builder.device(product=0xDAC1) + dac_1(volume=has_volume)
+        volumes = {1: -256, 2: -256} if has_volume else {}
+        dac = SoftwareDac(
+            descriptors, 1, ["Soft", which], volumes=volumes, mutes={0: 1}, keeps_volume=True
+        )
+        taken = bytearray()
+        plugged = VirtualDac(dac, taken.extend)
+        with ExitStack() as stack:
+            stack.callback(plugged.unplug)
+            run = ("run", "--tap", sound(20.0), "--device", only_name()[0], "--seconds", "2")
+            runs = []
+            for level in ("-30", "off"):
+                done = call(*run, "--device-volume-db", level)
+                runs.append([done.code, done.stderr, dac.mutes[0], any(taken)])
+            told[which] = runs
+        await_cards(0)
+    return told
+
+
+def shapes(folder: Path) -> dict[str, Any]:
+    """A game pad, a DAC of 8 bits and one of 32 kHz alone, each played to by its name."""
+    told = {}
+    for name, ids, configuration, rates in (
+        ("pad", {"vendor": 0x054C, "product": 0x0CE6}, game_pad(), [48_000]),
+        ("coarse", {"product": 0xDAC8}, dac_1(subslot=1), [44_100, 48_000]),
+        ("slow", {"product": 0xDAC9}, dac_1(rates=[32_000]), [32_000]),
+    ):
+        descriptors = usb_builder.device(**ids) + configuration
+        dac = SoftwareDac(
+            descriptors, 1, ["Soft", name], samplerates=rates, volumes={0: 0, 1: 0, 2: 0}
+        )
+        with (folder / f"{name}.raw").open("wb") as taken, ExitStack() as stack:
+            plugged = VirtualDac(dac, taken.write)
+            stack.callback(plugged.unplug)
+            device, hw = only_name()
+            full_volume(hw)
+            done = call("run", "--tap", sound(20.0), "--device", device, "--seconds", "2")
+            told[name] = [done.code, done.stderr, dac.samplerate]
+        await_cards(0)
+    return told
+
+
+def configurations(folder: Path) -> dict[str, Any]:
+    """A DAC in its second configuration, and one of class 3."""
+    told = {}
+    for name, uac, configuration in (
+        ("second", 1, two_configurations()),
+        ("class 3", 3, headphones_3()),
+    ):
+        device = usb_builder.device(product=0xDAC1, configurations=2 if uac == 1 else 1)
+        # Requests of class 3 are those of class 2.
+        dac = SoftwareDac(
+            device + configuration,
+            min(uac, 2),
+            ["Soft", name],
+            samplerates=[48_000],
+            volumes={0: 0, 1: 0, 2: 0},
+        )
+        taken = bytearray()
+        plugged = VirtualDac(dac, taken.extend)
+        with ExitStack() as stack:
+            stack.callback(plugged.unplug)
+            if uac == 1:
+                choose_configuration(2)
+            device, hw = only_name()
+            (listed,) = json.loads(call("devices", "--json").stdout)["usb"]
+            described = call("usb", "describe", device).stdout
+            full_volume(hw)
+            done = call("run", "--tap", sound(20.0), "--device", device, "--seconds", "2")
+            told[name] = [listed, described, done.code, done.stderr, any(taken)]
+        await_cards(0)
+    return told
+
+
+def choose_configuration(value: int) -> None:
+    """Have the only device of this vendor use another configuration, as udev's rules may."""
+    deadline_s = time.monotonic() + LIMIT_S
+    while True:
+        for vendor in Path("/sys/bus/usb/devices").glob("*/idVendor"):
+            if vendor.read_text().strip() == "1209":
+                (vendor.parent / "bConfigurationValue").write_text(str(value))
+                return
+        assert time.monotonic() < deadline_s
+        time.sleep(POLL_S)
+
+
 SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "bits": bits,
     "pulled": pulled,
     "fast": lambda folder: software(folder, 1, 200.0, 40.0),
     "slow": lambda folder: software(folder, 1, -200.0, 40.0),
+    "unsettable": unsettable,
+    "shapes": shapes,
+    "configurations": configurations,
     "feedback": lambda folder: software(folder, 2, 150.0, 30.0),
 }
 

@@ -105,6 +105,8 @@ def test_a_card_that_is_pulled_out_while_it_plays_is_waited_for_in_any_port(tmp_
     assert "waiting-for-device" in states
     assert states[-1] == "running"
     assert result["ports"][0] != result["ports"][1]
+    assert result["real_time_threads"] == [1, 1]
+    assert not [line for line in result["last"]["warnings"] if "without a break" in line]
     pieces = sent(tmp_path, 16)
     assert len(pieces) >= 2
     before, after = heard(tmp_path / "dac.wav"), heard(tmp_path / "dac-again.wav")
@@ -159,3 +161,56 @@ def test_a_dac_of_class_2_gets_what_its_feedback_asks_for_bit_for_bit(tmp_path: 
     # all 32 bits are sent, of which such a device heeds 24
     assert_all_heard(taken, np.concatenate(sent(tmp_path, 32)), RATE_HZ)
     assert_followed(result, 150.0)
+    rate = [told["device_rate"] for told in result["statuses"] if told["state"] == "running"][-1]
+    assert rate["nominal_hz"] == RATE_HZ
+    # its word has 16 bits behind the point, of frames in 125 us
+    assert rate["ppm"] == pytest.approx(150.0, abs=1e6 * 8_000 / 65_536 / RATE_HZ)
+    assert rate["measured_hz"] == pytest.approx(RATE_HZ * (1.0 + 1e-6 * rate["ppm"]))
+
+
+def test_a_muted_dac_whose_volume_cannot_be_set_stays_muted_and_is_not_played_to(
+    tmp_path: Path,
+) -> None:
+    result = done(tmp_path, "unsettable")
+    assert set(result) == {"none", "kept"}
+    for refused, left in result.values():
+        code, told, muted, played = refused
+        assert (code, muted, played) == (3, 1, False)
+        assert "device_volume_db = -30 cannot be set" in told
+        assert "--device-volume-db off" in told
+        code, told, muted, played = left
+        assert (code, muted, played) == (0, 1, True), told
+    assert "has a mute and no volume" in result["none"][0][1]
+    assert "was set to -30 dB and is -1 dB" in result["kept"][0][1]
+
+
+def test_a_pad_vibrates_on_its_coils_alone_and_odd_formats_are_played_or_refused(
+    tmp_path: Path,
+) -> None:
+    result = done(tmp_path, "shapes")
+    assert result["pad"][0] == 0, result
+    speaker, coils = np.hsplit(np.fromfile(tmp_path / "pad.raw", "<i2").reshape(-1, 4), 2)
+    assert not speaker.any()
+    assert np.ptp(coils[:, 0]) > 100
+    assert np.array_equal(coils[:, 0], coils[:, 1])
+    code, told, _ = result["coarse"]
+    assert code == 3
+    assert "U8 with 2 channels" in told
+    code, told, samplerate = result["slow"]
+    assert (code, samplerate) == (0, 32_000), told
+    assert np.ptp(np.fromfile(tmp_path / "slow.raw", "<i2")) > 100
+
+
+def test_a_second_configuration_and_class_3_are_listed_and_played_to(tmp_path: Path) -> None:
+    result = done(tmp_path, "configurations")
+    listed, described, code, told, played = result["second"]
+    assert (code, played) == (0, True), told
+    assert listed["audio_class"] == 1
+    assert [each["samplerates"] for each in listed["formats"]] == [[44_100, 48_000]]
+    assert "configuration 2 is the active one" in described
+    listed, described, code, told, played = result["class 3"]
+    assert (code, played) == (0, True), told
+    assert listed["audio_class"] == 3
+    (offered,) = listed["formats"]
+    assert (offered["channels"], offered["bits"], offered["samplerates"]) == (2, 16, [48_000])
+    assert "USB Audio 3.0" in described

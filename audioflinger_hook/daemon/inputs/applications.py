@@ -70,7 +70,7 @@ class ApplicationsFeed:
 
     def __init__(self, priority: AudioPriority | None = None) -> None:
         self._priority = priority
-        self._thread: int | None = None
+        self._claimed: tuple[int, int] | None = None
         self.engine: Engine | None = None
         self.voices: VoicesClient | None = None
         self.gain = SoundGain()
@@ -86,10 +86,11 @@ class ApplicationsFeed:
 
     def push(self, voice: Voice, frames: Float32Array, now_s: float) -> None:
         """Take frames of one application; on the thread that captures."""
-        thread = threading.get_ident()
-        if self._priority is not None and thread != self._thread:
-            self._thread = thread  # every connection captures on a new thread
-            self._priority.claim()
+        if self._priority is not None:
+            claim = threading.get_ident(), self._priority.round
+            if claim != self._claimed:  # every connection captures on a new thread
+                self._claimed = claim
+                self._priority.claim()
         voices, engine = self.voices, self.engine
         if voices is None or engine is None or not len(frames):
             return

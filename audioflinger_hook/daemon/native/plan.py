@@ -11,7 +11,8 @@ from audioflinger_hook.daemon.native.taps import Tap
 from audioflinger_hook.mixer.layouts import source_weights
 from audioflinger_hook.transform import TransformParameters
 from audioflinger_hook.transform.design import LiveDesign
-from device.drive import ChannelMap, wiring_of
+from device.drive import ChannelMap
+from device.drive.channel_positions import actuators_of_channels
 from device.server.snapshot import Sink
 from device.units import FloatArray
 
@@ -73,7 +74,4 @@ def device_map(settings: Settings, plan: ChainPlan, sink: Sink) -> ChannelMap:
 
     UsageError: an actuator wants a channel that the device does not have.
     """
-    if not settings.actuators:
-        return ChannelMap.repeated(plan.outputs, sink.channels)
-    wiring = wiring_of(settings.actuators)
-    return ChannelMap.of(wiring, sink.channels, sink.positions, f"the sink {sink.name!r}")
+    return actuators_of_channels(sink, settings.actuators, plan.outputs)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import Generic, TypeVar
 
 from audioflinger_hook.daemon.inputs.base import AudioNode, Endpoint
 from audioflinger_hook.daemon.reconnecting_stream import ReconnectingStream
 from audioflinger_hook.daemon.recording import RunRecording
 from audioflinger_hook.daemon.run_config import RunConfig
-from audioflinger_hook.service.state import Cause, StateKeeper
+from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
 from device.address import DeviceAddress
+from device.alsa.usb_stream import MeasuredRate
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.drive import ChannelRouter
-from device.errors import CushionError, UsageError
+from device.errors import CushionError, LostError, NotFoundError, UsageError
 from device.rig import rig_by_name
 from device.server import PulseConnection, ServerSnapshot
 from device.stream import AudioPriority, PlaybackStream
@@ -28,7 +29,7 @@ Fill = Callable[[Float32Array, float], None]
 """Called with (out, now_s); writes the frames to play next into `out`."""
 
 SetVolume = Callable[[float], object]
-"""Sets a device to a level in dB and unmutes it; raises CushionError if it cannot."""
+"""Sets a device to a level in dB and unmutes it; raises CushionError, still muted, if not."""
 
 NodeT = TypeVar("NodeT", bound=AudioNode)
 
@@ -57,6 +58,10 @@ class Output(Endpoint):
         """Return the delay of a frame after it was written, 0 if unknown."""
         return 0.0
 
+    def measure_rate(self) -> MeasuredRate | None:
+        """Return the rate of the device's own clock; None if unknown. Any thread may call it."""
+        return None
+
     def configure(self, config: RunConfig) -> None:
         """Use the config's actuators now, and its stream settings for streams opened later."""
         self.set_actuators(config.settings.actuators)
@@ -64,6 +69,9 @@ class Output(Endpoint):
     @abstractmethod
     def locate(self, snapshot: ServerSnapshot | None) -> AudioNode:
         """Find the device. NotFoundError: it is not available. No other device is used instead."""
+
+    def set_volume(self, connection: PulseConnection | None) -> None:
+        """Set the located device's volume if the config has one. NotFoundError: it cannot be."""
 
     @abstractmethod
     def set_format(self, samplerate: int, channels: int) -> None:
@@ -168,6 +176,25 @@ class StreamOutput(Output, Generic[NodeT]):
         """Stop. May be repeated; raises nothing."""
         self._stream.close()
 
+    def set_volume(self, connection: PulseConnection | None) -> None:
+        """Set the located device's volume if the config has one. NotFoundError: it cannot be."""
+        assert self._found is not None
+        self.volume.set(self._volume_setter(self._found, connection))
+
+    @abstractmethod
+    def _volume_setter(self, node: NodeT, connection: PulseConnection | None) -> SetVolume:
+        """Return what sets this device's volume."""
+
+    @contextmanager
+    def _waiting(self, now_s: float) -> Iterator[None]:
+        """Close, and wait for the device, if it is missing or its volume cannot be set."""
+        try:
+            yield
+        except NotFoundError as error:
+            self.close()
+            self._states.enter(DaemonState.WAITING_FOR_DEVICE, now_s, str(error))
+            raise
+
     @abstractmethod
     def _channel_map(self, node: NodeT, actuators: Sequence[ActuatorSettings]) -> ChannelMap:
         """Return which actuator each channel of this device plays; raises UsageError."""
@@ -206,14 +233,14 @@ class DeviceVolume:
     """The device's own volume, set when the device is opened. For the supervising thread alone.
 
     wanted_db: 0 or less, None to leave the volume unchanged. limit_db: the rig's limit, which
-    replaces a higher volume. warning: why the volume differs from `wanted_db`, else "".
+    replaces a higher volume. warning: why the volume is below `wanted_db`, else "".
     """
 
     def __init__(self, wanted_db: float | None = None, limit_db: float = 0.0) -> None:
         self.wanted_db = wanted_db
         self.limit_db = limit_db
         self.warning = ""
-        self._last: tuple[float | None, float] = None, limit_db
+        self._last: tuple[float | None, float] | None = None, limit_db
 
     def request(self, config: RunConfig) -> None:
         """Store the config's volume; `update` sets it."""
@@ -224,21 +251,31 @@ class DeviceVolume:
         self.limit_db = min(rig_by_name(rig).dac.volume_limit_db for rig in rigs)
 
     def set(self, set_volume: SetVolume) -> None:
-        """Set the volume before the device plays; raises nothing."""
+        """Set the volume before the device plays.
+
+        NotFoundError: it cannot be set, so the device must not play. LostError: the server is lost.
+        """
         self._last, self.warning = (self.wanted_db, self.limit_db), ""
         if self.wanted_db is None:
             return
-        problem = ""
         if self.wanted_db > self.limit_db:
-            problem = f"the rig allows at most {self.limit_db:g} dB, which is set instead"
+            self.warning = (
+                f"device_volume_db = {self.wanted_db:g}: the rig allows at most "
+                f"{self.limit_db:g} dB, which is set instead"
+            )
         try:
             set_volume(min(self.wanted_db, self.limit_db))
+        except LostError:
+            raise
         except CushionError as error:
-            problem = str(error)
-        if problem:
-            self.warning = f"device_volume_db = {self.wanted_db:g}: {problem}"
+            self._last = None
+            raise NotFoundError(
+                f"device_volume_db = {self.wanted_db:g} cannot be set, so nothing is played and a "
+                f"mute stays: {error}; choose another level, or --device-volume-db off, which "
+                "plays with the device's own level and mute"
+            ) from None
 
     def update(self, set_volume: SetVolume) -> None:
-        """Set the volume if the config changed; changes made elsewhere stay. Raises nothing."""
+        """Set the volume if the config changed; changes made elsewhere stay. Raises as `set`."""
         if (self.wanted_db, self.limit_db) != self._last:
             self.set(set_volume)

@@ -8,13 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from audioflinger_hook.daemon.outputs.base import Fill, StreamOutput
+from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.service.state import DaemonState
 from device.alsa import choose_setup, find_playback, set_card_volume
 from device.alsa.cards import PROC, PlaybackDevice
 from device.alsa.negotiation import CardSetup, list_offers
-from device.alsa.usb_stream import read_usb_stream
+from device.alsa.usb_stream import MeasuredRate, measure_rate, read_usb_stream
 from device.alsa.use import read_hw_params, why_blocked
 from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
 from device.errors import CushionError, LostError, NotFoundError, UsageError
@@ -22,6 +22,7 @@ from device.server import PulseConnection, ServerSnapshot
 from device.stream.pcms import CardDevice, Target
 from device.stream.sample_format import SampleFormat
 from device.usb import UsbIdentity, find_devices, find_one
+from device.usb.coils import coil_channels
 from device.usb.sysfs import ROOT
 
 
@@ -98,6 +99,11 @@ class CardOutput(StreamOutput[CardNode]):
         """Return the time that a frame waits in the card's buffer, 0 while it is closed."""
         return self._delay_s if self.is_open else 0.0
 
+    def measure_rate(self) -> MeasuredRate | None:
+        """Return the rate of the card's own clock; None if unknown. Any thread may call it."""
+        playing = self._playing
+        return measure_rate(playing.playback) if playing else None
+
     def locate(self, snapshot: ServerSnapshot | None) -> CardNode:
         """Find the card and a setup to open it with.
 
@@ -124,9 +130,10 @@ class CardOutput(StreamOutput[CardNode]):
                 self.close()
             else:
                 stream.check(now_s)
-        set_volume = partial(set_card_volume, node.playback.card.number)
+        set_volume = self._volume_setter(node, connection)
         if stream.stream is not None:
-            self.volume.update(set_volume)
+            with self._waiting(now_s):
+                self.volume.update(set_volume)
             return
         setup = node.setup
         if setup is None:
@@ -150,6 +157,9 @@ class CardOutput(StreamOutput[CardNode]):
         super().close()
         self._playing = None
 
+    def _volume_setter(self, node: CardNode, connection: PulseConnection | None) -> SetVolume:
+        return partial(set_card_volume, node.playback.card.number)
+
     def _find(self) -> PlaybackDevice:
         if self.address.kind != "usb":
             return find_playback(self.address.name, self._root)
@@ -168,6 +178,7 @@ class CardOutput(StreamOutput[CardNode]):
         Until the mix is known, this checks only whether any mix would be playable.
         """
         samplerate, channels = self._mix or (48_000, 1)
+        channels = max(channels, *(1 + coil for coil in _coils(playback)), 1)
         if actuators:
             wiring = wiring_of(actuators)
             channels = max(len(actuators), channels_needed(wiring))
@@ -187,7 +198,8 @@ class CardOutput(StreamOutput[CardNode]):
     def _channel_map(self, node: CardNode, actuators: Sequence[ActuatorSettings]) -> ChannelMap:
         if actuators:
             return ChannelMap.of(wiring_of(actuators), node.channels)
-        return ChannelMap.repeated(self._haptic_channels, node.channels)
+        coils = _coils(node.playback)
+        return ChannelMap.on_coils(self._haptic_channels, node.channels, coils, node.name)
 
     def _verify(self, playback: PlaybackDevice, setup: CardSetup) -> None:
         """Check the format that the kernel reports, as PortAudio converts silently."""
@@ -200,3 +212,7 @@ class CardOutput(StreamOutput[CardNode]):
                 f"{playback} plays {opened[0].format} instead of {wanted}; trying another format"
             )
         self._delay_s = opened[0].delay_s if opened else 0.0
+
+
+def _coils(playback: PlaybackDevice) -> tuple[int, ...]:
+    return coil_channels(*playback.card.usb_id)

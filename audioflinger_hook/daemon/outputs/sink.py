@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 
-from audioflinger_hook.daemon.outputs.base import Fill, StreamOutput
+from audioflinger_hook.daemon.outputs.base import Fill, SetVolume, StreamOutput
 from audioflinger_hook.daemon.run_config import RunConfig
+from device.alsa import find_playback
+from device.alsa.usb_stream import MeasuredRate, measure_rate
 from device.drive import ActuatorSettings, ChannelMap
 from device.drive.channel_positions import sink_channel_map
 from device.errors import NotFoundError, UsageError
 from device.server import PulseConnection, ServerSnapshot
+from device.server.identity import identity_of
 from device.server.snapshot import Sink, output_latency_s
 from device.stream.pcms import ServerDevice
+from device.usb import find_devices
+from device.usb.mapping import device_of_sink, hw_names
 
 
 class SinkOutput(StreamOutput[Sink]):
@@ -39,6 +45,22 @@ class SinkOutput(StreamOutput[Sink]):
             return 0.0
         return output_latency_s(snapshot, self.block_frames, self._found.samplerate)
 
+    def measure_rate(self) -> MeasuredRate | None:
+        """Return the rate of the device behind the sink; None if unknown. Any thread may call it.
+
+        Takes some ms.
+        """
+        sink = self._found
+        if sink is None or identity_of(sink).bus != "usb":
+            return None
+        device = device_of_sink(sink, find_devices().devices)
+        for name in hw_names(device) if device else ():
+            with suppress(NotFoundError):  # it was unplugged meanwhile
+                found = measure_rate(find_playback(name.removeprefix("hw:")))
+                if found is not None:
+                    return found
+        return None
+
     def locate(self, snapshot: ServerSnapshot | None) -> Sink:
         """Find the sink. NotFoundError: it is not available, or lacks channels for actuators."""
         assert snapshot is not None
@@ -60,13 +82,20 @@ class SinkOutput(StreamOutput[Sink]):
                 stream.close()
             else:
                 stream.check(now_s)
-        set_volume = partial(connection.set_sink_volume_db, sink.name)
-        if stream.stream is not None:
-            self.volume.update(set_volume)
-            return
-        self._pcm.target = ServerDevice(sink.name)
-        stream.open(lambda: self._playback(sink, fill, set_volume), connection, sink.name, now_s)
+        set_volume = self._volume_setter(sink, connection)
+        with self._waiting(now_s):
+            if stream.stream is not None:
+                self.volume.update(set_volume)
+                return
+            self._pcm.target = ServerDevice(sink.name)
+            stream.open(
+                lambda: self._playback(sink, fill, set_volume), connection, sink.name, now_s
+            )
         self._playing = sink
+
+    def _volume_setter(self, node: Sink, connection: PulseConnection | None) -> SetVolume:
+        assert connection is not None
+        return partial(connection.set_sink_volume_db, node.name)
 
     def _channel_map(self, node: Sink, actuators: Sequence[ActuatorSettings]) -> ChannelMap:
         return sink_channel_map(node, actuators, self._haptic_channels)

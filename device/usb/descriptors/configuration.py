@@ -9,12 +9,13 @@ from device.usb.descriptors.blocks import Block, Descriptor
 from device.usb.descriptors.entities import ControlHeader, Entity
 from device.usb.descriptors.problems import Problem
 from device.usb.descriptors.standard import (
+    COMPANION,
     INTERFACE_BYTES,
     ConfigurationHeader,
     Endpoint,
     InterfaceAssociation,
 )
-from device.usb.descriptors.streaming import StreamFormat, StreamGeneral
+from device.usb.descriptors.streaming import StreamFormat, StreamGeneral, StreamGeneral3
 
 AUDIO = 0x01
 CONTROL, STREAMING, MIDI = 0x01, 0x02, 0x03
@@ -79,6 +80,11 @@ class Interface(Descriptor):
         return next((d for d in self.descriptors if isinstance(d, StreamGeneral)), None)
 
     @property
+    def general_3(self) -> StreamGeneral3 | None:
+        """The first descriptor of the format of a stream of 3.0."""
+        return next((d for d in self.descriptors if isinstance(d, StreamGeneral3)), None)
+
+    @property
     def format(self) -> StreamFormat | None:
         """The first format of type I."""
         return next((d for d in self.descriptors if isinstance(d, StreamFormat)), None)
@@ -110,6 +116,18 @@ class Configuration:
     others: tuple[Descriptor, ...]
     rest: bytes
     problems: tuple[Problem, ...]
+
+    @property
+    def uac(self) -> int | None:
+        """The highest version of USB Audio of its interfaces; None without audio."""
+        return max((i.uac for i in self.interfaces if i.uac is not None), default=None)
+
+    @property
+    def is_super_speed(self) -> bool:
+        """Whether it is of a device that runs at SuperSpeed: every endpoint has a companion."""
+        endpoints = (endpoint for interface in self.interfaces for endpoint in interface.endpoints)
+        of_endpoints = (other for endpoint in endpoints for other in endpoint.descriptors)
+        return any(other.raw[1] == COMPANION for other in of_endpoints)
 
     def raw(self) -> bytes:
         """The bytes that it was read from."""

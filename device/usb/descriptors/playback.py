@@ -10,6 +10,12 @@ from device.usb.descriptors.standard import Endpoint, Synchronisation, Transfer,
 from device.usb.descriptors.streaming import RateRange, StreamFormat, StreamGeneral
 from device.usb.descriptors.topology import Topology, topologies
 
+_BASIC_FRAMES = 48
+"""Of 1 ms; asynchronous endpoints have room for one more."""
+
+_BASIC_FRAME_BYTES = {2: (1, 2), 3: (1, 3), 4: (2, 2), 6: (2, 3)}
+"""Channels and bytes of a sample, by the bytes of a frame."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlaybackFormat:
@@ -22,17 +28,18 @@ class PlaybackFormat:
     interface, alternate, endpoint_address : int
         Interface, its alternate setting, and the endpoint for the samples.
     uac : int
-        Version of USB Audio, 1 or 2.
+        Version of USB Audio, 1 to 3.
     encodings : tuple of str
         Encodings of a sample, usually "PCM".
     channels, channel_config : int
-        Channels; one bit a loudspeaker position, 0 where unknown (`position_names`).
+        Channels, 0 where only the device knows (3.0); one bit a loudspeaker position, 0 where
+        unknown (`position_names`).
     subslot_bytes, bits : int
         Bytes of a sample, and its significant upper bits.
     samplerates : tuple of int, RateRange or None
-        Hz; None where the clock `clock_id` has to be asked (2.0).
+        Hz; None where the clock has to be asked (2.0, 3.0).
     clock_id : int or None
-        Clock of the terminal, None in 1.0.
+        Clock of the terminal, None in 1.0 and 3.0.
     clock_sources : tuple of int
         Clock sources that may drive it.
     packet_bytes_max, interval : int
@@ -80,8 +87,8 @@ class PlaybackFormat:
 def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]:
     """Return every format of type I that the device plays, in the order of its interfaces.
 
-    Alternate settings without an isochronous output endpoint, channels or sample size are left
-    out, and so is USB Audio 3.0.
+    Alternate settings without an isochronous output endpoint, channels or sample size are left out.
+    Of 3.0 the channels are known in a basic profile only, and the units never.
 
     Parameters
     ----------
@@ -94,6 +101,9 @@ def playback_formats(configuration: Configuration) -> tuple[PlaybackFormat, ...]
     for interface in configuration.interfaces:
         general, stream_format = interface.general, interface.format
         endpoint = _data_endpoint(interface)
+        if interface.is_streaming and interface.uac == 3 and endpoint:
+            found += _playback_3(interface, endpoint)
+            continue
         if not (interface.is_streaming and general and stream_format and endpoint):
             continue
         if not stream_format.subslot_bytes or not (general.channels or stream_format.channels):
@@ -152,6 +162,51 @@ def _playback(
         volume_channels=unit.settable(FeatureControl.VOLUME) if unit else (),
         mute_channels=unit.settable(FeatureControl.MUTE) if unit else (),
     )
+
+
+def _playback_3(interface: Interface, endpoint: Endpoint) -> list[PlaybackFormat]:
+    """The format of an alternate setting of 3.0, [] for none.
+
+    Without a streaming general it has a basic profile: PCM at 48 kHz, whose channels and bits
+    follow from the bytes of 1 ms (Basic Audio Device 3.0, table 4-2).
+    """
+    general, rates = interface.general_3, None
+    encodings: tuple[str, ...]
+    if general is not None:
+        encodings, channels = general.encodings, 0
+        subslot_bytes, bits = general.subslot_bytes, general.bits
+    else:
+        frame_bytes = endpoint.packet_bytes // _BASIC_FRAMES
+        channels, subslot_bytes = _BASIC_FRAME_BYTES.get(frame_bytes, (0, 0))
+        encodings, bits, rates = ("PCM",), 8 * subslot_bytes, (1_000 * _BASIC_FRAMES,)
+    if not subslot_bytes:
+        return []
+    return [
+        PlaybackFormat(
+            interface=interface.number,
+            alternate=interface.alternate,
+            uac=3,
+            encodings=encodings,
+            channels=channels,
+            channel_config=0,
+            subslot_bytes=subslot_bytes,
+            bits=bits,
+            samplerates=rates,
+            clock_id=None,
+            clock_sources=(),
+            endpoint_address=endpoint.address,
+            packet_bytes_max=endpoint.packet_bytes,
+            interval=endpoint.interval,
+            synchronisation=endpoint.synchronisation,
+            feedback_endpoint=_feedback(interface, endpoint),
+            implicit_feedback=False,
+            control_interface=None,
+            path=(),
+            feature_unit=None,
+            volume_channels=(),
+            mute_channels=(),
+        )
+    ]
 
 
 def _playable(

@@ -15,6 +15,7 @@ from device.usb.descriptors.configuration import (
 )
 from device.usb.descriptors.control import CONTROL_READERS
 from device.usb.descriptors.names import class_name, midi_name, uac3_name
+from device.usb.descriptors.playback import playback_formats
 from device.usb.descriptors.problems import DescriptorError, Findings
 from device.usb.descriptors.standard import (
     ASSOCIATION,
@@ -37,6 +38,9 @@ CS_DEVICE, CS_INTERFACE, CS_ENDPOINT = 0x21, 0x24, 0x25
 _OF_ENDPOINTS = (CS_ENDPOINT, 0x30, 0x31)
 
 _HID = 0x03
+
+_MAX_POWER, _MA_PER_UNIT_SUPER_SPEED = 8, 8
+"""USB 3.2, 9.6.3: bMaxPower is in units of 8 mA where the device runs in Gen X mode."""
 
 BYTES_MAX = 0xFFFF
 """Largest value of wTotalLength; longer bytes are no configuration."""
@@ -78,6 +82,10 @@ def parse_configuration(raw: bytes, *, strict: bool = False) -> Configuration:
         rest=raw[at:BYTES_MAX],
         problems=(),
     )
+    if configuration.is_super_speed:
+        units = header.raw[_MAX_POWER]
+        header = replace(header, max_power_ma=_MA_PER_UNIT_SUPER_SPEED * units)
+        configuration = replace(configuration, header=header)
     check(configuration, findings)
     return replace(configuration, problems=findings.problems())
 
@@ -216,11 +224,11 @@ def _audio(block: Block, interface: Interface) -> Descriptor:
         midi = interface.subclass == MIDI
         block.name = midi_name(block.subtype) if midi else f"{name} subtype 0x{block.subtype:02x}"
         return block.other()
-    if uac == 3:
+    readers = STREAMING_READERS[uac] if interface.is_streaming else CONTROL_READERS.get(uac, {})
+    known = readers.get(block.subtype)
+    if known is None and uac == 3:
         block.name = uac3_name(interface.is_streaming, block.subtype)
         return block.other()
-    readers = STREAMING_READERS[uac] if interface.is_streaming else CONTROL_READERS[uac]
-    known = readers.get(block.subtype)
     if known is None:
         name = class_name(interface.interface_class, interface.subclass)
         block.name = f"UAC{uac} {name} subtype 0x{block.subtype:02x}"
@@ -250,6 +258,22 @@ class WholeDevice:
     device: DeviceDescriptor | None
     configurations: tuple[Configuration, ...]
     rest: bytes
+
+    def active(self, value: int | None) -> Configuration | None:
+        """The configuration that a device is in, by its number; None without any configuration.
+
+        Where the number is unknown, it is the first that plays, or else the first.
+        """
+        for configuration in self.configurations:
+            if configuration.header.value == value:
+                return configuration
+        playing = (one for one in self.configurations if playback_formats(one))
+        return next(playing, self.configurations[0] if self.configurations else None)
+
+    def raw(self) -> bytes:
+        """The bytes that it was read from."""
+        parts = [configuration.raw() for configuration in self.configurations]
+        return b"".join([self.device.raw if self.device else b"", *parts, self.rest])
 
 
 def parse_whole(raw: bytes) -> WholeDevice:

@@ -15,6 +15,7 @@ from device.usb.descriptors.blocks import Block, Descriptor
 from device.usb.descriptors.problems import DescriptorError, Findings
 
 DEVICE, CONFIGURATION, INTERFACE, ENDPOINT, ASSOCIATION = 0x01, 0x02, 0x04, 0x05, 0x0B
+COMPANION = 0x30
 
 DEVICE_BYTES = 18
 CONFIGURATION_BYTES = 9
@@ -79,7 +80,7 @@ class ConfigurationHeader(Descriptor):
     """The configuration's own descriptor.
 
     total_bytes: wTotalLength; interfaces: how many it says there are; value: the number that
-    selects it. max_power_ma: from the bus, in the 2 mA units of USB 2.0.
+    selects it. max_power_ma: from the bus.
     """
 
     total_bytes: int
@@ -146,6 +147,14 @@ class Endpoint(Descriptor):
     def usage(self) -> Usage:
         """What it carries; means something of isochronous ones only."""
         return Usage(self.attributes >> 4 & 3)
+
+    def interval_us(self, full_speed: bool) -> int | None:
+        """Microseconds between two packets (USB 2.0, 9.6.6); None without a fixed time."""
+        if self.transfer not in (Transfer.ISOCHRONOUS, Transfer.INTERRUPT) or not self.interval:
+            return None
+        if full_speed and self.transfer is Transfer.INTERRUPT:
+            return 1_000 * self.interval
+        return (1_000 if full_speed else 125) << (min(self.interval, 16) - 1)
 
     @property
     def packet_bytes(self) -> int:

@@ -1,7 +1,7 @@
-"""Audio streaming descriptors of USB Audio 1.0 and 2.0: general, format type, endpoint.
+"""Audio streaming descriptors of USB Audio 1.0 to 3.0: general, format type, endpoint.
 
 Source: 1.0: 4.5.2, 4.6.1.2 and Data Formats 1.0, 2.2.5; 2.0: 4.9.2, 4.10.1.2 and Data Formats
-2.0, 2.3. The samplerates of 2.0 are the clock's, and not in any descriptor.
+2.0, 2.3; 3.0: 4.7.2. The samplerates of 2.0 and 3.0 are the clock's, and not in any descriptor.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ _ENCODINGS_1 = {
 }
 
 _ENCODINGS_2 = {0: "PCM", 1: "PCM8", 2: "IEEE float", 3: "A-law", 4: "mu-law", 31: "raw data"}
+_ENCODINGS_3 = {**_ENCODINGS_2, 5: "DSD", 6: "raw data", 31: "format bit 31"}
 
 SUBSLOT_BYTES = range(1, 5)
 
@@ -78,8 +79,34 @@ class StreamGeneral(Descriptor):
         """What the bytes of a sample mean: "PCM", "IEEE float" and so on."""
         if self.uac == 1:
             return (_ENCODINGS_1.get(self.formats) or f"format 0x{self.formats:04x}",)
-        bits = (bit for bit in range(32) if self.formats >> bit & 1)
-        return tuple(_ENCODINGS_2.get(bit) or f"format bit {bit}" for bit in bits)
+        return _named(self.formats, _ENCODINGS_2)
+
+
+@dataclass(frozen=True, slots=True)
+class StreamGeneral3(Descriptor):
+    """What flows through an alternate setting of 3.0.
+
+    terminal_link, formats: as in `StreamGeneral`. cluster: the number that its channels are asked
+    by. subslot_bytes, bits: as in `StreamFormat`.
+    """
+
+    terminal_link: int
+    cluster: int
+    formats: int
+    subslot_bytes: int
+    bits: int
+
+    kind: ClassVar[str] = "UAC3 streaming general"
+
+    @property
+    def encodings(self) -> tuple[str, ...]:
+        """What the bytes of a sample mean."""
+        return _named(self.formats, _ENCODINGS_3)
+
+
+def _named(formats: int, encodings: dict[int, str]) -> tuple[str, ...]:
+    bits = (bit for bit in range(formats.bit_length()) if formats >> bit & 1)
+    return tuple(encodings.get(bit) or f"format bit {bit}" for bit in bits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +187,14 @@ def _general_2(block: Block) -> StreamGeneral | None:
     )
 
 
+def _general_3(block: Block) -> StreamGeneral3 | None:
+    if not block.holds(23):
+        return None
+    cluster, formats = block.u16(8), block.u32(10) | block.u32(14) << 32
+    link, subslot_bytes, bits = block.raw[3], block.raw[18], block.raw[19]
+    return StreamGeneral3(block.offset, block.raw, link, cluster, formats, subslot_bytes, bits)
+
+
 def _format_1(block: Block) -> Descriptor | None:
     if not block.holds(4):
         return None
@@ -218,6 +253,7 @@ def _check_sample(block: Block, field: str, subslot_bytes: int, bits: int) -> No
 STREAMING_READERS: dict[int, dict[int, tuple[str, Reader]]] = {
     1: {1: (StreamGeneral.kind, _general_1), 2: (StreamFormat.kind, _format_1)},
     2: {1: (StreamGeneral.kind, _general_2), 2: (StreamFormat.kind, _format_2)},
+    3: {1: (StreamGeneral3.kind, _general_3)},
 }
 """By version and bDescriptorSubtype; others (format-specific, encoder, decoder) are only named."""
 

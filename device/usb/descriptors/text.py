@@ -1,4 +1,4 @@
-"""A device's descriptors as a tree of text for bug reports: lsusb -v in short, no byte lost."""
+"""A device's descriptors as a tree of text, lsusb -v in short, and as a dump for bug reports."""
 
 from __future__ import annotations
 
@@ -34,17 +34,20 @@ from device.usb.descriptors.streaming import (
     RateRange,
     StreamFormat,
     StreamGeneral,
+    StreamGeneral3,
 )
 
 INDENT = "  "
 _DUMP_BYTES = 32
+_HIGH_SPEED_MBIT_S = 480.0
 _LOCK_DELAY_UNITS = {1: "ms", 2: "samples"}
 
 
-def describe(device: DeviceDescriptor | None, configuration: Configuration) -> str:
-    """Return the description of a configuration as lines of text.
+def describe(
+    device: DeviceDescriptor | None, configuration: Configuration, speed_mbit_s: float = 0.0
+) -> str:
+    """Return the description of a configuration as lines of text: the tree and the problems.
 
-    It holds the device, the tree, the problems and all bytes in hex, which `parse_hex` can read.
     Unknown descriptors are in the tree in hex.
 
     Parameters
@@ -53,13 +56,49 @@ def describe(device: DeviceDescriptor | None, configuration: Configuration) -> s
         The device, if it is known.
     configuration : Configuration
         The decoded configuration.
+    speed_mbit_s : float
+        Speed of the device on its bus, 0 if unknown.
     """
     lines = [_device(device)] if device else []
-    lines += _configuration(configuration)
+    at_full_speed = is_full_speed(device, configuration, speed_mbit_s)
+    lines += _configuration(configuration, at_full_speed)
     lines += [f"problem: {problem}" for problem in configuration.problems]
-    lines.append("bytes:")
-    lines += _dump(configuration.raw())
     return "\n".join(lines)
+
+
+def hex_lines(raw: bytes) -> list[str]:
+    """Return bytes as the lines of a dump that `parse_hex` can read.
+
+    Parameters
+    ----------
+    raw : bytes
+        Any bytes.
+    """
+    starts = range(0, len(raw), _DUMP_BYTES)
+    return [f"{at:04x}: {raw[at : at + _DUMP_BYTES].hex(' ')}" for at in starts]
+
+
+def is_full_speed(
+    device: DeviceDescriptor | None, configuration: Configuration, speed_mbit_s: float
+) -> bool | None:
+    """Whether the device counts intervals in ms, as at full and low speed; None if unknown.
+
+    Without its speed, its descriptors tell (USB 2.0, 5.5.3 to 5.8.3): only at full speed a device
+    is older than 2.0 or has short bulk packets; only above it are packets that long.
+    """
+    if speed_mbit_s:
+        return speed_mbit_s < _HIGH_SPEED_MBIT_S
+    if configuration.is_super_speed:
+        return False
+    if device is not None and device.usb < 0x0200:
+        return True
+    for endpoint in (one for i in configuration.interfaces for one in i.endpoints):
+        if endpoint.transfer is Transfer.BULK:
+            return endpoint.max_packet < 512
+        longest = 1_023 if endpoint.transfer is Transfer.ISOCHRONOUS else 64
+        if endpoint.packet_bytes > longest:
+            return False
+    return None
 
 
 def _device(device: DeviceDescriptor) -> str:
@@ -69,7 +108,7 @@ def _device(device: DeviceDescriptor) -> str:
     )
 
 
-def _configuration(configuration: Configuration) -> Iterator[str]:
+def _configuration(configuration: Configuration, full_speed: bool | None) -> Iterator[str]:
     header = configuration.header
     power = "self" if header.self_powered else "bus"
     yield (
@@ -83,12 +122,12 @@ def _configuration(configuration: Configuration) -> Iterator[str]:
     ]
     for descriptor in sorted(in_order, key=lambda item: item.offset):
         if isinstance(descriptor, Interface):
-            yield from _interface(descriptor)
+            yield from _interface(descriptor, full_speed)
         else:
             yield INDENT + _line(descriptor)
 
 
-def _interface(interface: Interface) -> Iterator[str]:
+def _interface(interface: Interface, full_speed: bool | None) -> Iterator[str]:
     name = class_name(interface.interface_class, interface.subclass)
     uac = interface.uac
     version = f", USB Audio {uac}.0" if uac else ""
@@ -96,14 +135,12 @@ def _interface(interface: Interface) -> Iterator[str]:
     for descriptor in interface.descriptors:
         yield 2 * INDENT + _line(descriptor)
     for endpoint in interface.endpoints:
-        yield 2 * INDENT + _line(endpoint)
+        line = _line(endpoint)
+        if interval := _interval(endpoint, full_speed):
+            line += f" ({interval})"
+        yield 2 * INDENT + line
         for descriptor in endpoint.descriptors:
             yield 3 * INDENT + _line(descriptor)
-
-
-def _dump(raw: bytes) -> Iterator[str]:
-    for at in range(0, len(raw), _DUMP_BYTES):
-        yield f"{at:04x}: {raw[at : at + _DUMP_BYTES].hex(' ')}"
 
 
 def _line(descriptor: Descriptor) -> str:
@@ -134,6 +171,11 @@ def _details(descriptor: Descriptor) -> Iterator[str]:
             yield " or ".join(descriptor.encodings) or "no format"
             if descriptor.channels is not None:
                 yield _channels(descriptor.channels, descriptor.channel_config or 0)
+        case StreamGeneral3():
+            yield f"terminal {descriptor.terminal_link}"
+            yield " or ".join(descriptor.encodings) or "no format"
+            yield f"channels of cluster {descriptor.cluster}"
+            yield f"{descriptor.bits} bits in {descriptor.subslot_bytes} bytes"
         case StreamFormat():
             if descriptor.channels is not None:
                 yield _channels(descriptor.channels, 0)
@@ -200,9 +242,19 @@ def _endpoint(endpoint: Endpoint) -> Iterator[str]:
         yield endpoint.synchronisation.name.lower().replace("none", "not synchronised")
         yield endpoint.usage.name.lower().replace("_", " ")
     yield f"{endpoint.packet_bytes} bytes"
-    yield f"interval {endpoint.interval}"
     if endpoint.synch_address:
         yield f"feedback by 0x{endpoint.synch_address:02x}"
+    yield f"interval {endpoint.interval}"
+
+
+def _interval(endpoint: Endpoint, full_speed: bool | None) -> str:
+    """An endpoint's interval in time, "" without one; both that are possible if it is unknown."""
+    slow_us, quick_us = endpoint.interval_us(True), endpoint.interval_us(False)
+    if slow_us is None or quick_us is None:
+        return ""
+    if full_speed is None:
+        return f"{quick_us} us, or {slow_us} us at full speed"
+    return f"{slow_us if full_speed else quick_us} us"
 
 
 def _bcd(number: int) -> str:

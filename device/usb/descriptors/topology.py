@@ -150,8 +150,9 @@ class Topology:
 def topologies(configuration: Configuration) -> dict[int, Topology]:
     """The audio function of every control and streaming interface, by interface number.
 
-    A function has the interfaces that its header lists (1.0) or its association spans (2.0); one
-    that nobody claims belongs to the control interface before it, or else to the first.
+    The association that spans a streaming interface decides. Where none with a control interface
+    does, a header of the same version lists it (1.0); one that nobody claims belongs to the control
+    interface before it, or else to the first.
     """
     functions: dict[int, Topology] = {}
     for interface in configuration.interfaces:
@@ -160,16 +161,19 @@ def topologies(configuration: Configuration) -> dict[int, Topology]:
     owners = dict(functions)
     if not functions:
         return owners
-    for function in functions.values():
-        header = function.control.header
-        for claimed in header.interfaces if header else ():
-            owners.setdefault(claimed, function)
     for association in configuration.associations[:_ASSOCIATIONS_MAX]:
         spanned = range(association.first, association.first + association.interfaces)
         first = next((functions[n] for n in spanned if n in functions), None)
         if first:
             for number in spanned:
                 owners.setdefault(number, first)
+    versions = {i.number: i.uac for i in configuration.interfaces if i.is_streaming}
+    for function in functions.values():
+        header = function.control.header
+        for claimed in header.interfaces if header else ():
+            # The head of a MIDI function may list an interface of another one by mistake.
+            if versions.get(claimed) == function.control.uac:
+                owners.setdefault(claimed, function)
     latest = next(iter(functions.values()))
     for interface in configuration.interfaces:
         if interface.is_control:

@@ -10,7 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from device.alsa.cards import find_card, find_playback, list_cards, list_playbacks
-from device.alsa.usb_stream import Rates, UsbFormat, parse_usb_stream, read_usb_stream
+from device.alsa.usb_stream import (
+    Rates,
+    UsbFormat,
+    measure_rate,
+    parse_usb_stream,
+    read_usb_stream,
+)
 from device.alsa.use import HwParams, Owner, find_owner, read_hw_params, why_blocked
 from device.errors import NotFoundError, UsageError
 from tests.support.sound_cards import ADAPTIVE, ASYNC, HW_PARAMS, RUNNING, Cards
@@ -100,7 +106,35 @@ def test_a_range_of_rates_is_one() -> None:
 
 
 def test_a_card_that_plays_tells_the_same_formats() -> None:
-    assert parse_usb_stream(RUNNING) == parse_usb_stream(ASYNC)
+    assert parse_usb_stream(RUNNING).formats == parse_usb_stream(ASYNC).formats
+
+
+@pytest.mark.parametrize(
+    ("now", "measured_hz"),
+    [
+        ("48002 Hz (0x6.0010)", 8_000 * (6 + 16 / 65_536)),  # frames in 125 us
+        ("44102 Hz (0x2c.1a1c)", 1_000 * (44 + 0x1A1C / 65_536)),  # in 1 ms
+        ("48000 Hz", None),
+        ("0 Hz (0x0.0000)", None),
+        ("many Hz (0x6.0010)", None),
+    ],
+)
+def test_the_rate_of_the_device_s_own_clock_is_that_of_its_feedback(now, measured_hz) -> None:
+    running = RUNNING.replace("48002 Hz (0x6.0010)", now)
+    assert parse_usb_stream(running).measured_hz == measured_hz
+    without = running.replace("    Feedback Format = 16.16\n", "")
+    assert parse_usb_stream(without).measured_hz is None
+    assert parse_usb_stream(ASYNC).measured_hz is None
+
+
+def test_it_is_compared_with_the_rate_that_the_card_was_opened_with(tmp_path: Path) -> None:
+    folder = Cards(tmp_path).plug(1, "DAC", stream=RUNNING)
+    playback = find_playback("1", tmp_path)
+    assert measure_rate(playback) is None
+    (folder / "pcm0p/sub0/hw_params").write_text(HW_PARAMS.format("S32_LE", 2, 48_000))
+    found = measure_rate(playback)
+    assert found is not None
+    assert (found.nominal_hz, round(found.ppm, 2)) == (48_000, 40.69)
 
 
 def test_only_usb_cards_have_such_a_stream(cards: Cards) -> None:

@@ -10,6 +10,7 @@ from device.alsa.negotiation import (
     MAX_HZ,
     MIN_HZ,
     PREFERRED,
+    USUAL_MIN_HZ,
     CardSetup,
     Offer,
     choose_setup,
@@ -53,6 +54,8 @@ offers = st.builds(
         (Rates(least=8_000, most=96_000), 47_952, 47_952),
         (Rates(least=50_000, most=90_000), 48_000, 50_000),
         (Rates(least=8_000, most=384_000), 384_000, 192_000),
+        (Rates((8_000, 16_000, 32_000)), 48_000, 32_000),  # a headset: the highest that it has
+        (Rates(least=8_000, most=32_000), 16_000, 32_000),
     ],
 )
 def test_the_rate_is_that_of_the_mix_or_the_next_best(there: Rates, mix: int, chosen: int) -> None:
@@ -118,14 +121,14 @@ def test_what_usb_cards_tell_is_what_they_offer() -> None:
             list_offers(parse_usb_stream(ADAPTIVE)),
             "S24_3LE/S16_LE with 8 channels at 8000 to 96000",
         ),
-        ([Offer((), 9, USUAL)], "no supported format with 9 channels at 44100, 48000, 96000"),
-        ([Offer((S16,), 9, Rates((8_000,)))], "S16_LE with 9 channels at 8000 Hz"),
+        ([Offer((), 9, USUAL, 8, ("U8",))], "U8 with 9 channels at 44100, 48000, 96000"),
+        ([Offer((S16,), 9, Rates((384_000,)))], "S16_LE with 9 channels at 384000 Hz"),
         ([], "it offers nothing"),
     ],
 )
 def test_what_cannot_be_is_refused_with_what_there_is(some, words) -> None:
     with pytest.raises(
-        NotFoundError, match="cannot be opened with 9 to 32 channels at 44100 to"
+        NotFoundError, match="cannot be opened with 9 to 32 channels at 8000 to"
     ) as error:
         choose_setup(some, 48_000, 9)
     assert words in str(error.value)
@@ -155,4 +158,4 @@ def test_a_choice_is_always_something_that_the_card_has(some, mix, actuators) ->
     has_the_mix = any(
         mix in offer.rates and offer.formats and offer.channels >= actuators for offer in some
     )
-    assert not has_the_mix or not MIN_HZ <= mix <= MAX_HZ or chosen.samplerate == mix
+    assert not has_the_mix or not USUAL_MIN_HZ <= mix <= MAX_HZ or chosen.samplerate == mix

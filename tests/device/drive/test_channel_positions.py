@@ -1,9 +1,15 @@
 """Actuators on a sink: its channels go by position, whatever order a stream has them in."""
 
+from dataclasses import replace
+
 import pytest
 
 from device.drive import ActuatorSettings
-from device.drive.channel_positions import STREAM_POSITIONS, sink_channel_map
+from device.drive.channel_positions import (
+    STREAM_POSITIONS,
+    actuators_of_channels,
+    sink_channel_map,
+)
 from device.errors import UsageError
 from device.server.snapshot import Sink
 
@@ -61,3 +67,28 @@ def test_a_mono_sink_and_one_actuator_everywhere_work_whatever_the_positions():
 def test_what_a_sink_cannot_do_is_said_with_what_helps(channel_map, wanted, words):
     with pytest.raises(UsageError, match=words):
         sink_channel_map(sink(channel_map), wanted)
+
+
+def of_usb(channel_map, vendor="0x054c", product="0x0ce6"):
+    known = {"device.bus": "usb", "device.vendor.id": vendor, "device.product.id": product}
+    return replace(sink(channel_map), properties=known)
+
+
+@pytest.mark.parametrize(
+    ("channels", "sources"), [(1, (None, None, 0, 0)), (2, (None, None, 0, 1))]
+)
+def test_a_pad_whose_coils_are_known_vibrates_on_their_channels_alone(channels, sources):
+    pad = of_usb("front-left,front-right,rear-left,rear-right")
+    assert sink_channel_map(pad, (), channels).sources == sources
+    assert actuators_of_channels(pad, (), channels).sources == sources
+    named = sink_channel_map(pad, actuators((0,)))  # what the user names counts
+    assert named.sources == (0, None, None, None)
+    other = of_usb("front-left,front-right,rear-left,rear-right", product="0x1234")
+    assert sink_channel_map(other, ()).sources == (0, 0, 0, 0)
+
+
+def test_a_profile_of_a_pad_without_its_coils_is_refused():
+    with pytest.raises(UsageError, match=r"on channels 2 and 3, .* it has 2 channels"):
+        sink_channel_map(of_usb("front-left,front-right"), ())
+    with pytest.raises(UsageError, match="cannot reach one by one"):
+        sink_channel_map(of_usb("aux0,aux1,aux2,aux3"), ())

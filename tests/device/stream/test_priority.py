@@ -147,3 +147,48 @@ with Wake() as wake, Signals(wake) as signals:
 def test_a_thread_that_spins_loses_it_and_the_process_goes_on() -> None:
     lines = told(SPIN).splitlines()
     assert lines[0].startswith("0 False an audio thread ran for 0.2 s without a break")
+
+
+RESTORE = """
+import os, threading
+from device.stream.callback_thread import AudioPriority
+
+priority, asked, done = AudioPriority(), threading.Event(), threading.Event()
+def audio():
+    claimed = -1
+    for _ in range(2):
+        if claimed != priority.round:
+            claimed = priority.round
+            priority.claim()
+        done.set()
+        asked.wait()
+        asked.clear()
+    done.set()
+def seen():
+    return os.sched_getscheduler(thread.native_id) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR
+def step():
+    done.clear()
+    asked.set()
+    done.wait()
+thread = threading.Thread(target=audio)
+thread.start()
+done.wait()
+told = [seen()]
+priority.revoke()
+told += [seen(), bool(priority.warning)]
+priority.restore()
+step()
+told += [seen(), bool(priority.warning), priority.round]
+priority.restore()
+told += [priority.round]
+priority.set_wanted(False)
+priority.revoke()
+priority.restore()
+print(*told, priority.wanted, priority.round)
+asked.set()
+"""
+
+
+@needs_real_time
+def test_what_a_vanished_device_cost_all_threads_is_given_back_once_and_only_then() -> None:
+    assert told(RESTORE) == "True False True True False 1 1 False 1"

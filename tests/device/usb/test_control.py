@@ -97,6 +97,7 @@ def a_device(uac: int) -> UsbAudioDevice:
         address=5,
         speed=480.0,
         max_power_ma=100,
+        configuration=1,
         descriptors=usb_builder.device() + SHAPES[uac](),
         node=Path("/dev/bus/usb/001/005"),
         interfaces=(AudioInterface(0, 1, 0, ""),),
@@ -192,6 +193,48 @@ def test_a_device_that_is_louder_than_full_scale_at_its_lowest_is_not_touched(ua
     control, _, _ = rig(uac, volume_range=(0x200, 0x600, 0x80))
     with pytest.raises(UsageError, match=r"volume of the device is \+2.00 dB, above the limit"):
         control.set_volume_db(control.volume_channels[0], -20.0)
+
+
+@both
+def test_a_volume_that_a_device_takes_and_ignores_is_told(uac: int) -> None:
+    control, dac, _ = rig(uac, ignores=True)
+    channel = control.volume_channels[0]
+    with pytest.raises(UsbAccessError, match=r"takes -30 dB for channel 1 and .* -8 dB"):
+        control.set_volume_db(channel, -30.0)
+    assert dac.volumes[channel] == -0x800
+    assert control.set_volume_db(channel, -8.0) == -8.0
+
+
+@both
+def test_a_range_of_one_value_leaves_that_one(uac: int) -> None:
+    control, _, _ = rig(uac, volume_range=(-0x1400, -0x1400, 0))
+    channel = control.volume_channels[0]
+    assert control.set_volume_db(channel, 0.0) == -20.0
+    assert control.set_volume_db(channel, -30.0) == -20.0  # who asked sees that it is louder
+
+
+@both
+def test_a_range_that_is_wider_than_the_device_s_own_is_found_out(uac: int) -> None:
+    control, dac, _ = rig(uac)
+    channel = control.volume_channels[0]
+    dac.real_range = (-0x1400, 0)
+    with pytest.raises(UsbAccessError, match="takes -50 dB"):
+        control.set_volume_db(channel, -50.0)
+
+
+@both
+def test_a_device_that_goes_between_set_and_read_back_was_pulled_out(uac: int) -> None:
+    control, dac, _ = rig(uac)
+    answers = dac.control
+
+    def once(setup: bytes, data: bytes) -> bytes | None:
+        if not setup[0] & 0x80:
+            control._handle.error = errno.ENODEV
+        return answers(setup, data)
+
+    dac.control = once  # type: ignore[method-assign]
+    with pytest.raises(NoUsbDeviceError, match="pulled out"):
+        control.set_volume_db(control.volume_channels[0], -30.0)
 
 
 @both

@@ -11,7 +11,7 @@ from device.usb.descriptors import (
     describe,
     parse_configuration,
     parse_device,
-    parse_hex,
+    parse_whole,
     playback_formats,
 )
 from device.usb.descriptors.blocks import OtherDescriptor
@@ -174,14 +174,45 @@ def test_midi_in_between_is_named_and_changes_nothing():
     assert (only.interface, only.subslot_bytes, only.bits) == (2, 4, 24)
 
 
-@pytest.mark.parametrize("shape", ["basic_3", "full_3"])
-def test_3_0_is_named_and_skipped(shape):
-    configuration = parse_configuration(SHAPES[shape], strict=True)
-    assert {interface.uac for interface in configuration.interfaces} == {3}
-    assert playback_formats(configuration) == ()
-    if shape == "full_3":
-        named = [d.title for i in configuration.interfaces for d in i.descriptors]
-        assert named == ["UAC3 header", "UAC3 feature unit", "UAC3 streaming general"]
+def test_units_of_3_0_are_named_and_its_streams_are_read():
+    configuration = parse_configuration(SHAPES["full_3"], strict=True)
+    assert configuration.uac == 3
+    named = [d.title for d in configuration.descriptors() if d.raw[1] == 0x24]
+    assert named == ["UAC3 header", "UAC3 feature unit", "UAC3 streaming general"]
+    (playback,) = playback_formats(configuration)
+    assert (playback.uac, playback.encodings) == (3, ("PCM",))
+    assert (playback.subslot_bytes, playback.bits) == (4, 24)
+    assert (playback.channels, playback.samplerates) == (0, None)  # the device alone knows
+    text = describe(None, configuration)
+    assert "terminal 5, PCM, channels of cluster 2, 24 bits in 4 bytes" in text
+
+
+@pytest.mark.parametrize(
+    ("packet", "channels", "bits"),
+    [(96, 1, 16), (98, 1, 16), (147, 1, 24), (192, 2, 16), (196, 2, 16), (294, 2, 24), (7, 0, 0)],
+)
+def test_a_basic_profile_of_3_0_has_the_format_that_its_packets_have_room_for(
+    packet, channels, bits
+):
+    raw = SHAPES["basic_3"].replace(usb.le(192, 2), usb.le(packet, 2))
+    configuration = parse_configuration(raw, strict=True)
+    found = [
+        (one.uac, one.channels, one.bits, one.samplerates)
+        for one in playback_formats(configuration)
+    ]
+    assert found == [(3, channels, bits, (48_000,))] * bool(channels)
+
+
+def test_the_active_configuration_counts_and_else_the_first_that_plays():
+    hid_only = usb.configuration(usb.interface(0, 0, (3, 0, 0)))
+    plays = usb.numbered(SHAPES["headset_adapter"], 2)
+    whole = parse_whole(usb.device() + hid_only + plays)
+    assert [one.header.value for one in whole.configurations] == [1, 2]
+    for value, active in ((1, 1), (2, 2), (None, 2), (7, 2)):
+        found = whole.active(value)
+        assert found is not None
+        assert found.header.value == active
+    assert parse_whole(usb.device()).active(1) is None
 
 
 def test_more_bytes_than_the_standard_has_are_kept_and_no_problem():
@@ -337,30 +368,85 @@ def test_unknown_descriptors_are_kept_wherever_they_stand():
     ]
 
 
-# ----------------------------------------------------------------------------------- bug reports
+# ------------------------------------------------------------------------------------- functions
 
 
-def test_a_description_is_a_tree_with_the_bytes_that_nobody_knows():
-    raw = SHAPES["composite"]
-    text = describe(parse_device(usb.device()), parse_configuration(raw))
-    for line in (
-        "device 1209:0001: release 1.23, USB 2.00, class per interface",
-        "configuration 1: bus powered, 100 mA, 285 bytes",
-        "  interface association: interfaces 1 to 2, audio",
-        "    HID: 09 21 11 01 00 01 22 3c 00",
-        "    clock source 1: fixed, samplerate read-write, follows USB frames",
-        "    feature unit 12: from 11, mute of master, volume of 1, 2",
-        "    endpoint 0x04: to the device, isochronous, synchronous, data, 192 bytes, interval 1",
-        "    type 0x41: 04 41 ca fe",
-    ):
-        assert line in text.splitlines()
+@pytest.mark.parametrize("association", [True, False])
+def test_a_midi_function_whose_header_names_the_stream_does_not_take_it(association):
+    raw = SHAPES["midi_header_names_the_stream"]
+    if not association:  # then a header counts, of the same version
+        raw = usb.configuration(*(part for part in usb.split(raw)[1:] if part[1] != 0x0B))
+    (playback,) = playback_formats(parse_configuration(raw))
+    assert (playback.clock_id, playback.clock_sources) == (0x29, (0x29,))
+    assert (playback.feedback_endpoint, playback.implicit_feedback) == (0x82, True)
+    assert (playback.control_interface, playback.feature_unit) == (0, 5)
+    assert playback.volume_channels == playback.mute_channels == (0,)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-def test_the_bytes_of_a_description_can_be_read_again(shape):
-    text = describe(None, parse_configuration(SHAPES[shape] + b"\x00\x01"))
-    assert "problem: offset 0, configuration: wTotalLength is" in text
-    assert parse_hex(text.partition("bytes:\n")[2]) == SHAPES[shape] + b"\x00\x01"
+def test_of_two_functions_each_stream_has_its_own_units_whatever_the_headers_list():
+    def function(first, volume):
+        units = usb.header_1(
+            [1, 3],  # both list both streams
+            usb.input_1(1, usb.STREAMING_TERMINAL, 2, 3),
+            usb.feature_1(volume, 1, [usb.VOLUME_1, 0, 0]),
+            usb.output_1(3, usb.SPEAKER, volume),
+        )
+        data = usb.audio_endpoint_1(first + 1, usb.ISOCHRONOUS | usb.ADAPTIVE, 200)
+        play = (usb.general_1(1), usb.format_1(2, 2, 16, [48_000]), data, usb.stream_endpoint_1())
+        return (
+            usb.association(first, 2, usb.UAC1),
+            usb.control(first, usb.UAC1, units),
+            usb.streaming(first + 1, 0, usb.UAC1),
+            usb.streaming(first + 1, 1, usb.UAC1, *play),
+        )
+
+    raw = usb.configuration(*function(0, 7), *function(2, 9))
+    found = playback_formats(parse_configuration(raw))
+    assert [(one.interface, one.control_interface, one.feature_unit) for one in found] == [
+        (1, 0, 7),
+        (3, 2, 9),
+    ]
+
+
+def interrupt_and_stream(*more):
+    """An interface with an interrupt and an isochronous endpoint of intervals 4 and 3."""
+    return parse_configuration(
+        usb.configuration(
+            usb.interface(0, 0, (3, 0, 0), usb.endpoint(0x81, 3, 8, 4), *more),
+            usb.streaming(1, 1, usb.UAC2, usb.endpoint(1, 5, 64, 3)),
+        )
+    )
+
+
+BULK_512, BULK_64 = usb.endpoint(2, 2, 512, 0), usb.endpoint(2, 2, 64, 0)
+COMPANION = usb.descriptor(0x30, bytes(4))
+
+
+@pytest.mark.parametrize(
+    ("device", "more", "speed", "told"),
+    [
+        (None, (), 480.0, ["1000 us", "500 us"]),
+        (None, (), 12.0, ["4000 us", "4000 us"]),
+        (usb.device(usb=0x0110), (), 0.0, ["4000 us", "4000 us"]),
+        (None, (BULK_512,), 0.0, ["1000 us", "500 us"]),
+        (None, (BULK_64,), 0.0, ["4000 us", "4000 us"]),
+        (None, (COMPANION,), 0.0, ["1000 us", "500 us"]),
+        (None, (), 0.0, ["1000 us, or 4000 us at full speed", "500 us, or 4000 us at full speed"]),
+    ],
+)
+def test_intervals_are_told_in_microseconds_as_the_speed_has_them(device, more, speed, told):
+    parsed = parse_device(device) if device else None
+    lines = describe(parsed, interrupt_and_stream(*more), speed).splitlines()
+    found = [line.partition(", interval ")[2] for line in lines if "endpoint 0x" in line]
+    timed = [each for each in found if each and "us" in each]
+    assert timed == [f"4 ({told[0]})", f"3 ({told[1]})"]
+    if BULK_512 in more:
+        assert "0" in found  # a bulk endpoint has no interval
+
+
+def test_power_at_superspeed_is_in_units_of_8_ma():
+    assert interrupt_and_stream(COMPANION).header.max_power_ma == 400
+    assert interrupt_and_stream().header.max_power_ma == 100
 
 
 # ------------------------------------------------------------------------------------------ time

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from device.usb import NoUsbBusError, NoUsbDeviceError, find_devices
+from tests.support import usb_builder
+from tests.support.usb_shapes import SHAPES
 from tests.support.usb_tree import CONTROL, HID, HOST, MIDI, STREAMING, UsbTree
 
 
@@ -85,6 +87,29 @@ def test_a_device_only_for_midi_is_found_but_is_no_output(tree, card):
     assert not found.devices[0].plays
     assert isinstance(found.reason, NoUsbDeviceError)
     assert "'C-Media Keys' in port 1-2" in str(found.reason)
+
+
+@pytest.mark.parametrize(
+    ("shape", "plays"), [("headset_adapter", True), ("basic_3", True), ("record_only", False)]
+)
+@pytest.mark.parametrize("card", [None, 1])
+def test_what_the_descriptors_tell_counts_where_no_card_plays(tree, shape, plays, card):
+    record_only = usb_builder.configuration(
+        usb_builder.control(0, 0), usb_builder.streaming(1, 1, 0, usb_builder.endpoint(0x81, 5, 96))
+    )
+    raw = usb_builder.device() + SHAPES.get(shape, record_only)
+    tree.plug(card=card, playback=(), descriptors=raw)
+    found = find_devices(tree.root)
+    assert found.devices[0].plays is plays
+    assert (found.reason is None) is plays
+
+
+def test_the_number_of_the_active_configuration_is_told(tree):
+    folder = tree.plug()
+    (folder / "bConfigurationValue").write_text("2\n")
+    tree.plug("1-3", address=6)
+    found = find_devices(tree.root).devices
+    assert [device.configuration for device in found] == [2, None]
 
 
 def test_a_microphone_is_no_output_once_it_is_a_card(tree):

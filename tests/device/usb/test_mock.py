@@ -12,10 +12,11 @@ from typing import Any
 
 import pytest
 
-from device.usb.descriptors import parse_configuration, playback_formats
+from device.usb.descriptors import parse_configuration, parse_dump, playback_formats
 from tests.device.usb.test_control import plain_dac
 from tests.support import usb_builder
-from tests.support.usb_shapes import headset_adapter
+from tests.support.usb_shapes import SHAPES as ALL_SHAPES
+from tests.support.usb_shapes import headset_adapter, hid
 
 ROOT = Path(__file__).parents[3]
 SYSTEM_PYTHON = "/usr/bin/python3"
@@ -26,6 +27,8 @@ def why_not() -> str:
     """What is missing for these tests, "" for nothing."""
     if not shutil.which("umockdev-wrapper"):
         return "umockdev is missing; run tools/fetch_usb_mock.sh"
+    if not shutil.which("lsusb"):
+        return "lsusb is missing; run tools/fetch_usb_mock.sh"
     check = "import gi; gi.require_version('UMockdev', '1.0'); gi.require_version('GLib', '2.0')"
     done = subprocess.run([SYSTEM_PYTHON, "-c", check], capture_output=True)
     return "" if done.returncode == 0 else "umockdev has no bindings; run tools/fetch_usb_mock.sh"
@@ -40,7 +43,7 @@ def plugged(uac: int, port: str = "1-1", address: int = 5, **options: Any) -> di
     playback = max(
         playback_formats(parse_configuration(configuration)), key=lambda one: one.volume_channels
     )
-    device = usb_builder.device(product=0xDAC0 + uac)
+    device = usb_builder.device(**{"product": 0xDAC0 + uac, **options.pop("ids", {})})
     dac: dict[str, Any] = {
         "descriptors": (device + configuration).hex(),
         "uac": uac,
@@ -112,6 +115,63 @@ def test_two_alike_are_told_apart_by_their_ports() -> None:
     assert names[1] in refused.stderr
 
 
+def test_names_are_whole_on_lines_of_their_own_however_narrow_the_terminal() -> None:
+    ids = {"vendor": 0x152A, "product": 0x8750}
+    strings = ["Topping", "D50s USB Audio 2.0 of a very long name", "00"]
+    twins = [
+        plugged(2, port, address, card=card, ids=ids, dac={"strings": strings})
+        for port, address, card in (("1-1.4.3", 5, 1), ("1-2", 6, 2))
+    ]
+    done = within(
+        twins, *("env", "COLUMNS=80"), sys.executable, "-m", "audioflinger_hook", "devices"
+    )
+    assert done.returncode == 0, done.stderr
+    lines = [line.strip() for line in done.stdout.splitlines()]
+    names = [line for line in lines if line.startswith("usb:")]
+    assert names == ["usb:152a:8750:00@1-1.4.3", "usb:152a:8750:00@1-2"]
+    assert "is also hw:2,0" in lines
+    for name in names:
+        assert cushion(twins, "usb", "describe", name).returncode == 0
+
+
+def test_the_active_configuration_is_listed_and_not_the_first_one() -> None:
+    hid_only = usb_builder.configuration(hid(0, 0x81))
+    plays = usb_builder.numbered(headset_adapter(), 2)
+    ids = {"vendor": 0x05AC, "product": 0x110A}
+    raw = (usb_builder.device(**ids, configurations=2) + hid_only + plays).hex()
+    adapter = plugged(1, dac={"descriptors": raw}, configuration=2)
+    (device,) = json.loads(cushion([adapter], "devices", "--json").stdout)["usb"]
+    assert (device["audio_class"], device["volume"], device["mute"]) == (1, True, True)
+    assert [each["samplerates"] for each in device["formats"]] == [[48_000, 44_100]]
+    told = cushion([adapter], "usb", "describe").stdout
+    assert "configuration 2 is the active one" in told
+    document = json.loads(cushion([adapter], "usb", "describe", "--json").stdout)[0]
+    assert [each["active"] for each in document["configurations"]] == [False, True]
+    # It is also the one that is asked and set.
+    free = plugged(1, dac={"descriptors": raw}, configuration=2, bound=False)
+    document = json.loads(cushion([free], "usb", "describe", "--json").stdout)[0]
+    assert document["settings"]["samplerate"] == 44_100
+
+
+def test_the_rates_that_a_clock_was_asked_for_are_told() -> None:
+    done = cushion([plugged(2, bound=False)], "usb", "describe")
+    assert "samplerates of its clock: 44100, 48000 Hz" in done.stdout
+    assert "PCM of 24 bits in 4 bytes, 2 channels, 44100, 48000 Hz, asynchronous" in done.stdout
+
+
+@pytest.mark.parametrize("shape", ALL_SHAPES)
+def test_the_text_of_lsusb_gives_the_bytes_that_it_was_made_from(shape: str) -> None:
+    raw = usb_builder.device() + ALL_SHAPES[shape]
+    scene = [plugged(2, bound=False, dac={"descriptors": raw.hex()})]
+    text = within(scene, "lsusb", "-v").stdout
+    (found,) = parse_dump(text.encode())
+    assert len(found) == len(raw)
+    different = [at for at in range(len(raw)) if found[at] != raw[at]]
+    # It does not show what is behind the fields of an interface or endpoint that it knows.
+    assert {found[at] for at in different} <= {0}
+    assert not different or shape == "longer_than_the_standard"
+
+
 WHOLE_CARD = """
 import json
 from device.alsa import set_card_volume
@@ -134,6 +194,53 @@ def test_a_whole_card_is_set_to_a_level_never_above_it_and_its_mute_is_lifted() 
     levels_db, states = json.loads(done.stdout)[::2], json.loads(done.stdout)[1::2]
     assert levels_db == [[-10.0], [0.0], [-20.0]]
     assert states == [[[level] * 2, [False]] for (level,) in levels_db]
+
+
+SETS_QUIETLY = """
+import json
+from device.alsa import set_card_volume
+from device.alsa.mixer import CardMixer
+from device.errors import CushionError
+
+try:
+    told = list(set_card_volume(1, -30.0))
+except CushionError as error:
+    told = [type(error).__name__, error.exit_code, str(error)]
+try:
+    with CardMixer(1) as mixer:
+        told.append([mixer.muted(switch) for switch in mixer.switches])
+except CushionError as error:
+    told.append("gone")
+print(json.dumps(told))
+"""
+
+SWITCH, VOLUME = 1, 2
+
+WHY_NOT: dict[str, tuple[dict[str, Any], str]] = {
+    "has no volume": ({"controls": [SWITCH]}, "has a mute and no volume"),
+    "has a volume of one value": ({"lowest": 128}, "does not say what the steps"),
+    "is never as quiet": ({"lowest": 100}, "the lowest level of 'PCM Playback Volume' is -14 dB"),
+    "drops the volume": ({"drops": [VOLUME]}, "'PCM Playback Volume' was set to -30 dB and is -8"),
+    "stalls": ({"stalls": [VOLUME]}, "does not answer"),
+    "vanishes": ({"vanishes": True}, "is missing"),
+}
+
+
+@pytest.mark.parametrize("which", WHY_NOT)
+def test_a_muted_card_that_cannot_be_set_so_low_stays_muted_and_says_why(which: str) -> None:
+    mixer, why = WHY_NOT[which]
+    done = within([plugged(1, mixer={"on": False, **mixer})], sys.executable, "-c", SETS_QUIETLY)
+    assert done.returncode == 0, done.stderr
+    _, exit_code, message, mutes = json.loads(done.stdout)
+    assert why in message
+    assert exit_code in (2, 3)
+    assert mutes == ("gone" if which == "vanishes" else [[True]])
+
+
+def test_a_mute_that_cannot_be_lifted_is_told() -> None:
+    mixer = {"on": False, "drops": [SWITCH]}
+    done = within([plugged(1, mixer=mixer)], sys.executable, "-c", SETS_QUIETLY)
+    assert "'PCM Playback Switch' stays muted" in json.loads(done.stdout)[2]
 
 
 @versions
@@ -175,6 +282,58 @@ def test_a_device_that_stalls_everything_is_described_all_the_same(uac: int) -> 
     assert "plays: interface 1.1" in done.stdout
     assert "refuses the request" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+@versions
+def test_volume_rate_and_mute_of_a_device_without_a_driver_are_set_and_read_back(
+    uac: int, tmp_path: Path
+) -> None:
+    log = tmp_path / "log"
+    name = f"usb:1209:dac{uac}"
+    scene = [plugged(uac, bound=False)]
+    wanted = ("--volume-db", "-20.2", "--samplerate", "48000", "--mute", "on")
+    done = cushion(scene, "usb", "set", name, *wanted, log=log)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == [
+        "mute of channel 0: on",
+        "samplerate: 48000 Hz",
+        "volume of channel 1: -20.50 dB",
+        "volume of channel 2: -20.50 dB",
+    ]
+    (asked,) = json.loads(log.read_text()).values()
+    sets = [data for request_type, *_, data in asked if request_type in (0x21, 0x22)]
+    assert sets == ["01", *(["80bb00"] if uac == 1 else ["80bb0000"]), "80eb", "80eb"]
+
+
+@pytest.mark.parametrize(
+    ("options", "dac", "code", "words"),
+    [
+        (["--volume-db", "-30"], {"ignores": True}, 3, "takes -30 dB for channel 1"),
+        (["--volume-db", "-30"], {"keeps_volume": True}, 3, "refuses the request"),
+        (["--volume-db", "-30"], {"volume_range": (-0x1400, 0, 1)}, 3, "lowest volume of channel"),
+        (["--volume-db", "-30"], {"volume_range": (0, -0x1400, 1)}, 3, "not a valid range"),
+        (["--volume-db", "nan"], {}, 2, "not a number"),
+        (["--samplerate", "12345"], {}, 3, "refuses the request"),
+        (["--samplerate", "0"], {}, 2, "not possible"),
+        ([], {}, 2, "needs --volume-db, --samplerate or --mute"),
+        (["--mute", "off", "--take-over"], {}, 2, "goes with neither"),
+        (["--mute", "perhaps"], {}, 2, "invalid choice"),
+    ],
+)
+def test_what_cannot_be_set_is_told_and_no_mute_is_lifted(
+    options: list[str], dac: dict[str, Any], code: int, words: str
+) -> None:
+    scene = [plugged(2, bound=False, dac={**dac, "mutes": {0: 1}})]
+    done = cushion(scene, "usb", "set", "usb:1209:dac2", *options)
+    assert done.returncode == code
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_device_of_a_driver_is_not_set_past_it() -> None:
+    done = cushion([plugged(2)], "usb", "set", "usb:1209:dac2", "--volume-db", "-30")
+    assert done.returncode == 3
+    assert "belongs to the driver snd-usb-audio" in done.stderr
 
 
 TAKES_OVER = """
@@ -247,6 +406,12 @@ def test_without_permission_all_that_the_kernel_tells_is_shown_and_the_way_out(u
     assert "plays: interface 1.1" in done.stdout
     assert "permission" in done.stderr
     assert "cushion install-service --udev" in done.stderr
+    for bound in (False, True):
+        scene = [plugged(uac, bound=bound, permission=False)]
+        arguments = ("usb", "describe", f"usb:1209:dac{uac}", "--take-over")
+        taken = within(scene, *command, *arguments)
+        assert (taken.returncode, taken.stdout) == (3, "")
+        assert "cushion install-service --udev" in taken.stderr
     listed = within(scene, *command, "devices", "--json")
     assert json.loads(listed.stdout)["usb"][0]["device"] == f"usb:1209:dac{uac}:SN1"
 

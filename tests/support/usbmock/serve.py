@@ -46,7 +46,7 @@ class Plugged:
 
     port: such as "1-2"; address: on bus 1; vendor, product: numbers; bound: whether the driver
     holds it; dac: arguments of `SoftwareDac`, its descriptors in hex; card: of ALSA, or None;
-    permission: whether it may be opened.
+    mixer: arguments of the card's `SoftwareMixer`; permission: whether it may be opened.
     """
 
     def __init__(self, testbed: Any, described: dict[str, Any]) -> None:
@@ -63,13 +63,14 @@ class Plugged:
         if "volume_range" in dac:
             dac["volume_range"] = tuple(dac["volume_range"])
         self.dac = SoftwareDac(descriptors, **dac)
-        self.interfaces = _interfaces(descriptors[18:])
+        self.configuration = described.get("configuration", 1)
+        self.interfaces = _interfaces(descriptors[18:], self.configuration)
         self.bound: set[int] = set()
         self.claimed: set[int] = set()
         self.done: list[Any] = []
         self.handler = UMockdev.IoctlBase()
         self.handler.connect("handle-ioctl", self._on_ioctl)
-        self.mixer = SoftwareMixer()
+        self.mixer = SoftwareMixer(**described.get("mixer", {}))
         self.mixer_handler = UMockdev.IoctlBase()
         self.mixer_handler.connect("handle-ioctl", self._on_mixer_ioctl)
 
@@ -131,7 +132,7 @@ class Plugged:
             f"A: idVendor={vendor:04x}\\n",
             f"A: idProduct={product:04x}\\n",
             *(f"A: {name}={text}\\n" for name, text in strings.items() if text),
-            "A: bConfigurationValue=1\\n",
+            f"A: bConfigurationValue={self.configuration}\\n",
             "A: bNumConfigurations=1\\n",
             f"A: bDeviceClass={raw[4]:02x}\\n",
             f"H: descriptors={raw.hex().upper()}",
@@ -272,11 +273,14 @@ def _complete(client: Any, answer: Callable[[Any], tuple[int, int]]) -> bool:
     return True
 
 
-def _interfaces(configuration: bytes) -> dict[int, tuple[int, int, int]]:
-    """Class, subclass and protocol of each interface."""
+def _interfaces(configuration: bytes, value: int) -> dict[int, tuple[int, int, int]]:
+    """Class, subclass and protocol of each interface of a configuration."""
     found: dict[int, tuple[int, int, int]] = {}
+    of_this = False
     while len(configuration) > 2 and configuration[0] > 1:
-        if configuration[1] == 4:
+        if configuration[1] == 2:
+            of_this = configuration[5] == value
+        if configuration[1] == 4 and of_this:
             of_class, subclass, protocol = configuration[5:8]
             found.setdefault(configuration[2], (of_class, subclass, protocol))
         configuration = configuration[configuration[0] :]

@@ -17,6 +17,8 @@ US_ENGLISH = 0x0409
 
 CUR_1, MIN_1, MAX_1, RES_1 = 0x81, 0x82, 0x83, 0x84
 SET_CUR, CUR_2, RANGE_2 = 0x01, 0x01, 0x02
+POWER_DOMAINS, POWER_STATE = (0x0A, 0x0B), 0x02
+"""Of a basic profile of class 3 (Basic Audio Device 3.0, 5.2.1), whose requests are of class 2."""
 MUTE, VOLUME, SAMPLERATE, VALID = 0x01, 0x02, 0x01, 0x02
 
 
@@ -25,7 +27,9 @@ class SoftwareDac:
 
     volumes: 1/256 dB by channel; volume_range: lowest, highest, step; mute: by channel. unit,
     clock: ids of the feature unit and the clock source; endpoint: address that takes samples.
-    stalls: every class request is refused. log: (request type, request, value, index, data).
+    stalls: every class request is refused; keeps_volume: every new volume is; ignores: a volume is
+    taken, and stays what it was. real_range: where it differs from the range that it tells.
+    log: (request type, request, value, index, data).
     """
 
     def __init__(
@@ -42,6 +46,8 @@ class SoftwareDac:
         volumes: dict[int, int] | None = None,
         mutes: dict[int, int] | None = None,
         stalls: bool = False,
+        keeps_volume: bool = False,
+        ignores: bool = False,
     ) -> None:
         self.descriptors = descriptors
         self.uac = uac
@@ -52,7 +58,8 @@ class SoftwareDac:
         self.volume_range = volume_range
         self.volumes = {1: -0x800, 2: -0x800} if volumes is None else dict(volumes)
         self.mutes = {0: 0} if mutes is None else dict(mutes)
-        self.stalls = stalls
+        self.stalls, self.keeps_volume, self.ignores = stalls, keeps_volume, ignores
+        self.real_range: tuple[int, int] | None = None
         self.log: list[tuple[int, int, int, int, str]] = []
 
     def control(self, setup: bytes, data: bytes) -> bytes | None:
@@ -80,8 +87,8 @@ class SoftwareDac:
         kind, number = value >> 8, value & 0xFF
         if kind == DEVICE:
             return self.descriptors[:18]
-        if kind == CONFIGURATION and number == 0:
-            return self.descriptors[18:]
+        if kind == CONFIGURATION:
+            return self._configuration(number)
         if kind == QUALIFIER and self.uac > 1:
             return bytes([10, QUALIFIER]) + self.descriptors[2:8] + b"\1\0"
         if kind == STRING and number == 0:
@@ -90,6 +97,13 @@ class SoftwareDac:
             text = self.strings[number - 1].encode("utf-16-le")
             return bytes([2 + len(text), STRING]) + text
         return None
+
+    def _configuration(self, number: int) -> bytes | None:
+        rest = self.descriptors[18:]
+        for _ in range(number):
+            rest = rest[int.from_bytes(rest[2:4], "little") :]
+        another = len(self.descriptors) > 17 and self.descriptors[17] > 1
+        return (rest[: int.from_bytes(rest[2:4], "little")] if another else rest) or None
 
     def _class_1(
         self, request_type: int, request: int, value: int, index: int, data: bytes
@@ -125,6 +139,8 @@ class SoftwareDac:
             if request != CUR_2:
                 return None
             return self.samplerate.to_bytes(4, "little") if asks else self._set_rate(data)
+        if entity in POWER_DOMAINS and control == POWER_STATE and request == CUR_2:
+            return b"\0" if asks else b""  # fully on, whatever is set
         if entity != self.unit:
             return None
         if control == VOLUME and channel in self.volumes:
@@ -149,10 +165,12 @@ class SoftwareDac:
         return bytes([self.mutes[channel]]) if asks else None
 
     def _set_volume(self, channel: int, data: bytes) -> bytes | None:
-        if len(data) != 2:
+        if len(data) != 2 or self.keeps_volume:
             return None
+        if self.ignores:
+            return b""
         (units,) = struct.unpack("<h", data)
-        lowest, highest, _ = self.volume_range
+        lowest, highest = self.real_range or self.volume_range[:2]
         self.volumes[channel] = units if units == -0x8000 else max(lowest, min(highest, units))
         return b""
 

@@ -8,27 +8,48 @@ from __future__ import annotations
 
 import errno
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 LIST, INFO, READ, WRITE, TABLE = 0xC0505510, 0xC1105511, 0xC4C85512, 0xC4C85513, 0xC008551A
 MIXER, PCM = 2, 3
 BOOLEAN, INTEGER = 1, 2
 READ_WRITE, TABLE_READ = 0x3, 0x10
-BOUNDS_MUTE = 5
+BOUNDS, BOUNDS_MUTE = 4, 5
 
 SWITCH, VOLUME, CHANNEL_MAP = 1, 2, 3
 NAMES = {SWITCH: "PCM Playback Switch", VOLUME: "PCM Playback Volume", CHANNEL_MAP: "Playback Map"}
 
 
 class SoftwareMixer:
-    """What a card's mixer answers. volume: steps of 0 to 128, -64 to 0 dB; on: of the mute."""
+    """What a card's mixer answers. volume: steps of 0 to 128, -64 to 0 dB; on: of the mute.
 
-    def __init__(self, volume: int = 112, on: bool = True) -> None:
+    controls: those that it has. drops: of these a value that is written is dropped, as the kernel
+    does where the device refuses it. stalls: these cannot be read. lowest: of the volume's steps;
+    below it the table still goes down to silence. vanishes: nothing answers after the first write.
+    """
+
+    def __init__(
+        self,
+        volume: int = 112,
+        on: bool = True,
+        *,
+        controls: Sequence[int] = (1, 2, 3),
+        drops: Sequence[int] = (),
+        stalls: Sequence[int] = (),
+        lowest: int = 0,
+        vanishes: bool = False,
+    ) -> None:
         self.volumes = [volume, volume]
         self.on = [int(on)]
+        self.controls = {number: NAMES[number] for number in controls}
+        self.drops, self.stalls, self.lowest = drops, stalls, lowest
+        self.vanishes, self.gone = vanishes, False
 
     def answer(self, request: int, argument: Any) -> tuple[int, int]:
         """An ioctl's result and errno. argument: of umockdev."""
+        if self.gone:
+            return -1, errno.ENODEV
         if request == LIST:
             return self._list(argument)
         if request == INFO:
@@ -42,8 +63,8 @@ class SoftwareMixer:
     def _list(self, argument: Any) -> tuple[int, int]:
         head = argument.resolve(0, 80)
         offset, space = struct.unpack("<II", bytes(head.retrieve())[:8])
-        given = list(NAMES)[offset : offset + space]
-        head.update(8, struct.pack("<II", len(given), len(NAMES)))
+        given = list(self.controls)[offset : offset + space]
+        head.update(8, struct.pack("<II", len(given), len(self.controls)))
         if given:
             ids = head.resolve(16, 64 * space)
             for place, number in enumerate(given):
@@ -61,7 +82,7 @@ class SoftwareMixer:
         elif number == VOLUME:
             access = READ_WRITE | TABLE_READ
             head = struct.pack("<iIIi", INTEGER, access, 2, 0)
-            info.update(0, self._id(number) + head + struct.pack("<qqq", 0, 128, 1))
+            info.update(0, self._id(number) + head + struct.pack("<qqq", self.lowest, 128, 1))
         else:
             return -1, errno.ENOENT
         return 0, 0
@@ -72,16 +93,21 @@ class SoftwareMixer:
         held = {SWITCH: self.on, VOLUME: self.volumes}.get(number)
         if held is None:
             return -1, errno.ENOENT
+        if not writes and number in self.stalls:
+            return -1, errno.EPIPE
         layout = f"<{len(held)}q"
         if writes:
-            held[:] = struct.unpack_from(layout, raw, 72)
+            self.gone = self.vanishes
+            if number not in self.drops:
+                held[:] = struct.unpack_from(layout, raw, 72)
         value.update(72, struct.pack(layout, *held))
         return int(writes), 0
 
     def _table(self, argument: Any) -> tuple[int, int]:
         asked = argument.resolve(0, 8 + 16)
         number, length = struct.unpack("<II", bytes(asked.retrieve())[:8])
-        table = struct.pack("<IIii", BOUNDS_MUTE, 8, -6_400, 0)
+        kind, lowest = (BOUNDS, 50 * (self.lowest - 128)) if self.lowest else (BOUNDS_MUTE, -6_400)
+        table = struct.pack("<IIii", kind, 8, lowest, 0)
         if number != VOLUME or length < len(table):
             return -1, errno.ENXIO
         asked.update(8, table)

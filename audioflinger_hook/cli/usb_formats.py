@@ -1,0 +1,151 @@
+"""The formats that a USB device plays: by its descriptors, its clock and the kernel's own list.
+
+Descriptors of class 2 and 3 leave the samplerates to the clock, and those of class 3 the channels
+to the device. A driver that holds the device has asked for both, and lists them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from device.alsa import find_playback
+from device.alsa.cards import PROC
+from device.alsa.usb_stream import Rates, UsbFormat, read_usb_stream
+from device.errors import NotFoundError
+from device.usb import UsbAudioDevice
+from device.usb.descriptors import Configuration, PlaybackFormat, RateRange, playback_formats
+from device.usb.mapping import hw_names
+
+Samplerates = list[int] | dict[str, int] | None
+"""Hz: single rates or a range; None if unknown."""
+
+
+def formats_of(
+    configuration: Configuration | None,
+    device: UsbAudioDevice | None = None,
+    asked: Sequence[RateRange] = (),
+    root: Path = PROC,
+) -> list[dict[str, Any]]:
+    """Return the formats for JSON, in the order of the descriptors.
+
+    configuration: the one in use. device: whose driver is asked; None for a dump. asked: rates of
+    its clock, as the device told them.
+    """
+    listed = by_setting(device, root) if device else {}
+    decoded = playback_formats(configuration) if configuration else ()
+    found = [
+        _decoded(each, listed.pop((each.interface, each.alternate), None), asked)
+        for each in decoded
+    ]
+    uac = configuration.uac if configuration else None
+    return found + [_listed(setting, each, uac) for setting, each in listed.items()]
+
+
+def by_setting(device: UsbAudioDevice, root: Path = PROC) -> dict[tuple[int, int], UsbFormat]:
+    """Return a device's formats as the driver lists them, by interface and alternate setting."""
+    found: dict[tuple[int, int], UsbFormat] = {}
+    for name in hw_names(device):
+        try:
+            playback = find_playback(name.removeprefix("hw:"), root)
+        except NotFoundError:
+            continue  # the device was unplugged in the meantime
+        stream = read_usb_stream(playback)
+        for each in stream.formats if stream else ():
+            found[each.interface, each.altsetting] = each
+    return found
+
+
+def format_text(each: dict[str, Any], *, units: str = "Hz") -> str:
+    """Return a format in words. units: of the samplerates, Hz or kHz."""
+    width = f" in {each['subslot_bytes']} bytes" if each["subslot_bytes"] else ""
+    sample = f"{'/'.join(each['encodings'])} of {each['bits']} bits{width}"
+    if set(each["encodings"]) <= _DSD:
+        sample = "native DSD"
+    channels = f"{each['channels']} channels" if each["channels"] else "an unknown channel count"
+    feedback = ", feedback" if each["feedback"] else ""
+    if each["implicit_feedback"]:
+        feedback = ", implicit feedback"
+    rates = samplerates_text(each["samplerates"], units)
+    return f"{sample}, {channels}, {rates}, {each['synchronisation']}{feedback}"
+
+
+def samplerates_text(rates: Samplerates, units: str = "Hz") -> str:
+    """Return samplerates in words."""
+    per_unit = 1_000.0 if units == "kHz" else 1.0
+    if rates is None or rates == []:
+        return "unknown samplerates"
+    if isinstance(rates, dict):
+        lowest, highest = rates["lowest"] / per_unit, rates["highest"] / per_unit
+        return f"{lowest:.10g} to {highest:.10g} {units}"
+    return f"{', '.join(f'{rate / per_unit:.10g}' for rate in rates)} {units}"
+
+
+_DSD = {"raw data", "DSD"}
+"""Raw data of class 2 is native DSD on all devices that have it."""
+
+
+def _decoded(
+    each: PlaybackFormat, listed: UsbFormat | None, asked: Sequence[RateRange]
+) -> dict[str, Any]:
+    rates = _single_or_range(each.samplerates)
+    if rates is None and listed is not None:
+        rates = _of_driver(listed.rates)
+    if rates is None and asked:
+        rates = joined(asked)
+    is_dsd = listed is not None and any(name.startswith("DSD_") for name in listed.formats)
+    return {
+        "interface": each.interface,
+        "alternate": each.alternate,
+        "audio_class": each.uac,
+        "encodings": ["DSD"] if is_dsd else list(each.encodings),
+        "bits": each.bits,
+        "subslot_bytes": each.subslot_bytes,
+        "channels": each.channels or (listed.channels if listed else 0),
+        "samplerates": rates,
+        "synchronisation": each.synchronisation.name.lower(),
+        "feedback": each.feedback_endpoint is not None,
+        "implicit_feedback": each.implicit_feedback,
+    }
+
+
+def _listed(setting: tuple[int, int], each: UsbFormat, uac: int | None) -> dict[str, Any]:
+    """Return a format that the driver lists and the descriptors do not tell."""
+    is_dsd = any(name.startswith("DSD_") for name in each.formats)
+    return {
+        "interface": setting[0],
+        "alternate": setting[1],
+        "audio_class": uac,
+        "encodings": ["DSD"] if is_dsd else list(each.formats),
+        "bits": each.bits,
+        "subslot_bytes": 0,
+        "channels": each.channels,
+        "samplerates": _of_driver(each.rates),
+        "synchronisation": _SYNCHRONISATIONS.get(each.sync, "none"),
+        "feedback": False,
+        "implicit_feedback": False,
+    }
+
+
+_SYNCHRONISATIONS = {"ASYNC": "asynchronous", "ADAPTIVE": "adaptive", "SYNC": "synchronous"}
+
+
+def _single_or_range(rates: tuple[int, ...] | RateRange | None) -> Samplerates:
+    if isinstance(rates, RateRange):
+        return {"lowest": rates.lowest, "highest": rates.highest}
+    return None if rates is None else list(rates)
+
+
+def _of_driver(rates: Rates) -> Samplerates:
+    if rates.least:
+        return {"lowest": rates.least, "highest": rates.most}
+    return list(rates.single)
+
+
+def joined(asked: Sequence[RateRange]) -> Samplerates:
+    """Return the rates of a clock as single ones, or as one range."""
+    if all(one.lowest == one.highest for one in asked):
+        return [one.lowest for one in asked]
+    lowest, highest = min(one.lowest for one in asked), max(one.highest for one in asked)
+    return {"lowest": lowest, "highest": highest}
