@@ -48,16 +48,16 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
     "game": {
         **FOLLOWING,
         "window_s": ProfileValue(
-            0.03, "sustained levels and endings are 13 ms earlier; vibration begins at 33 Hz"
+            0.033, "sustained levels and endings are 11 ms earlier; vibration begins at 30 Hz"
         ),
         "merge_ratio": ProfileValue(0.7, "shots and steps stand out of few, steady vibrations"),
-        "loudness_target_db": ProfileValue(-21.5, "a subwoofer's tone at -12 dBFS is felt at -18"),
+        "loudness_target_db": ProfileValue(-20.8, "a subwoofer's tone at -12 dBFS is felt at -18"),
     },
     "music": {
         **FOLLOWING,
         "dynamics": ProfileValue(0.5, "music has a small range of loudness: keep half of it"),
         "merge_ratio": ProfileValue(0.6, "tones that a body cannot tell apart would warble"),
-        "loudness_target_db": ProfileValue(-23.0, "room for half of the loudness of loud passages"),
+        "loudness_target_db": ProfileValue(-22.5, "room for half of the loudness of loud passages"),
     },
 }
 """Every profile by its name."""

@@ -143,6 +143,13 @@ class TrackingDesign:
     """Factor on the reach of a partial that is held, of which little is known yet."""
     worth_holding: float = 0.05
     """Share of its amplitude below which a partial is no longer held."""
+    stronger: float = 1.0 + 1e-9
+    """Ratio from which on one amplitude is larger than another."""
+    struck_share: float = 0.85
+    """While it is held, vibration has at most this share of its strength at the onset, ..."""
+    struck_grown: float = 0.6
+    """... or this share of what it would have, whichever is more: sound that grows by 3 dB in the
+    long window counts as struck at once, sound that grows by more still grows."""
 
     @classmethod
     def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:

@@ -105,7 +105,7 @@ static double onset_loudness_db(const Settings *s, const double *power, double t
     const Meter meter = {s->onset_loudness_weights, s->onset_loudness_edges,
                          s->onset_loudness_scale, s->onset_loudness_widths, s->slope_a_bark};
     const double factor = level * level / larger(TINY, total);
-    return measure(meter, power, NULL, factor) - s->onset_under;
+    return measure(meter, power, NULL, factor) + s->onset_over;
 }
 
 static double within(double number, double low, double high)
@@ -200,6 +200,28 @@ double loudness_gain(const Settings *s, Loudness *follower, double strength, con
     }
     *follower->gain = smaller(s->gain_max, strength / sqrt(power));
     return *follower->gain;
+}
+
+double loudness_concentrate(const Settings *s, const double *hz, double *amplitude, size_t count,
+                            double total)
+{
+    const double over = total / s->ceiling - 1.0;
+    if (!(over > 0.0))
+        return total;
+    const double exponent = smaller(s->concentrated, s->concentrated * over);
+    double before = 0.0, after = 0.0;
+    for (size_t one = 0; one < count; one++) {
+        const double felt = table_at(s->felt_weights, s->gain_step_hz, hz[one]);
+        const double old = amplitude[one] * felt;
+        before += old * old;
+        amplitude[one] *= pow(felt, exponent);
+        after += amplitude[one] * felt * (amplitude[one] * felt);
+    }
+    const double factor = sqrt(before / after);
+    total = 0.0;
+    for (size_t one = 0; one < count; one++)
+        total += amplitude[one] *= factor;
+    return total;
 }
 
 int loudness_is_possible(const Settings *s, const Loudness *follower)
