@@ -23,7 +23,7 @@ class ProfileValue:
 
 BY_ENERGY = ProfileValue("energy", "noise and chords as strong as a tone of the same energy")
 FOLLOWED = ProfileValue(54.0, "whispers are felt, too; silence and noise of the room are not")
-FLOOR = ProfileValue(-75.0, "soft sounds are felt at a low volume as well")
+FLOOR = ProfileValue(-68.0, "soft sounds are felt at a low volume; hiss that nobody hears is not")
 FELT = ProfileValue("felt", "as strong as a seated body feels it, whatever its frequency")
 DEEP = ProfileValue(20.0, "sub-bass is felt, down to the lowest notes")
 LOWER = ProfileValue("jnd", "lower vibration: a seated body feels it better, an amplifier has room")

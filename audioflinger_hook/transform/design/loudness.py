@@ -145,8 +145,8 @@ class LoudnessDesign:
     """Smaller changes of loudness from hop to hop are jitter, of which ..."""
     jitter_followed: float = 0.05
     """... this share is followed."""
-    onset_over: float = 0.0
-    """An onset counts by so much louder than its 5 ms."""
+    onset_under: float = 3.0
+    """A sound of 5 ms is heard softer than a long one. An onset does not know which it will be."""
     concentrated: float = 4.0
     """What would be limited takes on the sensitivity of a seated body to this power at most."""
     slope_a_bark: float = 0.45

@@ -147,9 +147,9 @@ class TrackingDesign:
     """Ratio from which on one amplitude is larger than another."""
     struck_share: float = 0.85
     """While it is held, vibration has at most this share of its strength at the onset, ..."""
-    struck_grown: float = 0.6
-    """... or this share of what it would have, whichever is more: sound that grows by 3 dB in the
-    long window counts as struck at once, sound that grows by more still grows."""
+    struck_grown: float = 0.8
+    """... or this share of what it would have, whichever is more: what seems to grow by a few % in
+    the long window was struck at once, what grows by more still grows."""
 
     @classmethod
     def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:

@@ -106,7 +106,7 @@ class LoudnessFollower:
     def onset_loudness_db(self, power: FloatArray, level: float) -> float:
         """Return the loudness of an onset of this level from the powers of the short bins."""
         factor = level * level / max(TINY, float(power.sum()))
-        return self._onset_meter.loudness_db(power, factor) + self._design.onset_over
+        return self._onset_meter.loudness_db(power, factor) - self._design.onset_under
 
     def strength(self, loudness_db: float) -> float:
         """Return how strong the next hop vibrates, the root of its partials' sum of squares.

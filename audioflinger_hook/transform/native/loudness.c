@@ -105,7 +105,7 @@ static double onset_loudness_db(const Settings *s, const double *power, double t
     const Meter meter = {s->onset_loudness_weights, s->onset_loudness_edges,
                          s->onset_loudness_scale, s->onset_loudness_widths, s->slope_a_bark};
     const double factor = level * level / larger(TINY, total);
-    return measure(meter, power, NULL, factor) + s->onset_over;
+    return measure(meter, power, NULL, factor) - s->onset_under;
 }
 
 static double within(double number, double low, double high)

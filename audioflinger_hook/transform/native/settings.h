@@ -118,7 +118,7 @@
     ENTRY(gate_margin) /* of which this share is still silent */                                   \
     ENTRY(jitter)          /* smaller changes of loudness are jitter, */                           \
     ENTRY(jitter_followed) /* of which this share is followed */                                   \
-    ENTRY(onset_over)   /* loudness of onsets counts so much more */                               \
+    ENTRY(onset_under)  /* loudness of onsets counts so much less: short sounds are heard softer */ \
     ENTRY(concentrated) /* power of the sensitivity that moves what would be limited, at most */   \
     ENTRY(slope_a_bark) /* share by which specific loudness falls, times its fourth root */        \
     ENTRY(target)      /* vibration at the programme's level */                                    \
