@@ -68,7 +68,7 @@ def loaded(tmp_path, text):
 def test_what_a_config_says_goes_over_the_profile_and_the_rest_is_the_profile_s(tmp_path):
     settings = loaded(tmp_path, 'profile = "game"\n[transform]\npartials_max = 3\n')
     assert settings.parameters == parameters_of("game", {"partials_max": 3})
-    assert settings.parameters.window_s == 0.03
+    assert settings.parameters.window_s == 0.033
 
 
 def test_even_the_paper_s_own_value_goes_over_the_profile_where_a_config_says_it(tmp_path):

@@ -1,4 +1,4 @@
-"""Impacts: vibration is at full strength at once, adds to what sounds, and does not swell after it."""
+"""Impacts: vibration is at full strength at once and adds to what sounds. Hard cases besides."""
 
 from dataclasses import replace
 
@@ -66,7 +66,9 @@ def test_a_partial_of_an_onset_has_frequency_and_phase_of_what_it_joins():
     transform.process(tone(90.0, 0.5, RATE, 0.1))
     tracker = transform._tracker
     (slot,) = tracker._alive.nonzero()[0].tolist()
-    hz, phase = tracker.strongest_near(1.1 * tracker._hz[slot], 0.004)
+    joined_to = tracker.strongest_near(1.1 * tracker._hz[slot], 0.004)
+    assert joined_to
+    hz, phase = joined_to
     assert hz == tracker._hz[slot]
     turned = (tracker._phase[slot] - 0.004 * hz - phase) % 1.0
     assert min(turned, 1.0 - turned) < 1e-9
@@ -112,7 +114,9 @@ def test_loud_sound_moves_to_where_it_is_felt_and_keeps_its_strength(seed):
         assert moved.sum() <= total * (1.0 + 1e-12)
     np.testing.assert_array_equal(moved, amplitude)
     # It begins without a step.
-    np.testing.assert_allclose(follower.concentrated(amplitude, hz, 0.9999 * total), amplitude, 2e-3)
+    np.testing.assert_allclose(
+        follower.concentrated(amplitude, hz, 0.9999 * total), amplitude, 2e-3
+    )
 
 
 def test_treble_at_full_scale_loses_less_to_the_limiter_than_it_would_unmoved():
@@ -123,6 +127,7 @@ def test_treble_at_full_scale_loses_less_to_the_limiter_than_it_would_unmoved():
         design = LiveDesign.of(parameters, RATE)
         object.__setattr__(design.loudness, "concentrated", most)
         transform = LiveTransform(design)
+        assert transform.follower
         transform.follower.programme_db = -30.0
         felt = transform.process(spread)[RATE // 2 :]
         levels.append(level_db(np.cumsum(felt) * 2 * np.pi * 40.0 / RATE))
@@ -154,7 +159,9 @@ def test_clicks_at_any_rate_stay_finite_and_are_never_stronger_than_a_few_alone(
     sound[RATE // 10 :: round(RATE / a_second)] = 0.5
     parameters = parameters_of(profile)
     kernel = played(sound, RATE, parameters=parameters)[:, 0]
-    one = played(sound[: RATE // 2] * (np.arange(RATE // 2) < RATE // 8), RATE, parameters=parameters)
+    one = played(
+        sound[: RATE // 2] * (np.arange(RATE // 2) < RATE // 8), RATE, parameters=parameters
+    )
     assert np.isfinite(kernel).all()
     assert kernel.any()
     # Loudness of 50 clicks in a second is 20 phon over that of one at most.
