@@ -84,7 +84,7 @@ class PartialTracker:
         if not self._design.merge_ratio:
             return None
         near = self._alive & (np.abs(self._hz - hz) < self.near_hz(hz))
-        most, found = 0.0, -1
+        most, found = self._design.joined_from, -1
         for slot in near.nonzero()[0].tolist():
             if self._amplitude[slot] > self._design.stronger * most:
                 most, found = float(self._amplitude[slot]), slot

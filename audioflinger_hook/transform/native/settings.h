@@ -89,6 +89,7 @@
     ENTRY(fresh_reach)  /* a partial that is held is matched so much further away */               \
     ENTRY(worth_holding) /* share of its amplitude up to which it is not held */                   \
     ENTRY(stronger)      /* ratio from which on one amplitude is larger than another */            \
+    ENTRY(joined_from)   /* amplitude up to which a partial is as good as none to join */          \
     ENTRY(struck_share)  /* of the strength at an onset that is left while it is held, */          \
     ENTRY(struck_grown)  /* or this share of the strength that would be */                         \
     FOLLOWER(ENTRY)                                                                                \

@@ -119,7 +119,7 @@ double tracking_join(const Settings *settings, const Slots *slots, double before
     const size_t none = tracking_slots(settings);
     const double near_hz = tracking_near_hz(settings, *hz);
     size_t found = none;
-    double most = 0.0;
+    double most = settings->joined_from;
     for (size_t slot = 0; slot < none; slot++)
         if (slots->alive[slot] != 0.0 && fabs(slots->hz[slot] - *hz) < near_hz &&
             slots->amplitude[slot] > settings->stronger * most) {
