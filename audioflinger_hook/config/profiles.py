@@ -24,7 +24,7 @@ class ProfileValue:
 
 BY_ENERGY = ProfileValue("energy", "noise and chords as strong as a tone of the same energy")
 FOLLOWED = ProfileValue(54.0, "whispers are felt, too; silence and noise of the room are not")
-FLOOR = ProfileValue(-75.0, "soft sounds are felt at a low volume as well")
+FLOOR = ProfileValue(-68.0, "soft sounds are felt at a low volume; hiss that nobody hears is not")
 FELT = ProfileValue("felt", "as strong as a seated body feels it, whatever its frequency")
 DEEP = ProfileValue(20.0, "sub-bass is felt, down to the lowest notes")
 LOWER = ProfileValue("jnd", "lower vibration: a seated body feels it better, an amplifier has room")
@@ -49,16 +49,16 @@ PROFILES: dict[str, dict[str, ProfileValue]] = {
     "game": {
         **FOLLOWING,
         "window_s": ProfileValue(
-            0.03, "sustained levels and endings are 13 ms earlier; vibration begins at 33 Hz"
+            0.033, "sustained levels and endings are 11 ms earlier; vibration begins at 30 Hz"
         ),
         "merge_ratio": ProfileValue(0.7, "shots and steps stand out of few, steady vibrations"),
-        "loudness_target_db": ProfileValue(-21.5, "a subwoofer's tone at -12 dBFS is felt at -18"),
+        "loudness_target_db": ProfileValue(-20.8, "a subwoofer's tone at -12 dBFS is felt at -18"),
     },
     "music": {
         **FOLLOWING,
         "dynamics": ProfileValue(0.5, "music has a small range of loudness: keep half of it"),
         "merge_ratio": ProfileValue(0.6, "tones that a body cannot tell apart would warble"),
-        "loudness_target_db": ProfileValue(-23.0, "room for half of the loudness of loud passages"),
+        "loudness_target_db": ProfileValue(-22.5, "room for half of the loudness of loud passages"),
     },
 }
 """Every profile by its name."""

@@ -74,7 +74,7 @@ def loaded(tmp_path, text):
 def test_what_a_config_says_goes_over_the_profile_and_the_rest_is_the_profile_s(tmp_path):
     settings = loaded(tmp_path, 'profile = "game"\n[transform]\npartials_max = 3\n')
     assert settings.parameters == parameters_of("game", {"partials_max": 3})
-    assert settings.parameters.window_s == 0.03
+    assert settings.parameters.window_s == 0.033
 
 
 def test_even_the_paper_s_own_value_goes_over_the_profile_where_a_config_says_it(tmp_path):
@@ -97,10 +97,10 @@ def test_another_profile_leaves_what_was_said_and_nothing_else(tmp_path):
 
 def test_a_profile_and_a_number_that_cannot_go_together_are_a_mistake(tmp_path):
     path = tmp_path / "config.toml"
-    path.write_text('profile = "game"\n[transform]\nvibration_top_hz = 62\n')
+    path.write_text('profile = "game"\n[transform]\nvibration_top_hz = 60\n')
     error = refused(call("check", "--config", path))
-    assert "transform.vibration_top_hz = 62 leaves no room above 1/window_s=33.3 Hz" in error
-    path.write_text('profile = "music"\n[transform]\nvibration_top_hz = 62\n')
+    assert "transform.vibration_top_hz = 60 leaves no room above 1/window_s=30.3 Hz" in error
+    path.write_text('profile = "music"\n[transform]\nvibration_top_hz = 60\n')
     assert call("check", "--config", path).code == 0
 
 

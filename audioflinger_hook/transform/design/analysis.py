@@ -62,6 +62,10 @@ below the second none is played."""
 
 GROUPS_MAX = 4
 
+WORTH, MERGED_WORTH = 0.25, 0.1
+"""Share of its amplitude that a partial must add to start. Where partials are merged it is in phase
+with what sounds, so less is worth it."""
+
 
 @dataclass(frozen=True, eq=False)
 class InputDesign:
@@ -183,6 +187,8 @@ class OnsetDesign:
     short_window: FloatArray
     short_hz: FloatArray
     """Vibration frequency of each bin."""
+    worth: float
+    """No partial starts if less than this share of its amplitude is missing."""
     band_edges: FloatArray
     """Bins: the first of each band, and past the last."""
     rise: float = 4.0
@@ -209,8 +215,6 @@ class OnsetDesign:
     """Power that counts as zero."""
     apart_from: float = 1.0 + 1e-9
     """Ratio from which on two bands differ, so that rounding decides nothing between equals."""
-    worth: float = 0.25
-    """No partial starts if less than this share of its amplitude is missing."""
     birth_phase: float = 0.75
     """Phase at birth in cycles: a sine, whose first swing is felt at once."""
     one_tone: FloatArray = field(default_factory=lambda: np.array((0.12, 0.28, 0.34, 0.36)))
@@ -260,6 +264,7 @@ class OnsetDesign:
             short_hz=mapping.vibration_hz(
                 np.clip(hz, parameters.band_low_hz, parameters.band_high_hz)
             ),
+            worth=MERGED_WORTH if parameters.merge_ratio else WORTH,
             band_edges=np.array(sorted(edges), dtype=np.float64),
         )
 

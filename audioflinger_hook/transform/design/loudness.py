@@ -147,6 +147,8 @@ class LoudnessDesign:
     """... this share is followed."""
     onset_under: float = 3.0
     """A sound of 5 ms is heard softer than a long one. An onset does not know which it will be."""
+    concentrated: float = 4.0
+    """What would be limited takes on the sensitivity of a seated body to this power at most."""
     slope_a_bark: float = 0.45
     """Above a band its specific loudness N' falls by this / N'^0.25 of itself for each Bark: nearly
     what the table of slopes in ISO 532-1 says."""

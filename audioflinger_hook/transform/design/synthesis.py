@@ -42,11 +42,11 @@ STOP_DB = 40.0
 """Order, ripple and attenuation of the elliptic low-pass."""
 
 HIGH_PASS_ORDER = 3
-HIGH_PASS_STOP_DB = 30.0
+HIGH_PASS_STOP_DB = 26.0
 """For strength "felt", an elliptic high-pass of the same ripple keeps swings of the envelope out
 of what is under the lowest vibration: there an actuator moves far and little is felt."""
 
-BOTTOM_MARGIN = 0.93
+BOTTOM_MARGIN = 0.98
 """That pass band begins at the lowest vibration frequency times this."""
 
 GAIN_FLOOR = 0.5
@@ -143,6 +143,15 @@ class TrackingDesign:
     """Factor on the reach of a partial that is held, of which little is known yet."""
     worth_holding: float = 0.05
     """Share of its amplitude below which a partial is no longer held."""
+    stronger: float = 1.0 + 1e-9
+    """Ratio from which on one amplitude is larger than another."""
+    joined_from: float = 1e-4
+    """Amplitude up to which a partial is as good as none to join: rounding may leave some."""
+    struck_share: float = 0.85
+    """While it is held, vibration has at most this share of its strength at the onset, ..."""
+    struck_grown: float = 0.8
+    """... or this share of what it would have, whichever is more: what seems to grow by a few % in
+    the long window was struck at once, what grows by more still grows."""
 
     @classmethod
     def of(cls, parameters: TransformParameters, hop_s: float) -> TrackingDesign:

@@ -190,6 +190,20 @@ class LoudnessFollower:
         self.gain = min(self._design.gain_max, strength / power**0.5)
         return self.gain
 
+    def concentrated(self, amplitude: FloatArray, hz: FloatArray, ceiling: float) -> FloatArray:
+        """Return amplitudes of the same strength, moved to where a body feels them best.
+
+        They are moved only where their sum is over the ceiling, and the more, the more it is over.
+        """
+        over = float(amplitude.sum()) / ceiling - 1.0
+        if over <= 0.0:
+            return amplitude
+        felt = self.felt_weight(hz)
+        most = self._design.concentrated
+        moved = amplitude * felt ** min(most, most * over)
+        before, after = amplitude * felt, moved * felt
+        return moved * float(np.sqrt((before * before).sum() / (after * after).sum()))
+
     def _gate(self, loudness_db: float) -> float:
         """Return how far the soft gate is open, 0 to 1."""
         design = self._design

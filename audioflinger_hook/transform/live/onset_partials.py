@@ -23,6 +23,7 @@ class _OnsetPartial:
     base: float
     weight: float
     age: int
+    joins: bool
 
 
 class OnsetPartials:
@@ -56,11 +57,13 @@ class OnsetPartials:
         """Whether none sounds."""
         return not any(self._sounding)
 
-    def start(self, tracker: PartialTracker) -> None:
+    def start(self, tracker: PartialTracker, ticks_left: int) -> None:
         """Let what the detector has heard begin begin.
 
         Where the last onset is told anew, its partials become these, in the middle of their
-        vibration, and those too many die.
+        vibration, and those too many die. Where partials are merged, one that starts near to a
+        partial of the tracker joins it: it has its frequency and its phase, so that both add up.
+        ticks_left: to the end of the hop that the tracker has written last.
         """
         young = [one for one in self._sounding if one and one.age < self._design.heard_ticks]
         for one in young:
@@ -79,8 +82,10 @@ class OnsetPartials:
             free = [slot for slot, one in enumerate(self._sounding) if one is None]
             if not free:
                 break
+            joined = tracker.strongest_near(hz, ticks_left * self._tick_s)
+            hz, phase = joined or (hz, self._design.birth_phase)
             self._sounding[free[0]] = _OnsetPartial(
-                group, hz, self._design.birth_phase, 0.0, lacking, base, weight, 0
+                group, hz, phase, 0.0, lacking, base, weight, 0, joined is not None
             )
         for one in young:
             one.age = self._design.heard_ticks
@@ -106,7 +111,8 @@ class OnsetPartials:
                 continue
             hz = one.hz
             if 0 < one.age < self._design.heard_ticks and self._detector.is_measuring:
-                hz, one.weight, amplitude = self._estimate(one.group)
+                told_hz, one.weight, amplitude = self._estimate(one.group)
+                hz = one.hz if one.joins else told_hz
                 wanted = amplitude - one.base
                 # Of a sound that is there already rounding leaves nothing, or next to nothing.
                 if wanted < self._worth_holding * amplitude or wanted < 0.0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,6 +12,8 @@ from audioflinger_hook.transform.arrays import FloatArray, IntArray
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.live.merging import merge
 from audioflinger_hook.transform.live.synthesis import Glides
+
+TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,9 @@ class PartialTracker:
         self._design = design.tracking
         self._mapping = design.mapping
         self._hop_s = design.grid.hop_s
+        self._followed = design.loudness.loudness_weights.size > 0
+        self._felt_weights = design.loudness.felt_weights
+        self._felt_hz = design.synthesis.gain_step_hz * np.arange(self._felt_weights.size)
         self._most = design.analysis.partials_max + design.onsets.fresh_max
         self.slots = 2 * self._most
         self.reset()
@@ -50,6 +56,8 @@ class PartialTracker:
         self._phase = np.zeros(self.slots)
         self._alive = np.zeros(self.slots, dtype=bool)
         self._start_sum = 0.0
+        self._struck = 0.0
+        self._struck_hops = 0
         self._held: dict[int, tuple[Held, int]] = {}
 
     @property
@@ -67,6 +75,24 @@ class PartialTracker:
         near = self._alive & (np.abs(self._hz - hz) < self.near_hz(hz))
         return float(self._amplitude[near].sum())
 
+    def strongest_near(self, hz: float, before_end_s: float) -> tuple[float, float] | None:
+        """Return frequency and phase of the strongest partial near to a vibration frequency.
+
+        The phase is that of so many seconds before the end of the hop, in cycles. None: there is
+        no such partial, or partials are not merged.
+        """
+        if not self._design.merge_ratio:
+            return None
+        near = self._alive & (np.abs(self._hz - hz) < self.near_hz(hz))
+        most, found = self._design.joined_from, -1
+        for slot in near.nonzero()[0].tolist():
+            if self._amplitude[slot] > self._design.stronger * most:
+                most, found = float(self._amplitude[slot]), slot
+        if found < 0:
+            return None
+        phase = float(self._phase[found]) - float(self._hz[found]) * before_end_s
+        return float(self._hz[found]), phase - math.floor(phase)
+
     def near_hz(self, hz: float) -> float:
         """Return how far from a new partial its true frequency may be, in Hz of vibration."""
         return self._design.near_hz(hz, self._mapping)
@@ -82,6 +108,7 @@ class PartialTracker:
         self._hz[slot], self._phase[slot], self._amplitude[slot] = hz, phase, amplitude
         self._alive[slot] = True
         self._held[slot] = held, self._design.hold_hops
+        self._struck, self._struck_hops = self._felt(), self._design.hold_hops
 
     @property
     def idle(self) -> bool:
@@ -137,6 +164,7 @@ class PartialTracker:
         self._alive[:] = False
         self._alive[slot] = True
         self._hold(room, held_amplitude, left)
+        self._stay_under_onset()
         self._finish_hop(glides, hop)
 
     def _hold(self, room: float, held_amplitude: Callable[[Held], float], left: float) -> None:
@@ -160,12 +188,28 @@ class PartialTracker:
         for slot, lack in lacking.items():
             self._amplitude[slot] += share * lack
 
+    def _stay_under_onset(self) -> None:
+        """Let vibration be strongest at the onset: the long window goes on hearing it for long."""
+        if not self._followed or not self._struck_hops:
+            return
+        self._struck_hops -= 1
+        over = self._felt() / max(TINY, self._struck)
+        kept = max(self._design.struck_share, self._design.struck_grown * over)
+        if kept < over:
+            self._amplitude *= kept / over
+
+    def _felt(self) -> float:
+        """Return the strength of all that sounds at the end of the hop."""
+        felt = self._amplitude * np.interp(self._hz, self._felt_hz, self._felt_weights)
+        return float(np.sqrt((felt * felt)[self._alive].sum()))
+
     def fade(self, glides: Glides, hop: int) -> None:
         """Write one hop of `glides` in which every partial that sounds dies away."""
         self._begin_hop(glides, hop)
         self._amplitude[:] = 0.0
         self._alive[:] = False
         self._held.clear()
+        self._struck_hops = 0
         self._finish_hop(glides, hop)
 
     def _begin_hop(self, glides: Glides, hop: int) -> None:

@@ -262,7 +262,9 @@ class LiveTransform:
                 self._end_hop(hops, hop, mine)
                 hop += 1
             if onset:
-                self._onset_partials.start(self._tracker)
+                # Of the hop that plays now, in ticks.
+                left = self._grid.ticks - 1 - (self._tick + tick) % self._grid.ticks
+                self._onset_partials.start(self._tracker, left or self._grid.ticks)
             if not self._onset_partials.idle:
                 self._ringing = self._ring_hops
                 self._onset_partials.play(fresh, tick, self._tracker)
@@ -327,8 +329,10 @@ class LiveTransform:
             # after the follower, which would turn the rest up.
             left = self._speech.gains(found.audio_hz)
             amplitude = self._mapping.amplitudes(found.amplitude * left, found.r * left)
-        amplitude = amplitude * tilt
-        return limit_amplitudes(amplitude * gain, self._ceiling)
+        amplitude = amplitude * tilt * gain
+        if self.follower:
+            amplitude = self.follower.concentrated(amplitude, hz, self._ceiling)
+        return limit_amplitudes(amplitude, self._ceiling)
 
     def _onset_amplitude(self, hz: float, weight: float, level: float) -> float:
         """Return the amplitude of what begins at a vibration frequency in Hz.

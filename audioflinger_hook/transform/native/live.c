@@ -114,6 +114,8 @@ static int set_levels(Live *live, Voice *voice, double strength, size_t count)
     }
     for (size_t one = 0; one < count; one++)
         total += live->amplitude[one] *= gain;
+    if (loudness_is_on(s))
+        total = loudness_concentrate(s, live->hz, live->amplitude, count, total);
     const int limited = !(total <= s->ceiling);
     if (limited)
         for (size_t one = 0; one < count; one++)
@@ -218,7 +220,8 @@ static void advance(Live *live, Voice *voice)
     if (full)
         end_hop(live, voice);
     if (onset)
-        onset_partials_bear(s, voice->fresh, told, &voice->slots);
+        onset_partials_bear(s, voice->fresh, told, &voice->slots,
+                            full ? s->ticks : s->ticks - 1 - live->tick);
     const int fresh = onset_partials_sounds(s, voice->fresh);
     if (fresh) {
         *voice->ringing = (double)s->ring_hops;

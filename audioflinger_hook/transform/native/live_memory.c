@@ -32,7 +32,7 @@ static size_t voice_numbers(const Settings *s)
 {
     return s->band_b.length - 1 + s->window_frames + s->hops_in_window + s->tick_frames + s->steps +
            onset_numbers(s) + FRESH_NUMBERS * s->fresh_max + SLOT_NUMBERS * tracking_slots(s) +
-           FOLLOWER_NUMBERS + SPEECH_STATES + smoothing_states(s) + smoothing_tail(s) + 2;
+           FOLLOWER_NUMBERS + SPEECH_STATES + smoothing_states(s) + smoothing_tail(s) + 4;
 }
 
 static void lay_out_voice(const Settings *s, Voice *voice, double **next)
@@ -61,6 +61,8 @@ static void lay_out_voice(const Settings *s, Voice *voice, double **next)
     for (size_t which = 0; which < SLOT_NUMBERS; which++)
         *of_slots[which] = allot(next, slots);
     voice->slots.start_sum = allot(next, 1);
+    voice->slots.struck = allot(next, 1);
+    voice->slots.struck_hops = allot(next, 1);
     voice->follower.programme = allot(next, 1);
     voice->follower.floor = allot(next, 1);
     voice->follower.loud = allot(next, 1);

@@ -202,6 +202,28 @@ double loudness_gain(const Settings *s, Loudness *follower, double strength, con
     return *follower->gain;
 }
 
+double loudness_concentrate(const Settings *s, const double *hz, double *amplitude, size_t count,
+                            double total)
+{
+    const double over = total / s->ceiling - 1.0;
+    if (!(over > 0.0))
+        return total;
+    const double exponent = smaller(s->concentrated, s->concentrated * over);
+    double before = 0.0, after = 0.0;
+    for (size_t one = 0; one < count; one++) {
+        const double felt = table_at(s->felt_weights, s->gain_step_hz, hz[one]);
+        const double old = amplitude[one] * felt;
+        before += old * old;
+        amplitude[one] *= pow(felt, exponent);
+        after += amplitude[one] * felt * (amplitude[one] * felt);
+    }
+    const double factor = sqrt(before / after);
+    total = 0.0;
+    for (size_t one = 0; one < count; one++)
+        total += amplitude[one] *= factor;
+    return total;
+}
+
 int loudness_is_possible(const Settings *s, const Loudness *follower)
 {
     return *follower->programme >= s->programme_min && *follower->programme <= s->programme_top &&

@@ -39,6 +39,11 @@ double loudness_onset_strength(const Settings *settings, const Loudness *followe
 double loudness_gain(const Settings *settings, Loudness *follower, double strength,
                      const double *hz, const double *amplitude, size_t count);
 
+/* Move amplitudes to where a body feels them best, at the same strength, where their sum `total` is
+ * over the ceiling; the more, the more it is over. Return their sum. */
+double loudness_concentrate(const Settings *settings, const double *hz, double *amplitude,
+                            size_t count, double total);
+
 /* Whether the numbers are such as a follower can have. */
 int loudness_is_possible(const Settings *settings, const Loudness *follower);
 

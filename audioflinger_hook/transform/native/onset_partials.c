@@ -75,7 +75,8 @@ static size_t free_one(const Settings *s, const OnsetPartial *fresh)
     return slot;
 }
 
-void onset_partials_bear(const Settings *s, OnsetPartial *fresh, OnsetSources sources, const Slots *slots)
+void onset_partials_bear(const Settings *s, OnsetPartial *fresh, OnsetSources sources,
+                         const Slots *slots, size_t ticks_left)
 {
     Group groups[FRESH_MAX];
     int young[FRESH_MAX];
@@ -101,6 +102,8 @@ void onset_partials_bear(const Settings *s, OnsetPartial *fresh, OnsetSources so
             if (slot == s->fresh_max)
                 break;
             fresh[slot] = (OnsetPartial){.sounds = 1.0, .hz = found.hz, .phase = s->birth_phase};
+            fresh[slot].joins = tracking_join(s, slots, (double)ticks_left * s->tick_s,
+                                              &fresh[slot].hz, &fresh[slot].phase);
         }
         fresh[slot].first_band = (double)groups[which].first;
         fresh[slot].last_band = (double)groups[which].last;
@@ -129,7 +132,8 @@ void onset_partials_play(const Settings *s, OnsetPartial *fresh, OnsetSources so
             const double lacking = found.amplitude - one->base;
             const int little = lacking < s->worth_holding * found.amplitude || lacking < 0.0;
             const double wanted = little ? 0.0 : lacking;
-            hz = found.hz;
+            if (one->joins == 0.0)
+                hz = found.hz;
             one->weight = found.weight;
             one->goal += smaller(wanted - one->goal, room(s, fresh, slots));
         }

@@ -18,6 +18,7 @@ typedef struct {
     double base; /* This amplitude sounds there without it. */
     double weight; /* The amplitude mapping leaves it this share of the level. */
     double age; /* It counts ticks. */
+    double joins; /* 1 where it has frequency and phase of a partial of the tracker, or 0 */
 } OnsetPartial;
 
 /* What their frequencies and amplitudes are estimated from. */
@@ -30,8 +31,10 @@ typedef struct {
 /* Whether any sounds. */
 int onset_partials_sounds(const Settings *settings, const OnsetPartial *fresh);
 
-/* Start partials for the onset that was found. */
-void onset_partials_bear(const Settings *settings, OnsetPartial *fresh, OnsetSources sources, const Slots *slots);
+/* Start partials for the onset that was found. ticks_left: to the end of the hop that the slots have
+ * written last. */
+void onset_partials_bear(const Settings *settings, OnsetPartial *fresh, OnsetSources sources,
+                         const Slots *slots, size_t ticks_left);
 
 /* Write one tick of glides, fresh_max slots; while more is told of the onset, follow that. */
 void onset_partials_play(const Settings *settings, OnsetPartial *fresh, OnsetSources sources, const Slots *slots,

@@ -88,6 +88,10 @@
     ENTRY(birth_phase)  /* cycles */                                                               \
     ENTRY(fresh_reach)  /* a partial that is held is matched so much further away */               \
     ENTRY(worth_holding) /* share of its amplitude up to which it is not held */                   \
+    ENTRY(stronger)      /* ratio from which on one amplitude is larger than another */            \
+    ENTRY(joined_from)   /* amplitude up to which a partial is as good as none to join */          \
+    ENTRY(struck_share)  /* of the strength at an onset that is left while it is held, */          \
+    ENTRY(struck_grown)  /* or this share of the strength that would be */                         \
     FOLLOWER(ENTRY)                                                                                \
     SPEECH_NUMBERS(ENTRY)
 
@@ -116,6 +120,7 @@
     ENTRY(jitter)          /* smaller changes of loudness are jitter, */                           \
     ENTRY(jitter_followed) /* of which this share is followed */                                   \
     ENTRY(onset_under)  /* loudness of onsets counts so much less: short sounds are heard softer */ \
+    ENTRY(concentrated) /* power of the sensitivity that moves what would be limited, at most */   \
     ENTRY(slope_a_bark) /* share by which specific loudness falls, times its fourth root */        \
     ENTRY(target)      /* vibration at the programme's level */                                    \
     ENTRY(slope)       /* of vibration for each dB of loudness */                                  \

@@ -19,6 +19,7 @@ typedef struct {
     double *held_hops;                /* that are left, and one; 0 of all others */
     double *lacking;                  /* to that amplitude, within one call */
     double *start_sum;                /* of the amplitudes at the hop's start */
+    double *struck, *struck_hops;     /* strength at the last onset; hops left under it */
 } Slots;
 
 /* What keeps a partial that was born of an onset. */
@@ -58,6 +59,11 @@ double tracking_near_hz(const Settings *settings, double hz);
 
 /* The amplitudes near to a vibration frequency at the end of the hop. */
 double tracking_sounding_near(const Settings *settings, const Slots *slots, double hz);
+
+/* Give hz and phase those of the strongest partial near to hz, so many seconds before the end of the
+ * hop; return 1, or 0 where there is none or partials are not merged. */
+double tracking_join(const Settings *settings, const Slots *slots, double before_end_s, double *hz,
+                     double *phase);
 
 /* Take over a partial in the middle of its vibration, and hold it; at the end of a hop. */
 void tracking_adopt(const Settings *settings, Slots *slots, double hz, double phase,

@@ -1,0 +1,182 @@
+"""Impacts: vibration is at full strength at once and adds to what sounds. Hard cases besides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.config.profiles import parameters_of
+from audioflinger_hook.transform.design import LiveDesign
+from audioflinger_hook.transform.design.loudness import felt_weight
+from audioflinger_hook.transform.live.loudness import LoudnessFollower
+from audioflinger_hook.transform.live.partials import PartialTracker
+from audioflinger_hook.transform.live.synthesis import Glides
+from audioflinger_hook.transform.live.transform import LiveTransform
+from tests.support.signals import columns, envelope, joined, played, silence, tone, white_noise
+
+RATE = 48_000
+PROFILES = ("cinema", "game", "music")
+LIVE = ("live", "live in NumPy")
+CINEMA = parameters_of("cinema")
+
+
+def drum(hz, seconds=0.5, decay_s=0.08, amplitude=0.6):
+    """Return a struck skin: a tone and a short noise that die away."""
+    time_s = np.arange(round(seconds * RATE)) / RATE
+    skin = np.sin(2 * np.pi * hz * time_s) * np.exp(-time_s / decay_s)
+    stick = np.random.default_rng(0).standard_normal(time_s.size) * np.exp(-time_s / 0.01)
+    return amplitude * (0.8 * skin + 0.1 * stick)
+
+
+def level_db(vibration):
+    return float(10 * np.log10(2 * np.mean(vibration**2) + 1e-30))
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("hz", [60.0, 110.0, 240.0])
+def test_a_drum_is_felt_most_as_it_is_struck(profile, hz):
+    sound = joined(silence(0.3, RATE), drum(hz), silence(0.3, RATE))
+    parameters = parameters_of(profile)
+    late_ms = []
+    for parts in (sound, 0.1 * sound):
+        level = envelope(played(parts, RATE, parameters=parameters)[:, 0], RATE)
+        late_ms.append(1e3 * float(np.argmax(level)) / RATE - 300.0)
+    # The latency is 9 ms, and the envelope of a sudden rise is at its top some ms later.
+    assert max(late_ms) < 35.0, late_ms
+
+
+@pytest.mark.parametrize("form", LIVE)
+def test_a_blow_adds_to_the_tone_that_sounds_whatever_its_phase(form):
+    hum = tone(90.0, 1.2, RATE, 0.02)
+    deepest = []
+    for delay in range(0, 540, 90):
+        at = RATE // 2 + delay
+        sound = hum.copy()
+        sound[at:] += drum(95.0, 1.0)[: sound.size - at]
+        level = envelope(played(sound, RATE, form=form, parameters=CINEMA)[:, 0], RATE)
+        before = level[at - 4_000 : at - 1_500].mean()
+        # From the first tick that can be felt to the end of the hop that is under way.
+        deepest.append(level[at : at + 1_200].min() / before)
+    assert min(deepest) > 0.85, deepest
+
+
+def test_a_partial_of_an_onset_has_frequency_and_phase_of_what_it_joins():
+    design = LiveDesign.of(CINEMA, RATE)
+    transform = LiveTransform(design)
+    transform.process(tone(90.0, 0.5, RATE, 0.1))
+    tracker = transform._tracker
+    (slot,) = tracker._alive.nonzero()[0].tolist()
+    joined_to = tracker.strongest_near(1.1 * tracker._hz[slot], 0.004)
+    assert joined_to
+    hz, phase = joined_to
+    assert hz == tracker._hz[slot]
+    turned = (tracker._phase[slot] - 0.004 * hz - phase) % 1.0
+    assert min(turned, 1.0 - turned) < 1e-9
+    # Farther away than what merges there is nothing to join, and without merging nothing is.
+    assert tracker.strongest_near(4.0 * hz, 0.004) is None
+    apart = LiveTransform(LiveDesign.of(replace(CINEMA, merge_ratio=0.0), RATE))
+    apart.process(tone(90.0, 0.5, RATE, 0.1))
+    assert apart._tracker.strongest_near(hz, 0.004) is None
+
+
+def test_amplitudes_that_waver_by_a_twelfth_are_steadied_where_partials_are_merged():
+    swings = {}
+    for merge_ratio in (0.6, 0.0):
+        design = LiveDesign.of(replace(CINEMA, merge_ratio=merge_ratio), RATE)
+        tracker = PartialTracker(design)
+        glides = Glides.silent(1, tracker.slots)
+        amplitudes = []
+        for hop in range(80):
+            amplitude = np.array([0.2 * (1.0 + (0.04 if hop % 2 else -0.04))])
+            hz, audio_hz = np.array([50.0]), np.array([400.0])
+            tracker.follow(glides, 0, audio_hz, hz, amplitude, 0.5, lambda _: 0.0, 1.0)
+            amplitudes.append(float(glides.end_amplitude[0].sum()))
+        swings[merge_ratio] = np.ptp(amplitudes[40:]) / 0.2
+    assert swings[0.6] < 0.03
+    assert swings[0.0] > 0.07
+
+
+# --- what would be limited
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_loud_sound_moves_to_where_it_is_felt_and_keeps_its_strength(seed):
+    rng = np.random.default_rng(seed)
+    follower = LoudnessFollower(LiveDesign.of(CINEMA, RATE).loudness)
+    hz, amplitude = np.sort(rng.uniform(30.0, 220.0, 8)), rng.uniform(0.01, 0.5, 8)
+    total = float(amplitude.sum())
+    felt = felt_weight(CINEMA, hz)
+    for ceiling in (0.1 * total, 0.5 * total, 0.99 * total, total):
+        moved = follower.concentrated(amplitude, hz, ceiling)
+        kept = np.linalg.norm(moved * felt) / np.linalg.norm(amplitude * felt)
+        # Sensitivity comes from a table in steps of 0.25 Hz.
+        assert kept == pytest.approx(1.0, abs=1e-4)
+        assert moved.sum() <= total * (1.0 + 1e-12)
+    np.testing.assert_array_equal(moved, amplitude)
+    # It begins without a step.
+    np.testing.assert_allclose(
+        follower.concentrated(amplitude, hz, 0.9999 * total), amplitude, 2e-3
+    )
+
+
+def test_treble_at_full_scale_loses_less_to_the_limiter_than_it_would_unmoved():
+    parameters = parameters_of("music")
+    spread = white_noise(1.0, RATE, 0.5)
+    levels = []
+    for most in (0.0, 4.0):
+        design = LiveDesign.of(parameters, RATE)
+        object.__setattr__(design.loudness, "concentrated", most)
+        transform = LiveTransform(design)
+        assert transform.follower
+        transform.follower.programme_db = -30.0
+        felt = transform.process(spread)[RATE // 2 :]
+        levels.append(level_db(np.cumsum(felt) * 2 * np.pi * 40.0 / RATE))
+    assert levels[1] > levels[0] + 1.0
+
+
+# --- deep tones, hiss, clicks, channels
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("hz", [25.0, 30.0, 35.0, 40.0])
+def test_a_deep_tone_at_12_db_under_full_scale_is_felt_at_18(profile, hz):
+    vibration = played(tone(hz, 6.0, RATE, 0.25), RATE, parameters=parameters_of(profile))[:, 0]
+    assert level_db(vibration[-2 * RATE :]) == pytest.approx(-18.0, abs=2.0)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_hiss_that_nobody_hears_is_not_felt_however_long_it_lasts(profile):
+    hiss = white_noise(100.0, RATE)
+    hiss *= 10 ** (-82 / 20) / hiss.std()
+    vibration = played(hiss, RATE, parameters=parameters_of(profile))[:, 0]
+    assert level_db(vibration) < -80.0
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("a_second", [1, 2, 5, 10, 20, 30, 40, 50])
+def test_clicks_at_any_rate_stay_finite_and_are_never_stronger_than_a_few_alone(profile, a_second):
+    sound = silence(4.0, RATE)
+    sound[RATE // 10 :: round(RATE / a_second)] = 0.5
+    parameters = parameters_of(profile)
+    kernel = played(sound, RATE, parameters=parameters)[:, 0]
+    one = played(
+        sound[: RATE // 2] * (np.arange(RATE // 2) < RATE // 8), RATE, parameters=parameters
+    )
+    assert np.isfinite(kernel).all()
+    assert kernel.any()
+    # Loudness of 50 clicks in a second is 20 phon over that of one at most.
+    assert np.abs(kernel).max() < np.abs(one).max() * 10 ** (20 * parameters.dynamics / 20) * 1.5
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+@pytest.mark.parametrize("channels", [1, 2, 3, 6, 8, 24, 33, 64])
+def test_one_broken_channel_of_many_leaves_the_others_felt(profile, channels):
+    sound = joined(tone(220.0, 0.4, 16_000, 0.1), white_noise(0.2, 16_000, 0.05))
+    many = columns(*[sound] * channels)
+    if channels > 1:
+        many[:, 1] = np.nan
+    parameters = parameters_of(profile)
+    kernel, numpy = (played(many, 16_000, form=form, parameters=parameters) for form in LIVE)
+    assert np.isfinite(kernel).all()
+    assert kernel.any()
+    assert np.abs(kernel - numpy).max() < 1e-6
