@@ -12,6 +12,8 @@
 #define MOST_SWEEPS 12
 #define GROW 0.05 /* of the tolerance: twice the width then has less than half of it */
 #define ENOUGH 0.1
+#define SMOOTH 0.05
+#define CONTACT 10.0
 #define INLINE static inline __attribute__((always_inline))
 
 enum { Y, U, Q, FRAME, FRAME_SPEED };
@@ -23,6 +25,7 @@ typedef struct {
     double frame_mass, frame_stiffness, frame_damping;
     double least_y, least_a, least_i, tolerance, fine_s, safety, linear;
     double pull, per_mass; /* N/Wb at rest and 1/kg */
+    double kept, from_last, from_new; /* of a flux from sample to sample, and of a voltage */
 } Model;
 
 /* What a path keeps between its steps. */
@@ -31,12 +34,16 @@ typedef struct {
     double a, i, resisting, frame;                          /* of d at the node */
     double before[PARTS], middle[PARTS];                    /* g of the step before */
     double middle_a, middle_i, middle_resisting, width;     /* and its middle */
+    double middle_q, force_q, volts_q, current_q, at_force_q, at_volts_q, at_current_q;
+    double flux, middle_flux, force_qq;
     double error[STATES], level, largest_a, largest_i, fresh;
     double peak_y, peak_a, worst_y, worst_a, sweeps, steps; /* since the last report */
 } Path;
 
 typedef struct {
     double force, volts, current, resisting, acceleration;
+    /* Change of g, and of the current of d, with the flux; of the force with its square. */
+    double flux, force_q, volts_q, current_q, force_qq;
 } Point;
 
 typedef struct {
@@ -49,6 +56,7 @@ typedef struct {
     const double *table, *maps, *bases, *volts;
     double *moved, *report;
     size_t frames, levels, map_size, widest, mask;
+    double sample_s;
     size_t ticks; /* of the shortest step to a sample */
 } Work;
 
@@ -62,7 +70,8 @@ INLINE int evaluate(const Model *m, const double *table, double y, double w, dou
                     Point *at)
 {
     if (m->linear != 0.0) {
-        at->force = at->volts = at->resisting = 0.0;
+        at->force = at->volts = at->resisting = at->force_q = at->volts_q = at->current_q = at->force_qq = 0.0;
+        at->flux = q;
         at->current = q / m->inductance;
         at->acceleration = (m->pull * q - m->stiffness * y - m->damping * w) * m->per_mass;
         return 1;
@@ -87,6 +96,11 @@ INLINE int evaluate(const Model *m, const double *table, double y, double w, dou
     at->volts = -rest * q - back;
     at->current = i;
     at->resisting = resisting;
+    at->flux = q;
+    at->force_q = factor * per_h - m->pull;
+    at->force_qq = bend * per_h * per_h;
+    at->volts_q = -rest;
+    at->current_q = per_h - 1.0 / m->inductance;
     at->acceleration = (at->force + m->pull * q - m->stiffness * y - m->damping * w) * m->per_mass;
     return 1;
 }
@@ -122,9 +136,99 @@ INLINE void show(const int n, const Model *m, const double *base, End *end)
                        m->frame_damping * d[FRAME_SPEED]) / m->frame_mass;
 }
 
+#define MOST_SAMPLES 256
+
+/* What samples of a step have beyond the parabola through its points: the linear solution's flux is
+ * as rough as the voltage, but changes g in proportion. */
+typedef struct {
+    double a[MOST_SAMPLES], i[MOST_SAMPLES];
+    int any;
+} Rough;
+
+/* Finds it, and adds its effect to the state at the middle and the end. */
+INLINE void find_rough(const int n, const int parts, const double *weights, const Work *work,
+                       const Path *path, size_t level, size_t at, size_t width,
+                       const double bases[2][3], const End ends[2], double known[2][STATES],
+                       Rough *rough)
+{
+    const Model *m = work->model;
+    const double *b = work->bases + level * COLUMNS * work->widest + 4 * work->widest;
+    const double *current = work->moved + 2 * work->frames + at;
+    const size_t stride = work->widest;
+    double *restrict left = rough->i, largest = 0.0;
+    for (size_t k = 0; k < width; k++) {
+        left[k] = m->inductance * current[k] - b[k] * path->base[Q] -
+                  b[stride + k] * bases[0][Q] - b[2 * stride + k] * bases[1][Q];
+        largest = larger(largest, fabs(left[k]));
+    }
+    const Point *middle = &ends[0].at, *end = &ends[1].at;
+    const double h = work->sample_s * (double)width;
+    const double force = fabs(middle->force_q) + fabs(end->force_q) +
+                         4.0 * fabs(middle->force_qq * middle->flux) +
+                         h * m->pull * (fabs(middle->volts_q) + fabs(end->volts_q));
+    const double i = fabs(middle->current_q) + fabs(end->current_q);
+    const double least = SMOOTH * m->tolerance;
+    rough->any = largest * force * m->per_mass > least * larger(path->largest_a, m->least_a) ||
+                 largest * i > least * larger(path->largest_i, m->least_i);
+    if (!rough->any)
+        return;
+    /* The flux that its voltage leaves, and the momentum and way of both forces. */
+    const double share = 1.0 / (1.0 - m->from_new * middle->volts_q), each = work->sample_s;
+    double flux = 0.0, volts = 0.0, fluxes[MOST_SAMPLES];
+    for (size_t k = 0; k < width; k++) {
+        const double new_volts = left[k] * (b[k] * path->at_volts_q + b[stride + k] * middle->volts_q +
+                                            b[2 * stride + k] * end->volts_q);
+        flux = share * (m->kept * flux + m->from_last * volts + m->from_new * new_volts);
+        volts = new_volts + middle->volts_q * flux;
+        fluxes[k] = flux;
+    }
+    for (size_t k = 0; k < width; k++) {
+        const double force_q = b[k] * path->at_force_q + b[stride + k] * middle->force_q +
+                               b[2 * stride + k] * end->force_q;
+        const double p = b[k] * path->flux + b[stride + k] * middle->flux +
+                         b[2 * stride + k] * end->flux + left[k];
+        const double squares = p * p - b[k] * path->flux * path->flux -
+                               b[stride + k] * middle->flux * middle->flux -
+                               b[2 * stride + k] * end->flux * end->flux;
+        rough->a[k] = (force_q * left[k] + middle->force_qq * squares +
+                       (m->pull + force_q) * fluxes[k]) * m->per_mass;
+    }
+    double momentum = 0.0, way = 0.0, before = 0.0;
+    for (size_t k = 0; k < width; k++) {
+        const double a = rough->a[k];
+        way += (momentum + (before * 2.0 + a) * each / 6.0) * each;
+        momentum += 0.5 * (before + a) * each;
+        before = a;
+        if (k + 1 == width / 2 || k + 1 == width) {
+            double *d = known[k + 1 == width];
+            d[Y] += way;
+            d[U] += momentum;
+            d[Q] += fluxes[k];
+        }
+    }
+    /* The points have that flux as well: it is not to be counted twice. */
+    const double half = fluxes[width / 2 - 1], half_a = rough->a[width / 2 - 1], all_a = before;
+    const double twice[2][2] = {{middle->force_q * half, middle->volts_q * half},
+                                {end->force_q * flux, middle->volts_q * flux}};
+    for (int point = 0; point < 2; point++)
+        for (int row = 0; row < n; row++)
+            for (int from = 0; from < 2; from++)
+                for (int part = 0; part < 2; part++)
+                    known[point][row] -= weights[((3 * point + 1 + from) * n + row) * parts + part] *
+                                         twice[from][part];
+    for (size_t k = 0; k < width; k++) {
+        const double current_q = b[k] * path->at_current_q + b[stride + k] * middle->current_q +
+                                 b[2 * stride + k] * end->current_q;
+        const double more = fluxes[k] - b[stride + k] * half - b[2 * stride + k] * flux;
+        rough->i[k] = current_q * left[k] + (current_q + 1.0 / m->inductance) * more;
+        rough->a[k] -= b[stride + k] * half_a + b[2 * stride + k] * all_a;
+    }
+}
+
 /* Solves one step; the number of sweeps, or 0 if it does not converge. */
-INLINE int solve(const int n, const Work *work, const Path *path, const double *map,
-                 const double bases[2][3], double enough_n, End ends[2])
+INLINE int solve(const int n, const Work *work, const Path *path, const double *map, size_t level,
+                 size_t at, size_t width, const double bases[2][3], double enough_n, End ends[2],
+                 Rough *rough)
 {
     const Model *m = work->model;
     const int parts = n > 3 ? PARTS : 2, block = n * parts;
@@ -152,6 +256,7 @@ INLINE int solve(const int n, const Work *work, const Path *path, const double *
                            weights[3 * block + 2 * block + Q * parts + VOLTS]};
     double change = 0.0;
     int sweep = 0;
+    rough->any = 0;
     for (;;) {
         for (int point = 0; point < 2; point++) {
             const double *w = weights + 3 * block * point + block;
@@ -176,6 +281,8 @@ INLINE int solve(const int n, const Work *work, const Path *path, const double *
                       fabs(ends[point].g[VOLTS] - volts) * own[point] * m->pull;
         }
         sweep++;
+        if (sweep == 1 && width > 2 && m->linear == 0.0)
+            find_rough(n, parts, weights, work, path, level, at, width, bases, ends, known, rough);
     }
 }
 
@@ -227,27 +334,48 @@ INLINE double third(const Third *t, double end, double middle, double node, doub
     return t->end * end + t->middle * middle + t->node * node + t->before * before;
 }
 
-/* How far a step is off, over what is allowed. */
-INLINE double excess(const Model *m, const Path *path, const Third *t, double width, const End ends[2],
-                     double *wrong_a)
+INLINE double squares_of(const Third *t, const Path *path, const End ends[2])
 {
+    const double end = ends[1].at.flux, middle = ends[0].at.flux;
+    return third(t, end * end, middle * middle, path->flux * path->flux,
+                 path->middle_flux * path->middle_flux);
+}
+
+/* How far a step is off, over what is allowed. The roughness of the linear solution's flux is known
+ * and no error, where it is found. */
+INLINE double excess(const Model *m, const Path *path, const Third *t, double width, int smooth,
+                     const double bases[2][3], const End ends[2], double *wrong_a, double odd[2])
+{
+    const double y = larger(fabs(bases[0][Y] + ends[0].d[Y]), fabs(bases[1][Y] + ends[1].d[Y]));
+    const double way = width * fabs(bases[0][U] + ends[0].d[U]);
+    const double safety = m->safety * (y + way > m->stop ? CONTACT : 1.0);
     const double allowed_a = m->tolerance * larger(path->largest_a, m->least_a);
+    const double allowed_i = m->tolerance * larger(path->largest_i, m->least_i);
+    const double resisting = fabs(third(t, ends[1].at.resisting, ends[0].at.resisting,
+                                        path->resisting, path->middle_resisting)) * m->per_mass;
     if (width <= m->fine_s) {
         /* Only stops bend this fast; corners of the voltage are filtered by the coil. */
-        *wrong_a = m->safety * m->per_mass *
-                   fabs(third(t, ends[1].at.resisting, ends[0].at.resisting, path->resisting,
-                              path->middle_resisting));
+        odd[0] = odd[1] = 0.0;
+        *wrong_a = safety * resisting;
         return *wrong_a / allowed_a;
     }
-    const double allowed_i = m->tolerance * larger(path->largest_i, m->least_i);
-    *wrong_a = m->safety * fabs(third(t, ends[1].a, ends[0].a, path->a, path->middle_a));
-    const double i = m->safety * fabs(third(t, ends[1].i, ends[0].i, path->i, path->middle_i));
-    return larger(*wrong_a / allowed_a, i / allowed_i);
+    double a = third(t, ends[1].a, ends[0].a, path->a, path->middle_a);
+    double i = third(t, ends[1].i, ends[0].i, path->i, path->middle_i);
+    if (smooth) {
+        const double flux = third(t, bases[1][Q], bases[0][Q], path->base[Q], path->middle_q);
+        a -= (path->force_q * flux + path->force_qq * squares_of(t, path, ends)) * m->per_mass;
+        i -= path->current_q * flux;
+    }
+    odd[0] = i;
+    odd[1] = a;
+    *wrong_a = safety * larger(fabs(a), resisting);
+    i = fabs(i) * m->safety;
+    return *wrong_a * allowed_i > i * allowed_a ? *wrong_a / allowed_a : i / allowed_i;
 }
 
 /* Adds d to the samples of a step. */
-INLINE void put(const int n, const Work *work, const Path *path, const End ends[2], const Third *t,
-                size_t level, size_t at, size_t width, double h)
+INLINE void put(const int n, const Work *work, const Path *path, const End ends[2], const double odd[2],
+                const Rough *rough, size_t level, size_t at, size_t width, double h)
 {
     const Model *m = work->model;
     const double *d0 = path->d, *d1 = ends[1].d;
@@ -256,9 +384,8 @@ INLINE void put(const int n, const Work *work, const Path *path, const End ends[
     const double w1 = d1[U] - (n > 3 ? d1[FRAME_SPEED] : 0.0);
     const double r0 = path->a - path->frame, r1 = ends[1].a - ends[1].frame;
     const double cubics[2][4] = {{d0[Y], d1[Y], h * w0, h * w1}, {w0, w1, h * r0, h * r1}};
-    const double through[2][4] = {
-        {path->i, ends[0].i, ends[1].i, third(t, ends[1].i, ends[0].i, path->i, path->middle_i)},
-        {path->a, ends[0].a, ends[1].a, third(t, ends[1].a, ends[0].a, path->a, path->middle_a)}};
+    const double through[2][4] = {{path->i, ends[0].i, ends[1].i, odd[0]},
+                                  {path->a, ends[0].a, ends[1].a, odd[1]}};
     const double *b[COLUMNS];
     for (int column = 0; column < COLUMNS; column++)
         b[column] = basis + (size_t)column * work->widest;
@@ -275,6 +402,10 @@ INLINE void put(const int n, const Work *work, const Path *path, const End ends[
         if (work->mask >> row & 1)
             for (size_t k = 0; k < width; k++)
                 out[k] += b[4][k] * c[0] + b[5][k] * c[1] + b[6][k] * c[2] + b[7][k] * c[3];
+        const double *more = row == 2 ? rough->i : rough->a;
+        if (rough->any && work->mask >> row & 1)
+            for (size_t k = 0; k < width; k++)
+                out[k] += more[k];
     }
     if (n > 3 && work->mask >> 4 & 1) {
         const double *a = work->moved + 3 * work->frames + at;
@@ -292,13 +423,20 @@ INLINE void put(const int n, const Work *work, const Path *path, const End ends[
 
 /* Goes on to the end of a step, with its error by the linear equations. */
 INLINE void advance(const int n, const Model *m, Path *path, const double *map, const Third *t,
-                    const double bases[2][3], const End ends[2], double volts, double wrong_a)
+                    int smooth, const double bases[2][3], const End ends[2], double volts, double wrong_a)
 {
     const int parts = n > 3 ? PARTS : 2;
     const double *onward = map + 2 + n * n, *cubic_weights = map + 2 + 2 * n * n + 6 * n * parts;
     double error[STATES], odd[PARTS];
     for (int part = 0; part < parts; part++)
         odd[part] = third(t, ends[1].g[part], ends[0].g[part], path->g[part], path->middle[part]);
+    if (smooth) {
+        const double flux = third(t, bases[1][Q], bases[0][Q], path->base[Q], path->middle_q);
+        odd[FORCE] -= path->force_q * flux + path->force_qq * squares_of(t, path, ends);
+        odd[VOLTS] -= path->volts_q * flux;
+        if (n > 3)
+            odd[PUSH] -= m->pull * flux;
+    }
     for (int row = 0; row < n; row++) {
         double old = 0.0, added = 0.0;
         for (int column = 0; column < n; column++)
@@ -327,6 +465,16 @@ INLINE void advance(const int n, const Model *m, Path *path, const double *map, 
     path->middle_i = ends[0].i;
     path->middle_resisting = ends[0].at.resisting;
     path->width = map[0];
+    path->middle_q = bases[0][Q];
+    path->force_q = ends[0].at.force_q;
+    path->volts_q = ends[0].at.volts_q;
+    path->current_q = ends[0].at.current_q;
+    path->flux = ends[1].at.flux;
+    path->middle_flux = ends[0].at.flux;
+    path->force_qq = ends[0].at.force_qq;
+    path->at_force_q = ends[1].at.force_q;
+    path->at_volts_q = ends[1].at.volts_q;
+    path->at_current_q = ends[1].at.current_q;
     const double kept = 1.0 - map[1];
     const double a = larger(fabs(ends[0].at.acceleration), fabs(ends[1].at.acceleration));
     path->largest_a = larger(path->largest_a * kept, a);
@@ -354,6 +502,12 @@ INLINE int begin(const int n, const Work *work, Path *path)
     path->resisting = path->middle_resisting = end.at.resisting;
     path->frame = end.frame;
     path->width = work->maps[0];
+    path->middle_q = path->base[Q];
+    path->flux = path->middle_flux = end.at.flux;
+    path->force_qq = end.at.force_qq;
+    path->force_q = path->at_force_q = end.at.force_q;
+    path->volts_q = path->at_volts_q = end.at.volts_q;
+    path->current_q = path->at_current_q = end.at.current_q;
     path->fresh = 0.0;
     return 1;
 }
@@ -400,17 +554,18 @@ INLINE size_t run(const int n, const Work *work, Path *path, size_t start, size_
             }
         }
         const double *map = work->maps + level * work->map_size;
-        double bases[2][3], wrong_a = 0.0;
+        double bases[2][3], odd[2], wrong_a = 0.0;
         End ends[2];
+        Rough rough;
         const double volts = find_bases(work, path, map, n, at, width, inner, ticks, bases);
         const double enough_n = ENOUGH * m->tolerance * larger(path->largest_a, m->least_a) * m->mass;
-        const int sweeps = solve(n, work, path, map, bases, enough_n, ends);
+        const int sweeps = solve(n, work, path, map, level, at, width, bases, enough_n, ends, &rough);
         const Third t = third_of(map[0], path->width);
         double over = HUGE_VAL;
         if (sweeps) {
             for (int point = 0; point < 2; point++)
                 show(n, m, bases[point], &ends[point]);
-            over = excess(m, path, &t, map[0], ends, &wrong_a);
+            over = excess(m, path, &t, map[0], width > 1, bases, ends, &wrong_a, odd);
         }
         path->sweeps += sweeps ? sweeps : MOST_SWEEPS;
         path->steps += 1.0;
@@ -424,10 +579,10 @@ INLINE size_t run(const int n, const Work *work, Path *path, size_t start, size_
             return at - start;
         }
         if (width > 1)
-            put(n, work, path, ends, &t, level, at, width, map[0]);
+            put(n, work, path, ends, odd, &rough, level, at, width, map[0]);
         else if (width || inner + ticks == work->ticks)
-            put(n, work, path, ends, &t, shortest_whole, at, 1, map[0]);
-        advance(n, m, path, map, &t, bases, ends, volts, wrong_a);
+            put(n, work, path, ends, odd, &rough, shortest_whole, at, 1, map[0]);
+        advance(n, m, path, map, &t, width > 1, bases, ends, volts, wrong_a);
         if (over < GROW && level && level == (size_t)path->level)
             path->level = (double)(level - 1);
         at += width;
@@ -646,6 +801,7 @@ static PyObject *on_arrays(PyObject *const *arguments, Py_ssize_t count_given, i
                          .levels = (size_t)views[MAPS].shape[0],
                          .map_size = (size_t)views[MAPS].shape[1],
                          .widest = (size_t)views[BASES].shape[2]};
+            work.sample_s = *(const double *)work.maps / (double)work.widest;
             work.ticks = (size_t)1 << (work.levels - (size_t)views[BASES].shape[0]);
             Path *path = views[STATE].buf;
             const size_t start = numbers[0], stop = numbers[1], first = numbers[2], each = numbers[3];
