@@ -12,8 +12,9 @@
 #define MOST_SWEEPS 12
 #define GROW 0.05 /* of the tolerance: twice the width then has less than half of it */
 #define ENOUGH 0.1
-#define SMOOTH 0.05
+#define SMOOTH 0.2
 #define CONTACT 10.0
+#define ROUGH 4.0
 #define INLINE static inline __attribute__((always_inline))
 
 enum { Y, U, Q, FRAME, FRAME_SPEED };
@@ -344,11 +345,12 @@ INLINE double squares_of(const Third *t, const Path *path, const End ends[2])
 /* How far a step is off, over what is allowed. The roughness of the linear solution's flux is known
  * and no error, where it is found. */
 INLINE double excess(const Model *m, const Path *path, const Third *t, double width, int smooth,
-                     const double bases[2][3], const End ends[2], double *wrong_a, double odd[2])
+                     int rough, const double bases[2][3], const End ends[2], double *wrong_a,
+                     double odd[2])
 {
     const double y = larger(fabs(bases[0][Y] + ends[0].d[Y]), fabs(bases[1][Y] + ends[1].d[Y]));
     const double way = width * fabs(bases[0][U] + ends[0].d[U]);
-    const double safety = m->safety * (y + way > m->stop ? CONTACT : 1.0);
+    const double safety = m->safety * (y + way > m->stop ? CONTACT : rough ? ROUGH : 1.0);
     const double allowed_a = m->tolerance * larger(path->largest_a, m->least_a);
     const double allowed_i = m->tolerance * larger(path->largest_i, m->least_i);
     const double resisting = fabs(third(t, ends[1].at.resisting, ends[0].at.resisting,
@@ -369,7 +371,7 @@ INLINE double excess(const Model *m, const Path *path, const Third *t, double wi
     odd[0] = i;
     odd[1] = a;
     *wrong_a = safety * larger(fabs(a), resisting);
-    i = fabs(i) * m->safety;
+    i = fabs(i) * m->safety * (rough ? ROUGH : 1.0);
     return *wrong_a * allowed_i > i * allowed_a ? *wrong_a / allowed_a : i / allowed_i;
 }
 
@@ -565,7 +567,7 @@ INLINE size_t run(const int n, const Work *work, Path *path, size_t start, size_
         if (sweeps) {
             for (int point = 0; point < 2; point++)
                 show(n, m, bases[point], &ends[point]);
-            over = excess(m, path, &t, map[0], width > 1, bases, ends, &wrong_a, odd);
+            over = excess(m, path, &t, map[0], width > 1, rough.any, bases, ends, &wrong_a, odd);
         }
         path->sweeps += sweeps ? sweeps : MOST_SWEEPS;
         path->steps += 1.0;

@@ -146,8 +146,14 @@ class LinearActuator:
         to the cost of the poles.
         """
         volts = np.ascontiguousarray(volts, dtype=np.float64)
+        moved = np.empty((len(outputs), len(volts)))
+        self.move_into(volts, outputs, moved)
+        rows = dict(zip(outputs, moved, strict=True))
+        return Motion(*[rows[name] if name in rows else np.empty(0) for name in QUANTITIES])
+
+    def move_into(self, volts: FloatArray, outputs: Sequence[Quantity], moved: FloatArray) -> None:
+        """As `move`, for contiguous float64 volts, into the rows of moved, (outputs, frames)."""
         wanted = tuple(outputs)
-        moved = np.empty((len(wanted), len(volts)))
         start = 0
         while start < len(volts):
             stop = min(start + self._frames_to_check, len(volts))
@@ -162,8 +168,6 @@ class LinearActuator:
                     self._weigh(name, recent, row[start:stop])
             self._let_decay(stop - start)
             start = stop
-        rows = dict(zip(wanted, moved, strict=True))
-        return Motion(*[rows[name] if name in rows else np.empty(0) for name in QUANTITIES])
 
     def _taps_of(self, wanted: tuple[Quantity, ...]) -> FloatArray:
         """Return the taps of these quantities, (quantities, 4)."""

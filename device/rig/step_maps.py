@@ -20,8 +20,11 @@ from device.rig.parameters import ActuatorParameters, SeatParameters
 from device.units import FloatArray
 
 _WIDEST_S = 1.0 / 3_000.0
-"""Steps are at most about this long; a smooth drive at full level needs half of it."""
+"""Steps are at most about this long; between a middle and an end, then, 6 kHz."""
 _SHORTEST_S = 0.5e-6
+_MOST_SAMPLES = 256
+_FORGOTTEN_S = 0.1
+"""Errors are shares of the peak within about this time."""
 _TABLE_REACH = 4.0
 """Tables reach to this multiple of Xmax or of the stops; beyond, a step does not converge."""
 _TABLE_ERROR = 1e-9
@@ -45,9 +48,10 @@ class StepMap:
     base: FloatArray  # S and the volts at 0 and h to S, (2, 3, 5)
 
     def packed(self) -> FloatArray:
-        """Return all of it in one row."""
+        """Return all of it in one row, and the share of a peak that is forgotten meanwhile."""
         parts = (self.onward, self.weights, self.cubic, self.base)
-        return np.concatenate([[self.width_s, self.forgotten], *(part.ravel() for part in parts)])
+        first = [self.width_s, min(1.0, self.width_s / _FORGOTTEN_S)]
+        return np.concatenate([first, *(part.ravel() for part in parts)])
 
 
 @dataclass(frozen=True)
@@ -58,15 +62,27 @@ class Grid:
     widest: int  # a power of two
     levels: int
 
-    @property
-    def within_sample(self) -> int:
-        """How many of the levels are shorter than a sample."""
-        return self.levels - self.widest.bit_length()
+    def basis(self) -> FloatArray:
+        """Return (levels of a sample and more, 8, widest): at the samples of a step.
+
+        Four functions for a cubic with values and rates at both ends; four for one through the
+        ends, the middle and the middle before.
+        """
+        whole = self.widest.bit_length()
+        basis = np.zeros((whole, 8, self.widest))
+        for level in range(whole):
+            width = self.widest >> level
+            t = np.arange(1, width + 1) / width
+            rise, cubic = t * t * (3.0 - 2.0 * t), t * (t - 0.5) * (t - 1.0)
+            first = [1.0 - rise, rise, t * (1.0 - t) ** 2, -t * t * (1.0 - t)]
+            parabola = [(1.0 - t) * (1.0 - 2.0 * t), 4.0 * t * (1.0 - t), t * (2.0 * t - 1.0)]
+            basis[level, :, :width] = [*first, *parabola, cubic]
+        return basis
 
 
 def grid_of(samplerate: float) -> Grid:
     """Return the lengths of steps for a sample rate, Hz."""
-    widest = 2 ** max(0, round(math.log2(samplerate * _WIDEST_S)))
+    widest = min(2 ** max(0, round(math.log2(samplerate * _WIDEST_S))), _MOST_SAMPLES)
     whole = math.log2(widest / samplerate / _SHORTEST_S)
     return Grid(samplerate, widest, max(widest.bit_length(), 1 + math.ceil(whole)))
 

@@ -14,7 +14,7 @@ from device.rig import PAPER
 from device.rig.actuator import Motion
 from device.rig.adaptive_actuator import AdaptiveActuator, BlockReport
 from device.rig.model_levels import ModelLevel
-from device.rig.model_selection import FLOOR
+from device.rig.nonlinear_model import FLOOR
 from device.rig.parameters import ActuatorParameters
 from tools.bench.cost import Timings, interleaved
 from tools.bench.report import Must, Row, Section
@@ -22,7 +22,7 @@ from tools.bench.sounds.signals import SAMPLERATE
 from tools.bench.workbench import Workbench
 
 TOLERANCES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3)
-MODELS = (ModelLevel.LINEAR, ModelLevel.CORRECTED, ModelLevel.NONLINEAR)
+MODELS = (ModelLevel.LINEAR, ModelLevel.NONLINEAR)
 NO_BLOCK = Must("<=", 0.0)
 NO_CLICK = Must("<=", -80.0)
 BURST_S = 0.25
