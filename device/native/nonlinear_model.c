@@ -257,6 +257,7 @@ INLINE int solve(const int n, const Work *work, const Path *path, const double *
                            weights[3 * block + 2 * block + Q * parts + VOLTS]};
     double change = 0.0;
     int sweep = 0;
+    const int least_sweeps = m->linear != 0.0 ? 1 : 2;
     rough->any = 0;
     for (;;) {
         for (int point = 0; point < 2; point++) {
@@ -269,7 +270,7 @@ INLINE int solve(const int n, const Work *work, const Path *path, const double *
                 ends[point].d[row] = sum;
             }
         }
-        if (sweep >= 2 && change <= enough_n)
+        if (sweep >= least_sweeps && change <= enough_n)
             return sweep;
         if (sweep == MOST_SWEEPS || !(change < 1e300))
             return 0;
@@ -639,7 +640,7 @@ INLINE int suffices(const int n, const Work *work, Path *path, Pair *pair, size_
     const double *map = work->maps, *onward = map + 2, *weights = onward + 2 * n * n;
     const int parts = n > 3 ? PARTS : 2, block = n * parts;
     Difference bound = {m->least_y, m->least_a, 0.0, 0.0};
-    for (size_t at = start; at < stop; at += work->widest) {
+    for (size_t at = start; at < stop; at += 4 * work->widest) {
         const double base[3] = {work->moved[at], work->moved[work->frames + at],
                                 work->moved[2 * work->frames + at] * m->inductance};
         bound.peak_y = larger(bound.peak_y, 2.0 * fabs(base[Y]));

@@ -147,16 +147,22 @@ class LinearActuator:
         """
         volts = np.ascontiguousarray(volts, dtype=np.float64)
         moved = np.empty((len(outputs), len(volts)))
-        self.move_into(volts, outputs, moved)
+        self.move_into(volts, outputs, moved, 0, len(volts))
         rows = dict(zip(outputs, moved, strict=True))
         return Motion(*[rows[name] if name in rows else np.empty(0) for name in QUANTITIES])
 
-    def move_into(self, volts: FloatArray, outputs: Sequence[Quantity], moved: FloatArray) -> None:
-        """As `move`, for contiguous float64 volts, into the rows of moved, (outputs, frames)."""
+    def move_into(
+        self,
+        volts: FloatArray,
+        outputs: Sequence[Quantity],
+        moved: FloatArray,
+        start: int,
+        end: int,
+    ) -> None:
+        """As `move`, for a part of contiguous float64 volts, into moved, (outputs, frames)."""
         wanted = tuple(outputs)
-        start = 0
-        while start < len(volts):
-            stop = min(start + self._frames_to_check, len(volts))
+        while start < end:
+            stop = min(start + self._frames_to_check, end)
             if blocks.compiled is not None:
                 taps = self._taps_of(wanted)
                 self.replaced_samples += blocks.compiled.linear_motion(

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from device import blocks
 from device.errors import UsageError
 from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION, LinearActuator, Motion
 from device.rig.co_energy import energies
@@ -30,7 +31,7 @@ MARGIN = 2.0
 """The Born term times this estimates the error without it."""
 HIGHEST_TOLERANCE = 1.0
 
-_FADE_SHARE = 0.5
+_FADE_SHARE = 0.25
 """A crossfade may deviate by this share of the tolerance."""
 _STEP_SHARE = 0.5
 """Steps of the non-linear model may be off by this share of the tolerance."""
@@ -38,10 +39,11 @@ _ALIKE = 0.7
 """A block with this share of the excursion of one that was not linear is not estimated,"""
 _TRUSTED = 7
 """for this many blocks."""
-_SILENT = 1e-18
-"""Smaller values of d, in m, m/s and Wb, become 0."""
+_SILENT = 1e-4
+"""Share of the tolerance at the least peak, below which d becomes 0."""
 _ABSURD_V = 1e6
 _REPORTS = 4_096
+_PART_BLOCKS = 4
 _NAMES = (*QUANTITIES, SEAT_ACCELERATION)
 
 
@@ -113,7 +115,11 @@ class AdaptiveActuator:
         self._block = self._q * max(1, round(BLOCK_S * samplerate / self._q))
         self._fade = self._q * max(1, round(FADE_S * samplerate / self._q))
         model = self._levels.nonlinear
-        self._least = np.array([model.least_m, model.least_m_s2])
+        self._least_m, self._least_m_s2 = model.least_m, model.least_m_s2
+        size, rate = _SILENT * tolerance * model.least_m, rig.actuator.resonance_rad_s
+        per_m = rig.actuator.stiffness_n_per_m * rig.actuator.inductance_h
+        per_m /= rig.actuator.force_factor_n_per_a
+        self._silent = size * np.array([1.0, rate, per_m, 1.0, rate])
         self.reset()
 
     def reset(self) -> None:
@@ -141,41 +147,48 @@ class AdaptiveActuator:
 
         It is always finite. Of the `outputs`, seat_acceleration_m_s2 needs a seat.
         """
-        finite, replaced = finite_or_zero(np.asarray(volts, dtype=np.float64), _ABSURD_V)
-        self.replaced_samples += replaced
-        finite = np.ascontiguousarray(finite)
+        finite = np.ascontiguousarray(volts, dtype=np.float64)
+        if not blocks.peak(finite) <= _ABSURD_V:  # NaN as well
+            finite, replaced = finite_or_zero(finite, _ABSURD_V)
+            self.replaced_samples += replaced
         moved = np.empty((ROWS, len(finite)))
-        self._base.move_into(finite, QUANTITIES, moved[: len(QUANTITIES)])
         mask = sum(1 << row for row, name in enumerate(_NAMES) if name in outputs)
         if SEAT_ACCELERATION in outputs:
             mask |= 8  # it follows from the acceleration of the moving mass
-        self._solve(finite, moved, mask)
+        start, frames = 0, len(finite)
+        while start < frames:
+            # Parts that stay in the cache end at nodes.
+            stop = min(start + _PART_BLOCKS * self._block - len(self._pending[0]), frames)
+            self._base.move_into(finite, QUANTITIES, moved[: len(QUANTITIES)], start, stop)
+            self._solve(finite, moved, start, stop, mask)
+            start = stop
         nothing: FloatArray = np.empty(0)
         return Motion(*(row if name in outputs else nothing for name, row in zip(_NAMES, moved, strict=True)))
 
-    def _solve(self, volts: FloatArray, moved: FloatArray, mask: int) -> None:
+    def _solve(
+        self, volts: FloatArray, moved: FloatArray, start: int, end: int, mask: int
+    ) -> None:
         """Add the models' answer to the linear solution, and keep what is after the last node."""
-        known, frames = len(self._pending[0]), len(volts)
-        start = 0
+        known = len(self._pending[0])
         if known:
-            start = min(self._q - known, frames)
-            head = np.concatenate([self._pending[0], volts[:start]])
-            rows = np.concatenate([self._pending[1], moved[:, :start]], axis=1)
+            begin, start = start, min(start + self._q - known, end)
+            head = np.concatenate([self._pending[0], volts[begin:start]])
+            rows = np.concatenate([self._pending[1], moved[:, begin:start]], axis=1)
             if len(head) < self._q:
                 self._pending = head, rows.copy()
                 self._solve_provisionally(head, rows, mask)
             else:
                 self._pending = np.empty(0), np.empty((ROWS, 0))
                 self._advance(head, rows, 0, self._q, mask)
-            moved[:, :start] = rows[:, known:]
-        stop = start + (frames - start) // self._q * self._q
+            moved[:, begin:start] = rows[:, known:]
+        stop = start + (end - start) // self._q * self._q
         if stop > start:
             self._advance(volts, moved, start, stop, mask)
-        if stop < frames and (stop > start or not len(self._pending[0])):
-            rest = np.ascontiguousarray(moved[:, stop:])
-            self._pending = volts[stop:].copy(), rest.copy()
+        if stop < end:
+            rest = moved[:, stop:end].copy()
+            self._pending = volts[stop:end].copy(), rest.copy()
             self._solve_provisionally(self._pending[0], rest, mask)
-            moved[:, stop:] = rest
+            moved[:, stop:end] = rest
 
     def _solve_provisionally(self, volts: FloatArray, moved: FloatArray, mask: int) -> None:
         path, stepped = self._at.path.copy(), self._levels.stepped_samples
@@ -219,7 +232,7 @@ class AdaptiveActuator:
         estimates = self._estimate(volts, moved, start, blocks_of)
         level = ModelLevel.LINEAR if len(estimates) else ModelLevel.NONLINEAR
         old = None
-        if level is not at.level:
+        if level is not at.level and at.samples:
             faded = min(self._fade, first)
             before = np.ascontiguousarray(moved[:, start : start + faded])
             self._levels.solve(
@@ -231,7 +244,7 @@ class AdaptiveActuator:
             if at.level is not level:
                 at.path.begin(at.path.d)
             self._levels.solve(level, volts, moved, at.path, start, (first, each, frames), mask)
-            if max(np.abs(at.path.d).max(), np.abs(at.pair).max()) < _SILENT:
+            if (np.abs(at.path.d) <= self._silent).all() and (np.abs(at.pair) <= self._silent).all():
                 at.path.begin(np.zeros(5))
                 at.pair[:] = 0.0
             rows = estimates
@@ -242,10 +255,10 @@ class AdaptiveActuator:
             at.pair[:] = at.path.d
         at.level = level
         if old is not None:
-            wanted = [row for row in range(ROWS) if mask >> row & 1]
-            for row in wanted:
-                part = moved[row, start : start + first]
-                crossfade(part, old[row], _FADE_SHARE * self.tolerance)
+            rows_asked = slice(0, ROWS if mask >> 4 else len(QUANTITIES))
+            crossfade(
+                moved[rows_asked, start : start + first], old[rows_asked], _FADE_SHARE * self.tolerance
+            )
         return level, rows
 
     def _estimate(
@@ -271,8 +284,8 @@ class AdaptiveActuator:
     def _report(self, level: ModelLevel, rows: FloatArray, first: int) -> None:
         frames = first
         for peak_m, peak_m_s2, wrong_m, wrong_m_s2 in rows.tolist():
-            peaks = np.maximum(self._least, [peak_m, peak_m_s2])
-            estimate = float(np.max(np.array([wrong_m, wrong_m_s2]) / peaks))
+            estimate = wrong_m / max(peak_m, self._least_m)
+            estimate = max(estimate, wrong_m_s2 / max(peak_m_s2, self._least_m_s2))
             self.reports.append(BlockReport(self._at.samples, frames, level, estimate, peak_m))
             self.frames_by_level[level] += frames
             self._at.samples += frames

@@ -1,5 +1,7 @@
 """The crossfade where the model of the actuator changes."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from device.units import FloatArray
@@ -14,21 +16,23 @@ def crossfade(values: FloatArray, old: FloatArray, allowed_share: float) -> None
 
     When the model changes, excursion, speed and flux continue, but acceleration and current jump by
     the old model's error. So the old model goes on past the edge and is faded out. If it deviates
-    by more than `allowed_share` of the peak, the fade is halved until it fits.
+    by more than `allowed_share` of a row's peak, the fade is halved until it fits.
 
-    values: (frames,) of the new model. old: the first of them by the old model, at most as many.
+    values: (rows, frames) of the new model. old: the first of them by the old model.
     """
-    frames = len(old)
-    apart = old - values[:frames]
-    allowed = max(allowed_share * float(np.abs(values).max()), _JUMP_MARGIN * abs(float(apart[0])))
+    frames = old.shape[1]
+    apart = old - values[:, :frames]
+    peaks = np.maximum(values.max(axis=1), -values.min(axis=1))
+    allowed = np.maximum(allowed_share * peaks, _JUMP_MARGIN * np.abs(apart[:, 0]))
     while True:
-        faded = apart[:frames] * _fade_weight(frames)
-        if frames < _MIN_FADE_FRAMES or float(np.abs(faded).max()) <= allowed:
+        faded = apart[:, :frames] * _fade_weight(frames)
+        if frames < _MIN_FADE_FRAMES or (np.abs(faded).max(axis=1) <= allowed).all():
             break
         frames //= 2
-    values[:frames] += faded
+    values[:, :frames] += faded
 
 
+@lru_cache(maxsize=32)
 def _fade_weight(frames: int) -> FloatArray:
     """Return (frames,) from 1 to 0: the integral of a Hann window, -60 dB above 8 / T."""
     t = np.arange(1, frames + 1) / frames
