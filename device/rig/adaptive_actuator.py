@@ -20,7 +20,7 @@ from device.rig.co_energy import energies
 from device.rig.crossfade import crossfade
 from device.rig.equations import Equations
 from device.rig.model_levels import ModelLevel, ModelLevels
-from device.rig.nonlinear_model import FLOOR, ROWS, STEP_TOLERANCE, Path
+from device.rig.nonlinear_model import ROWS, STEP_TOLERANCE, Path
 from device.rig.rig import Rig
 from device.rig.thermal import Temperatures
 from device.units import FloatArray, finite_or_zero
@@ -163,11 +163,11 @@ class AdaptiveActuator:
             self._solve(finite, moved, start, stop, mask)
             start = stop
         nothing: FloatArray = np.empty(0)
-        return Motion(*(row if name in outputs else nothing for name, row in zip(_NAMES, moved, strict=True)))
+        return Motion(
+            *(row if name in outputs else nothing for name, row in zip(_NAMES, moved, strict=True))
+        )
 
-    def _solve(
-        self, volts: FloatArray, moved: FloatArray, start: int, end: int, mask: int
-    ) -> None:
+    def _solve(self, volts: FloatArray, moved: FloatArray, start: int, end: int, mask: int) -> None:
         """Add the models' answer to the linear solution, and keep what is after the last node."""
         known = len(self._pending[0])
         if known:
@@ -236,7 +236,13 @@ class AdaptiveActuator:
             faded = min(self._fade, first)
             before = np.ascontiguousarray(moved[:, start : start + faded])
             self._levels.solve(
-                at.level, volts[start : start + faded], before, at.path.copy(), 0, (faded,) * 3, mask
+                at.level,
+                volts[start : start + faded],
+                before,
+                at.path.copy(),
+                0,
+                (faded,) * 3,
+                mask,
             )
             old = before
         if level is ModelLevel.LINEAR:
@@ -244,7 +250,9 @@ class AdaptiveActuator:
             if at.level is not level:
                 at.path.begin(at.path.d)
             self._levels.solve(level, volts, moved, at.path, start, (first, each, frames), mask)
-            if (np.abs(at.path.d) <= self._silent).all() and (np.abs(at.pair) <= self._silent).all():
+            if (np.abs(at.path.d) <= self._silent).all() and (
+                np.abs(at.pair) <= self._silent
+            ).all():
                 at.path.begin(np.zeros(5))
                 at.pair[:] = 0.0
             rows = estimates
@@ -257,7 +265,9 @@ class AdaptiveActuator:
         if old is not None:
             rows_asked = slice(0, ROWS if mask >> 4 else len(QUANTITIES))
             crossfade(
-                moved[rows_asked, start : start + first], old[rows_asked], _FADE_SHARE * self.tolerance
+                moved[rows_asked, start : start + first],
+                old[rows_asked],
+                _FADE_SHARE * self.tolerance,
             )
         return level, rows
 

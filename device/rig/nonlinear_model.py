@@ -111,7 +111,9 @@ class NonlinearModel:
         self.maps = step_maps(p, e.source_impedance_ohm, e.seat, self.grid)
         table = table_of(e.energies, p.x_max_m)
         seat = e.seat
-        frame = (seat.mass_kg, seat.stiffness_n_per_m, seat.damping_n_s_per_m) if seat else (1, 0, 0)
+        frame = (
+            (seat.mass_kg, seat.stiffness_n_per_m, seat.damping_n_s_per_m) if seat else (1, 0, 0)
+        )
         self.least_m = FLOOR * p.x_max_m
         self.least_m_s2 = self.least_m * p.resonance_rad_s**2
         stops = e.energies.stops
@@ -153,7 +155,16 @@ class NonlinearModel:
             return ReadableModel(self).solve(volts, moved, path, start, frames, mask)
         found = np.zeros((2 + max(0, frames - first) // each, 4))
         done = blocks.compiled.nonlinear_motion(
-            volts, moved, *self._arrays, path.numbers, found, start, start + frames, first, each, mask
+            volts,
+            moved,
+            *self._arrays,
+            path.numbers,
+            found,
+            start,
+            start + frames,
+            first,
+            each,
+            mask,
         )
         whole = 0 if done < first else 1 + (done - first) // each
         return Solved(done, found[:whole])

@@ -155,7 +155,9 @@ def table_of(e: Energies, x_max_m: float) -> Table:
     reach_m = _TABLE_REACH * max(x_max_m, stop_m)
     intervals = 128
     while True:
-        knots, between = (np.linspace(-reach_m, reach_m, n) for n in (intervals + 1, 2 * intervals + 1))
+        knots, between = (
+            np.linspace(-reach_m, reach_m, n) for n in (intervals + 1, 2 * intervals + 1)
+        )
         step_m = 2.0 * reach_m / intervals
         rows = np.concatenate(
             [_cubics(v, s * step_m) for v, s in zip(*_tabled(e, knots), strict=True)], axis=1
