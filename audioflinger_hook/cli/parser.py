@@ -57,7 +57,7 @@ def _add(
 
 def _demo(command: Parser) -> None:
     _value(command, "--out", Path, "DIR", "folder to write to", Path("out"))
-    _keys(command, "profile")
+    _keys(command, "profile", "model", "tolerance")
     _switch(command, "--fast", "do not wait for real time")
 
 
@@ -108,6 +108,7 @@ def _run(command: Parser) -> None:
     stop = "stop after S seconds; default: never"
     command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
     _keys(command, "offset_ms", "device_volume_db", "profile", "rig", "damping", "protection")
+    _keys(command, "model", "tolerance")
     _switch(command, "--wait", "wait until server, device and tap are available")
 
 
@@ -200,6 +201,7 @@ def _json(command: Parser) -> None:
 def _rendering(command: Parser) -> None:
     """Add the options that `render` and `replay` share."""
     _keys(command, "form", "channels", "profile", "rig", "damping", "protection")
+    _keys(command, "model", "tolerance")
     _value(command, "--acceleration", Path, "FILE", "also write the simulated acceleration")
     _value(command, "--config", Path, "FILE", CONFIG_HELP)
     _json(command)

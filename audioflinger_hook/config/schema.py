@@ -34,6 +34,8 @@ OPTIONS = {
     "rig": "NAME|FILE",
     "damping": "",
     "protection": "",
+    "model": "",
+    "tolerance": "SHARE",
     "tap": "TAP",
     "device": "DEVICE",
     "offset_ms": "MS",

@@ -26,6 +26,7 @@ from device.drive.outputs import FADE_S, AlignedOutput, DrivenOutput, FadedOutpu
 from device.errors import UsageError
 from device.output import VibrationOutput
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.model_record import SecondReport, in_words
 from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
 
@@ -54,7 +55,13 @@ class RenderReport:
     limited_samples: int
     replaced_samples: int
     peak_acceleration_m_s2: float | None = None
+    models: list[SecondReport] = field(default_factory=list)  # second by second
     warnings: list[str] = field(default_factory=list)
+
+    @property
+    def models_in_words(self) -> list[str]:
+        """Lines on the models that simulated the rig; none without a simulated rig."""
+        return in_words(self.models)
 
 
 def render_file(
@@ -167,6 +174,7 @@ def render(
         limited_samples=framework.limited_samples,
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
+        models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *framework.bypassed(), *warnings],
     )
 
@@ -216,6 +224,7 @@ def _render_sections(
         limited_samples=0,
         replaced_samples=replaced,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
+        models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *section.warnings],
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from device.rig.node_grid import NodeGrid
 from numpy.typing import NDArray
 
 from audioflinger_hook.transform import FloatArray
@@ -11,7 +12,6 @@ from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import Energies, energies
 from device.rig.equations import Equations
 from device.rig.model_levels import ModelLevel
-from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
 from tests.support.co_energy import step_errors, stored_energy_j
 from tools.bench.sounds.signals import SAMPLERATE

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from device.rig.node_grid import NodeGrid
 
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER
@@ -14,7 +15,6 @@ from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import Energies, energies, linear_energies
 from device.rig.equations import EXCURSION, SPEED, Equations
 from device.rig.model_levels import ModelLevel
-from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
 from tests.support.co_energy import step_errors, stored_energy_j
 from tools.bench.machine import cpu_model
