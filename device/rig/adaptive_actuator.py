@@ -279,6 +279,8 @@ class AdaptiveActuator:
         After a block that was beyond it, blocks that move as much are taken to be so as well.
         """
         first = blocks_of[0]
+        if first < self._fade and self._at.level is ModelLevel.NONLINEAR:
+            return np.empty((0, 4))  # too short for the crossfade that a change needs
         reached_m = float(np.abs(moved[0, start : start + first : self._q]).max())
         if self._trusted and reached_m >= _ALIKE * self._beyond_m:
             self._trusted -= 1
