@@ -234,7 +234,7 @@ class AdaptiveActuator:
         old = None
         if level is not at.level and at.samples:
             faded = min(self._fade, first)
-            before = np.ascontiguousarray(moved[:, start : start + faded])
+            before = moved[:, start : start + faded].copy()
             self._levels.solve(
                 at.level,
                 volts[start : start + faded],
@@ -259,7 +259,15 @@ class AdaptiveActuator:
         else:
             if at.level is not level:
                 at.path.begin(at.pair[1])
-            rows = self._levels.solve(level, volts, moved, at.path, start, (first,) * 3, mask)
+            frames = first
+            while (
+                frames < blocks_of[2]
+                and old is None
+                and self._is_alike(moved, start + frames, each)
+            ):
+                frames += each
+            blocks_of = first, each, frames
+            rows = self._levels.solve(level, volts, moved, at.path, start, blocks_of, mask)
             at.pair[:] = at.path.d
         at.level = level
         if old is not None:
@@ -281,17 +289,25 @@ class AdaptiveActuator:
         first = blocks_of[0]
         if first < self._fade and self._at.level is ModelLevel.NONLINEAR:
             return np.empty((0, 4))  # too short for the crossfade that a change needs
-        reached_m = float(np.abs(moved[0, start : start + first : self._q]).max())
-        if self._trusted and reached_m >= _ALIKE * self._beyond_m:
-            self._trusted -= 1
+        if self._is_alike(moved, start, first):
             return np.empty((0, 4))
         at = self._at
         estimates = self._levels.nonlinear.count_linear(
             volts, moved, at.path, at.pair, start, blocks_of, self.tolerance, MARGIN
         )
         if not len(estimates):
-            self._beyond_m, self._trusted = reached_m, _TRUSTED
+            self._beyond_m, self._trusted = self._reached_m(moved, start, first), _TRUSTED
         return estimates
+
+    def _reached_m(self, moved: FloatArray, start: int, frames: int) -> float:
+        return float(np.abs(moved[0, start : start + frames : self._q]).max())
+
+    def _is_alike(self, moved: FloatArray, start: int, frames: int) -> bool:
+        """Return whether a block moves as much as one that was beyond the linear model."""
+        if not self._trusted or self._reached_m(moved, start, frames) < _ALIKE * self._beyond_m:
+            return False
+        self._trusted -= 1
+        return True
 
     def _report(self, level: ModelLevel, rows: FloatArray, first: int) -> None:
         frames = first

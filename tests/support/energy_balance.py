@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from device.rig.node_grid import NodeGrid
 from numpy.typing import NDArray
 
 from audioflinger_hook.transform import FloatArray
@@ -13,6 +12,7 @@ from device.rig.co_energy import Energies, energies
 from device.rig.equations import Equations
 from device.rig.model_levels import ModelLevel
 from device.rig.passive_step import PassiveStepper
+from device.rig.step_maps import grid_of
 from tests.support.co_energy import step_errors, stored_energy_j
 from tools.bench.sounds.signals import SAMPLERATE
 
@@ -53,7 +53,7 @@ def worst_step(volts: FloatArray) -> float:
     stored_j = stored_energy_j(e, x, i) + 0.5 * p.moving_mass_kg * w * w
     let_in_w = lines * i
     # The first sample comes after the first node, at rest.
-    spacing = NodeGrid(samplerate).spacing
+    spacing = grid_of(samplerate).widest
     nodes = np.arange(spacing - 1, len(lines), spacing)
     handled_j = np.maximum(stored_j[nodes[:-1]], stored_j[nodes[1:]])
     handled_j = np.maximum(handled_j, _over_steps(np.abs(let_in_w), nodes, samplerate))
