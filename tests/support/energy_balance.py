@@ -35,7 +35,7 @@ def worst_step_of_noise() -> float:
     return float(step_errors(equations, 1.0 / SAMPLERATE, states, volts).max())
 
 
-def worst_step(volts: FloatArray) -> float:
+def worst_step(volts: FloatArray, step_tolerance: float | None = None) -> float:
     """The non-linear rung's worst step from node to node, as a share of the energy.
 
     Of that stored before or after the step or let in: the largest one counts. volts: (frames,) at
@@ -48,7 +48,9 @@ def worst_step(volts: FloatArray) -> float:
         np.arange(len(volts) + 1),
         np.concatenate([[0.0], volts]),
     )
-    motion = AdaptiveActuator(PAPER, samplerate, level=ModelLevel.NONLINEAR).move(lines)
+    motion = AdaptiveActuator(
+        PAPER, samplerate, level=ModelLevel.NONLINEAR, step_tolerance=step_tolerance
+    ).move(lines)
     x, w, i = motion.displacement_m, motion.velocity_m_s, motion.current_a
     stored_j = stored_energy_j(e, x, i) + 0.5 * p.moving_mass_kg * w * w
     let_in_w = lines * i
