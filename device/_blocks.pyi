@@ -43,3 +43,49 @@ def linear_motion(
     Raises BufferError, TypeError, ValueError or OverflowError where an array is not contiguous
     float64 of its shape, or a number does not fit.
     """
+
+def nonlinear_motion(
+    volts: FloatArray,
+    moved: FloatArray,
+    model: FloatArray,
+    table: FloatArray,
+    maps: FloatArray,
+    bases: FloatArray,
+    path: FloatArray,
+    report: FloatArray,
+    start: int,
+    stop: int,
+    first: int,
+    each: int,
+    mask: int,
+) -> int:
+    """Add the non-linear model's difference to moved[:, start:stop], (5, frames), the linear
+    solution of volts, (frames,); return how many samples that were before a step failed.
+
+    Of moved, rows with a bit in `mask` change. The next arrays are those of `NonlinearModel`; path
+    goes on. Each block, the first of `first` samples and the others of `each`, fills a row of
+    report, (blocks, 4): peaks of excursion and acceleration, and the errors of both.
+    """
+
+def linear_suffices(
+    volts: FloatArray,
+    moved: FloatArray,
+    model: FloatArray,
+    table: FloatArray,
+    maps: FloatArray,
+    bases: FloatArray,
+    path: FloatArray,
+    report: FloatArray,
+    pair: FloatArray,
+    start: int,
+    stop: int,
+    first: int,
+    each: int,
+    margin: float,
+) -> int:
+    """Return for how many of the first blocks `margin` times the Born term stays inside the
+    model's tolerance; their rows of report are as above.
+
+    pair, (2, 5), goes on to the end of those: the difference of the linear model, and that with the
+    Born term. Volts and moved do not change.
+    """

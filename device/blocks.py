@@ -15,7 +15,7 @@ from device.units import Float32Array, FloatArray
 compiled: ModuleType | None
 """`_blocks`, or None."""
 try:
-    compiled = load("device._blocks", "linear_motion")
+    compiled = load("device._blocks", "nonlinear_motion")
 except ImportError:
     compiled = None
 

@@ -22,15 +22,15 @@ from audioflinger_hook.cli.terminal import LineConsole, level_text, warn
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.offline.inspection import inspect_tap
 from audioflinger_hook.offline.render import ACCELERATION_COMMENT
-from audioflinger_hook.pipeline.framework import Framework
+from audioflinger_hook.pipeline.framework import Framework, channel_map_of, simulated_rig_of
 from audioflinger_hook.pipeline.step import Pipeline, RealTimePace
 from audioflinger_hook.scenes import Scene, demo_scene
 from audioflinger_hook.sources import FramesTap, SceneClient, mixdown
 from device.atomic_file import write_bytes_atomically
 from device.drive.outputs import FADE_S, AlignedOutput, FadedOutput
 from device.errors import UsageError
-from device.rig import rig_by_name
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.model_record import in_words
 from device.rig.simulated_rig import SimulatedRig
 from device.units import amplitude_to_db
 from device.wav_output import WavOutput
@@ -54,7 +54,9 @@ class Played:
 def run(options: argparse.Namespace) -> int:
     """Play the scene, write vibration.wav, acceleration.wav, scene.wav and report.png to `out`."""
     out: Path = options.out
-    settings = Settings(profile=options.profile or options.default_profile)
+    names = ("model", "tolerance")
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    settings = Settings().choosing(profile=options.profile or options.default_profile, **given)
     _make_folder(out)
     scene = demo_scene()
     sound = mixdown(scene)
@@ -67,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
         raise UsageError(f"cannot write {picture}: it is a folder; name another with --out")
     heard = WavOutput(out / "scene.wav", rate, scene.channels)
     recorder = WavOutput(out / "acceleration.wav", rate, channels, comment=ACCELERATION_COMMENT)
-    rig = SimulatedRig(rig_by_name(settings.rig), rate, channels, recorder=recorder)
+    rig = simulated_rig_of(settings, rate, channel_map_of(settings, channels), recorder)
     outputs = (WavOutput(out / "vibration.wav", rate, channels), rig)
     latency = framework.latency_frames
     faded = [FadedOutput(output, round(FADE_S * rate)) for output in outputs]
@@ -206,6 +208,8 @@ def _print_table(
     table.add_row("samples limited", str(framework.limited_samples))
     table.add_row("unusable samples in the sound", str(framework.replaced_samples))
     table.add_row("excursion, peak", f"{rig.peak_displacement_m * 1e3:.2f} mm (predicted)")
+    for line in in_words(rig.seconds):
+        table.add_row("simulated rig", line)
     table.add_row("current, peak", f"{rig.peak_current_a:.2f} A (predicted)")
     table.add_row(
         f"time taken for {buffer_length_ms:.2f} ms of sound",

@@ -65,6 +65,7 @@ def _add(
 def _demo(command: Parser) -> None:
     _value(command, "--out", Path, "DIR", "folder to write to", Path("out"))
     _profile(command, live=True)
+    _keys(command, "model", "tolerance")
     _switch(command, "--fast", "do not wait for real time")
 
 
@@ -116,7 +117,7 @@ def _run(command: Parser) -> None:
     command.add_argument("--seconds", type=duration, default=math.inf, metavar="S", help=stop)
     _keys(command, "offset_ms", "device_volume_db")
     _profile(command, live=True)
-    _keys(command, "rig", "damping", "protection")
+    _keys(command, "rig", "damping", "protection", "model", "tolerance")
     _switch(command, "--wait", "wait until server, device and tap are available")
 
 
@@ -214,7 +215,7 @@ def _rendering(command: Parser) -> None:
     """Add the options that `render` and `replay` share."""
     _keys(command, "form", "channels")
     _profile(command, live=False)
-    _keys(command, "rig", "damping", "protection")
+    _keys(command, "rig", "damping", "protection", "model", "tolerance")
     _value(command, "--acceleration", Path, "FILE", "also write the simulated acceleration")
     _value(command, "--config", Path, "FILE", CONFIG_HELP)
     _json(command)

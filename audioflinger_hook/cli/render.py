@@ -130,7 +130,16 @@ def chosen_settings(options: argparse.Namespace, recorded: Settings | None = Non
         settings = recorded or Settings(profile=default)
     given = {
         name: getattr(options, name)
-        for name in ("form", "channels", "profile", "damping", "protection", "rig")
+        for name in (
+            "form",
+            "channels",
+            "profile",
+            "damping",
+            "protection",
+            "rig",
+            "model",
+            "tolerance",
+        )
         if getattr(options, name) is not None
     }
     return settings.choosing(**given)
@@ -148,6 +157,8 @@ def show_report(
     else:
         counts = [counted(count, name.replace("_", " ")) for name, count in more.items() if count]
         print(", ".join([_summary(report, options.output), *counts]))
+        for line in report.models_in_words:
+            print(f"  {line}")
 
 
 def _summary(report: RenderReport, output: Path) -> str:

@@ -90,8 +90,9 @@ def _run_config(options: argparse.Namespace) -> RunConfig:
     else:
         found = config.Config(Settings(profile=options.default_profile))
     settings, live = found.settings, found.live
-    chosen = {name: getattr(options, name) for name in ("profile", "rig", "damping", "protection")}
-    settings = settings.choosing(**{name: c for name, c in chosen.items() if c})
+    names = ("profile", "rig", "damping", "protection", "model", "tolerance")
+    chosen = {name: getattr(options, name) for name in names}
+    settings = settings.choosing(**{name: c for name, c in chosen.items() if c is not None})
     given = {
         "tap": tuple(str(parse_tap(text)) for text in options.tap) if options.tap else None,
         "device": options.device and str(parse_device(options.device)),

@@ -35,6 +35,8 @@ OPTIONS = {
     "rig": "NAME|FILE",
     "damping": "",
     "protection": "",
+    "model": "",
+    "tolerance": "SHARE",
     "tap": "TAP",
     "device": "DEVICE",
     "offset_ms": "MS",

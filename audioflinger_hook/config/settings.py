@@ -23,6 +23,7 @@ from device.drive import (
 )
 from device.drive.settings import DAMPING, EXPOSURE_CAP, GAIN_MAX_DB, GAIN_MIN_DB, PROTECTION
 from device.errors import UsageError
+from device.rig.parameters import LEAST_TOLERANCE, MODELS, Model
 from device.rig.rig_file import SHIPPED, SUFFIX, read_rig
 from device.server.forwarding import MAX_DELAY_S
 from device.values import Choice, Described, Description, Number, Refusal, Switch, Text
@@ -200,6 +201,13 @@ class Settings(Described):
         ),
     ] = "mono"
     rig: Annotated[str, _RigName("rig that is driven, or its file", change="engine")] = SHIPPED[0]
+    model: Annotated[
+        Model, Choice("model of the simulated rig; auto: the cheapest that suffices", MODELS)
+    ] = "auto"
+    tolerance: Annotated[
+        float,
+        Number("error that model = auto may make, as a share of the peak", LEAST_TOLERANCE, 1.0),
+    ] = 0.01
     gain_db: Annotated[
         float, Number("level of the vibration", GAIN_MIN_DB, GAIN_MAX_DB, "dB", change="nothing")
     ] = GAIN_MAX_DB

@@ -28,6 +28,7 @@ from device.drive.outputs import FADE_S, AlignedOutput, DrivenOutput, FadedOutpu
 from device.errors import UsageError
 from device.output import VibrationOutput
 from device.rig.instruments import ACCELERATION_FULL_SCALE_M_S2
+from device.rig.model_record import SecondReport, in_words
 from device.rig.simulated_rig import SimulatedRig
 from device.wav_output import WavOutput
 
@@ -60,7 +61,13 @@ class RenderReport:
     replaced_samples: int
     peak_acceleration_m_s2: float | None = None
     strength_db: float | None = None
+    models: list[SecondReport] = field(default_factory=list)  # second by second
     warnings: list[str] = field(default_factory=list)
+
+    @property
+    def models_in_words(self) -> list[str]:
+        """Lines on the models that simulated the rig; none without a simulated rig."""
+        return in_words(self.models)
 
 
 def render_file(
@@ -174,6 +181,7 @@ def render(
         replaced_samples=framework.replaced_samples,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
         strength_db=written[0].drive.strength_db,
+        models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *framework.bypassed(), *warnings],
     )
 
@@ -224,6 +232,7 @@ def _render_sections(
         replaced_samples=replaced,
         peak_acceleration_m_s2=rig.peak_acceleration_m_s2 if rig else None,
         strength_db=written[0].drive.strength_db,
+        models=rig.seconds if rig else [],
         warnings=[*framework.warnings, *section.warnings],
     )
 

@@ -31,7 +31,10 @@ EARLY_S = 5.0
 WORTH_EARLY = 3.0
 """Least ratio of a section's length to its early start; below this, sections gain nothing."""
 
-UNRELATED = ("channels", "parameters", "rig", "damping", "protection", "exposure_cap", "said")
+UNRELATED = (
+    "channels", "parameters", "rig", "damping", "protection", "exposure_cap", "model",
+    "tolerance", "said",
+)  # fmt: skip
 """Settings that also apply to sections, or only after the transform."""
 
 

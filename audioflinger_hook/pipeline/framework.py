@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -254,8 +255,18 @@ def simulated_rig_of(
     channel_map: ChannelMap,
     recorder: VibrationOutput | None = None,
 ) -> SimulatedRig:
-    """Return the simulated rig that each channel of the map plays to."""
+    """Return the simulated rig that each channel of the map plays to, with the chosen model.
+
+    UsageError: a rig lacks what that model needs.
+    """
     names = [actuator.rig or settings.rig for actuator in settings.actuators]
     rigs = [rig_by_name(name) for name in names or [settings.rig] * channel_map.actuators]
     connected = [None if source is None else rigs[source] for source in channel_map.sources]
-    return SimulatedRig(connected, samplerate, recorder=recorder)
+    return SimulatedRig(
+        connected,
+        samplerate,
+        recorder=recorder,
+        tolerance=settings.tolerance,
+        model=settings.model,
+        clock=time.thread_time,
+    )

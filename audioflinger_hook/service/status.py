@@ -164,8 +164,8 @@ class Status:
     each reading of the exposure where it is worst. actuators: in the order of the config. profile:
     "" before the first sound. engine: "native" or "python", "" before one plays; engine_reason: why
     not the native one. engine_pid: the native engine's process, 0 for none. volume_db: the
-    listener's volume, 0 dB for 100 %; the sound's level and the vibration are those without it. device_rate: None if the
-    device is no USB device with a feedback endpoint that plays.
+    listener's volume, 0 dB for 100 %; the sound's level and the vibration are those without it.
+    device_rate: None if the device is no USB device with a feedback endpoint that plays.
     """
 
     version: str

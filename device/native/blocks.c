@@ -154,6 +154,10 @@ static PyMethodDef METHODS[] = {
     {"emptied", emptied, METH_O, emptied_doc},
     {"cubic", (PyCFunction)(void (*)(void))cubic, METH_FASTCALL, cubic_doc},
     {"linear_motion", (PyCFunction)(void (*)(void))linear_motion, METH_FASTCALL, linear_motion_doc},
+    {"nonlinear_motion", (PyCFunction)(void (*)(void))nonlinear_motion, METH_FASTCALL,
+     nonlinear_motion_doc},
+    {"linear_suffices", (PyCFunction)(void (*)(void))linear_suffices, METH_FASTCALL,
+     linear_suffices_doc},
     {NULL, NULL, 0, NULL},
 };
 

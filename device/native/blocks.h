@@ -12,4 +12,8 @@ int opened(PyObject *array, const char *name, const char *types, int writable, P
 extern const char linear_motion_doc[];
 PyObject *linear_motion(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 
+extern const char nonlinear_motion_doc[], linear_suffices_doc[];
+PyObject *nonlinear_motion(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+PyObject *linear_suffices(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+
 #endif

@@ -146,11 +146,23 @@ class LinearActuator:
         to the cost of the poles.
         """
         volts = np.ascontiguousarray(volts, dtype=np.float64)
+        moved = np.empty((len(outputs), len(volts)))
+        self.move_into(volts, outputs, moved, 0, len(volts))
+        rows = dict(zip(outputs, moved, strict=True))
+        return Motion(*[rows[name] if name in rows else np.empty(0) for name in QUANTITIES])
+
+    def move_into(
+        self,
+        volts: FloatArray,
+        outputs: Sequence[Quantity],
+        moved: FloatArray,
+        start: int,
+        end: int,
+    ) -> None:
+        """As `move`, for a part of contiguous float64 volts, into moved, (outputs, frames)."""
         wanted = tuple(outputs)
-        moved = np.empty((len(wanted), len(volts)))
-        start = 0
-        while start < len(volts):
-            stop = min(start + self._frames_to_check, len(volts))
+        while start < end:
+            stop = min(start + self._frames_to_check, end)
             if blocks.compiled is not None:
                 taps = self._taps_of(wanted)
                 self.replaced_samples += blocks.compiled.linear_motion(
@@ -162,8 +174,6 @@ class LinearActuator:
                     self._weigh(name, recent, row[start:stop])
             self._let_decay(stop - start)
             start = stop
-        rows = dict(zip(wanted, moved, strict=True))
-        return Motion(*[rows[name] if name in rows else np.empty(0) for name in QUANTITIES])
 
     def _taps_of(self, wanted: tuple[Quantity, ...]) -> FloatArray:
         """Return the taps of these quantities, (quantities, 4)."""

@@ -48,6 +48,12 @@ Celsius = Annotated[float, Limit(lambda t: -50 <= t <= 150, "from -50 to 150")]
 Bits = Annotated[int, _whole(8, 32)]
 DriveMode = Literal["voltage", "current"]
 
+Model = Literal["auto", "linear", "nonlinear"]
+"""Which model of the actuator a user chose."""
+MODELS: tuple[Model, ...] = get_args(Model)
+LEAST_TOLERANCE = 1e-5
+"""The smallest error, as a share of the peak, that a user may ask for."""
+
 
 class Stage:
     """Base of all stages; each field is annotated with its limit."""

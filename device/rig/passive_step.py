@@ -42,7 +42,7 @@ class PassiveStepper:
         )
         give = h * h / (2.0 * equations.mass) + (h / self._frame_drag if seat else 0.0)
         self._inertia = 1.0 / give
-        # y, u, lambda, z, z' (equations.py); the last two stay 0 without a seat.
+        # y, u, lambda = Phi + q, z, z' (equations.py); the last two stay 0 without a seat.
         self.state = [0.0, 0.0, 0.0, 0.0, 0.0]
 
     def move(self, volts: FloatArray, before_v: float) -> FloatArray:
@@ -77,7 +77,9 @@ class PassiveStepper:
     def _solve(self, volt: float, free: float) -> tuple[float, "_Tried"]:
         """Return the excursion's change over the step and its consequences."""
         equations = self.equations
-        stiff = equations.stiffness + equations.damping / self.step_s + self._inertia
+        # At constant flux the coil's back-EMF through its inductance is a spring.
+        spring = equations.stiffness + equations.force_factor**2 / equations.inductance
+        stiff = spring + equations.damping / self.step_s + self._inertia
         older, tried = free, self._try(free, volt, free)
         newer = free - tried.left_n / stiff
         # A smaller change than the rounding of the excursion gains nothing.

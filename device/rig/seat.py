@@ -47,21 +47,12 @@ def seat_sections(
 ) -> FloatArray:
     """Return second-order sections, (3, 6), from volts to the seat's acceleration, m/s^2."""
     equations = Equations(p, linear_energies(p), source_impedance_ohm, seat)
-    rate, drive = np.zeros((equations.states,) * 2), np.zeros(equations.states)
-    for (row, column), entry in equations.matrix.items():
-        rate[row, column] = entry
-    drive[FLUX] = 1.0
-    shown = rate[FRAME_SPEED]
-    # In coordinates whose squares are energies, entries no longer differ by factors of millions.
-    scale = np.sqrt(
-        [
-            equations.stiffness, p.moving_mass_kg, 1.0 / p.inductance_h,
-            seat.stiffness_n_per_m, seat.mass_kg,
-        ]
-    )  # fmt: skip
-    rate = rate * scale[:, None] / scale
-    step, from_last, from_new = first_order_hold(rate, drive * scale, 1.0 / samplerate)
-    shown = shown / scale
+    # In coordinates whose squares are energies, entries do not differ by factors of millions.
+    scale = equations.scale
+    rate, drive = scale[:, None] * equations.rate / scale, np.zeros(equations.states)
+    drive[FLUX] = scale[FLUX]
+    shown = equations.rate[FRAME_SPEED] / scale
+    step, from_last, from_new = first_order_hold(rate, drive, 1.0 / samplerate)
     # The state takes the last volt only; the output takes the new one.
     entered = (step @ from_new + from_last)[:, None]
     zeros, poles, gain = ss2zpk(step, entered, shown[None], np.array([[shown @ from_new]]))

@@ -11,8 +11,8 @@ from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import Energies, energies
 from device.rig.equations import Equations
 from device.rig.model_levels import ModelLevel
-from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
+from device.rig.step_maps import grid_of
 from tests.support.co_energy import step_errors, stored_energy_j
 from tools.bench.sounds.signals import SAMPLERATE
 
@@ -35,7 +35,7 @@ def worst_step_of_noise() -> float:
     return float(step_errors(equations, 1.0 / SAMPLERATE, states, volts).max())
 
 
-def worst_step(volts: FloatArray) -> float:
+def worst_step(volts: FloatArray, step_tolerance: float | None = None) -> float:
     """The non-linear rung's worst step from node to node, as a share of the energy.
 
     Of that stored before or after the step or let in: the largest one counts. volts: (frames,) at
@@ -48,12 +48,14 @@ def worst_step(volts: FloatArray) -> float:
         np.arange(len(volts) + 1),
         np.concatenate([[0.0], volts]),
     )
-    motion = AdaptiveActuator(PAPER, samplerate, level=ModelLevel.NONLINEAR).move(lines)
+    motion = AdaptiveActuator(
+        PAPER, samplerate, level=ModelLevel.NONLINEAR, step_tolerance=step_tolerance
+    ).move(lines)
     x, w, i = motion.displacement_m, motion.velocity_m_s, motion.current_a
     stored_j = stored_energy_j(e, x, i) + 0.5 * p.moving_mass_kg * w * w
     let_in_w = lines * i
     # The first sample comes after the first node, at rest.
-    spacing = NodeGrid(samplerate).spacing
+    spacing = grid_of(samplerate).widest
     nodes = np.arange(spacing - 1, len(lines), spacing)
     handled_j = np.maximum(stored_j[nodes[:-1]], stored_j[nodes[1:]])
     handled_j = np.maximum(handled_j, _over_steps(np.abs(let_in_w), nodes, samplerate))

@@ -14,8 +14,8 @@ from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import Energies, energies, linear_energies
 from device.rig.equations import EXCURSION, SPEED, Equations
 from device.rig.model_levels import ModelLevel
-from device.rig.node_grid import NodeGrid
 from device.rig.passive_step import PassiveStepper
+from device.rig.step_maps import grid_of
 from tests.support.co_energy import step_errors, stored_energy_j
 from tools.bench.machine import cpu_model
 from tools.bench.sounds.signals import SAMPLERATE
@@ -91,7 +91,7 @@ def _largest_rise(stored_j: FloatArray, level: ModelLevel) -> float:
     Between its nodes the non-linear model gives curves through them, which have no energy to keep.
     Until the first node the voltage still falls to 0.
     """
-    spacing = NodeGrid(SAMPLERATE).spacing if level is ModelLevel.NONLINEAR else 1
+    spacing = grid_of(SAMPLERATE).widest if level is ModelLevel.NONLINEAR else 1
     nodes_j = stored_j[spacing - 1 :: spacing]
     before, after = nodes_j[:-1], nodes_j[1:]
     moving = before > STILL * nodes_j[0]

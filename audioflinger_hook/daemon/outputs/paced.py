@@ -21,6 +21,7 @@ from device.drive.drive import ChannelRouter
 from device.errors import InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name
+from device.rig.model_record import in_words
 from device.rig.simulated_rig import SimulatedRig
 from device.server import PulseConnection, ServerSnapshot
 from device.wav_output import WavOutput
@@ -71,7 +72,7 @@ class PacedOutput(Output):
 
     @property
     def summary(self) -> str:
-        """Peaks of the simulated rig in one line; empty for a file, and before the first block."""
+        """Peaks and models of the simulated rig; empty for a file, and before the first block."""
         output = self._job.output if self._job else None
         if not isinstance(output, SimulatedRig):
             return ""
@@ -79,7 +80,7 @@ class PacedOutput(Output):
             f"twin (predicted): peak acceleration {output.peak_acceleration_m_s2:.1f} m/s², "
             f"excursion {output.peak_displacement_m * 1e3:.2f} mm, "
             f"current {output.peak_current_a:.2f} A"
-        )
+        ) + "".join(f"\n  {line}" for line in in_words(output.seconds))
 
     def set_format(self, samplerate: int, channels: int) -> None:
         """Set the rate of the mix in Hz and the channels of the vibration, before `maintain`."""

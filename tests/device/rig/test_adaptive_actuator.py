@@ -17,8 +17,8 @@ from device.rig import PAPER
 from device.rig.actuator import QUANTITIES, LinearActuator
 from device.rig.adaptive_actuator import AdaptiveActuator
 from device.rig.co_energy import energies, linear_energies
+from device.rig.crossfade import crossfade
 from device.rig.model_levels import ModelLevel
-from device.rig.segment import crossfade
 from device.rig.thermal import COPPER_PER_K, Temperatures
 from tests.support.co_energy import flux_linkage_wb, stored_energy_j
 
@@ -132,27 +132,11 @@ def test_the_step_by_step_model_solves_the_same_equations():
     assert errors(got, expected).max() < 1e-3
 
 
-def test_one_correction_leaves_an_error_of_second_order():
-    # Times two in level, the non-linear share is about doubled, where L' i^2 rules, or more.
-    left = []
-    for level_v in (0.1, 0.2, 0.4):
-        volts = tones(level_v, times_of(FS, 0.1))
-        true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR).move(volts).displacement_m
-        by_rung = [
-            np.abs(AdaptiveActuator(PAPER, FS, level=level).move(volts).displacement_m - true).max()
-            for level in (ModelLevel.LINEAR, ModelLevel.CORRECTED)
-        ]
-        left.append(np.array(by_rung) / np.abs(true).max())
-    once, corrected = np.array(left).T
-    assert (corrected < 0.2 * once).all()
-    assert corrected[2] / corrected[0] > 2.5 * (once[2] / once[0]) / 2
-
-
 def test_the_linear_model_of_a_rig_without_large_signal_is_the_whole_truth():
     rig = replace(PAPER, large_signal=None)
     volts = tones(7.0, times_of(FS, 0.1))
     exact = columns(LinearActuator(PAPER.actuator, FS).move(volts))
-    for level in (ModelLevel.LINEAR, ModelLevel.CORRECTED, ModelLevel.NONLINEAR):
+    for level in (ModelLevel.LINEAR, ModelLevel.NONLINEAR):
         got = columns(AdaptiveActuator(rig, FS, level=level).move(volts))
         assert errors(got, exact).max() < 1e-12
     adaptive = AdaptiveActuator(rig, FS, 1e-9)
@@ -173,7 +157,7 @@ def test_content_above_the_nodes_does_not_come_back_as_vibration(frequency_hz):
     times = times_of(FS, 0.15)
     volts = 6.0 * np.sin(math.tau * 90.0 * times)
     volts += 6.0 * np.sin(math.tau * frequency_hz * times)
-    true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, nodes_hz=48_000.0).move(volts)
+    true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, step_tolerance=1e-6).move(volts)
     got = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR).move(volts)
     error = np.abs(got.displacement_m - true.displacement_m).max()
     assert error < 1e-4 * np.abs(true.displacement_m).max()
@@ -296,7 +280,7 @@ def test_full_scale_steps_noise_and_nan_never_give_anything_but_finite_motion(
     [1_000, pytest.param(48_000, marks=EXHAUSTIVE), pytest.param(192_000, marks=EXHAUSTIVE)],
 )
 @pytest.mark.parametrize("case", HARD)
-@pytest.mark.parametrize("level", [ModelLevel.LINEAR, ModelLevel.CORRECTED, ModelLevel.STEPPED])
+@pytest.mark.parametrize("level", [ModelLevel.LINEAR, ModelLevel.STEPPED])
 def test_every_other_model_asked_for_stays_finite_there_too(case, samplerate, level):
     adaptive = AdaptiveActuator(hard_rig(case), samplerate, level=level, seat=True)
     frames = 48 * samplerate // 1_000
@@ -331,10 +315,13 @@ def test_whatever_comes_in_the_adaptive_actuator_gives_finite_motion(volts, samp
     assert np.isfinite(motion).all()
 
 
-def test_what_does_not_converge_is_stepped_and_counted():
-    adaptive = AdaptiveActuator(hard_rig("hard stops"), 1_000, level=ModelLevel.NONLINEAR)
+def test_what_does_not_converge_is_stepped_counted_and_called_unmeasured():
+    # A force that takes a millionth of a micrometre to stop the mass: no step is short enough.
+    rig = replace(PAPER, large_signal=replace(LARGE, stop_n_per_m2=1e18))
+    adaptive = AdaptiveActuator(rig, 1_000, level=ModelLevel.NONLINEAR)
     adaptive.move(200.0 * np.random.default_rng(8).standard_normal(300))
     assert adaptive.stepped_frames > 0
+    assert math.isinf(max(block.estimate for block in adaptive.reports))
     assert np.isfinite(columns(adaptive.move(np.zeros(10)))).all()
 
 
@@ -359,7 +346,9 @@ def swell(duration_s=1.6):
 
 @cache
 def true_swell():
-    return AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, nodes_hz=12_000.0).move(swell())
+    return AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, step_tolerance=1e-6).move(
+        swell()
+    )
 
 
 def shares_of_tolerance(adaptive, motion, true, tolerance):
@@ -406,51 +395,23 @@ def test_loud_and_quiet_bursts_in_turn_keep_the_tolerance_too(tolerance):
         for _ in range(16)
     ]  # fmt: skip
     volts = np.concatenate(parts)
-    true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, nodes_hz=12_000.0).move(volts)
+    true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, step_tolerance=1e-6).move(volts)
     adaptive = AdaptiveActuator(PAPER, FS, tolerance)
     shares = shares_of_tolerance(adaptive, adaptive.move(volts), true, tolerance)
     assert shares.max() <= 1.0
 
 
-def test_the_adaptive_actuator_uses_dearer_models_only_where_it_has_to():
+def test_the_adaptive_actuator_uses_the_dearer_model_only_where_it_has_to():
     loose, tight = AdaptiveActuator(PAPER, FS, 3e-2), AdaptiveActuator(PAPER, FS, 1e-3)
     for adaptive in (loose, tight):
         adaptive.move(swell())
     used = loose.frames_by_level
-    assert min(used[ModelLevel.LINEAR], used[ModelLevel.CORRECTED], used[ModelLevel.NONLINEAR]) > 0
+    assert min(used[ModelLevel.LINEAR], used[ModelLevel.NONLINEAR]) > 0
     assert tight.frames_by_level[ModelLevel.NONLINEAR] > used[ModelLevel.NONLINEAR]
     assert sum(used.values()) == sum(report.frames for report in loose.reports)
     for report in loose.reports:
         assert report.estimate <= 3e-2
-        assert report.level is not ModelLevel.LINEAR or report.excursion_peak_m < 0.3e-3
-
-
-def test_where_only_the_non_linear_model_will_do_blocks_are_taken_together_without_estimates():
-    times = times_of(FS, 4.0)
-    volts = 12.0 * np.sin(math.tau * 70.0 * times) * np.minimum(1.0, times / 0.5)
-    true = AdaptiveActuator(PAPER, FS, level=ModelLevel.NONLINEAR, nodes_hz=12_000.0).move(volts)
-    early, patient = (
-        AdaptiveActuator(PAPER, FS, 1e-3),
-        AdaptiveActuator(PAPER, FS, 1e-3, early=False),
-    )
-    for adaptive in (early, patient):
-        assert shares_of_tolerance(adaptive, adaptive.move(volts), true, 1e-3).max() <= 1.0
-    # An iteration of Newton's method is over all blocks that are solved together.
-    assert early.iterations < 0.5 * patient.iterations
-    assert [block.frame for block in early.reports] == [block.frame for block in patient.reports]
-    assert len({block.excursion_peak_m for block in early.reports}) == len(early.reports)
-
-
-def test_an_early_decision_only_ever_takes_the_dearer_model():
-    order = list(ModelLevel)
-    for tolerance in (3e-2, 1e-3):
-        adaptives = [AdaptiveActuator(PAPER, FS, tolerance, early=early) for early in (True, False)]
-        for adaptive in adaptives:
-            adaptive.move(np.concatenate([swell(), swell()[::-1], swell()]))
-        early, patient = (
-            [order.index(block.level) for block in adaptive.reports] for adaptive in adaptives
-        )
-        assert all(one >= other for one, other in zip(early, patient, strict=True))
+        assert report.level is not ModelLevel.LINEAR or report.excursion_peak_m < 0.6e-3
 
 
 def test_quiet_blocks_after_loud_ones_go_back_to_the_linear_model():
@@ -464,7 +425,7 @@ def test_quiet_blocks_after_loud_ones_go_back_to_the_linear_model():
     }
 
 
-# At 3e-2 one correction follows another that is off by almost all that is allowed.
+# At 5e-2 the linear model is off by almost all that is allowed before the change.
 @pytest.mark.parametrize(
     "tolerance",
     [
@@ -497,7 +458,7 @@ def test_a_fade_leaves_the_old_path_as_smoothly_as_it_arrives_at_the_new_one():
     time = np.arange(1, 481) / 480
     old, new = 3.0 + np.sin(9.0 * time), 0.2 * np.cos(4.0 * time)
     values = np.concatenate([new, np.full(100, new[-1])])
-    crossfade(values, old, None, 2.0)
+    crossfade(values[None], old[None], 2.0)
     for order in range(3):
         # As a share of the old path's own differences; the weight's own begin with t^3, of which
         # three samples have seen some per cent. A cosine's curvature would be 36 %, a kink more.
@@ -510,7 +471,7 @@ def test_a_fade_leaves_the_old_path_as_smoothly_as_it_arrives_at_the_new_one():
 def test_a_fade_is_no_further_off_than_allowed_or_than_the_jump_itself(jump, wrong):
     old = jump + wrong * np.arange(480) / 100.0
     values = np.ones(480)
-    crossfade(values, 1.0 + old, None, 0.1)
+    crossfade(values[None], 1.0 + old[None], 0.1)
     # Cut to 8 samples at least: there the old path has gone on to be wrong by a twelfth.
     allowed = max(0.1, 1.25 * abs(jump)) + wrong * 8 / 100.0
     assert np.abs(values - 1.0).max() <= allowed + 1e-12
@@ -526,16 +487,12 @@ def test_the_state_does_not_depend_on_how_the_signal_is_split(cuts):
     got = np.concatenate(parts, axis=1)
     settled = np.ones(len(volts), dtype=bool)
     for cut in cuts:
-        settled[max(cut - 8, 0) : cut] = False
-    # Where Newton's method ends in blocks of other lengths: 1e-9 of the largest is foretold.
+        settled[max(cut - 16, 0) : cut] = False
+    # From node to node nothing differs but the roundings of two compiled loops.
     largest = np.abs(whole).max(axis=1)
-    assert (np.abs(got - whole)[:, settled].max(axis=1) < 1e-7 * largest).all()
-    # Up to 7 samples before a cut are provisional: there the linear solution went on as a cubic,
-    # which misses its third derivative and less.
-    displacement, velocity, current, acceleration = errors(got, whole)
-    assert displacement < 1e-6
-    assert velocity < 1e-5
-    assert max(current, acceleration) < 3e-4
+    assert (np.abs(got - whole)[:, settled].max(axis=1) <= 1e-15 * largest).all()
+    # Up to 15 samples before a cut are provisional: solved by narrower steps.
+    assert errors(got, whole).max() < 1e-4
     assert columns(adaptive.move(np.zeros(0))).shape == (4, 0)
 
 
@@ -553,8 +510,9 @@ def test_what_the_rig_does_not_describe_cannot_be_asked_for():
         AdaptiveActuator(bare, FS, seat=True)
     with pytest.raises(UsageError, match=r"describes no \[thermal\]"):
         AdaptiveActuator(bare, FS, temperature=True)
-    with pytest.raises(UsageError, match="tolerance="):
-        AdaptiveActuator(PAPER, FS, 0.0)
+    for tolerance in (0.0, -0.01, math.nan, 1.5):
+        with pytest.raises(UsageError, match="above 0 and at most 1"):
+            AdaptiveActuator(PAPER, FS, tolerance)
     with pytest.raises(UsageError, match="samplerate="):
         AdaptiveActuator(PAPER, 0.0)
 

@@ -198,7 +198,7 @@ def test_passive_steps_are_of_second_order():
 
 def test_linear_energies_give_the_linear_actuator():
     e = linear_energies(PAPER.actuator)
-    g, _ = Equations(PAPER.actuator, e).remainder(
+    g = Equations(PAPER.actuator, e).remainder(
         np.array([1e-3, -2e-3]), np.array([0.1, -0.5]), np.array([0.02, 0.01])
     )
     # Rounding of k x, 80 N, and of R i, 10 V.

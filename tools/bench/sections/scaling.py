@@ -119,7 +119,7 @@ def rig_scaling(bench: Workbench) -> Section:
         "for durations and actuators, and an exponent of 1.",
         tuple(rows),
         footnote="The linear model computes every sample, so its cost rises with the rate. The "
-        "non-linear one computes about 6 000 nodes a second at any rate.",
+        "non-linear one takes about 3 000 steps a second at any rate.",
     )
 
 

@@ -1,0 +1,171 @@
+"""What a simulated rig's models did, second by second: which ran, their cost and their true error.
+
+The true error is the difference from the non-linear model with steps that may be off by a
+hundredth of the usual; each block of the signal is solved by both.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from device.errors import UsageError
+from device.rig.actuator import Motion, Quantity
+from device.rig.adaptive_actuator import AdaptiveActuator, check_tolerance
+from device.rig.model_levels import ModelLevel
+from device.rig.nonlinear_model import FLOOR, STEP_TOLERANCE
+from device.rig.parameters import Model
+from device.rig.rig import Rig
+from device.units import FloatArray
+
+SHOWN: tuple[Quantity, ...] = ("acceleration_m_s2", "displacement_m", "current_a")
+
+_TRUE_SHARE = 1e-2
+_SECONDS = 86_400
+"""So many seconds are kept at most, a day."""
+
+
+def actuator_of(rig: Rig, samplerate: float, model: Model, tolerance: float) -> AdaptiveActuator:
+    """Return an actuator with the model that a user chose.
+
+    UsageError: the rig lacks what the non-linear model needs; the message names the values.
+    """
+    check_tolerance(tolerance)
+    if model == "nonlinear" and rig.large_signal is None:
+        raise UsageError(
+            f"rig {rig.name!r} has no data for the non-linear model: large_signal.stop_m is "
+            "missing; stiffness_rise, force_factor_loss, inductance_change, stop_n_per_m2 and "
+            "stop_loss_s_per_m take usual values where [large_signal] does not state them; add "
+            "[large_signal] to its file, or choose --model linear"
+        )
+    levels: dict[Model, ModelLevel | None] = {
+        "auto": None, "linear": ModelLevel.LINEAR, "nonlinear": ModelLevel.NONLINEAR
+    }  # fmt: skip
+    return AdaptiveActuator(rig, samplerate, tolerance, level=levels[model])
+
+
+@dataclass(frozen=True)
+class SecondReport:
+    """One second of all actuators."""
+
+    second: int
+    nonlinear_percent: float  # share of the time
+    cost_ms: float  # CPU time of the models
+    error_percent: float  # largest, of acceleration and excursion, of their peaks in this second
+
+
+class _Compared:
+    """One actuator beside the truth."""
+
+    def __init__(self, actuator: AdaptiveActuator) -> None:
+        self.actuator = actuator
+        self._true = AdaptiveActuator(
+            actuator.rig,
+            actuator.samplerate,
+            level=ModelLevel.NONLINEAR if actuator.rig.large_signal else ModelLevel.LINEAR,
+            step_tolerance=_TRUE_SHARE * STEP_TOLERANCE,
+        )
+        p = actuator.rig.actuator
+        self._least = np.array([p.resonance_rad_s**2, 1.0]) * (FLOOR * p.x_max_m)
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin another second."""
+        self._wrong, self._peaks = np.zeros(2), self._least.copy()
+        self._nonlinear = self.actuator.frames_by_level[ModelLevel.NONLINEAR]
+
+    def compare(self, volts: FloatArray, motion: Motion) -> None:
+        """Take the motion under some volts."""
+        true = self._true.move(volts, SHOWN[:2])
+        for index, name in enumerate(SHOWN[:2]):
+            expected: FloatArray = getattr(true, name)
+            wrong = np.abs(getattr(motion, name) - expected).max(initial=0.0)
+            self._wrong[index] = max(self._wrong[index], wrong)
+            peak = np.abs(expected).max(initial=0.0)
+            self._peaks[index] = max(self._peaks[index], peak)
+
+    @property
+    def error(self) -> float:
+        """The largest error of this second as a share of its peak."""
+        return float((self._wrong / self._peaks).max())
+
+    @property
+    def nonlinear_frames(self) -> int:
+        """Frames of this second that the non-linear model computed."""
+        return self.actuator.frames_by_level[ModelLevel.NONLINEAR] - self._nonlinear
+
+
+class ModelRecord:
+    """The seconds of some actuators that move together. One thread uses an object.
+
+    clock: CPU time in seconds, which is asked before and after each block.
+    """
+
+    def __init__(
+        self, actuators: Iterable[AdaptiveActuator], samplerate: int, clock: Callable[[], float]
+    ) -> None:
+        self._compared = [_Compared(actuator) for actuator in actuators]
+        self._samplerate, self._clock = samplerate, clock
+        self._frames, self._begun, self._cost_s = 0, 0, 0.0
+        self.seconds: deque[SecondReport] = deque(maxlen=_SECONDS)
+
+    def move(self, index: int, volts: FloatArray) -> Motion:
+        """Move one actuator, and compare; all of them move by the same blocks in turn."""
+        one = self._compared[index]
+        start_s = self._clock()
+        motion = one.actuator.move(volts, SHOWN)
+        self._cost_s += self._clock() - start_s
+        one.compare(volts, motion)
+        if one.actuator.stepped_frames:
+            raise UsageError(
+                f"rig {one.actuator.rig.name!r}: the non-linear model does not converge "
+                f"{self._frames / self._samplerate:.2f} s after the start; check its "
+                "[large_signal], or choose --model linear"
+            )
+        return motion
+
+    def advance(self, frames: int) -> None:
+        """Say that all actuators have moved by so many frames; end a second that is full."""
+        before = self._frames // self._samplerate
+        self._frames += frames
+        if self._frames // self._samplerate > before:
+            self._finish(before)
+
+    def finish(self) -> None:
+        """End the last second, which may be shorter."""
+        if self._frames > self._begun:
+            self._finish(self._frames // self._samplerate)
+
+    def _finish(self, second: int) -> None:
+        frames, self._begun = self._frames - self._begun, self._frames
+        nonlinear = sum(one.nonlinear_frames for one in self._compared)
+        share = min(1.0, nonlinear / max(1, frames * len(self._compared)))
+        error = max((one.error for one in self._compared), default=0.0)
+        numbers = (100.0 * share, 1e3 * self._cost_s, 100.0 * error)
+        self.seconds.append(SecondReport(second, *(float(f"{x:.4g}") for x in numbers)))
+        self._cost_s = 0.0
+        for one in self._compared:
+            one.begin()
+
+
+def in_words(seconds: Iterable[SecondReport]) -> list[str]:
+    """Return lines for a user: consecutive seconds of one kind share a line."""
+    lines = []
+    for kind, group in groupby(seconds, key=_kind):
+        part = list(group)
+        first, last = part[0].second, part[-1].second + 1
+        cost_ms = sum(one.cost_ms for one in part) / len(part)
+        error = max(one.error_percent for one in part)
+        lines.append(
+            f"{first} to {last} s: {kind}, {cost_ms:.2g} ms of CPU a second, true error up to "
+            f"{error:.2g} %"
+        )
+    return lines
+
+
+def _kind(second: SecondReport) -> str:
+    if second.nonlinear_percent == 0.0:
+        return "linear model"
+    return "non-linear model" if second.nonlinear_percent > 99.0 else "both models in turn"
