@@ -31,6 +31,7 @@ COILS = {
     "plain": "coil: R + L, no eddy currents seen",
     "parallel": "coil with eddy currents: R + L1 + (L2 || R2)",
     "power": f"coil with eddy currents: R + K (jw)^n; {_CLOSEST}",
+    "double": f"coil with eddy currents: R + L1 + (L2 || R2) + (L3 || R3); {_CLOSEST}",
     "mixed": f"coil with eddy currents: R + L + K (jw)^n; {_CLOSEST}",
 }
 """The law of the coil in words, by its name."""

@@ -93,7 +93,9 @@ def _identify(
     """Return the mode, and the fitted response in the band."""
     electrical = recording.names[0] != "current"
     factors = [MODE, *([LAG] if electrical else []), *([DELAY] if recording.delayed else [])]
-    recording, found, extras, inverted = _fit_mode(recording, factors, on_seat)
+    recording, found, extras, inverted = _fit_mode(
+        recording, factors, on_seat, math.isfinite(x_max_m)
+    )
     on_seat = any(extra.name == "seat" for extra in extras)
     check_converged(recording, found)
     refuse_outside(recording, found.logs[1])
@@ -123,7 +125,7 @@ def _identify(
 
 
 def _fit_mode(
-    recording: Recording, factors: list[Factor], on_seat: bool | None
+    recording: Recording, factors: list[Factor], on_seat: bool | None, level_known: bool
 ) -> tuple[Recording, Fit, tuple[Extra, ...], bool]:
     """Return recording, fit, what the evidence adds, and whether the polarity is inverted."""
     candidates = [recording]
@@ -138,7 +140,7 @@ def _fit_mode(
             extras.append(_eddy())
         if recording.high_pass_hz is not None:
             extras.append(high_pass_extra(recording))
-        if on_seat is not False and (seat := seat_extra(simple.logs[1])):
+        if on_seat is not False and (seat := seat_extra(simple.logs[1], level_known=level_known)):
             extras.append(seat)
         best, chosen, score = fit_with_extras(candidate, factors, [simple.logs], extras)
         found.append((not best.converged, score, candidate, best, chosen))
@@ -190,11 +192,11 @@ def excursion_square(level_of_x_max: float, on_seat: bool) -> float:
     return level_of_x_max**2 * (2.0 if on_seat else 1.0)
 
 
-def seat_extra(log_hz: float) -> Extra | None:
+def seat_extra(log_hz: float, *, level_known: bool) -> Extra | None:
     """Return the seat of an actuator by its log f0; None if none fits below such a mode.
 
-    A seat's own mode must be damped and lie below that of the actuator. It must explain far more
-    than noise would, as a hardening spring looks like one.
+    A seat's own mode must be damped and lie below that of the actuator. A hardening spring looks
+    like one, so it must explain far more than noise would, unless a known level tells them apart.
     """
     own = log_hz - math.log(4.0)
     highest = np.array([log_hz - math.log(1.5), math.log(5.0)] * 2)
@@ -202,7 +204,7 @@ def seat_extra(log_hz: float) -> Extra | None:
     if np.any(highest < lowest + 0.5):
         return None
     starts = tuple(np.array([own + shift, 0.0] * 2) for shift in (0.0, 0.5))
-    return Extra("seat", SEAT, starts, lowest, highest, doubt=2.5)
+    return Extra("seat", SEAT, starts, lowest, highest, doubt=1.0 if level_known else 2.5)
 
 
 def _starts(recording: Recording, factors: Sequence[Factor]) -> list[FloatArray]:

@@ -8,6 +8,7 @@ frequency. The simplest law that explains a measurement is used.
 | plain | s L | L |
 | parallel | s L1 + (s L2, parallel to R2); Wright, JAES 38 (1990) | L1, L2, corner R2 / (2 pi L2) |
 | power | K s^n; Leach, JAES 50 (2002) | reactance K w^n at 100 Hz, n |
+| double | s L1 + two such pairs, for thick or layered iron | L1, L2, L3, both corners |
 | mixed | s L1 + K s^n, for iron that neither describes alone | L1, reactance, n |
 """
 
@@ -30,13 +31,13 @@ Impedance = tuple[ComplexArray, list[ComplexArray]]
 
 @dataclass(frozen=True)
 class CoilLaw:
-    """One law. Its parameters are amplitudes, then at most one that gives the shape."""
+    """One law. Its parameters are amplitudes, then those that give the shape."""
 
     name: str
     impedance: Callable[[FloatArray, FloatArray], Impedance]
     lowest: tuple[float, ...]  # logarithms of the parameters
     highest: tuple[float, ...]
-    shapes: tuple[float, ...] = ()  # starts for the logarithm of the last parameter
+    shapes: tuple[tuple[float, ...], ...] = ((),)  # starts for the logarithms of the last ones
 
     @property
     def parameters(self) -> int:
@@ -44,7 +45,7 @@ class CoilLaw:
         return len(self.lowest)
 
     def columns(self, f: FloatArray, shape: tuple[float, ...]) -> list[ComplexArray]:
-        """Return what each amplitude of 1 adds, for a shape of `shapes` or ()."""
+        """Return what each amplitude of 1 adds, for one of `shapes`."""
         linear = self.parameters - len(shape)
         return self.impedance(f, np.array([0.0] * linear + list(shape)))[1][:linear]
 
@@ -61,6 +62,12 @@ def _parallel(f: FloatArray, p: FloatArray) -> Impedance:
     return main + eddy, [main, eddy, eddy * turn / (1.0 + turn)]
 
 
+def _double(f: FloatArray, p: FloatArray) -> Impedance:
+    first, (d_main, d_one, d_corner) = _parallel(f, p[[0, 1, 3]])
+    second, (_, d_two, d_other) = _parallel(f, np.array([-np.inf, p[2], p[4]]))
+    return first + second, [d_main, d_one, d_two, d_corner, d_other]
+
+
 def _power(f: FloatArray, p: FloatArray) -> Impedance:
     exponent = math.exp(p[1])
     log: ComplexArray = np.log(np.maximum(f, 1e-9) / REFERENCE_HZ) + 0.5j * np.pi
@@ -74,19 +81,20 @@ def _mixed(f: FloatArray, p: FloatArray) -> Impedance:
     return main + rest, d_main + d_rest
 
 
-_L, _X, _N = (math.log(1e-7), 2.0), (math.log(1e-4), math.log(1e4)), (math.log(0.3), 0.0)
+_L, _X, _N = (math.log(1e-7), 2.0), (math.log(1e-4), math.log(1e4)), (math.log(0.45), 0.0)
 _CORNER = math.log(20.0), math.log(5e3)
 
 
-_CORNERS = tuple(np.log([40.0, 90.0, 200.0, 450.0, 1000.0]))
-_EXPONENTS = tuple(np.log([0.5, 0.6, 0.7, 0.8, 0.9]))
+_CORNERS = tuple((log,) for log in np.log([40.0, 90.0, 200.0, 450.0, 1000.0]))
+_BOTH = tuple(tuple(np.log(pair)) for pair in ((40.0, 200.0), (60.0, 600.0), (150.0, 1000.0)))
+_EXPONENTS = tuple((log,) for log in np.log([0.5, 0.6, 0.7, 0.8, 0.9]))
 
 
 def _law(
     name: str,
     impedance: Callable[[FloatArray, FloatArray], Impedance],
     limits: tuple[tuple[float, float], ...],
-    shapes: tuple[float, ...] = (),
+    shapes: tuple[tuple[float, ...], ...] = ((),),
 ) -> CoilLaw:
     lowest, highest = zip(*limits, strict=True)
     return CoilLaw(name, impedance, lowest, highest, shapes)
@@ -95,8 +103,9 @@ def _law(
 PLAIN = _law("plain", _plain, (_L,))
 PARALLEL = _law("parallel", _parallel, (_L, _L, _CORNER), _CORNERS)
 POWER = _law("power", _power, (_X, _N), _EXPONENTS)
+DOUBLE = _law("double", _double, (_L, _L, _L, _CORNER, _CORNER), _BOTH)
 MIXED = _law("mixed", _mixed, (_L, _X, _N), _EXPONENTS)
-LAWS = PLAIN, POWER, PARALLEL, MIXED
+LAWS = PLAIN, POWER, PARALLEL, MIXED, DOUBLE
 
 
 def closest_parallel(
@@ -116,7 +125,7 @@ def closest_parallel(
         return np.asarray(least_squares(left, start, bounds=limits, xtol=1e-12, ftol=1e-12).x)
 
     size = math.log(float(np.abs(law.impedance(f, logs)[0]).max()) / (math.tau * high_hz))
-    starts = [np.array([size - 1.0, size, corner]) for corner in _CORNERS[1:4]]
+    starts = [np.array([size - 1.0, size, corner]) for (corner,) in _CORNERS[1:4]]
     aim = law.impedance(f, logs)[0]
     tried = [solved(logs, start) for start in starts]
     best = min(tried, key=lambda q: float(np.sum(np.abs(PARALLEL.impedance(f, q)[0] - aim) ** 2)))

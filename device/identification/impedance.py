@@ -16,7 +16,15 @@ from device.identification.acceleration import (
     refuse_outside,
     seat_extra,
 )
-from device.identification.coil_laws import LAWS, MIXED, PARALLEL, PLAIN, CoilLaw, closest_parallel
+from device.identification.coil_laws import (
+    DOUBLE,
+    LAWS,
+    MIXED,
+    PARALLEL,
+    PLAIN,
+    CoilLaw,
+    closest_parallel,
+)
 from device.identification.output_error import (
     Estimate,
     Fit,
@@ -149,7 +157,7 @@ def _choose(recording: Recording, mode: Mode | None) -> tuple[Fit, CoilLaw, bool
         noise = np.diag(mode.fit.covariance)[1:3]
         known = Known(1, near, np.sqrt(noise + np.array([_SAME_F0, _SAME_Q]) ** 2))
     for law in LAWS:
-        if law is MIXED and min(tried, key=lambda one: one[:2])[3] is PLAIN:
+        if law in (MIXED, DOUBLE) and min(tried, key=lambda one: one[:2])[3] is PLAIN:
             break
         model = partial(responses.admittance, law=law)
         low, high = unlimited(4 + law.parameters)
@@ -159,7 +167,7 @@ def _choose(recording: Recording, mode: Mode | None) -> tuple[Fit, CoilLaw, bool
         near = found.logs[1:3] if near is None and found.converged else near
         price = penalty(law.parameters, found.bins)
         tried.append((not found.converged, found.cost + price, found, law, False))
-        if (not mode or mode.on_seat) and (seat := seat_extra(found.logs[1])):
+        if (not mode or mode.on_seat) and (seat := seat_extra(found.logs[1], level_known=False)):
             starts = [np.concatenate([found.logs, start]) for start in seat.starts]
             ends = np.concatenate([low, seat.lowest]), np.concatenate([high, seat.highest])
             found = fit(recording, model, starts, ends, known)
@@ -187,9 +195,8 @@ def _starts(recording: Recording, law: CoilLaw, near: FloatArray | None) -> list
     qs = np.log([1.0, 3.0, 10.0, 30.0])
     if near is not None:
         tones, qs = near[:1], near[1] + np.log([0.6, 1.0, 1.6])
-    shapes: list[tuple[float, ...]] = [(shape,) for shape in law.shapes] or [()]
     starts = []
-    for log_hz, log_q, shape in itertools.product(tones, qs, shapes):
+    for log_hz, log_q, shape in itertools.product(tones, qs, law.shapes):
         damped = 1j * f / math.exp(log_hz + log_q)
         motional = damped / responses.pair(f, log_hz, log_q)[0]
         columns = [np.ones_like(motional), motional, *law.columns(f, shape)]

@@ -185,9 +185,15 @@ def random_coil_rig(seed: int, kind: str | None = None) -> tuple[CoilRig, str]:
         )
     elif kind == "ladder":
         main = 0.3 * reactance / w
-        first, second = np.exp(random.uniform(math.log(40.0), math.log(1000.0), 2)).tolist()
-        big, small = reactance / w, 0.5 * reactance / w
-        law = ladder(main, (big, math.tau * first * big), (small, math.tau * second * small))
+        hz = np.exp(random.uniform(math.log(40.0), math.log(1000.0), 3)).tolist()
+        big = reactance / w
+        law = ladder(
+            main,
+            *(
+                (share * big, math.tau * c * share * big)
+                for share, c in zip((1.0, 0.5, 0.3), hz, strict=True)
+            ),
+        )
     else:
         raise AssertionError(kind)
     actuator = replace(rig.actuator, inductance_h=main)

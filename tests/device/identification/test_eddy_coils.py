@@ -121,8 +121,9 @@ def test_intervals_hold_for_a_hundred_random_devices():
 
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("kind", ["diffusion", "ladder"])
-@pytest.mark.parametrize("seed", [2, 16])
+@pytest.mark.parametrize("seed", [2, 18])
 def test_iron_that_no_law_describes_exactly_still_gives_r_bl_and_mass(seed, kind):
+    # tanh(u) / u has no end of sections, the ladder has three
     found = outcome(seed, kind)
     assert max(abs(found.errors[name]) for name in MECHANICS) < 0.02
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from device.errors import UsageError
 from device.identification import IdentificationError, responses
 from device.identification.acceleration import identify_mode
-from device.identification.coil_laws import MIXED, PARALLEL, PLAIN, POWER
+from device.identification.coil_laws import DOUBLE, MIXED, PARALLEL, PLAIN, POWER
 from device.identification.impedance import identify_impedance
 from device.identification.mechanics import (
     add_values,
@@ -233,6 +233,7 @@ def test_the_jacobians_are_the_derivatives(shifts):
                 (PLAIN, [1.2, 4.5, 2.0, 1.8, -7.0, *seat]),
                 (PARALLEL, [1.2, 4.5, 2.0, 1.8, -7.0, -7.0, 5.0, *seat]),
                 (POWER, [1.2, 4.5, 2.0, 1.8, 0.3, -0.4, *seat]),
+                (DOUBLE, [1.2, 4.5, 2.0, 1.8, -7.0, -7.5, -8.0, 4.0, 6.0, *seat]),
                 (MIXED, [1.2, 4.5, 2.0, 1.8, -7.0, 0.3, -0.4, *seat]),
             )
         ),
