@@ -6,8 +6,9 @@
 | electronics, actuator, instruments | DAC and amplifier; linear actuator; accelerometer to DAQ |
 | simulated_rig | all stages behind `VibrationOutput` |
 | shapes, co_energy, equations, thermal, seat | the physics beyond the linear actuator |
-| collocation, small_matrices, node_grid, passive_step | solvers of the non-linear equations |
-| segment, model_levels, model_selection, adaptive_actuator | the cheapest model that suffices |
+| step_maps, nonlinear_model, passive_step | solvers of the non-linear equations |
+| model_levels, adaptive_actuator, crossfade | the cheapest model that suffices |
+| model_record | which model ran, its cost and its true error |
 
 Only the descriptions are imported here, because SciPy takes half a second to load.
 """

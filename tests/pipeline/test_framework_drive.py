@@ -18,7 +18,7 @@ def test_simulated_rigs_stand_where_the_actuators_are_wired():
     assert channel_map == ChannelMap(2, (1, None, 0))
     vibration = np.random.default_rng(1).uniform(-0.5, 0.5, (500, 3))
     wired = simulated_rig_of(settings, RATE, channel_map)
-    alone = SimulatedRig([PAPER, None, CONSUMER], RATE)
+    alone = SimulatedRig([PAPER, None, CONSUMER], RATE, tolerance=settings.tolerance)
     wired.write(vibration)
     alone.write(vibration)
     assert np.array_equal(wired.acceleration_m_s2, alone.acceleration_m_s2)
