@@ -120,7 +120,12 @@ def _identify(
     share = moved / x_max_m
     square = excursion_square(share, on_seat)
     f0, q = f0.extend_down(F0_BY_LEVEL * square), q.extend_down(Q_BY_LEVEL * square)
-    corner = corner_of(found, extras, sum(factor.parameters for factor in factors))
+    corner = corner_of(
+        found,
+        extras,
+        sum(factor.parameters for factor in factors),
+        recording.high_pass_hz or 0.0,
+    )
     return Mode(f0, q, sensitivity, on_seat, share, found, inverted, corner), shown
 
 
@@ -164,18 +169,21 @@ def high_pass_extra(recording: Recording) -> Extra:
     return Extra("high_pass", high_pass(known), starts, *limits)
 
 
+_SAME_CORNER = 0.01
 LOWEST_CORNER = 0.02
 """As a share of the sweep's lowest frequency: a lower corner is as good as none."""
 
 
-def corner_of(found: Fit, extras: Sequence[Extra], first: int) -> Estimate | None:
-    """Return the fitted corner, 0 if it is too low to be seen; None if it was not fitted.
+def corner_of(found: Fit, extras: Sequence[Extra], first: int, known_hz: float) -> Estimate | None:
+    """Return the fitted corner, 0 if it is too low to be seen; None if it is the known one.
 
     first: the number of parameters before those of the extras.
     """
     for extra in extras:
         if extra.name == "high_pass":
             corner = found.estimate({first: 1.0})
+            if abs(corner.value - known_hz) < _SAME_CORNER * known_hz:
+                return None
             if found.logs[first] > extra.lowest[0] + 0.1 and corner.low > 0.5 * corner.value:
                 return corner
             return Estimate(0.0, 0.0, corner.high if corner.high < math.inf else corner.value)

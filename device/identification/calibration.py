@@ -240,7 +240,7 @@ def _add_drive(found: Calibration) -> Calibration:
             replace(
                 source,
                 kind="identified",
-                words=f"only amplifier.gain times this counts: {volts:.4g} V, which was identified",
+                words=f"only gain times this counts, {volts:.4g} V: {_describe(found)}",
             )
             if source.parameter == "dac.full_scale_v" and source.kind == "assumed"
             else source

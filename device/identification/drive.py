@@ -25,6 +25,9 @@ from device.units import FloatArray
 WIDEST_VOLTS = 0.05
 """Half the widest accepted 95 % interval, as a share."""
 
+LEAST_SOURCE = 1e-3
+"""A source impedance below this share of the coil's resistance is as good as that of the rig."""
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -62,14 +65,18 @@ def identify_drive(recording: Recording, rig: Rig, impedance: Impedance | None) 
     volts, source = found.estimate({0: 1.0}), None
     first = len(factors)
     for extra in chosen:
-        if extra.name == "source":
+        if extra.name == "source" and impedance:
             source = found.estimate({first: 1.0})
+            if source.value < LEAST_SOURCE * impedance.resistance_ohm.value:
+                source = None
         first += extra.factor.parameters
     if source is None:
         loss = 1.0 + rig.amplifier.source_impedance_ohm / rig.actuator.resistance_ohm
         volts = volts.scaled(loss)
     require("volts per full scale", volts, WIDEST_VOLTS, "raise the level a little")
-    return Drive(volts, corner_of(found, chosen, len(factors)), source, found)
+    return Drive(
+        volts, corner_of(found, chosen, len(factors), recording.high_pass_hz or 0.0), source, found
+    )
 
 
 def _start(recording: Recording) -> FloatArray:

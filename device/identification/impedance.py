@@ -10,6 +10,7 @@ import numpy as np
 from device.identification import responses
 from device.identification.acceleration import (
     F0_BY_LEVEL,
+    HARDENING,
     Q_BY_LEVEL,
     Mode,
     excursion_square,
@@ -105,7 +106,7 @@ def identify_impedance(
     acceleration for the current, which the coil's law does not touch; None if it was not measured.
     """
     check_recording(recording)
-    found, law, on_seat = _choose(recording, mode)
+    found, law, on_seat = _choose(recording, mode, level_of_x_max)
     check_converged(recording, found)
     refuse_outside(recording, found.logs[1])
     check_misfit(
@@ -145,10 +146,13 @@ weighs differently on both. These are standard deviations."""
 
 
 _LEAST_EDDY = 3e-4
-"""A law that changes the admittance by less than this share is not taken for that of the coil."""
+"""A law that changes the admittance by less than this share, and what a hardening spring adds, is
+not taken for that of the coil."""
 
 
-def _choose(recording: Recording, mode: Mode | None) -> tuple[Fit, CoilLaw, bool]:
+def _choose(
+    recording: Recording, mode: Mode | None, level_of_x_max: float
+) -> tuple[Fit, CoilLaw, bool]:
     """Return the fit with the best evidence, its law, and whether it has a seat."""
     tried: list[tuple[bool, float, Fit, CoilLaw, bool]] = []
     known, near = None, None
@@ -176,9 +180,10 @@ def _choose(recording: Recording, mode: Mode | None) -> tuple[Fit, CoilLaw, bool
     best = min(tried, key=lambda one: one[:2])
     plain = min((one for one in tried if one[3] is PLAIN), key=lambda one: one[:2])
     f = recording.frequencies_hz[recording.band]
+    least = _LEAST_EDDY + HARDENING * level_of_x_max**2
     if not plain[0]:  # without noise, also what no coil has would be evidence
         shown, simple = (responses.admittance(f, one[2].logs, one[3])[0] for one in (best, plain))
-        best = plain if np.abs(simple / shown - 1.0).max() < _LEAST_EDDY else best
+        best = plain if np.abs(simple / shown - 1.0).max() < least else best
     _, _, found, law, seated = best
     return found, law, seated
 

@@ -113,7 +113,7 @@ def test_a_coil_with_eddy_currents_on_another_amplifier_is_identified(
         for name, one in values
     ]
     print(held)
-    assert sum(held) >= len(held) - 1
+    assert sum(held) >= len(held) - 2  # of ten intervals of 95 %, three miss once in 87 runs
 
 
 def test_where_nothing_hangs_on_it_there_is_no_signal_and_no_file(
