@@ -186,7 +186,7 @@ class CardMixer:
         step = decibels.lowest if step is None else step
         self._set(volume, step)
         level_db, found_db = decibels.level(step), list(map(decibels.level, self._steps(volume)))
-        # The kernel drops a value that the device refuses, and reports success.
+        # Some kernels drop a value that the device refuses, and report success.
         if not all(level_db - READ_BACK_DB <= found <= level_db for found in found_db):
             raise NotFoundError(
                 f"sound card {self._card}: {volume.name!r} was set to {_shown(level_db)} and is "
@@ -286,7 +286,9 @@ class CardMixer:
             )
         if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EBADF):
             return NotFoundError(f"{what} is missing; plug the card in, see `cushion devices`")
-        return NotFoundError(f"{what} does not answer ({error.strerror}); plug the card in again")
+        return NotFoundError(
+            f"{what} refuses the value or does not answer ({error.strerror}); plug the card in again"
+        )
 
 
 def set_card_volume(
