@@ -287,7 +287,8 @@ class CardMixer:
         if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EBADF):
             return NotFoundError(f"{what} is missing; plug the card in, see `cushion devices`")
         return NotFoundError(
-            f"{what} refuses the value or does not answer ({error.strerror}); plug the card in again"
+            f"{what} refuses the value or does not answer ({error.strerror}); plug the card in "
+            "again"
         )
 
 
