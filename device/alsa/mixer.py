@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 import errno
-import fcntl
 import math
 import os
 from dataclasses import dataclass, field
@@ -29,6 +28,11 @@ READ_BACK_DB = 1.0
 
 _MOST_ELEMENTS = 4_096
 _TABLE_WORDS = 1_024
+
+# Not fcntl.ioctl, which keeps Python's lock with large structures: audio threads would wait for it
+# as long as a device takes to answer.
+_ioctl = ctypes.CDLL(None, use_errno=True).ioctl
+_ioctl.argtypes = (ctypes.c_int, ctypes.c_ulong, ctypes.c_void_p)
 
 
 class _Id(ctypes.Structure):
@@ -182,7 +186,7 @@ class CardMixer:
         step = decibels.lowest if step is None else step
         self._set(volume, step)
         level_db, found_db = decibels.level(step), list(map(decibels.level, self._steps(volume)))
-        # The kernel drops a value that the device refuses, and reports success.
+        # Some kernels drop a value that the device refuses, and report success.
         if not all(level_db - READ_BACK_DB <= found <= level_db for found in found_db):
             raise NotFoundError(
                 f"sound card {self._card}: {volume.name!r} was set to {_shown(level_db)} and is "
@@ -269,10 +273,9 @@ class CardMixer:
         self._ask(_WRITE, held)
 
     def _ask(self, request: int, what: ctypes.Structure) -> None:
-        try:
-            fcntl.ioctl(self._file, request, what)
-        except OSError as error:
-            raise self._refusal(error) from None
+        if _ioctl(self._file, request, ctypes.byref(what)) < 0:
+            number = ctypes.get_errno()
+            raise self._refusal(OSError(number, os.strerror(number)))
 
     def _refusal(self, error: OSError) -> NotFoundError:
         what = f"the mixer of sound card {self._card} ({self._node})"
@@ -283,7 +286,10 @@ class CardMixer:
             )
         if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EBADF):
             return NotFoundError(f"{what} is missing; plug the card in, see `cushion devices`")
-        return NotFoundError(f"{what} does not answer ({error.strerror}); plug the card in again")
+        return NotFoundError(
+            f"{what} refuses the value or does not answer ({error.strerror}); plug the card in "
+            "again"
+        )
 
 
 def set_card_volume(

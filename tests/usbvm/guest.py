@@ -341,11 +341,11 @@ def configurations(folder: Path) -> dict[str, Any]:
             stack.callback(plugged.unplug)
             if uac == 1:
                 choose_configuration(2)
-            address, hw = only_name()
+            name_now, hw = only_name()
             (listed,) = json.loads(call("devices", "--json").stdout)["usb"]
-            described = call("usb", "describe", address).stdout
+            described = call("usb", "describe", name_now).stdout
             full_volume(hw)
-            done = call("run", "--tap", sound(20.0), "--device", address, "--seconds", "2")
+            done = call("run", "--tap", sound(20.0), "--device", name_now, "--seconds", "2")
             told[name] = [listed, described, done.code, done.stderr, any(taken)]
         await_cards(0)
     return told

@@ -181,7 +181,9 @@ def test_a_muted_dac_whose_volume_cannot_be_set_stays_muted_and_is_not_played_to
         code, told, muted, played = left
         assert (code, muted, played) == (0, 1, True), told
     assert "has a mute and no volume" in result["none"][0][1]
-    assert "was set to -30 dB and is -1 dB" in result["kept"][0][1]
+    # One kernel drops what the device refuses, another returns the refusal.
+    told = result["kept"][0][1]
+    assert "was set to -30 dB and is -1 dB" in told or "refuses the value" in told
 
 
 def test_a_pad_vibrates_on_its_coils_alone_and_odd_formats_are_played_or_refused(
