@@ -28,6 +28,7 @@ class RunReporter:
         self.notifier = Notifier()
         self._state = ""
         self._engine = ""
+        self._page = ""
         self._warnings: dict[str, str] = {}
         self._rate_limit = RateLimit()
 
@@ -70,6 +71,16 @@ class RunReporter:
         if engine and text != self._engine:
             self._engine = text
             self._print(text)
+
+    def tell_page(self, address: str) -> None:
+        """Report the address of a page that serves, once; "" for none.
+
+        The part after `#` opens it, so only a terminal is told that.
+        """
+        shown = address if sys.stderr.isatty() else address.partition("#")[0]
+        if shown and shown != self._page:
+            self._print(f"the live page: {shown}")
+        self._page = shown
 
     def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
         """Reload the config and report the changes; return why it failed, or ""."""

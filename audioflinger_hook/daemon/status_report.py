@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from audioflinger_hook import __version__
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.figures import with_native
 from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.service.meters import Level
+from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import (
     ActuatorFigures,
     DelayLineFigures,
@@ -16,6 +20,7 @@ from audioflinger_hook.service.status import (
     ExposureFigures,
     LatencyBudget,
     Levels,
+    Partial,
     ProtectionFigures,
     Status,
     Xruns,
@@ -42,6 +47,8 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         engine_reason=supervisor.engines.switch.reason,
         engine_pid=native.process_id if native else 0,
         volume_db=supervisor.engines.volume_db,
+        applications=supervisor.applications,
+        muted=supervisor.is_muted,
     )
     if native is not None and native.audible:
         return with_native(status, native, supervisor.settings, supervisor.offset_s)
@@ -52,7 +59,12 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     ms, drive = 1e3 / engine.samplerate, engine.drive
     return replace(
         status,
-        levels=Levels(engine.sound.meter.level(), engine.vibration.meter.level()),
+        levels=Levels(
+            engine.sound.meter.level(),
+            engine.vibration.meter.level(),
+            engine.sound.meter.channel_levels(),
+        ),
+        principal=tuple(Partial(*partial) for partial in engine.framework.principal),
         latency=LatencyBudget.of(
             tap_ms=1e3 * tap_s,
             transform_ms=1e3 * engine.framework.latency_s,
@@ -81,6 +93,46 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         profile=engine.framework.settings.profile,
         engine="python",
     )
+
+
+def frame_of(supervisor: Supervisor) -> dict[str, Any]:
+    """Return what a page shows many times a second, as JSON can hold it.
+
+    Any thread may call it; audio threads do not wait for it. sound, vibration: for each channel and
+    each actuator, peak and RMS in 0.1 dBFS. partials: Hz of the sound and of the vibration in 0.1
+    Hz, amplitude in 1e-4 of full scale. delay_ms: of the delay line, None with the native engine.
+    """
+    engine, native = supervisor.engine, supervisor.engines.switch.native
+    silent = supervisor.states.state is not DaemonState.RUNNING
+    delay_ms = None
+    sound: tuple[Level, ...] = ()
+    vibration: tuple[Level, ...] = ()
+    partials: Sequence[tuple[float, float, float]] = ()
+    if native is not None and native.audible:
+        if not silent:
+            sound, vibration = native.channel_levels, native.actuator_levels
+            partials = [(one.audio_hz, one.vibration_hz, one.amplitude) for one in native.principal]
+    elif engine is not None:
+        delay_ms = round(1e3 * engine.delay_line.status.delay_s, 1)
+        if not silent:
+            sound = engine.sound.meter.channel_levels()
+            vibration = tuple(one.meter.level() for one in engine.driven or (engine.vibration,))
+            if supervisor.is_muted:
+                vibration = (Level(),) * len(vibration)
+            partials = engine.framework.principal
+    return {
+        "sound": [_tenths(level) for level in sound],
+        "vibration": [_tenths(level) for level in vibration],
+        "partials": [
+            [round(10.0 * audio_hz), round(10.0 * hz), round(1e4 * amplitude)]
+            for audio_hz, hz, amplitude in partials
+        ],
+        "delay_ms": delay_ms,
+    }
+
+
+def _tenths(level: Level) -> list[int]:
+    return [round(10.0 * level.peak_dbfs), round(10.0 * level.rms_dbfs)]
 
 
 def _worst_protection(engine: Engine) -> ProtectionFigures | None:

@@ -20,10 +20,29 @@ class Endpoint:
 
 @dataclass(frozen=True)
 class Levels:
-    """Levels of the sound and of the vibration."""
+    """Levels of the sound and of the vibration; channels: of the sound."""
 
     sound: Level = field(default_factory=Level)
     vibration: Level = field(default_factory=Level)
+    channels: tuple[Level, ...] = ()
+
+
+@dataclass(frozen=True)
+class Partial:
+    """A principal frequency: of the sound, of its vibration, and its amplitude in full scale."""
+
+    audio_hz: float
+    vibration_hz: float
+    amplitude: float
+
+
+@dataclass(frozen=True)
+class Application:
+    """An application that has a stream: whether it plays, and whether it is felt."""
+
+    name: str
+    plays: bool
+    is_felt: bool
 
 
 @dataclass(frozen=True)
@@ -148,7 +167,8 @@ class Status:
     with the largest dose. actuators: in the order of the config. profile: "" before the first
     sound. engine: "native" or "python", "" before one plays; engine_reason: why not the native one.
     engine_pid: the native engine's process, 0 for none. volume_db: the listener's volume, 0 dB for
-    100 %; the sound's level and the vibration are those without it.
+    100 %; the sound's level and the vibration are those without it. principal: what the latest hop
+    vibrates, before gain. applications: those that have a stream. muted: by a page.
     """
 
     version: str
@@ -177,4 +197,7 @@ class Status:
     engine_reason: str = ""
     engine_pid: int = 0
     volume_db: float = 0.0
+    principal: tuple[Partial, ...] = ()
+    applications: tuple[Application, ...] = ()
+    muted: bool = False
     warnings: tuple[str, ...] = ()

@@ -21,6 +21,7 @@ from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.meters import Level
 from audioflinger_hook.service.state import Cause, StateKeeper
+from audioflinger_hook.service.status import Partial
 from device.drive import ActuatorSettings
 from device.drive.rig_processor import damping_for
 from device.errors import LostError, UsageError
@@ -105,6 +106,23 @@ class NativeEngine:
     def readings(self) -> TransformReadings | None:
         """Return what the transform reports, None before the first chain."""
         return self._current.chain.page.readings() if self._current else None
+
+    @property
+    def principal(self) -> tuple[Partial, ...]:
+        """What the latest hop vibrates."""
+        return self._current.chain.page.principal() if self._current else ()
+
+    @property
+    def channel_levels(self) -> tuple[Level, ...]:
+        """The level of each channel of the tap."""
+        return self._current.chain.page.channel_levels() if self._current else ()
+
+    @property
+    def actuator_levels(self) -> tuple[Level, ...]:
+        """The level of each actuator, as it is played."""
+        current = self._current
+        slots = range(len(current.chain.plan.actuators)) if current else ()
+        return tuple(map(self.level, slots))
 
     def level(self, slot: int) -> Level:
         """Return the level of an actuator."""
@@ -311,7 +329,7 @@ class NativeEngine:
 
     def _set_actuators(self, chain: Chain) -> None:
         settings, offset_s = self._config.settings, max(0.0, self._config.live.offset_s)
-        level = db_to_amplitude(settings.gain_db)
+        level = 0.0 if self._config.muted else db_to_amplitude(settings.gain_db)
         if not settings.actuators:
             for slot in range(len(chain.plan.actuators)):
                 chain.page.set_actuator(slot, level, offset_s)

@@ -27,7 +27,10 @@ def with_native(
     return replace(
         status,
         # While the graph rests, the plugin does not run, and its last levels stay.
-        levels=Levels() if resting else Levels(readings.sound, readings.vibration),
+        levels=Levels()
+        if resting
+        else Levels(readings.sound, readings.vibration, native.channel_levels),
+        principal=() if resting else native.principal,
         latency=LatencyBudget.of(
             transform_ms=transform_ms,
             offset_ms=1e3 * offset_s,

@@ -6,22 +6,27 @@ Each value has one writer and is written at once, so neither side waits for the 
 from __future__ import annotations
 
 import ctypes
-import math
 import mmap
 import os
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.service.meters import FLOOR_DBFS, Level
+from audioflinger_hook.service.meters import Level, level_of
+from audioflinger_hook.service.status import Partial
 from audioflinger_hook.transform.downmix import mix_weights
 from device.drive.damping import Damping
-from device.units import FloatArray, amplitude_to_db
+from device.units import FloatArray
 
-MAGIC = 0x3245474150485543
+MAGIC = 0x3345474150485543
 CHANNELS = 8
 """Largest number of channels of a tap, and of vibrations."""
 
 ACTUATORS = 32
+PARTIALS = 16
+READ_TRIES = 4
+"""Attempts to read the partials while the plugin writes; writing takes less than 1 µs."""
+
 DELAY_MAX_S = 2.0
 
 
@@ -43,6 +48,15 @@ class _TransformReadings(ctypes.Structure):
         ("sound_square", ctypes.c_double),
         ("vibration_peak", ctypes.c_double),
         ("vibration_square", ctypes.c_double),
+        ("channels", ctypes.c_double * 2 * CHANNELS),
+    )
+
+
+class _PartialReadings(ctypes.Structure):
+    _fields_ = (
+        ("sequence", ctypes.c_uint64),
+        ("count", ctypes.c_uint64),
+        ("partials", ctypes.c_double * 3 * PARTIALS),
     )
 
 
@@ -73,9 +87,13 @@ class _Layout(ctypes.Structure):
         ("sound_gain", ctypes.c_double),
         ("transform", _TransformWishes),
         ("readings", _TransformReadings),
+        ("partials", _PartialReadings),
         ("wishes", _ActuatorWishes * ACTUATORS),
         ("actuators", _ActuatorReadings * ACTUATORS),
     )
+
+
+_PARTIALS = struct.Struct(f"2Q{3 * PARTIALS}d")
 
 
 @dataclass(frozen=True)
@@ -159,23 +177,31 @@ class Page:
             int(found.frames),
             int(found.replaced),
             int(found.limited),
-            _level(found.sound_peak, found.sound_square),
-            _level(found.vibration_peak, found.vibration_square),
+            level_of(found.sound_peak, found.sound_square),
+            level_of(found.vibration_peak, found.vibration_square),
         )
 
     def level(self, slot: int) -> Level:
         """Return the level of an actuator."""
         found = self._page.actuators[slot]
-        return _level(found.peak, found.square)
+        return level_of(found.peak, found.square)
+
+    def channel_levels(self) -> tuple[Level, ...]:
+        """Return the level of each channel of the tap."""
+        found = self._page.readings.channels
+        channels = int(self._page.transform.channels)
+        return tuple(level_of(peak, square) for peak, square in found[:channels])
+
+    def principal(self) -> tuple[Partial, ...]:
+        """Return what the latest hop vibrates; () where the plugin writes at every attempt."""
+        offset = _Layout.partials.offset
+        for _ in range(READ_TRIES):
+            sequence, count, *numbers = _PARTIALS.unpack_from(self._memory, offset)
+            if not sequence % 2 and sequence == self._page.partials.sequence:
+                count = min(count, PARTIALS)
+                return tuple(Partial(*numbers[3 * one : 3 * one + 3]) for one in range(count))
+        return ()
 
     def close(self) -> None:
         """Remove the file; readings stay. May be repeated."""
         self.path.unlink(missing_ok=True)
-
-
-def _level(peak: float, square: float) -> Level:
-    return Level(_dbfs(peak), _dbfs(math.sqrt(square)))
-
-
-def _dbfs(amplitude: float) -> float:
-    return max(FLOOR_DBFS, amplitude_to_db(amplitude))
