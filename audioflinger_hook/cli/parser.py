@@ -116,6 +116,12 @@ def _status(command: Parser) -> None:
     _json(command)
 
 
+def _monitor(command: Parser) -> None:
+    _value(command, "--listen", str, "HOST:PORT", "address to serve at", "127.0.0.1:8765")
+    _switch(command, "--open", "open it in a browser")
+    _value(command, "--rate", float, "HZ", "frames a second, 1 to 60", 30.0)
+
+
 def _usb(command: Parser) -> None:
     command.add_argument("does", choices=("describe",), metavar="describe", help="show descriptors")
     names = "usb:VID:PID[:SERIAL][@PORT]; default: all"
@@ -246,6 +252,7 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str]] = {
     "dump": (_dump, "show threads, tracks, effects and counters"),
     "run": (_run, "play vibration of everything that this computer plays"),
     "status": (_status, "show the state of the running daemon"),
+    "monitor": (_monitor, "serve the live page of the running daemon"),
     "devices": (_json, "list outputs and playing applications"),
     "usb": (_usb, "decode a USB audio device, or a dump of one"),
     "test-tone": (_test_tone, "play a tone on one output, to find the right one"),

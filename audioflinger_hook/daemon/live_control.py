@@ -57,7 +57,7 @@ class LiveControl:
 
     supervisor: whose state is shown. edits: changes to its config. follow: applies edits and mute,
     and returns the new config; it raises a CushionError and changes nothing where it cannot. ring:
-    wakes the main thread. config: that applies. page: address of the page that watches, "" for none.
+    wakes the main thread. config: that applies. page: address of a page that watches, "" for none.
 
     The server's threads call `frame`, `news` and `control`, the main thread `work` and `close`.
     """
@@ -209,8 +209,14 @@ class LiveControl:
             )
         # A process of its own, as for any application: nothing of the audio threads changes.
         self._tone = subprocess.Popen(
-            [*own_command(), "test-tone", f"--device=sink:{name}", f"--hz={hz}"]
-            + [f"--level={level}", f"--seconds={TONE_S}"],
+            [
+                *own_command(),
+                "test-tone",
+                f"--device=sink:{name}",
+                f"--hz={hz}",
+                f"--level={level}",
+                f"--seconds={TONE_S}",
+            ],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

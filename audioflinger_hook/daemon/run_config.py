@@ -86,11 +86,12 @@ class RunConfig:
 class ConfigDiff:
     """The differences of two configs, grouped by what the change interrupts.
 
-    These changes interrupt nothing: level (mute as well), volume (of the device), priority (used for streams
-    opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A change of
-    transform fades out and restarts after the transform's latency. tap and device reopen one
-    stream, drop_in the virtual sink, blocks both streams, engine everything except the connection.
-    way is the choice of the native or the Python engine, which hands over without a gap.
+    These changes interrupt nothing: level and mute, volume (of the device), priority (used for
+    streams opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A
+    change of transform fades out and restarts after the transform's latency. tap and device reopen
+    one stream, drop_in the virtual sink, blocks both streams, engine everything except the
+    connection. way is the choice of the native or the Python engine, which hands over without a
+    gap.
     """
 
     level: bool = False

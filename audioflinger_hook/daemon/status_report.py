@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +12,7 @@ from audioflinger_hook import __version__
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.figures import with_native
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.service.meters import Level
+from audioflinger_hook.service.meters import FLOOR_DBFS, Reading, level_of
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import (
     ActuatorFigures,
@@ -26,6 +27,9 @@ from audioflinger_hook.service.status import (
     Xruns,
 )
 from device.drive.rig_processor import RigProcessor
+from device.units import db_to_amplitude
+
+_FLOOR = db_to_amplitude(FLOOR_DBFS)
 
 
 def status_of(supervisor: Supervisor, now_s: float) -> Status:
@@ -62,7 +66,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         levels=Levels(
             engine.sound.meter.level(),
             engine.vibration.meter.level(),
-            engine.sound.meter.channel_levels(),
+            tuple(level_of(*one) for one in engine.sound.meter.channel_readings()),
         ),
         principal=tuple(Partial(*partial) for partial in engine.framework.principal),
         latency=LatencyBudget.of(
@@ -103,36 +107,41 @@ def frame_of(supervisor: Supervisor) -> dict[str, Any]:
     Hz, amplitude in 1e-4 of full scale. delay_ms: of the delay line, None with the native engine.
     """
     engine, native = supervisor.engine, supervisor.engines.switch.native
-    silent = supervisor.states.state is not DaemonState.RUNNING
+    plays = supervisor.states.state is DaemonState.RUNNING
     delay_ms = None
-    sound: tuple[Level, ...] = ()
-    vibration: tuple[Level, ...] = ()
+    sound: Sequence[Reading] = ()
+    vibration: Sequence[Reading] = ()
     partials: Sequence[tuple[float, float, float]] = ()
     if native is not None and native.audible:
-        if not silent:
-            sound, vibration = native.channel_levels, native.actuator_levels
-            partials = [(one.audio_hz, one.vibration_hz, one.amplitude) for one in native.principal]
+        page, plan = native.page, native.plan
+        if plays and page is not None and plan is not None:
+            sound = page.channel_readings()
+            vibration = [page.reading(slot) for slot in range(len(plan.actuators))]
+            partials = page.principal()
     elif engine is not None:
         delay_ms = round(1e3 * engine.delay_line.status.delay_s, 1)
-        if not silent:
-            sound = engine.sound.meter.channel_levels()
-            vibration = tuple(one.meter.level() for one in engine.driven or (engine.vibration,))
-            if supervisor.is_muted:
-                vibration = (Level(),) * len(vibration)
+        if plays:
+            sound = engine.sound.meter.channel_readings()
+            vibration = [one.meter.reading() for one in engine.driven or (engine.vibration,)]
             partials = engine.framework.principal
+    if supervisor.is_muted:
+        vibration = [(0.0, 0.0)] * len(vibration)
     return {
-        "sound": [_tenths(level) for level in sound],
-        "vibration": [_tenths(level) for level in vibration],
+        "sound": [_tenths(*reading) for reading in sound],
+        "vibration": [_tenths(*reading) for reading in vibration],
         "partials": [
-            [round(10.0 * audio_hz), round(10.0 * hz), round(1e4 * amplitude)]
+            (round(10.0 * audio_hz), round(10.0 * hz), round(1e4 * amplitude))
             for audio_hz, hz, amplitude in partials
         ],
         "delay_ms": delay_ms,
     }
 
 
-def _tenths(level: Level) -> list[int]:
-    return [round(10.0 * level.peak_dbfs), round(10.0 * level.rms_dbfs)]
+def _tenths(peak: float, square: float) -> tuple[int, int]:
+    return (
+        round(200.0 * math.log10(max(peak, _FLOOR))),
+        round(100.0 * math.log10(max(square, _FLOOR * _FLOOR))),
+    )
 
 
 def _worst_protection(engine: Engine) -> ProtectionFigures | None:

@@ -41,6 +41,9 @@ class Level:
     rms_dbfs: float = FLOOR_DBFS
 
 
+Reading = tuple[float, float]
+"""Peak and mean square, 1.0 for full scale."""
+
 _OfChannels = tuple[FloatArray, FloatArray]
 
 
@@ -101,12 +104,16 @@ class LevelMeter:
         """Return the current level, FLOOR_DBFS or more."""
         return level_of(*self._reading)
 
-    def channel_levels(self) -> tuple[Level, ...]:
-        """Return the current level of each channel."""
+    def reading(self) -> Reading:
+        """Return the current peak and mean square."""
+        return self._reading
+
+    def channel_readings(self) -> list[Reading]:
+        """Return the current peak and mean square of each channel."""
         found = self._of_channels
         if found is None:
-            return (self.level(),)
-        return tuple(map(level_of, found[0].tolist(), found[1].tolist()))
+            return [self._reading]
+        return list(zip(found[0].tolist(), found[1].tolist(), strict=True))
 
 
 class BufferedLevelMeter:

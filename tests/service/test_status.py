@@ -122,7 +122,8 @@ def test_every_key_is_there_with_its_unit_and_every_cause_counted():
         *("version", "pid", "state", "reason", "since_s", "tap", "device", "levels", "latency"),
         *("delay_line", "xruns", "buffer_times", "recoveries", "effects_bypassed"),
         *("limited_samples", "replaced_samples", "protection", "exposure", "actuators"),
-        *("profile", "engine", "engine_reason", "engine_pid", "volume_db", "warnings"),
+        *("profile", "engine", "engine_reason", "engine_pid", "volume_db"),
+        *("principal", "applications", "muted", "warnings"),
     ]
     assert document["latency"]["total_ms"] == pytest.approx(93.7)
     assert list(document["recoveries"]) == [cause.value for cause in Cause]

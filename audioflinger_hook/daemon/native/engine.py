@@ -13,7 +13,7 @@ from pathlib import Path
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.inputs.applications import Applications
 from audioflinger_hook.daemon.native.chain import NAME, Chain
-from audioflinger_hook.daemon.native.page import TransformReadings
+from audioflinger_hook.daemon.native.page import Page, TransformReadings
 from audioflinger_hook.daemon.native.plan import ChainPlan, device_map, device_ports
 from audioflinger_hook.daemon.native.running import RunningChain
 from audioflinger_hook.daemon.native.taps import Tap, tap_of
@@ -21,7 +21,6 @@ from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.timing import Backoff
 from audioflinger_hook.service.meters import Level
 from audioflinger_hook.service.state import Cause, StateKeeper
-from audioflinger_hook.service.status import Partial
 from device.drive import ActuatorSettings
 from device.drive.rig_processor import damping_for
 from device.errors import LostError, UsageError
@@ -108,21 +107,9 @@ class NativeEngine:
         return self._current.chain.page.readings() if self._current else None
 
     @property
-    def principal(self) -> tuple[Partial, ...]:
-        """What the latest hop vibrates."""
-        return self._current.chain.page.principal() if self._current else ()
-
-    @property
-    def channel_levels(self) -> tuple[Level, ...]:
-        """The level of each channel of the tap."""
-        return self._current.chain.page.channel_levels() if self._current else ()
-
-    @property
-    def actuator_levels(self) -> tuple[Level, ...]:
-        """The level of each actuator, as it is played."""
-        current = self._current
-        slots = range(len(current.chain.plan.actuators)) if current else ()
-        return tuple(map(self.level, slots))
+    def page(self) -> Page | None:
+        """The page of the chain that plays, None before the first one."""
+        return self._current.chain.page if self._current else None
 
     def level(self, slot: int) -> Level:
         """Return the level of an actuator."""

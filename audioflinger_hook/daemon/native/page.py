@@ -12,8 +12,7 @@ import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.service.meters import Level, level_of
-from audioflinger_hook.service.status import Partial
+from audioflinger_hook.service.meters import Level, Reading, level_of
 from audioflinger_hook.transform.downmix import mix_weights
 from device.drive.damping import Damping
 from device.units import FloatArray
@@ -93,7 +92,11 @@ class _Layout(ctypes.Structure):
     )
 
 
-_PARTIALS = struct.Struct(f"2Q{3 * PARTIALS}d")
+# Read with one call each: a page asks many times a second.
+_PARTIALS, _PARTIALS_AT = struct.Struct(f"=2Q{3 * PARTIALS}d"), _Layout.partials.offset
+_SEQUENCE = struct.Struct("=Q")
+_CHANNELS = struct.Struct(f"={2 * CHANNELS}d")
+_CHANNELS_AT = _Layout.readings.offset + _TransformReadings.channels.offset
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,7 @@ class Page:
         self, path: Path, channels: int, outputs: int, weights: FloatArray | None = None
     ) -> None:
         self.path = path
+        self._channels = channels
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         file = os.open(path, flags, 0o600)
         try:
@@ -186,21 +190,28 @@ class Page:
         found = self._page.actuators[slot]
         return level_of(found.peak, found.square)
 
-    def channel_levels(self) -> tuple[Level, ...]:
-        """Return the level of each channel of the tap."""
-        found = self._page.readings.channels
-        channels = int(self._page.transform.channels)
-        return tuple(level_of(peak, square) for peak, square in found[:channels])
+    def reading(self, slot: int) -> Reading:
+        """Return peak and mean square of an actuator."""
+        found = self._page.actuators[slot]
+        return found.peak, found.square
 
-    def principal(self) -> tuple[Partial, ...]:
-        """Return what the latest hop vibrates; () where the plugin writes at every attempt."""
-        offset = _Layout.partials.offset
+    def channel_readings(self) -> list[Reading]:
+        """Return peak and mean square of each channel of the tap."""
+        numbers = _CHANNELS.unpack_from(self._memory, _CHANNELS_AT)
+        return [*zip(numbers[::2], numbers[1::2], strict=True)][: self._channels]
+
+    def principal(self) -> list[tuple[float, float, float]]:
+        """Return what the latest hop vibrates, as `HapticTransform.principal` does.
+
+        Nothing where the plugin writes at every attempt.
+        """
         for _ in range(READ_TRIES):
-            sequence, count, *numbers = _PARTIALS.unpack_from(self._memory, offset)
-            if not sequence % 2 and sequence == self._page.partials.sequence:
-                count = min(count, PARTIALS)
-                return tuple(Partial(*numbers[3 * one : 3 * one + 3]) for one in range(count))
-        return ()
+            sequence, count, *numbers = _PARTIALS.unpack_from(self._memory, _PARTIALS_AT)
+            (again,) = _SEQUENCE.unpack_from(self._memory, _PARTIALS_AT)
+            if sequence == again and not sequence % 2:
+                found = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)
+                return [*found][:count]
+        return []
 
     def close(self) -> None:
         """Remove the file; readings stay. May be repeated."""
