@@ -53,6 +53,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         volume_db=supervisor.engines.volume_db,
         applications=supervisor.applications,
         muted=supervisor.is_muted,
+        principal=tuple(Partial(*partial) for partial in _principal(supervisor)),
     )
     if native is not None and native.audible:
         return with_native(status, native, supervisor.settings, supervisor.offset_s)
@@ -68,7 +69,6 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
             engine.vibration.meter.level(),
             tuple(level_of(*one) for one in engine.sound.meter.channel_readings()),
         ),
-        principal=tuple(Partial(*partial) for partial in engine.framework.principal),
         latency=LatencyBudget.of(
             tap_ms=1e3 * tap_s,
             transform_ms=1e3 * engine.framework.latency_s,
@@ -111,19 +111,16 @@ def frame_of(supervisor: Supervisor) -> dict[str, Any]:
     delay_ms = None
     sound: Sequence[Reading] = ()
     vibration: Sequence[Reading] = ()
-    partials: Sequence[tuple[float, float, float]] = ()
     if native is not None and native.audible:
         page, plan = native.page, native.plan
         if plays and page is not None and plan is not None:
             sound = page.channel_readings()
             vibration = [page.reading(slot) for slot in range(len(plan.actuators))]
-            partials = page.principal()
     elif engine is not None:
         delay_ms = round(1e3 * engine.delay_line.status.delay_s, 1)
         if plays:
             sound = engine.sound.meter.channel_readings()
             vibration = [one.meter.reading() for one in engine.driven or (engine.vibration,)]
-            partials = engine.framework.principal
     if supervisor.is_muted:
         vibration = [(0.0, 0.0)] * len(vibration)
     return {
@@ -131,10 +128,25 @@ def frame_of(supervisor: Supervisor) -> dict[str, Any]:
         "vibration": [_tenths(*reading) for reading in vibration],
         "partials": [
             (round(10.0 * audio_hz), round(10.0 * hz), round(1e4 * amplitude))
-            for audio_hz, hz, amplitude in partials
+            for audio_hz, hz, amplitude in _principal(supervisor)
         ],
         "delay_ms": delay_ms,
     }
+
+
+def _principal(supervisor: Supervisor) -> Sequence[tuple[float, float, float]]:
+    """Return what the latest hop vibrates, at the level that is played."""
+    engine, native = supervisor.engine, supervisor.engines.switch.native
+    told: Sequence[tuple[float, float, float]] = ()
+    if supervisor.states.state is DaemonState.RUNNING:
+        if native is not None and native.audible:
+            told = native.page.principal() if native.page else ()
+        elif engine is not None:
+            told = engine.framework.principal
+    level = 0.0 if supervisor.is_muted else db_to_amplitude(supervisor.settings.gain_db)
+    if level == 1.0:
+        return told
+    return [(audio_hz, hz, level * amplitude) for audio_hz, hz, amplitude in told]
 
 
 def _tenths(peak: float, square: float) -> tuple[int, int]:

@@ -168,7 +168,7 @@ class Status:
     sound. engine: "native" or "python", "" before one plays; engine_reason: why not the native one.
     engine_pid: the native engine's process, 0 for none. volume_db: the listener's volume, 0 dB for
     100 %; the sound's level and the vibration are those without it. principal: what the latest hop
-    vibrates, before gain. applications: those that have a stream. muted: by a page.
+    vibrates, as it is played. applications: those that have a stream. muted: by a page.
     """
 
     version: str

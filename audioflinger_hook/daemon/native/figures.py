@@ -12,7 +12,6 @@ from audioflinger_hook.service.status import (
     ActuatorFigures,
     LatencyBudget,
     Levels,
-    Partial,
     Status,
 )
 
@@ -40,7 +39,6 @@ def with_native(
             readings.vibration,
             tuple(level_of(*reading) for reading in page.channel_readings()),
         ),
-        principal=() if resting else tuple(Partial(*one) for one in page.principal()),
         latency=LatencyBudget.of(
             transform_ms=transform_ms,
             offset_ms=1e3 * offset_s,

@@ -1,6 +1,6 @@
 // Controls drawn from the schema of the config: label, range, unit, meaning, and the schema's own refusals.
 
-const FIRST = ["gain_db", "profile", "offset_ms", "engine", "damping", "device_volume_db"];
+const FIRST = ["gain_db", "profile", "offset_ms", "engine", "damping", "device_volume_db", "protection", "exposure_cap"];
 const UNITS = /_(db|ms|hz|s|frames)$/;
 const PAUSE_MS = 60; // between two changes while a slider is moved
 
@@ -21,15 +21,16 @@ export class Controls {
   }
 
   show(settings) {
-    for (const key of settings.keys) {
+    const order = ({ key }) => (FIRST.includes(key) ? FIRST.indexOf(key) : FIRST.length);
+    for (const key of [...settings.keys].sort((one, other) => order(one) - order(other))) {
       if (!this.made.has(key.key)) {
         const control = new Control(key, this.ask);
         this.made.set(key.key, control);
-        (FIRST.includes(key.key) ? this.first : this.all).append(control.box);
+        if (FIRST.includes(key.key)) this.first.insertBefore(control.box, this.first.lastElementChild);
+        else this.all.append(control.box);
       }
       this.made.get(key.key).show(key, settings.recording);
     }
-    for (const name of FIRST) if (this.made.has(name)) this.first.append(this.made.get(name).box);
   }
 }
 
@@ -50,7 +51,7 @@ class Control {
     const foot = element("div", { class: "foot" });
     this.reset = element("button", { type: "button", "aria-label": `${name}: default` }, "Default");
     this.reset.onclick = () => this.set(null);
-    foot.append(element("p", { class: "meaning", title: key.change }, `${key.meaning}; ${key.allowed}`), this.reset);
+    foot.append(element("p", { class: "meaning", title: key.change }, key.schema.enum || key.schema.type === "boolean" ? key.meaning : `${key.meaning}; ${key.allowed}`), this.reset);
     this.box.append(label, this.input(id), foot, this.error);
   }
 
@@ -82,6 +83,7 @@ class Control {
     this.put = (value) => {
       if (document.activeElement !== exact) exact.value = value ?? "";
       slider.value = value ?? schema.maximum;
+      slider.dataset.unset = value === null;
     };
     return row;
   }
