@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any
 
 from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
@@ -22,7 +22,8 @@ SILENT_S = 5.0
 LINE_BYTES_MAX = 1 << 18
 """Longest line of the daemon; its status has 4 kB, its settings 9 kB."""
 
-Result = TypeVar("Result")
+LINE_SHARE = 0.2
+"""Pause after each line, as a share of a frame's time: a daemon that floods is read no faster."""
 
 
 class DaemonLink:
@@ -41,6 +42,7 @@ class DaemonLink:
         environ: Mapping[str, str] = os.environ,
     ) -> None:
         self._tell = tell
+        self._pause_s = LINE_SHARE / rate_hz
         self._watch_request = {"ask": "watch", "rate_hz": rate_hz, "page": page}
         self._environ = environ
         self._control = asyncio.Lock()
@@ -81,13 +83,15 @@ class DaemonLink:
                 for kind, content in (await _message(reader)).items():
                     if isinstance(content, dict):
                         self._tell(kind, content)
+                await asyncio.sleep(self._pause_s)
         finally:
             writer.close()
 
     async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         with RuntimeFolder(self._environ, create=False) as folder:
-            opened = asyncio.open_unix_connection(folder.address(NAME), limit=LINE_BYTES_MAX)
-            reader, writer = await asyncio.wait_for(opened, SILENT_S)
+            async with asyncio.timeout(SILENT_S):
+                address = folder.address(NAME)
+                reader, writer = await asyncio.open_unix_connection(address, limit=LINE_BYTES_MAX)
         owner = peer_uid(writer.get_extra_info("socket"))
         if owner != os.geteuid():
             writer.close()
@@ -122,7 +126,8 @@ async def _message(reader: asyncio.StreamReader) -> dict[str, Any]:
     """Return the daemon's next message. InternalError: it has ended, or sends something else."""
     message = None
     try:
-        line = await asyncio.wait_for(reader.readline(), SILENT_S)
+        async with asyncio.timeout(SILENT_S):  # wait_for may swallow a cancellation
+            line = await reader.readline()
         if not line:
             raise InternalError("the daemon has ended; waiting for the next one")
         with suppress(ValueError, RecursionError):
