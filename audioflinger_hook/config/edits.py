@@ -85,9 +85,12 @@ def edited_text(text: str, edits: Edits) -> str:
 
 @dataclass(frozen=True)
 class _Before:
-    """One key before a change: whether it was edited, and its value; None for no such key."""
+    """One key before a change: its value, None for no such key; whether that is to be an edit.
 
-    was_edited: bool
+    What the file holds needs none, until the file is saved with another value.
+    """
+
+    is_edit: bool
     value: Any
 
 
@@ -128,7 +131,7 @@ class LiveEdits:
             raise UsageError("there is nothing to undo; nothing has been changed since the start")
         values = dict(self.values)
         for name, before in self._undo[-1].items():
-            if before.was_edited or name not in self.unsaved:
+            if before.is_edit:
                 values[name] = before.value
             else:
                 values.pop(name, None)
@@ -158,6 +161,8 @@ class LiveEdits:
                 ) from error
             write_bytes_atomically(self._path, changed.encode())
         self.unsaved = frozenset()
+        for change in self._undo:
+            change.update({name: _Before(True, before.value) for name, before in change.items()})
 
     def _text(self) -> str:
         try:

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -42,7 +43,7 @@ def test_a_browser_that_acknowledges_nothing_gets_few_frames_and_then_the_newest
 ) -> None:
     with daemon_socket(tmp_path) as daemon, page(tmp_path, "--rate=60") as served:
         with served.live() as live:
-            frames = []
+            frames: list[Any] = []
             while len(frames) < 4:
                 found = json.loads(live.recv(timeout=LIMIT_S))
                 frames += [found] if "frame" in found else []
@@ -170,6 +171,16 @@ def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
         assert second.stderr.count("\n") == 1
         assert f"{served.host} is in use" in second.stderr
         assert f"--listen 127.0.0.1:{served.port + 1}" in second.stderr
+
+
+def test_a_page_for_the_network_warns_and_still_needs_the_token(tmp_path: Path) -> None:
+    with page(tmp_path, "--listen", "0.0.0.0:0") as served:
+        until(lambda: served.stderr.count("\n") == 2, "warning")
+        assert "0.0.0.0 is open to the network, and HTTP is not encrypted" in served.stderr
+        own = f"127.0.0.1:{served.port}"
+        assert served.request("/", host=own)[0] == 200
+        assert served.request("/metrics", host=own)[0] == 403
+        assert served.request("/", host=f"evil.example:{served.port}")[0] == 403
 
 
 def test_a_page_ends_on_a_signal_and_keeps_its_token_for_the_next_one(tmp_path: Path) -> None:
