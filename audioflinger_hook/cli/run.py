@@ -195,6 +195,7 @@ def _keep_on(
             reporter.tell_engine(*supervisor.engines.playing)
             reporter.tell_page(control.page)
             reporter.report(report, supervisor.states.notes(), supervisor.warnings, now_s)
+            reporter.show_meter(lambda: status_of(supervisor, time.monotonic()), now_s)
             if watchdog.due(supervisor.engines.buffers, report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
