@@ -159,11 +159,14 @@ class LiveControl:
     def _set(self, changes: object) -> None:
         if not isinstance(changes, dict) or not 1 <= len(changes) <= KEYS_MAX:
             raise UsageError(f"set takes 1 to {KEYS_MAX} keys with their values")
+        typed = {}
         for name, value in changes.items():
             described = editable(name).description
             refusal = None if value is None else described.refuse(value)
             if refusal:
                 raise _Refused(name, f"{one_line(str(value), 60)} {refusal}")
+            typed[name] = None if value is None else described.typed(value)
+        changes = typed
         try:
             self._apply(self._edits.with_changes(changes), self._config.muted)
         except CushionError as error:

@@ -150,18 +150,21 @@ class PageServer:
         bearer = self._access.has_bearer(headers.get("Authorization", ""))
         if request.path in self._files:
             return _response(HTTPStatus.OK, *self._files[request.path])
+        full = len(self._clients) >= CLIENTS_MAX
         if request.path == "/session" and bearer:
             response = _response(HTTPStatus.NO_CONTENT, b"", "text/plain")
             response.headers["Set-Cookie"] = self._access.cookie
             return response
+        if request.path == "/session" and cookie and not full:
+            return _response(HTTPStatus.NO_CONTENT, b"", "text/plain")
         if request.path == "/metrics" and (cookie or bearer):
             text = metrics_text(self._clients)
             return _response(HTTPStatus.OK, text, CONTENT_TYPE)
-        if upgrade and cookie:
-            if len(self._clients) < CLIENTS_MAX:
-                return None
-            full = f"{CLIENTS_MAX} pages are open already; close one of them"
-            return _text(HTTPStatus.SERVICE_UNAVAILABLE, full)
+        if upgrade and cookie and not full:
+            return None
+        if request.path in ("/live", "/session") and cookie:
+            reason = f"{CLIENTS_MAX} pages are open already; close one of them"
+            return _text(HTTPStatus.SERVICE_UNAVAILABLE, reason)
         if request.path in ("/session", "/metrics", "/live"):
             needed = "the token is missing or wrong; open the address that `cushion monitor` prints"
             return _text(HTTPStatus.FORBIDDEN, needed)

@@ -165,7 +165,7 @@ def test_two_pages_show_each_others_changes_and_save_keeps_the_comments(
     assert room.config.read_text() == CONFIG
     other.click("#save")
     wait_for(lambda: "gain_db = -12" in room.config.read_text(), "the file")
-    assert room.config.read_text() == CONFIG.replace("-3.0", "-12")
+    assert room.config.read_text() == CONFIG.replace("-3.0", "-12.0")
     page.click("#undo")
     page.click("#undo")
     wait_for(lambda: mine.inner_text() == "-3 dB", "the first value")

@@ -92,7 +92,7 @@ def test_a_change_applies_at_once_and_the_file_changes_only_by_save(daemon: Daem
     assert daemon.config.read_text() == CONFIG
     assert daemon.settings()["unsaved"] == 1
     assert daemon.ask(save=True) == {"done": True}
-    assert daemon.config.read_text() == CONFIG.replace("-3.0", "-9")
+    assert daemon.config.read_text() == CONFIG.replace("-3.0", "-9.0")
     assert daemon.ask(undo=True) == {"done": True}
     assert daemon.value("gain_db") == -3.0
     assert daemon.ask(save=True) == {"done": True}

@@ -24,7 +24,7 @@ from audioflinger_hook.service.status_server import StatusServer
 from tests.support.commands import environment
 from tests.support.recordings import ROOT
 
-LIMIT_S = 20.0
+LIMIT_S = 60.0
 
 STATUS = Status(
     "0.1.0",

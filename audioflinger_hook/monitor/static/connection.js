@@ -36,28 +36,27 @@ export class Connection {
 
   connect() {
     const socket = new WebSocket(`ws://${location.host}/live`);
-    let opened = false;
-    socket.onopen = () => { opened = true; this.socket = socket; };
+    socket.onopen = () => { this.socket = socket; };
     socket.onmessage = (event) => this.take(event.data, socket);
     socket.onclose = () => {
       this.socket = null;
       for (const settle of this.waiting.values()) settle({ error: "the connection is lost; try again" });
       this.waiting.clear();
-      this.explain(opened);
+      this.explain();
       setTimeout(() => this.connect(), RETRY_MS);
     };
   }
 
   /** Say why the websocket does not open: a browser tells its script nothing. */
-  async explain(opened) {
+  async explain() {
     const away = "the page's server is away; start it with `cushion monitor`";
     const closed = "open the whole address that `cushion monitor` prints: it ends with a key after #";
     let text = away;
     try {
-      const answer = await fetch("/live", { cache: "no-store" });
+      const answer = await fetch("/session", { cache: "no-store" });
       if (answer.status === 403) text = closed;
       if (answer.status === 503) text = (await answer.text()).trim();
-      if (answer.ok || opened) text = away;
+      if (answer.ok) text = "the page's server answers again; connecting";
     } catch {
       // no server answers
     }
