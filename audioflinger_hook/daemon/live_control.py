@@ -82,7 +82,7 @@ class LiveControl:
         self._news: tuple[int, dict[str, Any]] = (0, {})
         self._tell()
 
-    def frame(self) -> dict[str, Any]:
+    def frame(self) -> str:
         """Return what changes many times a second; see `frame_of`."""
         return frame_of(self._supervisor)
 

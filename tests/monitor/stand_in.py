@@ -49,10 +49,10 @@ class Settings:
         self.page = ""
         self.frames = 0
 
-    def frame(self) -> dict[str, Any]:
+    def frame(self) -> str:
         self.frames += 1
-        partial = [4400, 1000, 5000]
-        return {"sound": [[-60, -90]] * 2, "vibration": [[-120, -150]], "partials": [partial]}
+        sound, vibration = [[0.5, 0.125]] * 2, [[0.25, 0.03]]
+        return json.dumps({"sound": sound, "vibration": vibration, "partials": [[440, 100, 0.5]]})
 
     def news(self, seen: int) -> tuple[int, dict[str, Any] | None]:
         return 1, None if seen == 1 else {"keys": [], "unsaved": 0, "undo": 0}

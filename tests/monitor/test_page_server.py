@@ -29,7 +29,7 @@ def test_a_browser_is_told_everything_and_its_requests_are_carried_out_in_order(
     with daemon_socket(tmp_path) as daemon, page(tmp_path) as served, served.live() as live:
         assert message(live, "status")["status"]["engine"] == "python"
         frame = message(live, "frame")
-        assert frame["frame"]["partials"] == [[4400, 1000, 5000]]
+        assert frame["frame"]["partials"] == [[440, 100, 0.5]]
         assert daemon.page == served.address
         for number in range(20):
             live.send(json.dumps({"id": number, "set": {"gain_db": -number}}))

@@ -96,6 +96,7 @@ class _Layout(ctypes.Structure):
 _PARTIALS, _PARTIALS_AT = struct.Struct(f"=2Q{3 * PARTIALS}d"), _Layout.partials.offset
 _SEQUENCE = struct.Struct("=Q")
 _CHANNELS = struct.Struct(f"={2 * CHANNELS}d")
+_ACTUATOR, _ACTUATORS_AT = struct.Struct("=Q3d"), _Layout.actuators.offset
 _CHANNELS_AT = _Layout.readings.offset + _TransformReadings.channels.offset
 
 
@@ -190,10 +191,11 @@ class Page:
         found = self._page.actuators[slot]
         return level_of(found.peak, found.square)
 
-    def reading(self, slot: int) -> Reading:
-        """Return peak and mean square of an actuator."""
-        found = self._page.actuators[slot]
-        return found.peak, found.square
+    def actuator_readings(self, count: int) -> list[Reading]:
+        """Return peak and mean square of the first actuators, as they are played."""
+        end = _ACTUATORS_AT + count * _ACTUATOR.size
+        found = _ACTUATOR.iter_unpack(memoryview(self._memory)[_ACTUATORS_AT:end])
+        return [(peak, square) for _, peak, square, _ in found]
 
     def channel_readings(self) -> list[Reading]:
         """Return peak and mean square of each channel of the tap."""

@@ -36,6 +36,10 @@ function listen(kind, content) {
     arrivedAt = performance.now();
     waterfall.add(frame.partials, arrivedAt);
     window.cushion.partials = frame.partials;
+    if (status && status.state !== content.state) {
+      status = { ...status, state: content.state, reason: "" };
+      showState();
+    }
   } else if (kind === "traffic") {
     traffic = content;
   } else if (kind === "status") {
@@ -49,11 +53,13 @@ function listen(kind, content) {
   }
 }
 
+/** Levels in dBFS, partials with names, the strongest first. */
 function readable(content) {
-  const tenths = (levels) => levels.map(([peak, rms]) => [peak / 10, rms / 10]);
-  const partials = content.partials.map(([audio, felt, amplitude]) => ({ audio: audio / 10, felt: felt / 10, amplitude: amplitude / 1e4 }));
+  const decibels = (power) => Math.max(-150, 10 * Math.log10(power));
+  const levels = (readings) => readings.map(([peak, square]) => [decibels(peak * peak), decibels(square)]);
+  const partials = content.partials.map(([audio, felt, amplitude]) => ({ audio, felt, amplitude }));
   partials.sort((one, other) => other.amplitude - one.amplitude);
-  return { sound: tenths(content.sound), vibration: tenths(content.vibration), partials };
+  return { sound: levels(content.sound), vibration: levels(content.vibration), partials };
 }
 
 function showState() {
