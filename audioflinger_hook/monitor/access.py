@@ -134,9 +134,9 @@ class Access:
         given = [value for name, _, value in pairs if name == self.cookie_name]
         return len(given) == 1 and self.is_token(given[0])
 
-    def has_bearer(self, header: str) -> bool:
-        """Whether an Authorization header holds the token."""
-        scheme, _, given = header.partition(" ")
+    def has_bearer(self, headers: list[str]) -> bool:
+        """Whether the only Authorization header holds the token."""
+        scheme, _, given = headers[0].partition(" ") if len(headers) == 1 else ("", "", "")
         return scheme.lower() == "bearer" and self.is_token(given.strip())
 
     @property

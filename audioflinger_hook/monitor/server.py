@@ -147,7 +147,7 @@ class PageServer:
         if refusal:
             return _text(HTTPStatus.FORBIDDEN, refusal)
         cookie = self._access.has_cookie("; ".join(headers.get_all("Cookie")))
-        bearer = self._access.has_bearer(headers.get("Authorization", ""))
+        bearer = self._access.has_bearer(headers.get_all("Authorization"))
         if request.path in self._files:
             return _response(HTTPStatus.OK, *self._files[request.path])
         full = len(self._clients) >= CLIENTS_MAX

@@ -117,6 +117,13 @@ def test_a_wrong_bearer_gets_no_cookie(served: Page, given: str) -> None:
     assert "Set-Cookie" not in answer
 
 
+def test_two_bearers_get_no_cookie(served: Page) -> None:
+    header = f"Authorization: Bearer {served.token}"
+    status, answer = served.request("/session", header, header)
+    assert status == FORBIDDEN
+    assert "Set-Cookie" not in answer
+
+
 def test_the_token_becomes_a_cookie_that_no_script_and_no_other_site_can_use(served: Page) -> None:
     status, answer = served.request("/session", f"Authorization: Bearer {served.token}")
     assert status == 204

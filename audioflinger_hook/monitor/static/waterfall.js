@@ -68,7 +68,7 @@ export class Waterfall {
         const tall = (2 + 8 * strong) * ratio, middle = (bottom - share(one.felt, LOW, HIGH) * (bottom - TOP)) * ratio;
         context.globalAlpha = 0.28 * strong;
         context.fillRect(x, middle - tall, wide, 2 * tall);
-        context.globalAlpha = strong * strong;
+        context.globalAlpha = strong ** 1.4;
         context.fillRect(x, middle - tall / 2, wide, tall);
       }
     });
