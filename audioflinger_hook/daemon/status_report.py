@@ -9,8 +9,10 @@ from dataclasses import replace
 from audioflinger_hook import __version__
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.figures import with_native
+from audioflinger_hook.daemon.native.page import Shown
+from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
-from audioflinger_hook.service.meters import Reading, level_of
+from audioflinger_hook.service.meters import level_of
 from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import (
     ActuatorFigures,
@@ -107,34 +109,37 @@ def frame_of(supervisor: Supervisor) -> str:
     delay_ms: of the delay line, null with the native engine. All of this costs a few calls, as it
     is done 30 times a second beside the audio.
     """
-    engine, native = supervisor.engine, supervisor.engines.switch.native
-    state = supervisor.states.state
+    engines, state, config = supervisor.engines, supervisor.states.state, supervisor.config
+    engine, native = engines.python, engines.switch.native
+    plays = state is DaemonState.RUNNING
     delay_ms = "null"
-    sound: Sequence[Reading] = ()
-    vibration: Sequence[Reading] = ()
+    shown = None
     if native is not None and native.audible:
-        page, plan = native.page, native.plan
-        if state is DaemonState.RUNNING and page is not None and plan is not None:
-            sound = page.channel_readings()
-            vibration = page.actuator_readings(len(plan.actuators))
+        shown = native.shown if plays else None
     elif engine is not None:
         delay_ms = f"{1e3 * engine.delay_line.status.delay_s:.1f}"
-        if state is DaemonState.RUNNING:
-            sound = engine.sound.meter.channel_readings()
-            vibration = [one.meter.reading() for one in engine.driven or (engine.vibration,)]
-    if supervisor.is_muted:
+        shown = _shown_of(engine) if plays else None
+    sound, vibration, partials = shown or ((), (), ())
+    if config.muted:
         vibration = [(0.0, 0.0)] * len(vibration)
     return _FRAME % (
         state.value,
         ", ".join(map(_PAIR, sound)),
         ", ".join(map(_PAIR, vibration)),
-        ", ".join(map(_TRIPLE, _principal(supervisor))),
+        ", ".join(map(_TRIPLE, _as_played(partials, config))),
         delay_ms,
     )
 
 
+def _shown_of(engine: Engine) -> Shown:
+    return (
+        engine.sound.meter.channel_readings(),
+        [one.meter.reading() for one in engine.driven or (engine.vibration,)],
+        [*engine.framework.principal],
+    )
+
+
 def _principal(supervisor: Supervisor) -> Sequence[tuple[float, float, float]]:
-    """Return what the latest hop vibrates, at the level that is played."""
     engine, native = supervisor.engine, supervisor.engines.switch.native
     told: Sequence[tuple[float, float, float]] = ()
     if supervisor.states.state is DaemonState.RUNNING:
@@ -142,10 +147,18 @@ def _principal(supervisor: Supervisor) -> Sequence[tuple[float, float, float]]:
             told = native.page.principal() if native.page else ()
         elif engine is not None:
             told = engine.framework.principal
-    level = 0.0 if supervisor.is_muted else db_to_amplitude(supervisor.settings.gain_db)
-    if level == 1.0:
-        return told
-    return [(audio_hz, hz, level * amplitude) for audio_hz, hz, amplitude in told]
+    return _as_played(told, supervisor.config)
+
+
+def _as_played(
+    partials: Sequence[tuple[float, float, float]], config: RunConfig
+) -> Sequence[tuple[float, float, float]]:
+    """Return partials at the level that is played."""
+    gain_db = config.settings.gain_db
+    if gain_db == 0.0 and not config.muted:
+        return partials
+    level = 0.0 if config.muted else db_to_amplitude(gain_db)
+    return [(audio_hz, hz, level * amplitude) for audio_hz, hz, amplitude in partials]
 
 
 def _worst_protection(engine: Engine) -> ProtectionFigures | None:

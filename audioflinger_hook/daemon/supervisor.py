@@ -124,6 +124,11 @@ class Supervisor:
         return self._config.settings
 
     @property
+    def config(self) -> RunConfig:
+        """The config that applies."""
+        return self._config
+
+    @property
     def is_muted(self) -> bool:
         """Whether no vibration is played."""
         return self._config.muted

@@ -245,10 +245,12 @@ def test_partials_that_are_being_written_are_not_read(tmp_path: Path) -> None:
     told.sequence, told.count = 2, 1
     told.partials[0][:] = (440.0, 100.0, 0.25)
     assert page.principal() == [(440.0, 100.0, 0.25)]
+    assert page.shown(1) == ([(0.0, 0.0)] * 2, [(0.0, 0.0)], page.principal())
     told.sequence = 3  # odd: the plugin is writing
     assert page.principal() == []
+    assert page.shown(1)[2] == []
     told.sequence, told.count = 4, 1 << 40  # of a plugin gone wrong
-    assert len(page.principal()) == page_module.PARTIALS
+    assert len(page.principal()) == len(page.shown(1)[2]) == page_module.PARTIALS
     page.close()
 
 

@@ -95,9 +95,14 @@ class _Layout(ctypes.Structure):
 # Read with one call each: a page asks many times a second.
 _PARTIALS, _PARTIALS_AT = struct.Struct(f"=2Q{3 * PARTIALS}d"), _Layout.partials.offset
 _SEQUENCE = struct.Struct("=Q")
+_SHOWN = struct.Struct(f"={2 * CHANNELS}d2Q{3 * PARTIALS}d")  # channels and partials are neighbours
 _CHANNELS = struct.Struct(f"={2 * CHANNELS}d")
 _ACTUATOR, _ACTUATORS_AT = struct.Struct("=Q3d"), _Layout.actuators.offset
 _CHANNELS_AT = _Layout.readings.offset + _TransformReadings.channels.offset
+
+
+Shown = tuple[list[Reading], list[Reading], list[tuple[float, float, float]]]
+"""Readings of channels and of actuators, and the partials."""
 
 
 @dataclass(frozen=True)
@@ -190,6 +195,31 @@ class Page:
         """Return the level of an actuator."""
         found = self._page.actuators[slot]
         return level_of(found.peak, found.square)
+
+    def shown(self, actuators: int) -> Shown:
+        """Return what a page shows, of the first actuators: one read, as it asks often."""
+        for _ in range(READ_TRIES):
+            found = _SHOWN.unpack_from(self._memory, _CHANNELS_AT)
+            (again,) = _SEQUENCE.unpack_from(self._memory, _PARTIALS_AT)
+            sequence = found[2 * CHANNELS]
+            if sequence == again and not sequence % 2:
+                break
+        else:
+            found = (*found[: 2 * CHANNELS + 1], 0)
+        first = 2 * CHANNELS + 2
+        last = first + 3 * min(found[first - 1], PARTIALS)
+        return (
+            [*zip(found[: 2 * self._channels : 2], found[1 : 2 * self._channels : 2], strict=True)],
+            self.actuator_readings(actuators),
+            [
+                *zip(
+                    found[first:last:3],
+                    found[first + 1 : last : 3],
+                    found[first + 2 : last : 3],
+                    strict=True,
+                )
+            ],
+        )
 
     def actuator_readings(self, count: int) -> list[Reading]:
         """Return peak and mean square of the first actuators, as they are played."""
