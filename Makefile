@@ -7,15 +7,16 @@ PYTEST_ARGS ?=
 # that tests start would compile every module again.
 unexport PYTHONPATH PYTHONHOME PYTHONDONTWRITEBYTECODE
 
-.PHONY: help run test test-all test-exhaustive test-servers test-usb soak bench clean
+.PHONY: help run test test-all test-exhaustive test-servers test-browser test-usb soak bench clean
 .NOTPARALLEL:
 
 help:
 	@echo 'make run     set up and play the demo scene; results in out/'
 	@echo 'make test    set up, check style and types, run the fast tests (PYTEST_ARGS="..." for pytest)'
-	@echo 'make test-all    the fast tests and the three sets below'
+	@echo 'make test-all    the fast tests and the four sets below'
 	@echo 'make test-exhaustive   more cases of the same properties'
 	@echo 'make test-servers      live sound, on sound servers of its own'
+	@echo 'make test-browser      the live page, in a browser, on a sound server of its own'
 	@echo 'make test-usb          USB sound cards of a real kernel, in a virtual machine'
 	@echo 'make soak    the tests that take minutes'
 	@echo 'make bench   measure speed and error on this machine'
@@ -34,13 +35,14 @@ test:
 	.venv/bin/python -m mypy --strict
 	.venv/bin/python -m pytest -n auto --dist loadfile $(PYTEST_ARGS)
 
-test-all: test test-exhaustive test-servers test-usb
+test-all: test test-exhaustive test-servers test-browser test-usb
 
 test-exhaustive:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_usb_mock.sh
-	.venv/bin/python -m pytest -m "exhaustive and not soak and not servers and not usbvm" \
+	.venv/bin/python -m pytest \
+	    -m "exhaustive and not soak and not servers and not usbvm and not browser" \
 	    -n auto --dist loadfile $(PYTEST_ARGS)
 
 test-servers:
@@ -54,6 +56,12 @@ test-servers:
 	.venv/bin/python -m pytest -m "servers and calm" $(PYTEST_ARGS) tests/servers || failed=1; \
 	exit $$failed
 
+test-browser:
+	@sh tools/setup.sh test
+	@sh tools/fetch_servers.sh
+	@sh tools/fetch_browser.sh
+	.venv/bin/python -m pytest -m "browser and not soak" $(PYTEST_ARGS) tests/browser
+
 test-usb:
 	@sh tools/setup.sh test
 	@sh tools/fetch_servers.sh
@@ -64,6 +72,7 @@ soak:
 	@sh tools/setup.sh test
 	@sh tools/fetch_recordings.sh
 	@sh tools/fetch_servers.sh
+	@sh tools/fetch_browser.sh
 	.venv/bin/python -m pytest -m soak $(PYTEST_ARGS)
 
 bench:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from audioflinger_hook.cli.terminal import complain, warn
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.edits import Edits
 from audioflinger_hook.config.profiles import LIVE_DEFAULT, OFFLINE_DEFAULT
 from audioflinger_hook.config.schema import json_schema
 from device.errors import UsageError
@@ -39,9 +40,14 @@ def run(options: argparse.Namespace) -> int:
     return UsageError.exit_code if mistakes else 0
 
 
-def load_config(path: Path, default_profile: str = OFFLINE_DEFAULT) -> config.Config:
-    """Return a config file's content and warn of keys with old names. Arguments: as `load`."""
-    found = config.load(path, default_profile)
+def load_config(
+    path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None
+) -> config.Config:
+    """Return a config file's content with edits, and warn of keys with old names.
+
+    Arguments and errors: as `load`.
+    """
+    found = config.load(path, default_profile, edits)
     if found.warning:
         _warn_once(f"{path}: {found.warning}")
     return found

@@ -126,6 +126,12 @@ def _status(command: Parser) -> None:
     _json(command)
 
 
+def _monitor(command: Parser) -> None:
+    _value(command, "--listen", str, "HOST:PORT", "address to serve at", "127.0.0.1:8765")
+    _switch(command, "--open", "open it in a browser")
+    _value(command, "--rate", float, "HZ", "frames a second, 1 to 60", 30.0)
+
+
 def _usb(command: Parser) -> None:
     does = "describe: show descriptors; set: set volume, samplerate and mute, without a driver"
     command.add_argument("does", choices=("describe", "set"), metavar="describe|set", help=does)
@@ -283,6 +289,7 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str, str]] = {
         "--device usb:152a:8750 --profile cinema",
     ),
     "status": (_status, "show the state of the running daemon", "--watch"),
+    "monitor": (_monitor, "serve the live page of the running daemon", "--open"),
     "devices": (_json, "list outputs and playing applications", ""),
     "usb": (_usb, "decode a USB audio device, or a dump of one", "describe usb:152a:8750"),
     "test-tone": (

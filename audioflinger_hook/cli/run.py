@@ -16,10 +16,12 @@ from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
 from audioflinger_hook.cli.signals import Signals, freeze_loaded_objects
 from audioflinger_hook.config import file as config
+from audioflinger_hook.config.edits import Edits, LiveEdits
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.engine import Clocks
+from audioflinger_hook.daemon.live_control import LiveControl
 from audioflinger_hook.daemon.recording import RunRecording
-from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, RunConfig
+from audioflinger_hook.daemon.run_config import LIVE_TAPS, PACED_TAPS, ConfigDiff, RunConfig
 from audioflinger_hook.daemon.status_report import status_of
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.daemon.wake import Wake
@@ -54,13 +56,27 @@ def run(options: argparse.Namespace) -> int:
             run_config = dataclasses.replace(run_config, recording=recording)
         supervisor = Supervisor(run_config, clocks, wake, folder.path)
         signals.on_spinning = supervisor.priority.revoke
+        edits = LiveEdits(options.config or config.default_path())
 
-        def follow_config(now_s: float) -> str:
+        def follow(values: Edits, muted: bool) -> tuple[RunConfig, ConfigDiff]:
+            """Read the config again, with edits, and apply it."""
+            again = _run_config(options, values)
+            again = dataclasses.replace(again, recording=recording, muted=muted)
+            changes = supervisor.follow(again, time.monotonic())
+            lock.write(dataclasses.replace(holder, device=str(again.device)))
+            return again, changes
+
+        def follow_edits(values: Edits, muted: bool) -> RunConfig:
+            """Apply what a page changes."""
+            return follow(values, muted)[0]
+
+        def follow_config(_now_s: float) -> str:
             """Reload the config and return the changes."""
-            run_config = dataclasses.replace(_run_config(options), recording=recording)
-            changes = supervisor.follow(run_config, now_s)
-            lock.write(dataclasses.replace(holder, device=str(run_config.device)))
+            again, changes = follow(edits.values, supervisor.is_muted)
+            control.reloaded(again)
             return str(changes)
+
+        control = LiveControl(supervisor, edits, follow_edits, wake.ring, run_config)
 
         with recording or nullcontext():
             ended_well = False
@@ -70,28 +86,33 @@ def run(options: argparse.Namespace) -> int:
                 if recording:
                     recording.begin()
                 with StatusServer(
-                    folder, lambda: status_of(supervisor, time.monotonic()), time.monotonic
+                    folder, lambda: status_of(supervisor, time.monotonic()), time.monotonic, control
                 ):
-                    _keep_on(supervisor, options.seconds, wake, signals, follow_config)
+                    _keep_on(supervisor, control, options.seconds, wake, signals, follow_config)
                 ended_well = True
             except KeyboardInterrupt:
                 ended_well = True
                 raise
             finally:
+                control.close()
                 supervisor.close(time.monotonic(), keep=ended_well)
     return 0
 
 
-def _run_config(options: argparse.Namespace) -> RunConfig:
-    """Return the run's configuration from config and options; options take precedence."""
+def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunConfig:
+    """Return the run's configuration from config and options; options take precedence.
+
+    edits: values that take precedence over both.
+    """
     path = options.config or config.default_path()
-    if options.config or path.exists():
-        found = load_config(path, options.default_profile)
+    edits = edits or {}
+    if options.config or path.exists() or edits:
+        found = load_config(path, options.default_profile, edits or None)
     else:
         found = config.Config(Settings(profile=options.default_profile))
     settings, live = found.settings, found.live
     names = ("profile", "rig", "damping", "protection", "model", "tolerance")
-    chosen = {name: getattr(options, name) for name in names}
+    chosen = {name: getattr(options, name) for name in names if name not in edits}
     settings = settings.choosing(**{name: c for name, c in chosen.items() if c is not None})
     given = {
         "tap": tuple(str(parse_tap(text)) for text in options.tap) if options.tap else None,
@@ -101,11 +122,10 @@ def _run_config(options: argparse.Namespace) -> RunConfig:
         "engine": options.engine,
         "device_volume_db": options.device_volume_db,
     }
-    live = dataclasses.replace(
-        live, **{name: value for name, value in given.items() if value not in (None, "off")}
-    )
-    if options.device_volume_db == "off":
-        live = dataclasses.replace(live, device_volume_db=None)
+    kept = {n: value for n, value in given.items() if value is not None and n not in edits}
+    if kept.get("device_volume_db") == "off":
+        kept["device_volume_db"] = None
+    live = dataclasses.replace(live, **kept)
     if live.device is None:
         raise UsageError(
             "no device to play the vibration to; `cushion devices` lists them: name one with "
@@ -153,6 +173,7 @@ def _check_overwriting(tap: TapAddress, device: DeviceAddress) -> None:
 
 def _keep_on(
     supervisor: Supervisor,
+    control: LiveControl,
     seconds: float,
     wake: Wake,
     signals: Signals,
@@ -173,10 +194,13 @@ def _keep_on(
             if signals.reload:
                 signals.reload = False
                 supervisor.config_error = reporter.reload(follow_config, now_s)
+            control.work()
             supervisor.tick(now_s)
             report = supervisor.states.report(now_s)
             reporter.tell_engine(*supervisor.engines.playing)
+            reporter.tell_page(control.page)
             reporter.report(report, supervisor.states.notes(), supervisor.warnings, now_s)
+            reporter.show_meter(lambda: status_of(supervisor, time.monotonic()), now_s)
             if watchdog.due(supervisor.engines.buffers, report.state, now_s):
                 reporter.notifier.send("WATCHDOG=1")
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))

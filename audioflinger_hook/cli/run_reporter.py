@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
+import shutil
 import sys
 from collections.abc import Callable, Hashable
 
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.service.state import Note, StateReport
+from audioflinger_hook.service.status import Status
+from audioflinger_hook.service.status_view import meter_line
 from audioflinger_hook.service.systemd import Notifier
 from device.errors import CushionError
 
@@ -16,6 +21,9 @@ AT_ONCE = 5
 
 EVERY_S = 10.0
 """Average time between messages of one kind."""
+
+METER_S = 0.1
+"""Time between two drawings of the meter."""
 
 KINDS_MAX = 100
 """Largest number of kinds; all further kinds count as one."""
@@ -28,6 +36,9 @@ class RunReporter:
         self.notifier = Notifier()
         self._state = ""
         self._engine = ""
+        self._page = ""
+        self._has_meter = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+        self._drawn_s = -math.inf
         self._warnings: dict[str, str] = {}
         self._rate_limit = RateLimit()
 
@@ -58,6 +69,7 @@ class RunReporter:
         for warning in warnings:
             kind = re.sub(r"\d+", "0", warning)
             if kind not in told:
+                self._clear_meter()
                 warn(warning)
             self._warnings[kind] = told.get(kind, warning)
 
@@ -70,6 +82,24 @@ class RunReporter:
         if engine and text != self._engine:
             self._engine = text
             self._print(text)
+
+    def tell_page(self, address: str) -> None:
+        """Report the address of a page that serves, once; "" for none.
+
+        The part after `#` opens it, so only a terminal is told that.
+        """
+        shown = address if sys.stderr.isatty() else address.partition("#")[0]
+        if shown and shown != self._page:
+            self._print(f"the live page: {shown}")
+        self._page = shown
+
+    def show_meter(self, status: Callable[[], Status], now_s: float) -> None:
+        """Draw levels in the last line of a terminal, a few times a second; nothing elsewhere."""
+        if self._has_meter and now_s - self._drawn_s >= METER_S:
+            self._drawn_s = now_s
+            width = shutil.get_terminal_size().columns - 1
+            sys.stderr.write(f"\r\x1b[K{meter_line(status(), width)}")
+            sys.stderr.flush()
 
     def reload(self, follow_config: Callable[[float], str], now_s: float) -> str:
         """Reload the config and report the changes; return why it failed, or ""."""
@@ -87,11 +117,18 @@ class RunReporter:
     def end(self, warnings: list[str]) -> None:
         """Report new warnings, and notify systemd of the end."""
         self.notifier.send("STOPPING=1")
+        self._clear_meter()
+        self._has_meter = False
         for warning in warnings:
             if warning not in self._warnings.values():
                 warn(warning)
 
+    def _clear_meter(self) -> None:
+        if self._has_meter:
+            sys.stderr.write("\r\x1b[K")
+
     def _print(self, text: str) -> None:
+        self._clear_meter()
         print(f"cushion: {text}", file=sys.stderr, flush=True)
 
 

@@ -9,6 +9,7 @@ from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from audioflinger_hook.config.edits import Edits, apply_edits
 from audioflinger_hook.config.profiles import OFFLINE_DEFAULT, parameters_of, values_of
 from audioflinger_hook.config.schema import (
     ACTUATOR,
@@ -73,12 +74,12 @@ def default_path() -> Path:
     return Path(base).expanduser() / "cushion" / "config.toml"
 
 
-def load(path: Path, default_profile: str = OFFLINE_DEFAULT) -> Config:
-    """Return the content of a config file. default_profile: if the file names none.
+def load(path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None) -> Config:
+    """Return the content of a config file with edits; see `check`.
 
     UsageError: the file cannot be read or has mistakes; the message has the first and the count.
     """
-    config, mistakes = check(path, default_profile)
+    config, mistakes = check(path, default_profile, edits)
     if config is None:
         more = f" (and {len(mistakes) - 1} more; see `cushion check --config {path}`)"
         raise UsageError(f"{path}: {mistakes[0]}{more if mistakes[1:] else ''}")
@@ -86,15 +87,17 @@ def load(path: Path, default_profile: str = OFFLINE_DEFAULT) -> Config:
 
 
 def check(
-    path: Path, default_profile: str = OFFLINE_DEFAULT
+    path: Path, default_profile: str = OFFLINE_DEFAULT, edits: Edits | None = None
 ) -> tuple[Config | None, list[Mistake]]:
     """Return a file's content and an empty list, or None and every mistake in order of lines.
 
-    default_profile: if the file names none.
+    default_profile: if the file names none. edits: values that replace those of the file, which may
+    then be missing.
     UsageError: the file cannot be read, or is not text.
     """
-    text = _text_of(path)
+    text = _text_of(path) if edits is None or path.exists() else ""
     document, mistakes = _parse(text)
+    apply_edits(document, edits or {})
     reading = _Reading(_lines_of_keys(text), path.parent, mistakes, default_profile)
     reading.read(document)
     reading.find_contradictions()

@@ -66,7 +66,7 @@ class Engine:
     silent arrived. faded: whether the latest measured vibration is below FADED. sound, vibration:
     levels of the mix, and of the vibration before the drive. driven: level of each named actuator.
     before_fill: called by `fill` before it reads; set it before the first `fill`. fade: of what
-    `fill` writes; silent: whether it begins with silence.
+    `fill` writes; silent: whether it begins with silence. mute: the user's fade, after that one.
     """
 
     def __init__(
@@ -110,6 +110,7 @@ class Engine:
         self.frames_max = self.framework.mixer.frames
         self.before_fill: Callable[[], None] = lambda: None
         self.fade = SoftFade(output_samplerate, audible=not silent)
+        self.mute = SoftFade(output_samplerate)
         self.filled_s = -math.inf
         self.faded = True
         self.last_sound_s = now_s
@@ -223,6 +224,8 @@ class Engine:
         out[:] = self._read[start : self._start]
         if not (self.fade.audible and self.fade.position == 1.0):
             self.fade.apply(out)
+        if not (self.mute.audible and self.mute.position == 1.0):
+            self.mute.apply(out)
 
     def _read_on(self, frames: int, now_s: float) -> None:
         """Read `frames` frames from the delay line, and more if they are already available."""

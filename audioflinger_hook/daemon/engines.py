@@ -94,6 +94,8 @@ class Engines:
     def follow(self, config: RunConfig) -> None:
         """Use another config."""
         self._config = config
+        if self.python is not None:
+            self.python.mute.audible = not config.muted
         self.switch.follow(config)
 
     def drop(self) -> None:
@@ -205,6 +207,7 @@ class Engines:
                 on_step=on_step,
                 on_mix=on_mix,
             )
+            engine.mute.audible = not self._config.muted
             feed.serve(engine)
             self._endpoints.output.set_format(engine.samplerate, engine.drive.outputs)
         elif not self._endpoints.output.is_open:

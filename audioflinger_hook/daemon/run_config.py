@@ -29,7 +29,8 @@ class RunConfig:
     tap: where sound comes from. device: where vibration goes. settings: how vibration is made from
     sound. live: all other settings; its device is not used here, and its tap only for applications.
     recording: records the run; the code that made it begins and closes it. past_server: whether a
-    USB device is opened as a card, because no sound server answers.
+    USB device is opened as a card, because no sound server answers. muted: whether no vibration is
+    played.
     """
 
     tap: TapAddress
@@ -38,6 +39,7 @@ class RunConfig:
     live: LiveSettings
     recording: RunRecording | None = None
     past_server: bool = False
+    muted: bool = False
 
     @property
     def tap_is_live(self) -> bool:
@@ -84,11 +86,12 @@ class RunConfig:
 class ConfigDiff:
     """The differences of two configs, grouped by what the change interrupts.
 
-    These changes interrupt nothing: level, volume (of the device), priority (used for streams
-    opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A change of
-    transform fades out and restarts after the transform's latency. tap and device reopen one
-    stream, drop_in the virtual sink, blocks both streams, engine everything except the connection.
-    way is the choice of the native or the Python engine, which hands over without a gap.
+    These changes interrupt nothing: level and mute, volume (of the device), priority (used for
+    streams opened later), actuators (faded) and offset (the delay jumps, faded over 5 ms). A
+    change of transform fades out and restarts after the transform's latency. tap and device reopen
+    one stream, drop_in the virtual sink, blocks both streams, engine everything except the
+    connection. way is the choice of the native or the Python engine, which hands over without a
+    gap.
     """
 
     level: bool = False
@@ -122,7 +125,8 @@ class ConfigDiff:
         if actuators_change:
             unaffected = replace(unaffected, actuators=before.actuators)
         return cls(
-            level=any(getattr(after, name) != value for name, value in levels.items()),
+            level=old.muted != new.muted
+            or any(getattr(after, name) != value for name, value in levels.items()),
             actuators=actuators_change and before.actuators != after.actuators,
             volume=old.live.device_volume_db != new.live.device_volume_db,
             offset=old.live.offset_ms != new.live.offset_ms,

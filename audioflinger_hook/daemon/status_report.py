@@ -9,7 +9,11 @@ from dataclasses import replace
 from audioflinger_hook import __version__
 from audioflinger_hook.daemon.engine import Engine
 from audioflinger_hook.daemon.native.figures import with_native
+from audioflinger_hook.daemon.native.page import Shown
+from audioflinger_hook.daemon.run_config import RunConfig
 from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.service.meters import level_of
+from audioflinger_hook.service.state import DaemonState
 from audioflinger_hook.service.status import (
     ActuatorFigures,
     DelayLineFigures,
@@ -18,11 +22,17 @@ from audioflinger_hook.service.status import (
     ExposureFigures,
     LatencyBudget,
     Levels,
+    Partial,
     ProtectionFigures,
     Status,
     Xruns,
 )
 from device.drive.rig_processor import RigProcessor
+from device.units import db_to_amplitude
+
+_FRAME = '{"state": "%s", "sound": [%s], "vibration": [%s], "partials": [%s], "delay_ms": %s}'
+_PAIR = "[%.4g, %.4g]".__mod__
+_TRIPLE = "[%.5g, %.5g, %.4g]".__mod__
 
 
 def status_of(supervisor: Supervisor, now_s: float) -> Status:
@@ -45,6 +55,9 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         engine_pid=native.process_id if native else 0,
         volume_db=supervisor.engines.volume_db,
         device_rate=_device_rate(supervisor),
+        applications=supervisor.applications,
+        muted=supervisor.is_muted,
+        principal=tuple(Partial(*partial) for partial in _principal(supervisor)),
     )
     if native is not None and native.audible:
         return with_native(status, native, supervisor.settings, supervisor.offset_s)
@@ -55,7 +68,11 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
     ms, drive = 1e3 / engine.samplerate, engine.drive
     return replace(
         status,
-        levels=Levels(engine.sound.meter.level(), engine.vibration.meter.level()),
+        levels=Levels(
+            engine.sound.meter.level(),
+            engine.vibration.meter.level(),
+            tuple(level_of(*one) for one in engine.sound.meter.channel_readings()),
+        ),
         latency=LatencyBudget.of(
             tap_ms=1e3 * tap_s,
             transform_ms=1e3 * engine.framework.latency_s,
@@ -89,6 +106,66 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
 def _device_rate(supervisor: Supervisor) -> DeviceRateFigures | None:
     found = supervisor.device_rate
     return DeviceRateFigures(found.nominal_hz, found.measured_hz, found.ppm) if found else None
+
+
+def frame_of(supervisor: Supervisor) -> str:
+    """Return what a page shows many times a second, as JSON.
+
+    Any thread may call it; audio threads do not wait for it. sound, vibration: peak and mean square
+    of each channel and of each actuator. partials: Hz of the sound, Hz of the vibration, amplitude.
+    delay_ms: of the delay line, null with the native engine. All of this costs a few calls, as it
+    is done 30 times a second beside the audio.
+    """
+    engines, state, config = supervisor.engines, supervisor.states.state, supervisor.config
+    engine, native = engines.python, engines.switch.native
+    plays = state is DaemonState.RUNNING
+    delay_ms = "null"
+    shown = None
+    if native is not None and native.audible:
+        shown = native.shown if plays else None
+    elif engine is not None:
+        delay_ms = f"{1e3 * engine.delay_line.status.delay_s:.1f}"
+        shown = _shown_of(engine) if plays else None
+    sound, vibration, partials = shown or ((), (), ())
+    if config.muted:
+        vibration = [(0.0, 0.0)] * len(vibration)
+    return _FRAME % (
+        state.value,
+        ", ".join(map(_PAIR, sound)),
+        ", ".join(map(_PAIR, vibration)),
+        ", ".join(map(_TRIPLE, _as_played(partials, config))),
+        delay_ms,
+    )
+
+
+def _shown_of(engine: Engine) -> Shown:
+    return (
+        engine.sound.meter.channel_readings(),
+        [one.meter.reading() for one in engine.driven or (engine.vibration,)],
+        [*engine.framework.principal],
+    )
+
+
+def _principal(supervisor: Supervisor) -> Sequence[tuple[float, float, float]]:
+    engine, native = supervisor.engine, supervisor.engines.switch.native
+    told: Sequence[tuple[float, float, float]] = ()
+    if supervisor.states.state is DaemonState.RUNNING:
+        if native is not None and native.audible:
+            told = native.page.principal() if native.page else ()
+        elif engine is not None:
+            told = engine.framework.principal
+    return _as_played(told, supervisor.config)
+
+
+def _as_played(
+    partials: Sequence[tuple[float, float, float]], config: RunConfig
+) -> Sequence[tuple[float, float, float]]:
+    """Return partials at the level that is played."""
+    gain_db = config.settings.gain_db
+    if gain_db == 0.0 and not config.muted:
+        return partials
+    level = 0.0 if config.muted else db_to_amplitude(gain_db)
+    return [(audio_hz, hz, level * amplitude) for audio_hz, hz, amplitude in partials]
 
 
 def _worst_protection(engine: Engine) -> ProtectionFigures | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.daemon.applications import applications_in
 from audioflinger_hook.daemon.drop_in_control import DropInControl
 from audioflinger_hook.daemon.endpoints import Endpoints
 from audioflinger_hook.daemon.engine import Clocks, Engine
@@ -17,6 +18,7 @@ from audioflinger_hook.daemon.timing import IdlePolicy, StallDetector
 from audioflinger_hook.daemon.wake import Nudge, Wake
 from audioflinger_hook.pipeline.framework import Framework, drive_of
 from audioflinger_hook.service.state import Cause, DaemonState, StateKeeper
+from audioflinger_hook.service.status import Application
 from device.alsa.usb_stream import MeasuredRate
 from device.errors import CushionError, LostError, NotFoundError
 from device.server import PulseConnection, ServerSnapshot
@@ -126,6 +128,24 @@ class Supervisor:
     def settings(self) -> Settings:
         """The settings of the vibration."""
         return self._config.settings
+
+    @property
+    def config(self) -> RunConfig:
+        """The config that applies."""
+        return self._config
+
+    @property
+    def is_muted(self) -> bool:
+        """Whether no vibration is played."""
+        return self._config.muted
+
+    @property
+    def applications(self) -> tuple[Application, ...]:
+        """The applications that have a stream; any thread may ask."""
+        connection, (source, device) = self._link.connection, self._found
+        haptic = device.name if device and self._output.needs_server else None
+        seen = connection.latest if connection else None
+        return applications_in(seen, self._config.rules, source, haptic)
 
     @property
     def _delay_s(self) -> float:

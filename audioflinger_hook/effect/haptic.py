@@ -12,6 +12,7 @@ from audioflinger_hook.effect.haptic_parameters import (
     DRAIN,
     HAPTIC_CUSHION,
     HAPTIC_PARAMETERS,
+    PRINCIPAL,
     RESTARTING,
     amplitude,
     is_possible,
@@ -71,6 +72,11 @@ class Vibration:
     def replaced_samples(self) -> int:
         """Unusable samples of sound so far, which were replaced by 0."""
         return self._replaced_before + self._transform.replaced_samples
+
+    @property
+    def principal(self) -> tuple[tuple[float, float, float], ...]:
+        """What the latest hop vibrates, before the gain; any thread may read it."""
+        return self._transform.principal
 
     def change(self, transform: HapticTransform) -> None:
         """Change to another transform: the old one fades out over the next block.
@@ -198,6 +204,7 @@ class HapticEffect:
             Command.GET_CONFIG: self._get_config,
             Command.DUMP: self._dump,
             DRAIN: self._drain,
+            PRINCIPAL: self._principal,
         }
 
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
@@ -321,6 +328,11 @@ class HapticEffect:
             return ENODATA, None
         owed = self._vibration.drain(self._config.haptic_channels)
         return OK, owed if self._enabled else np.zeros_like(owed)
+
+    def _principal(self, _: object) -> tuple[int, object]:
+        vibration = self._vibration
+        told = vibration.principal if vibration is not None and self._enabled else ()
+        return OK, told
 
     def _dump(self, _: object) -> tuple[int, object]:
         if self._vibration is None:

@@ -147,6 +147,10 @@ DRAIN = Command.FIRST_PROPRIETARY + 1
 """Vendor command: replies with the rest of the vibration after the end of the sound,
 (latency_frames, haptic channels) float32, and resets. The reply is silence while disabled."""
 
+PRINCIPAL = Command.FIRST_PROPRIETARY + 2
+"""Vendor command: replies with what the latest hop vibrates, as `HapticTransform.principal` does.
+It changes nothing, and any thread may send it."""
+
 HAPTIC_CUSHION = EffectDescriptor(
     type_uuid=UUID("ba39e606-2bd4-4eb4-9ed7-0e63c0415600"),
     uuid=UUID("e6e06d15-d79b-427b-8572-ef1ff53c4fb1"),
@@ -157,6 +161,6 @@ HAPTIC_CUSHION = EffectDescriptor(
     cpu_load=1_000,
     memory_kb=256,
     parameters=HAPTIC_PARAMETERS,
-    vendor_commands=(VendorCommand(DRAIN, "DRAIN"),),
+    vendor_commands=(VendorCommand(DRAIN, "DRAIN"), VendorCommand(PRINCIPAL, "PRINCIPAL")),
 )
 """A separate type UUID, since Android's HapticGenerator serves players only."""

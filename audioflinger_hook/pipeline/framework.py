@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.effect.chain import BUDGET_SHARE, EffectChains
-from audioflinger_hook.effect.haptic_parameters import DRAIN, HAPTIC_CUSHION, from_settings
+from audioflinger_hook.effect.haptic_parameters import (
+    DRAIN,
+    HAPTIC_CUSHION,
+    PRINCIPAL,
+    from_settings,
+)
 from audioflinger_hook.effect.interface import OK, Command, Values
 from audioflinger_hook.effect.module import EffectModule
 from audioflinger_hook.effect.registry import EffectRegistry
@@ -112,6 +117,12 @@ class Framework:
     def replaced_samples(self) -> int:
         """Unusable samples of sound so far, which count as 0."""
         return self._reading("replaced_samples")
+
+    @property
+    def principal(self) -> tuple[tuple[float, float, float], ...]:
+        """What the latest hop vibrates; see `HapticTransform.principal`. Any thread."""
+        status, told = self.haptic.command(PRINCIPAL)
+        return told if status == OK and isinstance(told, tuple) else ()
 
     def change(self, settings: Settings) -> None:
         """Use other parameters and another gain from the next cycle on.

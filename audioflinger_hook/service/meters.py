@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from device.blocks import peak
-from device.units import Float32Array, amplitude_to_db
+from device.units import Float32Array, FloatArray, amplitude_to_db
 
 FLOOR_DBFS = -150.0
 """The level of silence; lower levels are reported as this, so that every level is a number."""
@@ -41,6 +41,12 @@ class Level:
     rms_dbfs: float = FLOOR_DBFS
 
 
+Reading = tuple[float, float]
+"""Peak and mean square, 1.0 for full scale."""
+
+_OfChannels = tuple[FloatArray, FloatArray]
+
+
 class LevelMeter:
     """Peak and RMS over all channels of the latest frames.
 
@@ -53,6 +59,7 @@ class LevelMeter:
         self._rms_rate = -1.0 / (RMS_TIME_S * samplerate)
         self._fall_rate = -PEAK_FALL_DB_PER_S * math.log(10.0) / (20.0 * samplerate)
         self._reading = (0.0, 0.0)  # one object, so a reader sees both or neither
+        self._of_channels: _OfChannels | None = None
 
     def add(self, block: Float32Array) -> float:
         """Measure a block of shape (frames, channels) or (frames,); return its peak."""
@@ -65,21 +72,48 @@ class LevelMeter:
         if not math.isfinite(square + loudest):
             return loudest
         held, mean = self._reading
-        keep = math.exp(frames * self._rms_rate)
-        held = max(loudest, held * math.exp(frames * self._fall_rate))
+        keep, fall = math.exp(frames * self._rms_rate), math.exp(frames * self._fall_rate)
+        held = max(loudest, held * fall)
         # Values below the floor become 0, so that silence leads to no denormals.
         mean = keep * mean + (1.0 - keep) * square
         self._reading = (held if held > _BELOW else 0.0, mean if mean > _BELOW**2 else 0.0)
+        if block.ndim == 2 and block.shape[1] > 1:
+            self._add_channels(block, keep, fall)
         return loudest
+
+    def _add_channels(self, block: Float32Array, keep: float, fall: float) -> None:
+        peaks = np.maximum(block.max(axis=0), -block.min(axis=0)).astype(np.float64)
+        squares = np.einsum("ij,ij->j", block, block, dtype=np.float64) / len(block)
+        if self._of_channels is not None and len(self._of_channels[0]) == len(peaks):
+            held, mean = self._of_channels
+            peaks = np.maximum(peaks, fall * held)
+            squares = keep * mean + (1.0 - keep) * squares
+        else:
+            squares *= 1.0 - keep
+        self._of_channels = (
+            np.where(peaks > _BELOW, peaks, 0.0),
+            np.where(squares > _BELOW**2, squares, 0.0),
+        )
 
     def reset(self) -> None:
         """Restart with silence; for the thread that calls `add`."""
         self._reading = (0.0, 0.0)
+        self._of_channels = None
 
     def level(self) -> Level:
         """Return the current level, FLOOR_DBFS or more."""
-        peak, mean = self._reading
-        return Level(_dbfs(peak), _dbfs(math.sqrt(mean)))
+        return level_of(*self._reading)
+
+    def reading(self) -> Reading:
+        """Return the current peak and mean square."""
+        return self._reading
+
+    def channel_readings(self) -> list[Reading]:
+        """Return the current peak and mean square of each channel."""
+        found = self._of_channels
+        if found is None:
+            return [self._reading]
+        return list(zip(found[0].tolist(), found[1].tolist(), strict=True))
 
 
 class BufferedLevelMeter:
@@ -113,11 +147,19 @@ class BufferedLevelMeter:
         self.meter.reset()
 
 
+TIME_BOUNDS_S = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2)
+"""Bounds of the histogram of computing times that others read."""
+
+_BOUND_BINS = [math.ceil(math.log(bound / SHORTEST_S) * _BINS_PER_E) for bound in TIME_BOUNDS_S]
+
+
 @dataclass(frozen=True)
 class BufferTimes:
     """Computing times of buffers in ms: median, 99th percentile and maximum; 0 before the first.
 
     buffer_ms: playing time of the last buffer; share_percent: computing time in % of playing time.
+    counts: buffers that took no longer than each of `TIME_BOUNDS_S`, then all; busy_s: their sum;
+    late: buffers that took longer to compute than to play.
     """
 
     p50_ms: float = 0.0
@@ -125,6 +167,9 @@ class BufferTimes:
     max_ms: float = 0.0
     buffer_ms: float = 0.0
     share_percent: float = 0.0
+    counts: tuple[int, ...] = ()
+    busy_s: float = 0.0
+    late: int = 0
 
 
 class BufferClock:
@@ -139,6 +184,7 @@ class BufferClock:
         self._busy_s = 0.0
         self._played_s = 0.0
         self._buffer_s = 0.0
+        self._late = 0
 
     def add(self, busy_s: float, buffer_s: float) -> None:
         """Count a buffer that took `busy_s` to compute and plays for `buffer_s`."""
@@ -150,6 +196,7 @@ class BufferClock:
         self._busy_s += busy_s
         self._played_s += buffer_s
         self._buffer_s = buffer_s
+        self._late += busy_s > buffer_s
 
     def times(self) -> BufferTimes:
         """Return the times so far; percentiles are at most 4 % too long, never too short."""
@@ -163,7 +210,15 @@ class BufferClock:
             max_ms=1e3 * longest_s,
             buffer_ms=1e3 * self._buffer_s,
             share_percent=100.0 * self._busy_s / self._played_s if self._played_s else 0.0,
+            counts=(*(int(counted[last]) for last in _BOUND_BINS), int(counted[-1])),
+            busy_s=self._busy_s,
+            late=self._late,
         )
+
+
+def level_of(peak: float, square: float) -> Level:
+    """Return the level of a peak and a mean square."""
+    return Level(_dbfs(peak), _dbfs(math.sqrt(square)))
 
 
 def _dbfs(amplitude: float) -> float:

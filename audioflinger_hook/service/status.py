@@ -32,10 +32,29 @@ class DeviceRateFigures:
 
 @dataclass(frozen=True)
 class Levels:
-    """Levels of the sound and of the vibration."""
+    """Levels of the sound and of the vibration; channels: of the sound."""
 
     sound: Level = field(default_factory=Level)
     vibration: Level = field(default_factory=Level)
+    channels: tuple[Level, ...] = ()
+
+
+@dataclass(frozen=True)
+class Partial:
+    """A principal frequency: of the sound, of its vibration, and its amplitude in full scale."""
+
+    audio_hz: float
+    vibration_hz: float
+    amplitude: float
+
+
+@dataclass(frozen=True)
+class Application:
+    """An application that has a stream: whether it plays, and whether it is felt."""
+
+    name: str
+    plays: bool
+    is_felt: bool
 
 
 @dataclass(frozen=True)
@@ -165,7 +184,9 @@ class Status:
     "" before the first sound. engine: "native" or "python", "" before one plays; engine_reason: why
     not the native one. engine_pid: the native engine's process, 0 for none. volume_db: the
     listener's volume, 0 dB for 100 %; the sound's level and the vibration are those without it.
-    device_rate: None if the device is no USB device with a feedback endpoint that plays.
+    device_rate: None if the device is no USB device with a feedback endpoint that plays. principal:
+    what the latest hop vibrates, as it is played. applications: those that have a stream. muted: by
+    a page.
     """
 
     version: str
@@ -195,4 +216,7 @@ class Status:
     engine_pid: int = 0
     volume_db: float = 0.0
     device_rate: DeviceRateFigures | None = None
+    principal: tuple[Partial, ...] = ()
+    applications: tuple[Application, ...] = ()
+    muted: bool = False
     warnings: tuple[str, ...] = ()

@@ -1,16 +1,25 @@
-"""The status server: a socket in the daemon's folder that answers only the daemon's user."""
+"""The daemon's server: a socket in its folder that answers only the daemon's user.
+
+A request is one line of JSON. `{"ask": "status"}` is answered by the status. With the number of the
+protocol, `{"ask": "watch", "protocol": 1, "rate_hz": 30}` is answered by lines without end, and
+`{"ask": "control", "protocol": 1, ...}` by one line.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
+import select
 import socket
 import stat
 import struct
 import threading
 from collections.abc import Callable
+from typing import Any, Protocol
 
+from audioflinger_hook import __version__
 from audioflinger_hook.service.json_codec import to_json
 from audioflinger_hook.service.one_line import one_line
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
@@ -19,6 +28,20 @@ from device.errors import InternalError, UsageError
 
 NAME = "status.sock"
 ASK_STATUS = {"ask": "status"}
+
+PROTOCOL = 1
+"""Number of the form of `watch` and `control`; another number is refused."""
+
+WATCHERS_MAX = 4
+"""Clients that may watch at a time; the other threads are left for the rest."""
+
+RATE_MAX_HZ = 60.0
+STATUS_EVERY_S = 2.0
+"""A watching client gets frames at its rate, and the whole status as often as this."""
+
+WATCH_BUFFER_BYTES = 8192
+"""Size of a watching client's buffer in the kernel. What does not fit is never sent: the next
+frame replaces it."""
 
 CLIENTS_MAX = 8
 """Clients served at a time; others wait in the socket's queue."""
@@ -39,7 +62,9 @@ STOP_S = 2.0
 """Longest wait of `stop` for a status function that hangs."""
 
 _ADVICE = 'send {"ask": "status"} and a line break'
+_KNOWN = 'allowed: {"ask": "status"}, or watch or control with "protocol": 1'
 _PEER = struct.Struct("3i")
+_ASK = json.dumps(ASK_STATUS).encode()
 
 
 def answer(request: bytes, read: Callable[[], Status]) -> bytes:
@@ -49,11 +74,31 @@ def answer(request: bytes, read: Callable[[], Status]) -> bytes:
     except (ValueError, RecursionError):
         return _error(f"the request is not JSON; {_ADVICE}")
     if asked != ASK_STATUS:
-        return _error('the request is not known; allowed: {"ask": "status"}')
+        return _error(f"the request is not known; {_KNOWN}")
     try:
         return to_json(read()).encode() + b"\n"
     except Exception as error:  # an error of the program must not end its thread
         return _error(f"the status is not available: {type(error).__name__}: {error}")
+
+
+class Live(Protocol):
+    """What a page shows and changes; the server's threads call it."""
+
+    def frame(self) -> str:
+        """Return what changes many times a second, as JSON."""
+        ...
+
+    def news(self, seen: int) -> tuple[int, dict[str, Any] | None]:
+        """Return a number, 1 or more, and the settings; None where `seen` is that number."""
+        ...
+
+    def watched_by(self, page: str) -> None:
+        """Note the address of a page that watches."""
+        ...
+
+    def control(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out a request and return its answer; never raises."""
+        ...
 
 
 def peer_uid(connected: socket.socket) -> int:
@@ -63,21 +108,28 @@ def peer_uid(connected: socket.socket) -> int:
 
 
 class StatusServer:
-    """Answers lines of `{"ask": "status"}` within a `with`; each of its threads serves one client.
+    """Answers requests within a `with`; each of its threads serves one client.
 
     No client can raise an error or keep others waiting. One thread makes, enters and leaves the
     server. Hold the `DaemonLock` first: the lock, not the socket, ensures that only one daemon
-    runs. `read` is called on the server's threads; if it raises, the client is told.
+    runs. `read` is called on the server's threads; if it raises, the client is told. live: what
+    clients may watch and control; None: nothing.
 
     UsageError: a running daemon answers there, or another kind of file has the socket's name.
     InternalError: the system provides no socket.
     """
 
     def __init__(
-        self, folder: RuntimeFolder, read: Callable[[], Status], clock: Callable[[], float]
+        self,
+        folder: RuntimeFolder,
+        read: Callable[[], Status],
+        clock: Callable[[], float],
+        live: Live | None = None,
     ) -> None:
         self._folder = folder
         self._read = read
+        self._live = live
+        self._watchers = threading.Semaphore(WATCHERS_MAX)
         self._clock = clock
         self._clients: set[socket.socket] = set()
         self._stopping = threading.Event()
@@ -144,15 +196,95 @@ class StatusServer:
                 problem = f"the request is longer than {REQUEST_BYTES_MAX} bytes"
                 client.sendall(_error(f"{problem}; {_ADVICE}"))
                 return
-            self._set_timeout(client, end_s)
-            client.sendall(answer(request, self._read))
+            asked = self._asked_of_live(request)
+            if asked and asked["ask"] == "watch":
+                self._let_watch(client, asked)
+                return
+            replied = self._reply(asked) if asked else answer(request, self._read)
+            self._set_timeout(client, end_s + REQUEST_TIME_S)
+            client.sendall(replied)
             self._stopping.wait(PAUSE_S)
+
+    def _asked_of_live(self, request: bytes) -> dict[str, Any] | None:
+        """Return a request to watch or control, None for any other."""
+        try:
+            asked = json.loads(request)
+        except (ValueError, RecursionError):
+            return None
+        known = isinstance(asked, dict) and asked.get("ask") in ("watch", "control")
+        return asked if known and self._live is not None else None
+
+    def _reply(self, asked: dict[str, Any]) -> bytes:
+        assert self._live is not None
+        if refusal := _other_protocol(asked):
+            return refusal
+        return json.dumps(self._live.control(asked)).encode() + b"\n"
+
+    def _let_watch(self, client: socket.socket, asked: dict[str, Any]) -> None:
+        """Send lines until the client is gone; what it does not read in time is left out."""
+        rate_hz = asked.get("rate_hz", 30.0)
+        if refusal := _other_protocol(asked):
+            client.sendall(refusal)
+        elif type(rate_hz) not in (int, float) or not 1.0 <= rate_hz <= RATE_MAX_HZ:
+            client.sendall(_error(f"rate_hz is out of range; allowed: 1 to {RATE_MAX_HZ:g}"))
+        elif not self._watchers.acquire(blocking=False):
+            client.sendall(_error(f"{WATCHERS_MAX} clients watch already; close one of them"))
+        else:
+            if self._live is not None and isinstance(page := asked.get("page"), str):
+                self._live.watched_by(page)
+            try:
+                self._watch(client, 1.0 / rate_hz)
+            finally:
+                self._watchers.release()
+
+    def _watch(self, client: socket.socket, period_s: float) -> None:
+        live = self._live
+        assert live is not None
+        client.setblocking(False)
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WATCH_BUFFER_BYTES)
+        rest = (
+            json.dumps({"hello": {"protocol": PROTOCOL, "version": __version__}}).encode() + b"\n"
+        )
+        # Its time limit is the pause; `stop` and the client's end cut it short.
+        ends = select.poll()
+        ends.register(client, select.POLLHUP)
+        now_s = due_s = self._clock()
+        status_s, seen, missed = -math.inf, 0, 0
+        while True:
+            if not rest:
+                # Written into the object: another one would cost more than the rest.
+                frame = live.frame()[:-1].encode()
+                rest = b'{"frame": %b, "missed": %d}}\n' % (frame, missed)
+                seen, settings = live.news(seen)
+                if settings is not None:
+                    rest += json.dumps({"settings": settings}).encode() + b"\n"
+                if now_s - status_s >= STATUS_EVERY_S or settings is not None:
+                    status_s = now_s
+                    rest += b'{"status": ' + answer(_ASK, self._read).rstrip() + b"}\n"
+            try:
+                rest = rest[client.send(rest) :]
+            except BlockingIOError:
+                missed += 1
+            now_s = self._clock()
+            due_s = max(due_s + period_s, now_s)
+            if ends.poll(1e3 * (due_s - now_s)) or self._stopping.is_set():
+                return
 
     def _set_timeout(self, client: socket.socket, end_s: float) -> None:
         left_s = end_s - self._clock()
         if left_s <= 0.0:
             raise TimeoutError
         client.settimeout(left_s)
+
+
+def _other_protocol(asked: dict[str, Any]) -> bytes | None:
+    """Return the refusal of a request of another protocol."""
+    if asked.get("protocol") == PROTOCOL:
+        return None
+    return _error(
+        f"this daemon (version {__version__}) speaks protocol {PROTOCOL}; "
+        "restart the page or the daemon, so that both have the same version"
+    )
 
 
 def _error(message: str) -> bytes:

@@ -20,6 +20,8 @@ from audioflinger_hook.service.status import (
 BAR_CELLS = 16
 BAR_RANGE_DB = 60.0
 WARNINGS_MAX = 20
+PRINCIPAL_MAX = 4
+"""Principal frequencies that are shown, the strongest."""
 
 _COLOURS = {
     DaemonState.RUNNING: "bold green",
@@ -56,6 +58,7 @@ def _rows(status: Status) -> list[tuple[str, Text]]:
         *([("volume", Text(f"{status.volume_db:+.1f} dB, undone"))] if status.volume_db else []),
         ("vibration", _level(status.levels.vibration, "yellow")),
         *([("device clock", _device_clock(status.device_rate))] if status.device_rate else []),
+        *([("principal", _principal(status))] if status.principal else []),
         *([("profile", Text(one_line(status.profile)))] if status.profile else []),
         *([("engine", _engine(status))] if status.engine else []),
         ("latency", _latency(status)),
@@ -111,6 +114,8 @@ def _state(status: Status) -> Text:
     text = Text.assemble((status.state.value, colour), f" for {duration(status.since_s)}")
     if status.reason:
         text.append(f": {one_line(status.reason)}")
+    if status.muted:
+        text.append(", muted", "bold yellow")
     return text
 
 
@@ -127,15 +132,30 @@ def _endpoint(endpoint: Endpoint) -> Text:
     return Text(address if name in ("", address) else f"{name} ({address})")
 
 
+def _share(level: Level) -> float:
+    return min(1.0, max(0.0, 1.0 + level.peak_dbfs / BAR_RANGE_DB))
+
+
 def _level(level: Level, colour: str) -> Text:
-    share = min(1.0, max(0.0, 1.0 + level.peak_dbfs / BAR_RANGE_DB))
-    filled = round(share * BAR_CELLS)
+    filled = round(_share(level) * BAR_CELLS)
     bar = ("█" * filled, colour), ("░" * (BAR_CELLS - filled), "dim")
     if level.peak_dbfs <= FLOOR_DBFS:
         return Text.assemble(*bar, " silence")
     return Text.assemble(
         *bar, f" peak {level.peak_dbfs:6.1f}, rms {max(FLOOR_DBFS, level.rms_dbfs):6.1f} dBFS"
     )
+
+
+def _principal(status: Status) -> Text:
+    """Return the strongest frequencies as sound -> vibration, strongest first."""
+    strongest = sorted(status.principal, key=lambda one: -one.amplitude)[:PRINCIPAL_MAX]
+    text = Text()
+    for one in strongest:
+        text.append(", " if text else "")
+        text.append(f"{one.audio_hz:.0f}", "cyan").append(" → ")
+        text.append(f"{one.vibration_hz:.0f} Hz", "yellow")
+    more = len(status.principal) - len(strongest)
+    return text.append(f" and {more} more" if more else "")
 
 
 def _latency(status: Status) -> Text:
@@ -214,6 +234,21 @@ def _exposure(exposure: ExposureFigures) -> Text:
 
 def _count(number: int, what: str) -> str:
     return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def meter_line(status: Status, width: int) -> str:
+    """Return state, levels and the strongest frequency in one line of at most `width` cells."""
+    cells = max(4, min(BAR_CELLS, (width - 50) // 2))
+    bars = [
+        f"{name} {'█' * filled}{'░' * (cells - filled)}"
+        for name, level in (("sound", status.levels.sound), ("felt", status.levels.vibration))
+        for filled in [round(cells * _share(level))]
+    ]
+    words = [status.state.value + (", muted" if status.muted else ""), *bars]
+    if status.principal:
+        strongest = max(status.principal, key=lambda one: one.amplitude)
+        words.append(f"{strongest.audio_hz:.0f} → {strongest.vibration_hz:.0f} Hz")
+    return "  ".join(words)[: max(0, width)]
 
 
 def duration(time_s: float) -> str:

@@ -39,6 +39,10 @@ class LiveKernel:
     partials: list[list[tuple[float, float, float]]]
     """What sounds in each voice: Hz of vibration, amplitude, phase in cycles."""
 
+    told: tuple[tuple[float, float, float], ...]
+    """What the latest hop of all voices vibrates, at most 16: Hz of the sound, Hz of vibration,
+    amplitude. Any thread may read it."""
+
     def __new__(cls, settings: dict[str, Any], channels: int, each: bool) -> LiveKernel: ...
     def process(self, frames: Frames, vibration: FloatArray, /) -> None:
         """Take a block of sound and write as much vibration.

@@ -16,6 +16,9 @@ from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.reference.transform import ReferenceTransform
 from device.layouts import downmix
 
+TOLD_MAX = 16
+"""Largest number of partials that are told, as in the kernel."""
+
 
 class ChannelBank:
     """Transforms each channel separately, or the mono mix of the channels by one transform.
@@ -42,6 +45,14 @@ class ChannelBank:
     def limited_samples(self) -> int:
         """Samples of vibration that the limiter has changed, some not delivered yet."""
         return sum(one.limited_frames for one in self.transforms)
+
+    @property
+    def told(self) -> tuple[tuple[float, float, float], ...]:
+        """What the latest hop of all channels vibrates, at most 16; () of the reference form."""
+        told = [one for each in self.transforms for one in getattr(each, "told", ())]
+        if len(told) > TOLD_MAX:
+            told = sorted(told, key=lambda one: one[2])[-TOLD_MAX:]
+        return tuple(told)
 
     def process(self, frames: Frames) -> FloatArray:
         """Return (frames, transforms) of vibration for a block; raise as `fit_block`."""

@@ -85,6 +85,12 @@ class KernelStream:
         limited: int = self._kernel.limited
         return limited
 
+    @property
+    def told(self) -> tuple[tuple[float, float, float], ...]:
+        """What the latest hop of all channels vibrates, at most 16."""
+        told: tuple[tuple[float, float, float], ...] = self._kernel.told
+        return told
+
     def process(self, frames: Frames) -> FloatArray:
         """Return (frames, channels out) of vibration for a block that `fit_block` takes.
 
@@ -228,6 +234,15 @@ class HapticTransform:
     def replaced_samples(self) -> int:
         """Unusable samples of sound so far, which counted as 0."""
         return (self._mixdown or self._stream).replaced_samples
+
+    @property
+    def principal(self) -> tuple[tuple[float, float, float], ...]:
+        """What the latest hop vibrates, at most 16 partials; () in the reference form.
+
+        Each is (Hz of the sound, Hz of vibration, amplitude in full scale). With several outputs,
+        those of all. Any thread may read it while another one calls `process`.
+        """
+        return self._stream.told
 
     @property
     def past(self) -> tuple[bytes, ...]:

@@ -238,6 +238,31 @@ def test_a_page_is_private_and_its_file_goes_with_it(tmp_path: Path) -> None:
     assert not path.exists()
 
 
+def test_partials_that_are_being_written_are_not_read(tmp_path: Path) -> None:
+    page = Page(tmp_path / "page", 2, 1)
+    told = page._page.partials
+    assert page.principal() == []
+    told.sequence, told.count = 2, 1
+    told.partials[0][:] = (440.0, 100.0, 0.25)
+    assert page.principal() == [(440.0, 100.0, 0.25)]
+    assert page.shown(1) == ([(0.0, 0.0)] * 2, [(0.0, 0.0)], page.principal())
+    told.sequence = 3  # odd: the plugin is writing
+    assert page.principal() == []
+    assert page.shown(1)[2] == []
+    told.sequence, told.count = 4, 1 << 40  # of a plugin gone wrong
+    assert len(page.principal()) == len(page.shown(1)[2]) == page_module.PARTIALS
+    page.close()
+
+
+def test_levels_are_read_for_each_channel_and_actuator(tmp_path: Path) -> None:
+    page = Page(tmp_path / "page", 2, 1)
+    page._page.readings.channels[1][:] = (0.5, 0.125)
+    page._page.actuators[1].peak, page._page.actuators[1].square = 0.25, 0.03
+    assert page.channel_readings() == [(0.0, 0.0), (0.5, 0.125)]
+    assert page.actuator_readings(2) == [(0.0, 0.0), (0.25, 0.03)]
+    page.close()
+
+
 # --------------------------------------------------------------------------------------- handover
 
 

@@ -141,3 +141,28 @@ def test_times_off_the_scale_are_taken_too(duration_s):
     assert times.max_ms == max(0.0, 1e3 * duration_s)
     assert times.p50_ms == times.max_ms
     assert times.share_percent == 0.0
+
+
+def test_each_channel_is_measured_by_itself():
+    meter = LevelMeter(RATE)
+    assert meter.channel_readings() == [(0.0, 0.0)]
+    both = sine(0.5)
+    both[:, 1] *= 0.1
+    for block in np.array_split(both, 40):
+        meter.add(block)
+    (left, left_square), (right, right_square) = meter.channel_readings()
+    assert (left, right) == pytest.approx((0.5, 0.05), rel=1e-3)
+    assert left_square / right_square == pytest.approx(100.0, rel=1e-3)
+    assert meter.reading()[0] == left
+    meter.reset()
+    assert meter.channel_readings() == [(0.0, 0.0)]
+
+
+def test_the_histogram_counts_every_buffer_once_and_those_that_were_late():
+    clock = BufferClock()
+    for busy_s in (0.5e-4, 3e-4, 0.02, 0.3):
+        clock.add(busy_s, 0.01)
+    times = clock.times()
+    assert times.counts == (1, 1, 2, 2, 2, 2, 2, 3, 3, 4)
+    assert times.late == 2
+    assert times.busy_s == pytest.approx(0.32035)

@@ -24,11 +24,12 @@ from audioflinger_hook.service.status import (
     ExposureFigures,
     LatencyBudget,
     Levels,
+    Partial,
     ProtectionFigures,
     Status,
     Xruns,
 )
-from audioflinger_hook.service.status_view import duration, status_view
+from audioflinger_hook.service.status_view import duration, meter_line, status_view
 from device.errors import UsageError
 
 STATUS = Status(
@@ -125,15 +126,8 @@ def test_every_key_is_there_with_its_unit_and_every_cause_counted():
         *("version", "pid", "state", "reason", "since_s", "tap", "device", "levels", "latency"),
         *("delay_line", "xruns", "buffer_times", "recoveries", "effects_bypassed"),
         *("limited_samples", "replaced_samples", "protection", "exposure", "actuators"),
-        *(
-            "profile",
-            "engine",
-            "engine_reason",
-            "engine_pid",
-            "volume_db",
-            "device_rate",
-            "warnings",
-        ),
+        *("profile", "engine", "engine_reason", "engine_pid", "volume_db", "device_rate"),
+        *("principal", "applications", "muted", "warnings"),
     ]
     assert document["latency"]["total_ms"] == pytest.approx(93.7)
     assert list(document["recoveries"]) == [cause.value for cause in Cause]
@@ -339,3 +333,27 @@ def test_several_actuators_are_shown_each_with_its_own_figures():
     assert sum("protection" in line for line in lines) == 1
     (told,) = (line for line in lines if line.startswith("latency"))
     assert "19.0 ms = tap 1.0 + transform 2.0 + driving 4.0 + actuator 5.0 +" in told
+
+
+def test_the_strongest_principal_frequencies_are_shown_as_they_are_mapped():
+    partials = [Partial(100.0 * n, 20.0 + n, 0.01 * n) for n in range(1, 8)]
+    shown = status_text(replace(STATUS, principal=tuple(partials)))
+    assert "principal  700 → 27, 600 → 26, 500 → 25, 400 → 24 Hz and 3 more" in shown.replace(
+        " Hz,", ","
+    )
+    assert "principal" not in status_text(STATUS)
+
+
+def test_a_muted_daemon_says_so():
+    assert ", muted" in status_text(replace(STATUS, muted=True))
+
+
+@pytest.mark.parametrize("width", [0, 10, 40, 79, 200])
+def test_the_meter_fits_into_a_line(width):
+    loud = replace(STATUS, principal=(Partial(440.0, 100.3, 0.3),), muted=True)
+    line = meter_line(loud, width)
+    assert len(line) <= width
+    assert "\n" not in line
+    if width >= 79:
+        assert line.startswith("running, muted  sound ████")
+        assert line.endswith("440 → 100 Hz")

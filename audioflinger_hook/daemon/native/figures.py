@@ -6,9 +6,14 @@ from dataclasses import replace
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.daemon.native.engine import NativeEngine
-from audioflinger_hook.service.meters import Level
+from audioflinger_hook.service.meters import Level, level_of
 from audioflinger_hook.service.state import DaemonState
-from audioflinger_hook.service.status import ActuatorFigures, LatencyBudget, Levels, Status
+from audioflinger_hook.service.status import (
+    ActuatorFigures,
+    LatencyBudget,
+    Levels,
+    Status,
+)
 
 
 def with_native(
@@ -18,8 +23,8 @@ def with_native(
 
     Tap and device belong to one cycle of the graph, so only the transform delays the vibration.
     """
-    plan, readings = native.plan, native.readings()
-    if plan is None or readings is None:
+    plan, page, readings = native.plan, native.page, native.readings()
+    if plan is None or page is None or readings is None:
         return status
     resting = status.state is DaemonState.IDLE
     transform_ms = 1e3 * plan.design.latency_frames / plan.samplerate
@@ -27,7 +32,13 @@ def with_native(
     return replace(
         status,
         # While the graph rests, the plugin does not run, and its last levels stay.
-        levels=Levels() if resting else Levels(readings.sound, readings.vibration),
+        levels=Levels()
+        if resting
+        else Levels(
+            readings.sound,
+            readings.vibration,
+            tuple(level_of(*reading) for reading in page.channel_readings()),
+        ),
         latency=LatencyBudget.of(
             transform_ms=transform_ms,
             offset_ms=1e3 * offset_s,

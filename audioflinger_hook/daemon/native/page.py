@@ -6,22 +6,26 @@ Each value has one writer and is written at once, so neither side waits for the 
 from __future__ import annotations
 
 import ctypes
-import math
 import mmap
 import os
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 
-from audioflinger_hook.service.meters import FLOOR_DBFS, Level
+from audioflinger_hook.service.meters import Level, Reading, level_of
 from audioflinger_hook.transform.downmix import mix_weights
 from device.drive.damping import Damping
-from device.units import FloatArray, amplitude_to_db
+from device.units import FloatArray
 
-MAGIC = 0x3245474150485543
+MAGIC = 0x3345474150485543
 CHANNELS = 8
 """Largest number of channels of a tap, and of vibrations."""
 
 ACTUATORS = 32
+PARTIALS = 16
+READ_TRIES = 4
+"""Attempts to read the partials while the plugin writes; writing takes less than 1 µs."""
+
 DELAY_MAX_S = 2.0
 
 
@@ -43,6 +47,15 @@ class _TransformReadings(ctypes.Structure):
         ("sound_square", ctypes.c_double),
         ("vibration_peak", ctypes.c_double),
         ("vibration_square", ctypes.c_double),
+        ("channels", ctypes.c_double * 2 * CHANNELS),
+    )
+
+
+class _PartialReadings(ctypes.Structure):
+    _fields_ = (
+        ("sequence", ctypes.c_uint64),
+        ("count", ctypes.c_uint64),
+        ("partials", ctypes.c_double * 3 * PARTIALS),
     )
 
 
@@ -73,9 +86,23 @@ class _Layout(ctypes.Structure):
         ("sound_gain", ctypes.c_double),
         ("transform", _TransformWishes),
         ("readings", _TransformReadings),
+        ("partials", _PartialReadings),
         ("wishes", _ActuatorWishes * ACTUATORS),
         ("actuators", _ActuatorReadings * ACTUATORS),
     )
+
+
+# Read with one call each: a page asks many times a second.
+_PARTIALS, _PARTIALS_AT = struct.Struct(f"=2Q{3 * PARTIALS}d"), _Layout.partials.offset
+_SEQUENCE = struct.Struct("=Q")
+_SHOWN = struct.Struct(f"={2 * CHANNELS}d2Q{3 * PARTIALS}d")  # channels and partials are neighbours
+_CHANNELS = struct.Struct(f"={2 * CHANNELS}d")
+_ACTUATOR, _ACTUATORS_AT = struct.Struct("=Q3d"), _Layout.actuators.offset
+_CHANNELS_AT = _Layout.readings.offset + _TransformReadings.channels.offset
+
+
+Shown = tuple[list[Reading], list[Reading], list[tuple[float, float, float]]]
+"""Readings of channels and of actuators, and the partials."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +130,7 @@ class Page:
         self, path: Path, channels: int, outputs: int, weights: FloatArray | None = None
     ) -> None:
         self.path = path
+        self._channels = channels
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         file = os.open(path, flags, 0o600)
         try:
@@ -159,23 +187,64 @@ class Page:
             int(found.frames),
             int(found.replaced),
             int(found.limited),
-            _level(found.sound_peak, found.sound_square),
-            _level(found.vibration_peak, found.vibration_square),
+            level_of(found.sound_peak, found.sound_square),
+            level_of(found.vibration_peak, found.vibration_square),
         )
 
     def level(self, slot: int) -> Level:
         """Return the level of an actuator."""
         found = self._page.actuators[slot]
-        return _level(found.peak, found.square)
+        return level_of(found.peak, found.square)
+
+    def shown(self, actuators: int) -> Shown:
+        """Return what a page shows, of the first actuators: one read, as it asks often."""
+        for _ in range(READ_TRIES):
+            found = _SHOWN.unpack_from(self._memory, _CHANNELS_AT)
+            (again,) = _SEQUENCE.unpack_from(self._memory, _PARTIALS_AT)
+            sequence = found[2 * CHANNELS]
+            if sequence == again and not sequence % 2:
+                break
+        else:
+            found = (*found[: 2 * CHANNELS + 1], 0)
+        first = 2 * CHANNELS + 2
+        last = first + 3 * min(found[first - 1], PARTIALS)
+        return (
+            [*zip(found[: 2 * self._channels : 2], found[1 : 2 * self._channels : 2], strict=True)],
+            self.actuator_readings(actuators),
+            [
+                *zip(
+                    found[first:last:3],
+                    found[first + 1 : last : 3],
+                    found[first + 2 : last : 3],
+                    strict=True,
+                )
+            ],
+        )
+
+    def actuator_readings(self, count: int) -> list[Reading]:
+        """Return peak and mean square of the first actuators, as they are played."""
+        end = _ACTUATORS_AT + count * _ACTUATOR.size
+        found = _ACTUATOR.iter_unpack(memoryview(self._memory)[_ACTUATORS_AT:end])
+        return [(peak, square) for _, peak, square, _ in found]
+
+    def channel_readings(self) -> list[Reading]:
+        """Return peak and mean square of each channel of the tap."""
+        numbers = _CHANNELS.unpack_from(self._memory, _CHANNELS_AT)
+        return [*zip(numbers[::2], numbers[1::2], strict=True)][: self._channels]
+
+    def principal(self) -> list[tuple[float, float, float]]:
+        """Return what the latest hop vibrates, as `HapticTransform.principal` does.
+
+        Nothing where the plugin writes at every attempt.
+        """
+        for _ in range(READ_TRIES):
+            sequence, count, *numbers = _PARTIALS.unpack_from(self._memory, _PARTIALS_AT)
+            (again,) = _SEQUENCE.unpack_from(self._memory, _PARTIALS_AT)
+            if sequence == again and not sequence % 2:
+                found = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)
+                return [*found][:count]
+        return []
 
     def close(self) -> None:
         """Remove the file; readings stay. May be repeated."""
         self.path.unlink(missing_ok=True)
-
-
-def _level(peak: float, square: float) -> Level:
-    return Level(_dbfs(peak), _dbfs(math.sqrt(square)))
-
-
-def _dbfs(amplitude: float) -> float:
-    return max(FLOOR_DBFS, amplitude_to_db(amplitude))

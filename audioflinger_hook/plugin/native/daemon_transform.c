@@ -20,7 +20,8 @@ struct DaemonTransform {
     Design design;
     Live live;
     LevelMeter sound, vibration;
-    uint64_t frames, replaced;
+    LevelMeter channels[PAGE_CHANNELS]; /* of the sound */
+    uint64_t frames, replaced, hops;
     double sound_gain; /* of the last frame */
     float samples[PIECE_FRAMES * PAGE_CHANNELS];
     MixPowers powers[PAGE_CHANNELS]; /* of the mixes */
@@ -63,6 +64,8 @@ DaemonTransform *daemon_transform_open(unsigned long samplerate)
     if (transform->page)
         PAGE_LOAD(transform->page->sound_gain, transform->sound_gain);
     transform->sound.samplerate = transform->vibration.samplerate = (double)samplerate;
+    for (size_t channel = 0; channel < PAGE_CHANNELS; channel++)
+        transform->channels[channel].samplerate = (double)samplerate;
     return transform;
 }
 
@@ -142,6 +145,9 @@ static void process_piece(DaemonTransform *transform, float *const *inputs, floa
                 inputs[channel] ? inputs[channel][done + frame] : 0.0f;
     apply_gain(transform, frames);
     level_add(&transform->sound, transform->samples, frames * channels, channels);
+    for (size_t channel = 0; channel < channels; channel++)
+        level_add_channel(&transform->channels[channel], transform->samples + channel, frames,
+                          channels);
     if (wishes->mixed)
         mix(transform, frames);
     const size_t width = wishes->mixed ? sizeof(double) : sizeof(float);
@@ -166,6 +172,27 @@ static void process_piece(DaemonTransform *transform, float *const *inputs, floa
     }
 }
 
+/* Tell what the latest hop vibrates, once for each hop. */
+static void tell(DaemonTransform *transform)
+{
+    const Told *told = &transform->live.told;
+    if (told->hops == transform->hops)
+        return;
+    transform->hops = told->hops;
+    PartialReadings *readings = &transform->page->partials;
+    const uint64_t sequence = readings->sequence, count = told->count;
+    PAGE_STORE(readings->sequence, sequence + 1);
+    __atomic_thread_fence(__ATOMIC_RELEASE);
+    PAGE_STORE(readings->count, count);
+    for (size_t one = 0; one < told->count; one++) {
+        PAGE_STORE(readings->partials[one][0], told->audio_hz[one]);
+        PAGE_STORE(readings->partials[one][1], told->hz[one]);
+        PAGE_STORE(readings->partials[one][2], told->amplitude[one]);
+    }
+    __atomic_thread_fence(__ATOMIC_RELEASE);
+    PAGE_STORE(readings->sequence, sequence + 2);
+}
+
 void daemon_transform_process(DaemonTransform *transform, float *const *inputs,
                               float *const *outputs, size_t frames)
 {
@@ -184,5 +211,10 @@ void daemon_transform_process(DaemonTransform *transform, float *const *inputs,
         PAGE_STORE(readings->sound_square, transform->sound.square);
         PAGE_STORE(readings->vibration_peak, transform->vibration.peak);
         PAGE_STORE(readings->vibration_square, transform->vibration.square);
+        for (size_t channel = 0; channel < (size_t)transform->wishes.channels; channel++) {
+            PAGE_STORE(readings->channels[channel][0], transform->channels[channel].peak);
+            PAGE_STORE(readings->channels[channel][1], transform->channels[channel].square);
+        }
+        tell(transform);
     }
 }

@@ -15,23 +15,39 @@ typedef struct {
     double peak, square;
 } LevelMeter;
 
-static inline void level_add(LevelMeter *meter, const float *samples, size_t count, size_t channels)
+/* Take `count` samples, `step` apart, that last for `seconds`. */
+static inline void level_take(LevelMeter *meter, const float *samples, size_t count, size_t step,
+                              double seconds)
 {
     double loudest = 0.0, sum = 0.0;
     if (!count)
         return;
     for (size_t at = 0; at < count; at++) {
-        const double sample = isfinite(samples[at]) ? fabs((double)samples[at]) : 0.0;
+        const float taken = samples[at * step];
+        const double sample = isfinite(taken) ? fabs((double)taken) : 0.0;
         loudest = sample > loudest ? sample : loudest;
         sum += sample * sample;
     }
-    const double seconds = (double)count / (double)channels / meter->samplerate;
     const double keep = exp(-seconds / RMS_TIME_S);
     const double held = meter->peak * exp(-seconds * PEAK_FALL_DB_PER_S * M_LN10 / 20.0);
     const double square = keep * meter->square + (1.0 - keep) * sum / (double)count;
     meter->peak = loudest > held ? loudest : held;
     meter->peak = meter->peak > BELOW ? meter->peak : 0.0;
     meter->square = square > BELOW * BELOW ? square : 0.0;
+}
+
+/* All samples of some channels. */
+static inline void level_add(LevelMeter *meter, const float *samples, size_t count, size_t channels)
+{
+    const double seconds = (double)count / (double)channels / meter->samplerate;
+    level_take(meter, samples, count, 1, seconds);
+}
+
+/* One channel of several. */
+static inline void level_add_channel(LevelMeter *meter, const float *samples, size_t frames,
+                                     size_t channels)
+{
+    level_take(meter, samples, frames, channels, (double)frames / meter->samplerate);
 }
 
 #endif

@@ -8,9 +8,10 @@
 
 #include <stdint.h>
 
-#define PAGE_MAGIC UINT64_C(0x3245474150485543) /* "CUHPAGE2" */
+#define PAGE_MAGIC UINT64_C(0x3345474150485543) /* "CUHPAGE3" */
 #define PAGE_CHANNELS 8
 #define PAGE_ACTUATORS 32
+#define PAGE_PARTIALS 16
 #define SECTION_NUMBERS 6
 
 /* What the transform is to do; read once, when it is made. */
@@ -26,7 +27,16 @@ typedef struct {
     uint64_t frames, replaced, limited;
     double sound_peak, sound_square;         /* of the tap */
     double vibration_peak, vibration_square; /* of the transform */
+    double channels[PAGE_CHANNELS][2];       /* peak and square of each of the tap's */
 } TransformReadings;
+
+/* What the latest hop vibrates. The sequence is odd while the plugin writes; who reads it changed or
+ * odd reads again. */
+typedef struct {
+    uint64_t sequence;
+    uint64_t count;
+    double partials[PAGE_PARTIALS][3]; /* Hz of the sound, Hz of vibration, amplitude */
+} PartialReadings;
 
 typedef struct {
     double gain;      /* -1 to 1 */
@@ -49,6 +59,7 @@ typedef struct {
     double sound_gain; /* factor on the tap's samples; changes over one buffer */
     TransformWishes transform;
     TransformReadings readings;
+    PartialReadings partials;
     ActuatorWishes wishes[PAGE_ACTUATORS];
     ActuatorReadings actuators[PAGE_ACTUATORS];
 } Page;

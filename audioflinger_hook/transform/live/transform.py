@@ -47,6 +47,11 @@ class LiveTransform:
     ----------
     design : LiveDesign
         All numbers and tables.
+
+    Attributes
+    ----------
+    told : tuple
+        (Hz of the sound, Hz of vibration, amplitude) of what the latest hop vibrates.
     """
 
     def __init__(self, design: LiveDesign) -> None:
@@ -57,6 +62,7 @@ class LiveTransform:
         self.tonal_latency_frames = design.tonal_latency_frames
         self.limited_frames = 0
         self.onset_after_frames = grid.window_frames
+        self.told: tuple[tuple[float, float, float], ...] = ()
         self._grid = grid
         self._mapping = design.mapping
         self._spectrum = Spectrum(
@@ -98,6 +104,7 @@ class LiveTransform:
         self._hop_peak = 0.0
         self._tick = 0
         self._ringing = 0
+        self.told = ()
         self._bandpass.reset()
         self._detector.reset()
         self._tracker.reset()
@@ -285,12 +292,15 @@ class LiveTransform:
             self._speech.add_silence()
         count = found.hz.size if found and strength > 0.0 else 0
         left = 1.0
+        self.told = ()
         if found and count:
             left = self._mapping.level_ratio(found.principal.amplitude, found.principal.r)
             amplitude, limited = self._level(found.principal, found.hz, strength)
             if limited:
                 self.limited_frames += self._grid.hop_frames
             audio_hz, hz, gain = found.principal.audio_hz, found.hz, found.gain
+            columns = audio_hz.tolist(), hz.tolist(), amplitude.tolist()
+            self.told = tuple(zip(*columns, strict=True))
         else:
             audio_hz, hz, gain, amplitude = np.zeros((4, 0))
         if count or self._tracker.holds:

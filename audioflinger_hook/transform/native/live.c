@@ -138,6 +138,28 @@ static double left_by_law(const Live *live, size_t count)
     return sqrt(fourths / (sum_r * sum_r * energy * live->settings.full_scale_r));
 }
 
+/* Tell what is felt of a hop; where there are too many, the weakest is left out. */
+static void tell(Live *live, size_t count)
+{
+    Told *told = &live->told;
+    for (size_t one = 0; one < count; one++) {
+        size_t at = told->count;
+        if (at < TOLD_MAX) {
+            told->count++;
+        } else {
+            at = 0;
+            for (size_t other = 1; other < TOLD_MAX; other++)
+                if (told->amplitude[other] < told->amplitude[at])
+                    at = other;
+            if (live->amplitude[one] <= told->amplitude[at])
+                continue;
+        }
+        told->audio_hz[at] = live->found.audio_hz[one];
+        told->hz[at] = live->hz[one];
+        told->amplitude[at] = live->amplitude[one];
+    }
+}
+
 static void follow(Live *live, Voice *voice, double strength, size_t count)
 {
     const Settings *s = &live->settings;
@@ -146,6 +168,7 @@ static void follow(Live *live, Voice *voice, double strength, size_t count)
         live->hz[one] = felt_hz(s, live->found.audio_hz[one]);
     if (set_levels(live, voice, strength, count))
         live->limited += s->hop_frames;
+    tell(live, count);
     double total = 0.0;
     for (size_t one = 0; one < count; one++) {
         total += live->amplitude[one];
@@ -359,6 +382,10 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
         live->oldest = (live->oldest + part) % s->window_frames;
         if (live->filled == s->tick_frames) {
             live->filled = 0;
+            if (live->tick + 1 == s->ticks) {
+                live->told.count = 0;
+                live->told.hops++;
+            }
             for (size_t which = 0; which < live->voices_count; which++)
                 advance(live, &live->voices[which]);
             live->tick = (live->tick + 1) % s->ticks;

@@ -34,6 +34,15 @@ typedef struct {
     Speech *speech;
 } Voice;
 
+#define TOLD_MAX 16
+
+/* What the latest hop of all voices vibrates, the first found first. For showing it: no state. */
+typedef struct {
+    uint64_t hops; /* so far */
+    size_t count;
+    double audio_hz[TOLD_MAX], hz[TOLD_MAX], amplitude[TOLD_MAX];
+} Told;
+
 /* A kernel: settings, work space, and the state of every voice. Nothing is allocated after
  * `live_open`. */
 typedef struct {
@@ -51,6 +60,7 @@ typedef struct {
     size_t oldest;       /* of the ring */
     size_t silent;       /* frames that were exactly 0 of late, up to window_frames */
     uint64_t replaced, limited, delivered;
+    Told told;
 
     double *mono, *side, *windowed, *real, *imaginary, *fft_space, *synthesis_space, *onset_space;
     double *speech_space;

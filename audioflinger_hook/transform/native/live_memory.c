@@ -167,6 +167,7 @@ void live_reset(Live *live)
 {
     memset(live->state, 0, live->state_length * sizeof(double));
     live->filled = live->tick = live->oldest = 0;
+    live->told.count = 0;
     live->silent = live->settings.window_frames; /* before the beginning there was nothing */
     for (size_t voice = 0; voice < live->voices_count; voice++) {
         onsets_reset(&live->settings, &live->voices[voice].onsets);

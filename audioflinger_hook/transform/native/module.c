@@ -184,6 +184,21 @@ static PyObject *kernel_get_partials(LiveKernel *self, void *Py_UNUSED(closure))
     return voices;
 }
 
+static PyObject *kernel_get_told(LiveKernel *self, void *Py_UNUSED(closure))
+{
+    const Told *told = &self->live.told;
+    PyObject *partials = PyTuple_New((Py_ssize_t)told->count);
+    for (size_t one = 0; partials && one < told->count; one++) {
+        PyObject *partial = Py_BuildValue("ddd", told->audio_hz[one], told->hz[one],
+                                          told->amplitude[one]);
+        if (partial)
+            PyTuple_SET_ITEM(partials, (Py_ssize_t)one, partial);
+        else
+            Py_CLEAR(partials);
+    }
+    return partials;
+}
+
 static PyMethodDef KERNEL_METHODS[] = {
     {"process", (PyCFunction)(void (*)(void))kernel_process, METH_FASTCALL, process_doc},
     {"reset", (PyCFunction)kernel_reset, METH_NOARGS, reset_doc},
@@ -194,6 +209,7 @@ static PyGetSetDef KERNEL_PROPERTIES[] = {
     {"state", (getter)kernel_get_state, (setter)kernel_set_state,
      "All that changes as a stream goes on, as bytes.", NULL},
     {"partials", (getter)kernel_get_partials, NULL, "What sounds in each voice.", NULL},
+    {"told", (getter)kernel_get_told, NULL, "What the latest hop vibrates.", NULL},
     {NULL, NULL, NULL, NULL, NULL},
 };
 

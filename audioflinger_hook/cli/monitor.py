@@ -1,0 +1,71 @@
+"""`cushion monitor`: the live page of a running daemon, in a browser."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import html
+import os
+import signal
+import sys
+import webbrowser
+from contextlib import suppress
+
+from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
+from device.atomic_file import write_bytes_atomically
+from device.errors import UsageError
+
+OPENER = "page.html"
+"""A file of the user's alone that leads a browser to the page: others can read the arguments of a
+process, and the address holds the token."""
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve the page until a signal arrives."""
+    try:
+        from audioflinger_hook.monitor.access import Listen, load_token
+        from audioflinger_hook.monitor.server import PageServer
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"the page needs {error.name}, which is not installed; install haptic-cushion[page]"
+        ) from error
+    listen = Listen.parse(options.listen)
+    if not 1.0 <= options.rate <= 60.0:
+        raise UsageError(f"rate={options.rate:.12g} is out of range; allowed: 1 to 60 Hz")
+    with RuntimeFolder(os.environ, create=True) as folder:
+        token = load_token(folder)
+        server = PageServer(listen, token, options.rate, os.environ)
+
+        def tell(address: str) -> None:
+            print(f"cushion: the live page: {address}", file=sys.stderr, flush=True)
+            if not listen.is_loopback:
+                warn(f"{listen.host} is open to the network, and HTTP is not encrypted")
+            if options.open:
+                path = folder.path / OPENER
+                to = html.escape(address)
+                page = f'<!doctype html><meta http-equiv="refresh" content="0; url={to}">\n'
+                write_bytes_atomically(path, page.encode())
+                path.chmod(0o600)
+                webbrowser.open(path.as_uri())
+
+        asyncio.run(_until_signal(server.run(tell)))
+    return 0
+
+
+async def _until_signal(serving: object) -> None:
+    """Serve until SIGINT or SIGTERM, which ends as an interruption."""
+    task = asyncio.ensure_future(serving)  # type: ignore[call-overload]
+    stopped = False
+
+    def stop() -> None:
+        nonlocal stopped
+        stopped = True
+        task.cancel()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop)
+    with suppress(asyncio.CancelledError):
+        await task
+    if stopped:
+        raise KeyboardInterrupt

@@ -1,0 +1,186 @@
+"""Changes to the values of a config file: applied to what was read, or written into its text.
+
+An edit names a key as `key` or `section.key`; the value None leaves the key out of the file.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections import deque
+from collections.abc import Mapping, MutableMapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from audioflinger_hook.config.schema import ACTUATOR, KEYS, RENAMED, Key
+from device.atomic_file import write_bytes_atomically
+from device.errors import InternalError, UsageError
+from device.values import Text, nearest
+
+Edits = Mapping[str, Any]
+
+UNDO_MAX = 100
+"""Changes that can be undone; older ones cannot."""
+
+EDITABLE = {
+    f"{key.section}.{key.name}" if key.section else key.name: key
+    for key in KEYS
+    # A text names a file or a device, and each actuator has a table of its own.
+    if key.section != ACTUATOR and not isinstance(key.description, Text)
+}
+"""The keys that may be changed while the daemon runs, by their names in edits."""
+
+
+def editable(name: str) -> Key:
+    """Return the key of an edit. UsageError: there is none, or it names a file or a device."""
+    if name not in EDITABLE:
+        guess = nearest(name, EDITABLE)
+        offer = f"did you mean {guess}?" if guess else f"allowed: {', '.join(EDITABLE)}"
+        raise UsageError(f"{name[:60]!r} cannot be changed while the daemon runs; {offer}")
+    return EDITABLE[name]
+
+
+def apply_edits(document: MutableMapping[str, Any], edits: Edits) -> None:
+    """Change the values of a document. Old names of an edited key are left out."""
+    for name, value in edits.items():
+        section, _, key = name.rpartition(".")
+        table = document
+        if section:
+            if not isinstance(document.get(section, {}), MutableMapping):
+                continue  # The check reports what stands there.
+            if section not in document and value is None:
+                continue
+            table = document.setdefault(section, {})
+        for old, new in RENAMED.get(section, {}).items():
+            if new == key and old != key:
+                table.pop(old, None)
+        if value is None:
+            table.pop(key, None)
+        else:
+            table[key] = list(value) if isinstance(value, tuple) else value
+
+
+def edited_text(text: str, edits: Edits) -> str:
+    """Return the text of a config file with edits; comments and the order of keys stay.
+
+    UsageError: the text is not TOML.
+    """
+    import tomlkit
+    from tomlkit.exceptions import TOMLKitError
+
+    try:
+        document = tomlkit.parse(text)
+        expected = tomllib.loads(text)
+        apply_edits(document, edits)
+    except (TOMLKitError, ValueError) as error:
+        raise UsageError(
+            f"the config file is not TOML ({error}); see `cushion check`, then save again"
+        ) from error
+    apply_edits(expected, edits)
+    changed = tomlkit.dumps(document)
+    if tomllib.loads(changed) != expected:
+        raise InternalError("the config file would not hold the changes; edit it by hand")
+    return changed
+
+
+@dataclass(frozen=True)
+class _Before:
+    """One key before a change: its value, None for no such key; whether that is to be an edit.
+
+    What the file holds needs none, until the file is saved with another value.
+    """
+
+    is_edit: bool
+    value: Any
+
+
+class LiveEdits:
+    """What was changed since the daemon began, on top of its config file. For one thread.
+
+    values: the edits that apply. unsaved: the keys that the file does not hold like that.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.values: dict[str, Any] = {}
+        self.unsaved: frozenset[str] = frozenset()
+        self._undo: deque[dict[str, _Before]] = deque(maxlen=UNDO_MAX)
+
+    @property
+    def undo_count(self) -> int:
+        """Changes that can be undone."""
+        return len(self._undo)
+
+    def with_changes(self, changes: Edits) -> dict[str, Any]:
+        """Return the edits as they would be after these changes."""
+        return {**self.values, **changes}
+
+    def accept(self, changes: Edits) -> None:
+        """Make these changes; only after they were checked."""
+        document = self._document()
+        self._undo.append({name: self._before(name, document) for name in changes})
+        self.values.update(changes)
+        self.unsaved |= changes.keys()
+
+    def without_last(self) -> dict[str, Any]:
+        """Return the edits as they would be without the last change.
+
+        UsageError: nothing is left to undo.
+        """
+        if not self._undo:
+            raise UsageError("there is nothing to undo; nothing has been changed since the start")
+        values = dict(self.values)
+        for name, before in self._undo[-1].items():
+            if before.is_edit:
+                values[name] = before.value
+            else:
+                values.pop(name, None)
+        return values
+
+    def undo(self) -> None:
+        """Undo the last change; only after `without_last` was checked."""
+        self.values = self.without_last()
+        changed = self._undo.pop().keys()
+        self.unsaved = (self.unsaved | changed) & self.values.keys()
+
+    def save(self) -> None:
+        """Write the edits into the file, which is made where it is missing.
+
+        UsageError: the file is not TOML, or cannot be written.
+        WriteError: the disk is full or failed.
+        """
+        text = self._text()
+        changed = edited_text(text, self.values)
+        if changed != text:
+            folder = self._path.parent
+            try:
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            except OSError as error:
+                raise UsageError(
+                    f"cannot make the folder {folder}: {error.strerror}; make it yourself"
+                ) from error
+            write_bytes_atomically(self._path, changed.encode())
+        self.unsaved = frozenset()
+        for change in self._undo:
+            change.update({name: _Before(True, before.value) for name, before in change.items()})
+
+    def _text(self) -> str:
+        try:
+            return self._path.read_text(encoding="utf-8-sig")
+        except FileNotFoundError:
+            return ""
+        except (OSError, UnicodeDecodeError) as error:
+            raise UsageError(f"{self._path} cannot be read ({error}); check the file") from error
+
+    def _document(self) -> dict[str, Any]:
+        try:
+            return tomllib.loads(self._text())
+        except (UsageError, ValueError):
+            return {}
+
+    def _before(self, name: str, document: dict[str, Any]) -> _Before:
+        if name in self.values:
+            return _Before(True, self.values[name])
+        section, _, key = name.rpartition(".")
+        table = document.get(section, {}) if section else document
+        return _Before(False, table.get(key) if isinstance(table, dict) else None)

@@ -1,0 +1,60 @@
+"""Which applications have a stream, whether they play, and whether they are felt. Pure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from audioflinger_hook.service.status import Application
+from device.server import AppRules, ServerSnapshot
+from device.server.app_rules import app_name
+
+APPLICATIONS_MAX = 32
+"""Largest number of applications that are told."""
+
+
+def applications_in(
+    snapshot: ServerSnapshot | None, rules: AppRules | None, source: Any, haptic_sink: str | None
+) -> tuple[Application, ...]:
+    """Return the applications in a snapshot, in the server's order; () without a server.
+
+    rules: what selects them; None: those that play to the sink whose monitor is `source`.
+    haptic_sink: the vibration's, which nothing is captured from. Any thread.
+    """
+    if snapshot is None:
+        return ()
+    everyone = AppRules().select(snapshot, haptic_sink)
+    if rules is not None:
+        felt = {stream.index for stream in rules.select(snapshot, haptic_sink)}
+    else:
+        sink = getattr(source, "monitor_of", None)
+        felt = {stream.index for stream in everyone if stream.device_name == sink}
+    found: dict[str, Application] = {}
+    for stream in everyone:
+        name = app_name(stream)
+        before = found.get(name, Application(name, plays=False, is_felt=False))
+        found[name] = Application(
+            name,
+            plays=before.plays or not stream.corked,
+            is_felt=before.is_felt or stream.index in felt,
+        )
+    return tuple(found.values())[:APPLICATIONS_MAX]
+
+
+def choosing(
+    name: str, is_felt: bool, include: tuple[str, ...], exclude: tuple[str, ...]
+) -> dict[str, tuple[str, ...]]:
+    """Return the rules, by key of the config, that include or exclude one application.
+
+    include, exclude: the rules until now.
+    """
+    rule = f"application:{name}" if ":" in name else name
+    own = {name.casefold(), rule.casefold()}
+    excluded = tuple(one for one in exclude if one.casefold() not in own)
+    included = tuple(one for one in include if one.casefold() not in own)
+    if is_felt:
+        # Without rules to include, all are.
+        included = (*included, rule) if include else ()
+    else:
+        excluded = (*excluded, rule)
+        included = included if included or not include else include
+    return {"applications.include": included, "applications.exclude": excluded}

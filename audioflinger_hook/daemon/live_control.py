@@ -1,0 +1,270 @@
+"""What pages ask of a running daemon: checked as the config file is, applied at once, in order.
+
+A request has exactly one of these keys, beside those of the protocol:
+
+    "set": {"gain_db": -6.0}                   keys of the config; null: the default
+    "application": "Firefox", "felt": false    exclude or include one application
+    "mute": true
+    "tone": {"hz": 60, "level": 0.2}, or null  start or stop the test tone
+    "undo": true, "save": true
+
+The answer is `{"done": true}`, or `{"error": ..., "key": ...}` in the words of the config's check.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable
+from audioflinger_hook.config.schema import CHANGES, Key
+from audioflinger_hook.config.settings import LiveSettings, Settings
+from audioflinger_hook.daemon.applications import choosing
+from audioflinger_hook.daemon.run_config import RunConfig
+from audioflinger_hook.daemon.status_report import frame_of
+from audioflinger_hook.daemon.supervisor import Supervisor
+from audioflinger_hook.service.install import own_command
+from audioflinger_hook.service.one_line import one_line
+from device.errors import CushionError, UsageError
+
+WAITING_MAX = 16
+"""Requests that may wait for the main thread."""
+
+ANSWER_S = 3.0
+"""Longest wait for an answer."""
+
+KEYS_MAX = 16
+"""Keys that one request may set."""
+
+TONE_S = 20.0
+"""A test tone ends by itself after this time: the page that started it may be gone."""
+
+
+@dataclass(eq=False)
+class _Request:
+    asked: dict[str, Any]
+    done: threading.Event = field(default_factory=threading.Event)
+    answer: dict[str, Any] = field(default_factory=dict)
+    expired: bool = False
+
+
+class LiveControl:
+    """Requests of pages, carried out by the main thread; a `Live` of the status server.
+
+    supervisor: whose state is shown. edits: changes to its config. follow: applies edits and mute,
+    and returns the new config; it raises a CushionError and changes nothing where it cannot. ring:
+    wakes the main thread. config: that applies. page: address of a page that watches, "" for none.
+
+    The server's threads call `frame`, `news` and `control`, the main thread `work` and `close`.
+    """
+
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        edits: LiveEdits,
+        follow: Callable[[Mapping[str, Any], bool], RunConfig],
+        ring: Callable[[], None],
+        config: RunConfig,
+    ) -> None:
+        self._supervisor = supervisor
+        self._edits = edits
+        self._follow = follow
+        self._ring = ring
+        self._config = config
+        self.page = ""
+        self._tone: subprocess.Popen[bytes] | None = None
+        self._waiting: deque[_Request] = deque()
+        self._lock = threading.Lock()
+        self._news: tuple[int, dict[str, Any]] = (0, {})
+        self._tell()
+
+    def frame(self) -> str:
+        """Return what changes many times a second; see `frame_of`."""
+        return frame_of(self._supervisor)
+
+    def news(self, seen: int) -> tuple[int, dict[str, Any] | None]:
+        """Return the number of the latest settings, and these unless `seen` is that number."""
+        number, settings = self._news
+        return number, None if number == seen else settings
+
+    def watched_by(self, page: str) -> None:
+        """Note the address of a page that watches."""
+        if page.startswith("http://"):
+            self.page = one_line(page)
+            self._ring()
+
+    def control(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Let the main thread carry out a request; return its answer."""
+        waiting = _Request(request)
+        with self._lock:
+            if len(self._waiting) >= WAITING_MAX:
+                return {"error": "the daemon has too many requests to carry out; try again"}
+            self._waiting.append(waiting)
+        self._ring()
+        if not waiting.done.wait(ANSWER_S):
+            waiting.expired = True
+            return {"error": f"the daemon has not answered within {ANSWER_S:g} s; try again"}
+        return waiting.answer
+
+    def work(self) -> None:
+        """Carry out what waits, and notice the end of the test tone."""
+        while self._waiting:
+            request = self._waiting.popleft()
+            if not request.expired:
+                request.answer = self._carry_out(request.asked)
+                request.done.set()
+        if self._tone is not None and self._tone.poll() is not None:
+            self._tone = None
+            self._tell()
+
+    def reloaded(self, config: RunConfig) -> None:
+        """Note that another config applies, as its file was read again."""
+        self._config = config
+        self._tell()
+
+    def close(self) -> None:
+        """End the test tone."""
+        if self._tone is not None:
+            self._tone.terminate()
+            self._tone.wait()
+            self._tone = None
+
+    def _carry_out(self, asked: dict[str, Any]) -> dict[str, Any]:
+        actions: dict[str, Callable[[Any], None]] = {
+            "set": self._set,
+            "application": lambda name: self._choose(name, asked.get("felt")),
+            "mute": self._mute,
+            "tone": self._play_tone,
+            "undo": lambda _: self._undo(),
+            "save": lambda _: self._edits.save(),
+        }
+        chosen = [name for name in asked if name in actions]
+        try:
+            if len(chosen) != 1:
+                raise UsageError(f"give exactly one of {', '.join(actions)}")
+            actions[chosen[0]](asked[chosen[0]])
+        except _Refused as error:
+            return {"error": str(error), "key": error.key}
+        except CushionError as error:
+            return {"error": one_line(str(error), 400)}
+        except Exception as error:  # an error of the program must not end the daemon
+            return {"error": f"the request failed: {type(error).__name__}: {one_line(str(error))}"}
+        self._tell()
+        return {"done": True}
+
+    def _set(self, changes: object) -> None:
+        if not isinstance(changes, dict) or not 1 <= len(changes) <= KEYS_MAX:
+            raise UsageError(f"set takes 1 to {KEYS_MAX} keys with their values")
+        typed = {}
+        for name, value in changes.items():
+            described = editable(name).description
+            refusal = None if value is None else described.refuse(value)
+            if refusal:
+                raise _Refused(name, f"{one_line(str(value), 60)} {refusal}")
+            typed[name] = None if value is None else described.typed(value)
+        changes = typed
+        try:
+            self._apply(self._edits.with_changes(changes), self._config.muted)
+        except CushionError as error:
+            raise _Refused(next(iter(changes)), one_line(str(error), 400)) from error
+        self._edits.accept(changes)
+
+    def _choose(self, name: object, is_felt: object) -> None:
+        if not isinstance(name, str) or not name.strip() or not isinstance(is_felt, bool):
+            raise UsageError('give the name of an application, and "felt" as true or false')
+        live = self._config.live
+        self._set({k: [*v] for k, v in choosing(name, is_felt, live.include, live.exclude).items()})
+
+    def _mute(self, muted: object) -> None:
+        if not isinstance(muted, bool):
+            raise UsageError("mute takes true or false")
+        self._apply(self._edits.values, muted)
+
+    def _undo(self) -> None:
+        self._apply(self._edits.without_last(), self._config.muted)
+        self._edits.undo()
+
+    def _apply(self, edits: Mapping[str, Any], muted: bool) -> None:
+        self._config = self._follow(edits, muted)
+
+    def _play_tone(self, wanted: object) -> None:
+        self.close()
+        if wanted is None or wanted is False:
+            return
+        chosen = wanted if isinstance(wanted, dict) else {}
+        hz, level = chosen.get("hz", 60.0), chosen.get("level", 0.2)
+        if type(hz) not in (int, float) or not 20.0 <= hz <= 220.0:
+            raise _Refused(
+                "tone", f"{one_line(str(hz), 60)} is out of range; allowed: 20 to 220 Hz"
+            )
+        if type(level) not in (int, float) or not 0.0 < level <= 0.5:
+            raise _Refused("tone", "the level is out of range; allowed: above 0, up to 0.5")
+        _, (address, name) = self._supervisor.endpoints
+        if not address.startswith(("sink:", "usb:")) or name is None:
+            raise _Refused(
+                "tone",
+                f"{one_line(address)} cannot play a test tone; allowed: a sink or a USB device of "
+                "the sound server that is there",
+            )
+        # A process of its own, as for any application: nothing of the audio threads changes.
+        self._tone = subprocess.Popen(
+            [
+                *own_command(),
+                "test-tone",
+                f"--device=sink:{name}",
+                f"--hz={hz}",
+                f"--level={level}",
+                f"--seconds={TONE_S}",
+            ],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def _tell(self) -> None:
+        """Make the settings that pages show; one object, so that a reader sees all of them."""
+        unsaved = self._edits.unsaved
+        self._news = (
+            self._news[0] + 1,
+            {
+                "keys": [
+                    _shown(name, key, self._value_of(key)) | {"unsaved": name in unsaved}
+                    for name, key in EDITABLE.items()
+                ],
+                "unsaved": len(unsaved),
+                "undo": self._edits.undo_count,
+                "muted": self._config.muted,
+                "tone": self._tone is not None,
+                "recording": self._config.recording is not None,
+            },
+        )
+
+    def _value_of(self, key: Key) -> Any:
+        owners = {Settings: self._config.settings, LiveSettings: self._config.live}
+        return getattr(owners.get(key.owner, self._config.settings.parameters), key.field)
+
+
+class _Refused(UsageError):
+    """A refused value, with the key that it was for."""
+
+    def __init__(self, key: str, message: str) -> None:
+        super().__init__(message)
+        self.key = key
+
+
+def _shown(name: str, key: Key, value: Any) -> dict[str, Any]:
+    described = key.description
+    return {
+        "key": name,
+        "meaning": described.meaning,
+        "allowed": described.allowed,
+        "schema": {k: v for k, v in described.json_schema().items() if k != "description"},
+        "unit": getattr(described, "unit", ""),
+        "default": key.default,
+        "value": value,
+        "change": CHANGES[key.change],
+    }

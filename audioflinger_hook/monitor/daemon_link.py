@@ -1,0 +1,147 @@
+"""The page's connection to the daemon: made again after each loss, with the reason in words."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from audioflinger_hook.service.one_line import one_line
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
+from audioflinger_hook.service.status_client import NO_DAEMON
+from audioflinger_hook.service.status_server import NAME, PROTOCOL, peer_uid
+from device.errors import CushionError, InternalError, NotFoundError, UsageError
+
+RETRY_S = 0.5
+SILENT_S = 5.0
+"""A daemon that sends nothing for so long is taken for lost: it sends 30 frames a second."""
+
+LINE_BYTES_MAX = 1 << 18
+"""Longest line of the daemon; its status has 4 kB, its settings 9 kB."""
+
+LINE_SHARE = 0.2
+"""Pause after each line, as a share of a frame's time: a daemon that floods is read no faster."""
+
+
+class DaemonLink:
+    """Watches the daemon and passes requests on. For one thread, its event loop.
+
+    tell: called with each message of the daemon, (kind, content, its text): "hello", "frame",
+    "status", "settings"; and with ("link", ...) when the connection changes, whose content is
+    {"connected": ..., "text": ...}. page: address that the daemon tells its user.
+    """
+
+    def __init__(
+        self,
+        tell: Callable[[str, dict[str, Any]], None],
+        rate_hz: float,
+        page: str,
+        environ: Mapping[str, str] = os.environ,
+    ) -> None:
+        self._tell = tell
+        self._pause_s = LINE_SHARE / rate_hz
+        self._watch_request = {"ask": "watch", "rate_hz": rate_hz, "page": page}
+        self._environ = environ
+        self._control = asyncio.Lock()
+        self._told = ""
+
+    async def run(self) -> None:
+        """Watch until cancelled."""
+        while True:
+            problem = await self._attempt(self._watch())
+            self._note(problem, connected=False)
+            await asyncio.sleep(RETRY_S)
+
+    async def control(self, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the daemon's answer to a request, in the order of the calls; raises nothing."""
+        async with self._control:
+            answer: dict[str, Any] = {}
+
+            async def ask() -> None:
+                reader, writer = await self._connect()
+                try:
+                    _send(writer, {**request, "ask": "control"})
+                    answer.update(await _message(reader))
+                finally:
+                    writer.close()
+
+            problem = await self._attempt(ask())
+        return {"error": problem} if problem else answer
+
+    async def _watch(self) -> None:
+        reader, writer = await self._connect()
+        try:
+            _send(writer, self._watch_request)
+            hello = await _message(reader)
+            if "hello" not in hello:
+                raise UsageError(_other_version(hello))
+            self._note(f"connected to version {hello['hello'].get('version')}", connected=True)
+            while True:
+                for kind, content in (await _message(reader)).items():
+                    if isinstance(content, dict):
+                        self._tell(kind, content)
+                await asyncio.sleep(self._pause_s)
+        finally:
+            writer.close()
+
+    async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        with RuntimeFolder(self._environ, create=False) as folder:
+            async with asyncio.timeout(SILENT_S):
+                address = folder.address(NAME)
+                reader, writer = await asyncio.open_unix_connection(address, limit=LINE_BYTES_MAX)
+        owner = peer_uid(writer.get_extra_info("socket"))
+        if owner != os.geteuid():
+            writer.close()
+            raise UsageError(f"the daemon runs as user {owner}; run the page as that user")
+        return reader, writer
+
+    async def _attempt(self, what: Awaitable[None]) -> str:
+        """Do something with the daemon; return what went wrong, in words."""
+        try:
+            await what
+        except TimeoutError:
+            return f"the daemon has sent nothing for {SILENT_S:g} s; waiting for it"
+        except (NotFoundError, FileNotFoundError, ConnectionRefusedError):
+            return NO_DAEMON
+        except CushionError as error:
+            return str(error)
+        except OSError as error:
+            return f"the connection to the daemon is lost ({error.strerror}); waiting for it"
+        return ""
+
+    def _note(self, text: str, *, connected: bool) -> None:
+        if text != self._told:
+            self._told = text
+            self._tell("link", {"connected": connected, "text": text})
+
+
+def _send(writer: asyncio.StreamWriter, request: Mapping[str, Any]) -> None:
+    writer.write(json.dumps({**request, "protocol": PROTOCOL}).encode() + b"\n")
+
+
+async def _message(reader: asyncio.StreamReader) -> dict[str, Any]:
+    """Return the daemon's next message. InternalError: it has ended, or sends something else."""
+    message = None
+    try:
+        async with asyncio.timeout(SILENT_S):  # wait_for may swallow a cancellation
+            line = await reader.readline()
+        if not line:
+            raise InternalError("the daemon has ended; waiting for the next one")
+        with suppress(ValueError, RecursionError):
+            message = json.loads(line)
+    except ValueError as error:  # the line is too long
+        raise InternalError(
+            f"the daemon sends lines over {LINE_BYTES_MAX} bytes; restart it"
+        ) from error
+    if not isinstance(message, dict):
+        raise InternalError("the daemon sends what is not understood; restart it")
+    return message
+
+
+def _other_version(answer: dict[str, Any]) -> str:
+    reason = answer.get("error")
+    reason = one_line(reason) if isinstance(reason, str) else "its answer is not understood"
+    return f"the daemon is of another version than the page: {reason}; restart both"

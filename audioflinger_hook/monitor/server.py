@@ -1,0 +1,272 @@
+"""HTTP and websockets of the page: a fixed table of files, the metrics, and the live connection."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import logging
+import socket
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import partial
+from http import HTTPStatus
+from importlib.resources import files
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from audioflinger_hook.monitor.access import Access, Listen
+from audioflinger_hook.monitor.clients import CLIENTS_MAX, Client, Clients
+from audioflinger_hook.monitor.daemon_link import DaemonLink
+from audioflinger_hook.monitor.metrics import CONTENT_TYPE, metrics_text
+from device.errors import InternalError, UsageError
+
+MESSAGE_BYTES_MAX = 4096
+CONNECTIONS_MAX = 48
+"""Connections at a time, browsers and requests together; more are closed at once."""
+
+OPEN_S = 5.0
+"""Time for a request to arrive."""
+
+PING_S = 20.0
+WRITE_BYTES = 16_384
+"""Bytes that wait for a slow browser in this process and in the kernel, each."""
+
+CONTROL_PAUSE_S = 0.02
+"""Pause after each request of a browser to the daemon."""
+
+FILES = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/style.css": ("style.css", "text/css; charset=utf-8"),
+    "/icon.svg": ("icon.svg", "image/svg+xml"),
+    **{
+        f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8")
+        for name in (
+            "page",
+            "connection",
+            "drawing",
+            "meters",
+            "mapping",
+            "waterfall",
+            "controls",
+            "figures",
+        )
+    },
+}
+"""Everything that can be loaded: path, file and type."""
+
+SECURITY = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+        "img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+_REQUESTS = ("set", "application", "felt", "mute", "tone", "undo", "save")
+
+
+class PageServer:
+    """Serves the page until `run` is cancelled. For one thread.
+
+    listen: where. token: that opens the page. rate_hz: frames a second.
+    """
+
+    def __init__(
+        self, listen: Listen, token: str, rate_hz: float, environ: Mapping[str, str]
+    ) -> None:
+        self._listen = listen
+        self._token = token
+        self._rate_hz = rate_hz
+        self._environ = environ
+        self._clients = Clients()
+        self._connections = 0
+        folder = files("audioflinger_hook.monitor").joinpath("static")
+        self._files = {
+            path: (folder.joinpath(name).read_bytes(), kind) for path, (name, kind) in FILES.items()
+        }
+
+    async def run(self, on_ready: Callable[[str], None]) -> None:
+        """Serve; on_ready is called with the address, which holds the token.
+
+        UsageError: the address is in use, or not one of this computer.
+        """
+        bound = _bound(self._listen)
+        listen = Listen(self._listen.host, bound.getsockname()[1])
+        self._access = Access(listen, self._token)
+        address = f"http://{listen.shown_host}:{listen.port}/#{self._token}"
+        self._link = DaemonLink(self._clients.tell, self._rate_hz, address, self._environ)
+        logger = logging.getLogger("audioflinger_hook.monitor")
+        logger.addHandler(logging.NullHandler())
+        logger.propagate = False  # An attack must not fill a journal.
+        async with serve(
+            self._converse,
+            sock=bound,
+            process_request=self._answer,
+            create_connection=partial(_Connection, self),  # type: ignore[arg-type]
+            compression=None,
+            max_size=MESSAGE_BYTES_MAX,
+            max_queue=4,
+            write_limit=WRITE_BYTES,
+            open_timeout=OPEN_S,
+            close_timeout=2.0,
+            ping_interval=PING_S,
+            ping_timeout=PING_S,
+            server_header=None,
+            logger=logger,
+        ):
+            on_ready(address)
+            await self._link.run()
+
+    def begin(self) -> bool:
+        """Count a connection; return whether there is room for it."""
+        self._connections += 1
+        return self._connections <= CONNECTIONS_MAX
+
+    def end(self) -> None:
+        """Count a connection that has ended."""
+        self._connections -= 1
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Return the response to a request, None for the live connection."""
+        headers = request.headers
+        hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+        upgrade = request.path == "/live"
+        refusal = self._access.refuse_host(hosts, str(connection.local_address[0]))
+        if not refusal:
+            refusal = self._access.refuse_origin(origins, hosts[0], needed=upgrade)
+        if refusal:
+            return _text(HTTPStatus.FORBIDDEN, refusal)
+        cookie = self._access.has_cookie("; ".join(headers.get_all("Cookie")))
+        bearer = self._access.has_bearer(headers.get_all("Authorization"))
+        if request.path in self._files:
+            return _response(HTTPStatus.OK, *self._files[request.path])
+        full = len(self._clients) >= CLIENTS_MAX
+        if request.path == "/session" and bearer:
+            response = _response(HTTPStatus.NO_CONTENT, b"", "text/plain")
+            response.headers["Set-Cookie"] = self._access.cookie
+            return response
+        if request.path == "/session" and cookie and not full:
+            return _response(HTTPStatus.NO_CONTENT, b"", "text/plain")
+        if request.path == "/metrics" and (cookie or bearer):
+            text = metrics_text(self._clients)
+            return _response(HTTPStatus.OK, text, CONTENT_TYPE)
+        if upgrade and cookie and not full:
+            return None
+        if request.path in ("/live", "/session") and cookie:
+            reason = f"{CLIENTS_MAX} pages are open already; close one of them"
+            return _text(HTTPStatus.SERVICE_UNAVAILABLE, reason)
+        if request.path in ("/session", "/metrics", "/live"):
+            needed = "the token is missing or wrong; open the address that `cushion monitor` prints"
+            return _text(HTTPStatus.FORBIDDEN, needed)
+        if any(sign in request.path for sign in ("..", "%", "\\", "//")):
+            return _text(HTTPStatus.FORBIDDEN, "this path is refused")
+        return _text(HTTPStatus.NOT_FOUND, "there is no such page")
+
+    async def _converse(self, connection: ServerConnection) -> None:
+        """Serve one browser."""
+        if len(self._clients) >= CLIENTS_MAX:  # some opened at the same moment
+            await connection.close(1013, "too many pages are open")
+            return
+        client = self._clients.add()
+        sending = asyncio.ensure_future(client.send_all(connection.send))
+        try:
+            async for message in connection:
+                if not await self._take(client, message):
+                    await connection.close(1008, "this message is refused")
+                    return
+        except ConnectionClosed:
+            pass
+        finally:
+            self._clients.remove(client)
+            sending.cancel()
+            with suppress(asyncio.CancelledError, ConnectionClosed):
+                await sending
+
+    async def _take(self, client: Client, message: str | bytes) -> bool:
+        """Carry out a browser's message; return whether it is one."""
+        try:
+            asked = json.loads(message) if isinstance(message, str) else None
+        except (ValueError, RecursionError):
+            return False
+        if not isinstance(asked, dict):
+            return False
+        if type(asked.get("ack")) is int:
+            client.acknowledge(asked["ack"])
+            return True
+        if type(asked.get("id")) is not int:
+            return False
+        request = {name: asked[name] for name in _REQUESTS if name in asked}
+        answer = await self._link.control(request)
+        client.answer(json.dumps({"id": asked["id"], "answer": answer}))
+        await asyncio.sleep(CONTROL_PAUSE_S)
+        return True
+
+
+class _Connection(ServerConnection):
+    """A connection that is counted, and has a small buffer in the kernel."""
+
+    def __init__(self, server: PageServer, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._page_server = server
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        own = transport.get_extra_info("socket")
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, WRITE_BYTES)
+        super().connection_made(transport)
+        if not self._page_server.begin():
+            assert isinstance(transport, asyncio.Transport)
+            transport.abort()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._page_server.end()
+        super().connection_lost(error)
+
+
+def _bound(listen: Listen) -> socket.socket:
+    """Return a listening socket. UsageError: the address cannot be used."""
+    where = f"{listen.host}:{listen.port}"
+    try:
+        found = socket.getaddrinfo(listen.bind_host, listen.port, type=socket.SOCK_STREAM)
+        family, _, _, _, address = found[0]
+        bound = socket.socket(family, socket.SOCK_STREAM)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            bound.bind(address)
+            bound.listen(CONNECTIONS_MAX)
+        except BaseException:
+            bound.close()
+            raise
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise UsageError(
+                f"{where} is in use, perhaps by another page; open that one, or give another port "
+                f"with --listen {listen.host}:{listen.port + 1}"
+            ) from error
+        if error.errno in (errno.EMFILE, errno.ENFILE):
+            raise InternalError(f"cannot listen on {where}: {error.strerror}") from error
+        raise UsageError(
+            f"cannot listen on {where}: {error.strerror}; give an address of this computer"
+        ) from error
+    return bound
+
+
+def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
+    headers = Headers(SECURITY)
+    headers["Content-Type"] = kind
+    headers["Content-Length"] = str(len(body))
+    headers["Connection"] = "close"
+    return Response(status.value, status.phrase, headers, body)
+
+
+def _text(status: HTTPStatus, reason: str) -> Response:
+    return _response(status, f"{reason}\n".encode(), "text/plain; charset=utf-8")

@@ -1,0 +1,107 @@
+"""A sound server, a daemon, a page and a browser, which the tests of one file share."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from tests.servers.daemons import Daemon, running
+from tests.servers.listening import need, wait_for
+from tools.live_page import Monitor, browser, missing_browser, open_page, served
+from tools.sound_server import SoundServer, missing_programs
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+CONFIG = """# My cushion.
+device = "haptic" # the one under the seat
+
+gain_db = -3.0 # the neighbours
+
+[transform]
+threshold_hz = 8.0
+"""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    here = Path(__file__).parent
+    for item in items:
+        if here in item.path.parents:
+            item.add_marker(pytest.mark.browser)
+
+
+@dataclass
+class Room:
+    """All of it. errors: what the browser's console complained of."""
+
+    server: SoundServer
+    daemon: Daemon
+    monitor: Monitor
+    chromium: Browser
+    config: Path
+    errors: list[str] = field(default_factory=list)
+
+    def open(self, width: int = 1280, theme: str = "dark") -> Page:
+        """Open the page and wait until it shows the daemon."""
+        page = open_page(self.chromium, self.monitor.address, width, theme)
+        page.on("console", lambda said: self.complain(said.type, said.text))
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        state(page, "Running", "Idle")
+        return page
+
+    def complain(self, kind: str, text: str) -> None:
+        """Keep an error of the console. While a server is away, connections fail."""
+        if kind == "error" and "ERR_CONNECTION_REFUSED" not in text:
+            self.errors.append(text)
+
+
+def state(page: Page, *words: str, limit_s: float = 30.0) -> str:
+    """Wait for the state in words; return it."""
+    found: list[str] = []
+
+    def holds() -> bool:
+        found[:] = [page.inner_text("#state-word")]
+        return found[0] in words
+
+    wait_for(holds, f"state {words}", limit_s)
+    return found[0]
+
+
+def shown(page: Page) -> list[dict[str, Any]]:
+    """The partials that the page draws."""
+    partials: list[dict[str, Any]] = page.evaluate("window.cushion.partials")
+    return partials
+
+
+@pytest.fixture(scope="module")
+def room() -> Iterator[Room]:
+    need([*missing_browser(), *missing_programs("pipewire")])
+    # Not tmp_path: a socket's path has room for some 100 characters only.
+    with (
+        tempfile.TemporaryDirectory(prefix="cushion-") as folder,
+        SoundServer("pipewire", Path(folder)) as server,
+    ):
+        config = Path(server.environment["XDG_CONFIG_HOME"]) / "cushion" / "config.toml"
+        config.parent.mkdir(parents=True)
+        config.write_text(CONFIG)
+        with (
+            running(server, device=None, engine=None) as daemon,
+            served(server) as monitor,
+            browser() as chromium,
+        ):
+            yield Room(server, daemon, monitor, chromium, config)
+
+
+@pytest.fixture
+def page(room: Room) -> Iterator[Page]:
+    """An open page, without a complaint of the browser's at its end."""
+    room.errors.clear()
+    opened = room.open()
+    yield opened
+    opened.context.close()
+    assert room.errors == []

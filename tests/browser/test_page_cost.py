@@ -1,0 +1,214 @@
+"""What the live page costs: pictures a second, processor time, memory, slow clients."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import statistics
+import subprocess
+import sys
+import time
+import urllib.request
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.browser.conftest import Room, state
+from tests.servers.daemons import ROOT, tone
+from tests.servers.listening import need, playing, wait_for
+
+FRAMES_PER_S = 30.0
+ROUNDS = 5
+ROUND_S = 6.0
+GROWTH_PERCENT = 0.5
+SOAK_S = 600.0
+CLIENT = """
+import json, sys
+from websockets.sync.client import connect
+host, cookie = sys.argv[1:]
+headers = {"Origin": f"http://{host}", "Cookie": cookie}
+with connect(f"ws://{host}/live", additional_headers=headers, compression=None) as live:
+    for text in live:
+        message = json.loads(text)
+        if "frame" in message:
+            live.send(json.dumps({"ack": message["n"]}))
+            if message["n"] == 10:
+                print("watching", flush=True)
+"""
+
+
+def used_s(pid: int) -> float:
+    """The processor time of all threads, which the scheduler counts in ns."""
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return 1e-9 * sum(int((task / "schedstat").read_text().split()[0]) for task in tasks)
+
+
+def cpu_percent(pid: int) -> float:
+    """What a process uses of one core."""
+    began_s, before_s = time.monotonic(), used_s(pid)
+    wait_for(lambda: time.monotonic() - began_s > ROUND_S, "time", 3.0 * ROUND_S)
+    return 100.0 * (used_s(pid) - before_s) / (time.monotonic() - began_s)
+
+
+def resident_kb(pid: int) -> int:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
+
+
+def metric(room: Room, name: str) -> float:
+    """One value of /metrics."""
+    request = urllib.request.Request(
+        f"{room.monitor.base}metrics", headers={"Authorization": f"Bearer {room.monitor.token}"}
+    )
+    with urllib.request.urlopen(request, timeout=10.0) as answer:
+        lines = answer.read().decode().splitlines()
+    return float(next(line for line in lines if line.startswith(f"{name} ")).split()[-1])
+
+
+@pytest.mark.calm
+def test_thirty_pictures_a_second_are_drawn(room: Room) -> None:
+    with playing(room.server, "desktop", tone(440.0, 60.0)):
+        page = room.open()
+        rates = []
+        for _ in range(ROUNDS):
+            began_s, before = time.monotonic(), page.evaluate("window.cushion.frames")
+            page.wait_for_timeout(2_000)
+            drawn = page.evaluate("window.cushion.frames") - before
+            rates.append(drawn / (time.monotonic() - began_s))
+        page.context.close()
+    print("pictures a second:", [round(rate, 1) for rate in rates])
+    # A frame at either end may belong to the next round.
+    assert statistics.median(rates) >= FRAMES_PER_S - 1.0
+
+
+@pytest.mark.calm
+def test_a_page_costs_the_daemon_half_a_percent_and_nothing_once_it_is_closed(room: Room) -> None:
+    pid = room.daemon.process.pid
+    alone, watched, after = [], [], []
+    room.monitor.close()
+    with playing(room.server, "desktop", tone(440.0, 200.0)):
+        wait_for(lambda: room.daemon.status(), "status")
+        for _ in range(ROUNDS):
+            alone.append(cpu_percent(pid))
+            room.monitor = type(room.monitor)(room.server, "--listen", "127.0.0.1:0")
+            page = room.open()
+            watched.append(cpu_percent(pid))
+            page.context.close()
+            room.monitor.close()
+            after.append(cpu_percent(pid))
+    room.monitor = type(room.monitor)(room.server, "--listen", "127.0.0.1:0")
+    medians = [statistics.median(one) for one in (alone, watched, after)]
+    print("percent of a core: alone {:.2f}, watched {:.2f}, closed {:.2f}".format(*medians))
+    assert medians[1] - medians[0] <= GROWTH_PERCENT
+    assert medians[2] - medians[0] <= 0.1  # what the same measurement differs by
+
+
+def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room) -> None:
+    host = room.monitor.base.removeprefix("http://").rstrip("/")
+    cookie = f"cushion_{room.monitor.port}={room.monitor.token}"
+    with playing(room.server, "desktop", tone(440.0, 60.0)), ExitStack() as stack:
+        clients = []
+        for _ in range(8):
+            client = subprocess.Popen(
+                [sys.executable, "-c", CLIENT, host, cookie],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+            )
+            stack.callback(client.wait)
+            stack.callback(client.kill)
+            clients.append(client)
+        for client in clients:
+            assert client.stdout is not None
+            assert client.stdout.readline() == "watching\n"
+            client.stdout.close()
+        assert metric(room, "cushion_page_clients") == 8.0
+        clients[0].send_signal(signal.SIGSTOP)
+        resident = resident_kb(room.monitor.process.pid)
+        before = metric(room, "cushion_page_overwritten_frames_total")
+        time.sleep(10.0)
+        clients[0].send_signal(signal.SIGCONT)
+        status = room.daemon.status()
+        assert status is not None
+        assert (status.xruns.tap, status.xruns.output, status.delay_line.underflows) == (0, 0, 0)
+        # At least the stopped one's, of ten seconds.
+        assert metric(room, "cushion_page_overwritten_frames_total") - before > 200
+        assert resident_kb(room.monitor.process.pid) < resident + 2_000
+
+
+def test_a_real_prometheus_scrapes_the_page_for_a_minute(room: Room, tmp_path: Path) -> None:
+    need([] if shutil.which("prometheus") else ["prometheus (tools/fetch_browser.sh)"])
+    token = Path(room.server.environment["XDG_RUNTIME_DIR"]) / "cushion" / "page.token"
+    configuration = {
+        "rule_files": [str(ROOT / "docs/alerts.yml")],
+        "scrape_configs": [
+            {
+                "job_name": "cushion",
+                "scrape_interval": "1s",
+                "authorization": {"credentials_file": str(token)},
+                "static_configs": [{"targets": [f"127.0.0.1:{room.monitor.port}"]}],
+            }
+        ],
+    }
+    path = tmp_path / "prometheus.yml"
+    path.write_text(json.dumps(configuration))  # JSON is YAML
+    checked = subprocess.run(["promtool", "check", "config", str(path)], capture_output=True)
+    assert checked.returncode == 0, checked
+    port = room.monitor.port + 1 if room.monitor.port < 65_000 else room.monitor.port - 1
+    with ExitStack() as stack:
+        process = subprocess.Popen(
+            [
+                *("prometheus", f"--config.file={path}", f"--storage.tsdb.path={tmp_path}/data"),
+                f"--web.listen-address=127.0.0.1:{port}",
+            ],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        stack.callback(process.wait)
+        stack.callback(process.terminate)
+
+        def asked(query: str) -> list[Any]:
+            url = f"http://127.0.0.1:{port}/api/v1/query?query={query}"
+            try:
+                with urllib.request.urlopen(url, timeout=5.0) as answer:
+                    return list(json.load(answer)["data"]["result"])
+            except OSError:
+                return []
+
+        with playing(room.server, "desktop", tone(440.0, 90.0)):
+            wait_for(lambda: asked("cushion_up"), "a first scrape", 60.0)
+            time.sleep(60.0)
+            (scraped,) = asked("count_over_time(cushion_up[1m])")
+            assert float(scraped["value"][1]) >= 50.0
+            assert asked("min_over_time(up[1m])")[0]["value"][1] == "1"
+            assert asked('cushion_state{state="running"}')[0]["value"][1] == "1"
+            assert asked("cushion_delay_seconds")
+            assert not asked("ALERTS{alertstate='firing'}".replace("'", "%22"))
+
+
+@pytest.mark.soak
+def test_the_pages_memory_stays_flat_for_ten_minutes(room: Room) -> None:
+    page = room.open()
+    session = page.context.new_cdp_session(page)
+
+    def heap_kb() -> float:
+        for _ in range(3):
+            session.send("HeapProfiler.collectGarbage")
+        found: float = session.send("Runtime.getHeapUsage")["usedSize"] / 1024
+        return found
+
+    with playing(room.server, "desktop", tone(440.0, SOAK_S + 90.0)):
+        state(page, "Running")
+        page.wait_for_timeout(30_000)
+        heap, resident = heap_kb(), resident_kb(room.monitor.process.pid)
+        page.wait_for_timeout(SOAK_S * 1e3)
+        grown_kb = heap_kb() - heap, resident_kb(room.monitor.process.pid) - resident
+    page.context.close()
+    print(
+        f"in {SOAK_S:.0f} s the heap grew by {grown_kb[0]:.0f} kB, the server by {grown_kb[1]} kB"
+    )
+    assert grown_kb[0] < 300
+    assert grown_kb[1] < 1_000

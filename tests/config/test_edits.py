@@ -1,0 +1,148 @@
+"""Changes to a config file while the daemon runs: what applies, what is saved, what is undone."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from audioflinger_hook.config import file as config
+from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable, edited_text
+from device.errors import UsageError, WriteError
+
+TEXT = """# My cushion.
+device = "haptic" # the one under the seat
+gain_db = -3.0 # the neighbours
+
+[transform] # tuned by hand
+threshold_hz = 8.0
+
+[[actuator]]
+channels = [0] # left
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "cushion" / "config.toml"
+    path.parent.mkdir()
+    path.write_text(TEXT)
+    return path
+
+
+def test_comments_order_and_other_values_stay(path: Path) -> None:
+    changed = edited_text(TEXT, {"gain_db": -6.0, "transform.threshold_hz": 9.0})
+    assert changed == TEXT.replace("-3.0", "-6.0").replace("8.0", "9.0")
+
+
+def test_new_keys_and_sections_are_added_where_they_belong() -> None:
+    changed = edited_text(TEXT, {"offset_ms": 5.0, "applications.exclude": ["Chat"]})
+    document = tomllib.loads(changed)
+    assert document["offset_ms"] == 5.0
+    assert document["applications"] == {"exclude": ["Chat"]}
+    assert [line for line in TEXT.splitlines() if line not in changed.splitlines()] == []
+
+
+def test_a_removed_key_takes_its_default_again(path: Path) -> None:
+    edits = LiveEdits(path)
+    edits.accept({"gain_db": None})
+    edits.save()
+    assert config.load(path).settings.gain_db == 0.0
+    assert "# My cushion." in path.read_text()
+
+
+VALUES: dict[str, st.SearchStrategy[Any]] = {
+    "gain_db": st.one_of(st.none(), st.floats(-60.0, 0.0)),
+    "offset_ms": st.one_of(st.none(), st.floats(0.0, 1000.0)),
+    "profile": st.sampled_from(["paper", "cinema", "game", None]),
+    "applications.exclude": st.lists(st.text(min_size=1).filter(str.strip), max_size=3),
+    "transform.threshold_hz": st.one_of(st.none(), st.floats(4.0, 12.0)),
+}
+CHANGES = st.sampled_from(sorted(VALUES)).flatmap(
+    lambda name: VALUES[name].map(lambda value: {name: value})
+)
+
+
+@given(st.lists(st.one_of(CHANGES, st.sampled_from(["undo", "save"])), max_size=12))
+def test_the_saved_file_says_what_applied_and_undo_goes_back_step_by_step(
+    tmp_path_factory: pytest.TempPathFactory, steps: list[Any]
+) -> None:
+    path = tmp_path_factory.mktemp("edits") / "config.toml"
+    path.write_text(TEXT)
+    edits = LiveEdits(path)
+    past = [config.load(path, edits=edits.values)]
+    for step in steps:
+        if step == "save":
+            edits.save()
+            assert not edits.unsaved
+            assert config.load(path) == past[-1]
+        elif step == "undo" and len(past) > 1:
+            edits.undo()
+            past.pop()
+        elif isinstance(step, dict):
+            edits.accept(step)
+            past.append(config.load(path, edits=edits.values))
+        assert config.load(path, edits=edits.values) == past[-1]
+        assert edits.undo_count == len(past) - 1
+
+
+def test_a_change_and_its_undo_leave_the_options_of_the_command_line_in_force(path: Path) -> None:
+    edits = LiveEdits(path)
+    edits.accept({"offset_ms": 5.0})
+    assert edits.values == {"offset_ms": 5.0}
+    edits.undo()
+    assert edits.values == {}
+
+
+def test_nothing_to_undo_is_told(path: Path) -> None:
+    with pytest.raises(UsageError, match="nothing to undo"):
+        LiveEdits(path).undo()
+
+
+@pytest.mark.parametrize("name", ["device", "tap", "rig", "effects_file", "actuator.gain_db", "x"])
+def test_nothing_that_names_a_file_or_a_device_can_be_changed(name: str) -> None:
+    with pytest.raises(UsageError, match="cannot be changed"):
+        editable(name)
+
+
+def test_every_other_key_can_be_changed() -> None:
+    assert {"gain_db", "profile", "offset_ms", "engine", "applications.exclude"} <= EDITABLE.keys()
+    assert editable("transform.partials_max").name == "partials_max"
+
+
+def test_a_file_that_is_missing_is_made(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "config.toml"
+    edits = LiveEdits(path)
+    edits.accept({"gain_db": -6.0})
+    assert config.load(path, edits=edits.values).settings.gain_db == -6.0
+    assert not path.exists()
+    edits.save()
+    assert path.read_text() == "gain_db = -6.0\n"
+
+
+def test_a_file_that_cannot_be_written_keeps_the_edits(tmp_path: Path) -> None:
+    path = tmp_path / "config.toml"
+    edits = LiveEdits(path)
+    edits.accept({"gain_db": -6.0})
+    path.mkdir()
+    with pytest.raises((UsageError, WriteError)):
+        edits.save()
+    assert edits.unsaved == {"gain_db"}
+
+
+def test_a_file_with_a_mistake_is_refused_and_stays(path: Path) -> None:
+    path.write_text("gain_db = \n")
+    edits = LiveEdits(path)
+    edits.accept({"gain_db": -6.0})
+    with pytest.raises(UsageError, match="not TOML"):
+        edits.save()
+    assert path.read_text() == "gain_db = \n"
+
+
+def test_an_old_name_makes_room_for_the_new_one() -> None:
+    changed = edited_text("[transform]\nfollower_db = 50.0\n", {"transform.loudness_db": 54.0})
+    assert tomllib.loads(changed) == {"transform": {"loudness_db": 54.0}}

@@ -1,0 +1,188 @@
+"""A daemon's socket without a daemon, and requests as an attacker would write them."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+from audioflinger_hook.service.meters import BufferTimes, Level
+from audioflinger_hook.service.runtime_folder import RuntimeFolder
+from audioflinger_hook.service.state import DaemonState
+from audioflinger_hook.service.status import Endpoint, Levels, Status
+from audioflinger_hook.service.status_server import StatusServer
+from tests.support.commands import environment
+from tests.support.recordings import ROOT
+
+LIMIT_S = 60.0
+
+STATUS = Status(
+    "0.1.0",
+    1,
+    DaemonState.RUNNING,
+    "",
+    1.0,
+    Endpoint("default", "desktop.monitor"),
+    Endpoint("sink:haptic", "haptic"),
+    levels=Levels(Level(-6.0, -9.0), Level(-12.0, -15.0)),
+    buffer_times=BufferTimes(0.2, 0.4, 1.0, 10.7, 2.0, (1, 2, 3, 4, 5, 6, 6, 6, 6, 6), 0.004, 1),
+    engine="python",
+    profile="cinema",
+)
+
+
+class Settings:
+    """What a page shows and changes, as a `Live` of the status server; requests: it was asked."""
+
+    def __init__(self) -> None:
+        self.requests: list[dict[str, Any]] = []
+        self.page = ""
+        self.frames = 0
+
+    def frame(self) -> str:
+        self.frames += 1
+        sound, vibration = [[0.5, 0.125]] * 2, [[0.25, 0.03]]
+        return json.dumps({"sound": sound, "vibration": vibration, "partials": [[440, 100, 0.5]]})
+
+    def news(self, seen: int) -> tuple[int, dict[str, Any] | None]:
+        return 1, None if seen == 1 else {"keys": [], "unsaved": 0, "undo": 0}
+
+    def watched_by(self, page: str) -> None:
+        self.page = page
+
+    def control(self, request: dict[str, Any]) -> dict[str, Any]:
+        self.requests.append(request)
+        return {"done": True}
+
+
+@contextmanager
+def daemon_socket(base: Path) -> Iterator[Settings]:
+    """A daemon's socket in the runtime folder `base`."""
+    live = Settings()
+    with (
+        RuntimeFolder({"XDG_RUNTIME_DIR": str(base)}, create=True) as folder,
+        StatusServer(folder, lambda: STATUS, time.monotonic, live),
+    ):
+        yield live
+
+
+class Page:
+    """A running `cushion monitor`. address: with the token; stderr: what it has written."""
+
+    def __init__(self, base: Path, *options: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "audioflinger_hook", "monitor", *options],
+            env=environment(XDG_RUNTIME_DIR=str(base), PYTHONPATH=str(ROOT)),
+            stdin=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.stderr = ""
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+        until(lambda: "live page:" in self.stderr or self.process.poll() is not None, "address")
+        self.address = self.stderr.partition("live page: ")[2].partition("\n")[0]
+        self.host, _, self.token = self.address.removeprefix("http://").partition("/#")
+        self.port = int(self.host.rpartition(":")[2] or 0)
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            self.stderr += line
+
+    def close(self) -> int:
+        self.process.terminate()
+        code = self.process.wait(LIMIT_S)
+        self._thread.join(LIMIT_S)
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+        return code
+
+    def connection(self) -> socket.socket:
+        return socket.create_connection(("127.0.0.1", self.port), LIMIT_S)
+
+    def request(self, path: str = "/", *headers: str, host: str | None = None) -> tuple[int, str]:
+        """The status and the rest of the answer to a GET; 0 where the connection is closed."""
+        lines = [f"GET {path} HTTP/1.1", f"Host: {self.host if host is None else host}", *headers]
+        return self.raw("\r\n".join([*lines, "", ""]).encode())
+
+    def raw(self, request: bytes) -> tuple[int, str]:
+        with self.connection() as client:
+            try:
+                client.sendall(request)
+                answer = b""
+                while piece := client.recv(65_536):
+                    answer += piece
+            except ConnectionError:
+                pass
+        text = answer.decode("latin-1")
+        return (int(text.split()[1]) if text.startswith("HTTP/") else 0), text
+
+    @property
+    def cookie(self) -> str:
+        return f"cushion_{self.port}={self.token}"
+
+    def live(self, **headers: str) -> ClientConnection:
+        """An open live connection, as the page's own script opens it."""
+        sent = {"Origin": f"http://{self.host}", "Cookie": self.cookie, **headers}
+        return connect(
+            f"ws://{self.host}/live",
+            additional_headers=sent,
+            compression=None,
+            max_size=1 << 20,
+            open_timeout=LIMIT_S,
+        )
+
+
+@contextmanager
+def page(base: Path, *options: str) -> Iterator[Page]:
+    """A page on a free port."""
+    opened = Page(base, "--listen", "127.0.0.1:0", *options)
+    try:
+        yield opened
+    finally:
+        opened.close()
+
+
+def until(condition: Callable[[], Any], what: str, limit_s: float = LIMIT_S) -> None:
+    """Wait for a condition."""
+    end_s = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end_s, f"no {what} within {limit_s} s"
+        os.sched_yield()
+
+
+def everything(live: ClientConnection) -> None:
+    """Read until the connection is closed, which raises."""
+    for _ in range(1000):
+        live.recv(timeout=LIMIT_S)
+
+
+def message(live: ClientConnection, kind: str) -> dict[str, Any]:
+    """The next message with this key; frames on the way are acknowledged."""
+    end_s = time.monotonic() + LIMIT_S
+    while time.monotonic() < end_s:
+        found: dict[str, Any] = json.loads(live.recv(timeout=LIMIT_S))
+        if "frame" in found:
+            live.send(json.dumps({"ack": found["n"]}))
+        if kind in found:
+            return found
+    raise AssertionError(f"no {kind}")
+
+
+def ask(live: ClientConnection, number: int, **request: Any) -> Any:
+    """The daemon's answer to a request."""
+    live.send(json.dumps({"id": number, **request}))
+    found = message(live, "answer")
+    assert found["id"] == number
+    return found["answer"]

@@ -1,0 +1,235 @@
+"""The page's server: what browsers are told, and daemons that come, go and misbehave."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from audioflinger_hook.service.runtime_folder import FOLDER_NAME
+from audioflinger_hook.service.status_server import NAME
+from tests.monitor.stand_in import LIMIT_S, Page, ask, daemon_socket, message, page, until
+from tests.servers.listening import need
+from tests.support.commands import call
+
+
+def test_a_browser_is_told_everything_and_its_requests_are_carried_out_in_order(
+    tmp_path: Path,
+) -> None:
+    with daemon_socket(tmp_path) as daemon, page(tmp_path) as served, served.live() as live:
+        assert message(live, "status")["status"]["engine"] == "python"
+        frame = message(live, "frame")
+        assert frame["frame"]["partials"] == [[440, 100, 0.5]]
+        assert daemon.page == served.address
+        for number in range(20):
+            live.send(json.dumps({"id": number, "set": {"gain_db": -number}}))
+        answered = [message(live, "answer")["id"] for _ in range(20)]
+        assert answered == list(range(20))
+        assert [asked["set"]["gain_db"] for asked in daemon.requests] == [-n for n in range(20)]
+
+
+def test_a_browser_that_acknowledges_nothing_gets_few_frames_and_then_the_newest(
+    tmp_path: Path,
+) -> None:
+    with daemon_socket(tmp_path) as daemon, page(tmp_path, "--rate=60") as served:
+        with served.live() as live:
+            frames: list[Any] = []
+            while len(frames) < 4:
+                found = json.loads(live.recv(timeout=LIMIT_S))
+                frames += [found] if "frame" in found else []
+            before = daemon.frames
+            until(lambda: daemon.frames > before + 60, "frames")
+            live.send(json.dumps({"ack": 4}))
+            found = message(live, "frame")
+            assert found["n"] == 5
+            assert found["overwritten"] >= 40
+        status, metrics = served.request("/metrics", f"Authorization: Bearer {served.token}")
+        assert status == 200
+        assert "cushion_page_overwritten_frames_total" in metrics
+
+
+def test_without_a_daemon_the_page_says_so_and_finds_the_next_one(tmp_path: Path) -> None:
+    with page(tmp_path) as served, served.live() as live:
+        link = message(live, "link")["link"]
+        assert not link["connected"]
+        assert "no daemon is running; start one with `cushion run`" in link["text"]
+        assert "no daemon is running" in ask(live, 1, mute=True)["error"]
+        assert "cushion_up 0.0" in served.request("/metrics", f"Cookie: {served.cookie}")[1]
+        for _ in range(2):
+            with daemon_socket(tmp_path):
+                assert message(live, "status")["status"]["state"] == "running"
+            assert not message(live, "link")["link"]["connected"]
+
+
+@contextmanager
+def bad_daemon(base: Path, behave: Callable[[socket.socket], None]) -> Iterator[None]:
+    """A socket in the daemon's place whose connections do as told."""
+    folder = base / FOLDER_NAME
+    folder.mkdir(mode=0o700, exist_ok=True)
+    listener = socket.socket(socket.AF_UNIX)
+    opened = os.open(folder, os.O_RDONLY)
+    listener.bind(f"/proc/self/fd/{opened}/{NAME}")
+    os.close(opened)
+    listener.listen(8)
+
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = listener.accept()
+                with client, suppress(OSError):
+                    client.recv(4096)
+                    behave(client)
+
+    threading.Thread(target=serve, daemon=True).start()
+    try:
+        yield
+    finally:
+        listener.shutdown(socket.SHUT_RDWR)
+        listener.close()
+
+
+OLD = b'{"error": "the request is not known; allowed: {\\"ask\\": \\"status\\"}"}\n'
+NEW = b'{"error": "this daemon (version 9.0) speaks protocol 9; restart the page"}\n'
+HELLO = b'{"hello": {"protocol": 1, "version": "0.1.0"}}\n'
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (OLD, "the daemon is of another version than the page: the request is not known"),
+        (NEW, "another version than the page: this daemon (version 9.0) speaks protocol 9"),
+        (b"[]\n", "the daemon sends what is not understood"),
+        (b"\xff\xfe\n", "the daemon sends what is not understood"),
+        (b"x" * (1 << 19), "the daemon sends lines over 262144 bytes"),
+        (b"", "the daemon has ended; waiting for the next one"),
+    ],
+)
+def test_a_daemon_that_is_not_understood_is_told_in_words(
+    tmp_path: Path, answer: bytes, words: str
+) -> None:
+    with (
+        bad_daemon(tmp_path, lambda client: client.sendall(answer)),
+        page(tmp_path) as served,
+        served.live() as live,
+    ):
+        link = message(live, "link")["link"]
+        assert words in link["text"]
+        assert not link["connected"]
+        assert served.request("/")[0] == 200
+
+
+def test_a_daemon_that_stalls_is_left_and_asked_again(tmp_path: Path) -> None:
+    gone = threading.Event()
+
+    def stall(client: socket.socket) -> None:
+        client.sendall(HELLO)
+        gone.wait(LIMIT_S)
+
+    with bad_daemon(tmp_path, stall), page(tmp_path) as served, served.live() as live:
+        assert message(live, "link")["link"]["connected"]
+        assert "the daemon has sent nothing for 5 s" in message(live, "link")["link"]["text"]
+        gone.set()
+
+
+def test_a_daemon_that_floods_costs_no_memory(tmp_path: Path) -> None:
+    frame = b'{"frame": {"sound": [], "vibration": [], "partials": [], "missed": 0}}\n' * 100
+
+    def flood(client: socket.socket) -> None:
+        client.sendall(HELLO)
+        while True:
+            client.sendall(frame)
+
+    with bad_daemon(tmp_path, flood), page(tmp_path) as served, served.live() as live:
+        message(live, "frame")
+        resident = _resident_kb(served.process.pid)
+        for _ in range(300):
+            message(live, "frame")
+        assert _resident_kb(served.process.pid) < resident + 4_000  # kB; a backlog would be 100 MB
+        assert served.request("/")[0] == 200
+
+
+def _resident_kb(pid: int) -> int:
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
+
+
+def test_a_port_in_use_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
+    with page(tmp_path) as served:
+        second = Page(tmp_path, "--listen", served.host)
+        assert second.process.wait(LIMIT_S) == 2
+        second.close()
+        assert second.stderr.count("\n") == 1
+        assert f"{served.host} is in use" in second.stderr
+        assert f"--listen 127.0.0.1:{served.port + 1}" in second.stderr
+
+
+def test_a_page_for_the_network_warns_and_still_needs_the_token(tmp_path: Path) -> None:
+    with page(tmp_path, "--listen", "0.0.0.0:0") as served:
+        until(lambda: served.stderr.count("\n") == 2, "warning")
+        assert "0.0.0.0 is open to the network, and HTTP is not encrypted" in served.stderr
+        own = f"127.0.0.1:{served.port}"
+        assert served.request("/", host=own)[0] == 200
+        assert served.request("/metrics", host=own)[0] == 403
+        assert served.request("/", host=f"evil.example:{served.port}")[0] == 403
+
+
+def test_a_page_ends_on_a_signal_and_keeps_its_token_for_the_next_one(tmp_path: Path) -> None:
+    with page(tmp_path) as first:
+        token = first.token
+    assert first.process.returncode == 130
+    assert first.stderr.endswith("cushion: interrupted\n")
+    with page(tmp_path) as second:
+        assert second.token == token
+        second.process.send_signal(signal.SIGINT)
+        assert second.process.wait(LIMIT_S) == 130
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--listen", "nowhere"], "is no address; allowed: HOST:PORT"),
+        (["--listen", "192.0.2.77:8765"], "cannot listen on 192.0.2.77:8765"),
+        (["--rate", "0"], "rate=0 is out of range; allowed: 1 to 60 Hz"),
+        (["--rate", "61"], "rate=61 is out of range; allowed: 1 to 60 Hz"),
+    ],
+)
+def test_wrong_options_say_what_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], words: str
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    done = call("monitor", *options)
+    assert done.code == 2
+    assert words in done.stderr
+
+
+def test_promtool_finds_no_fault_with_the_metrics(tmp_path: Path) -> None:
+    need([] if shutil.which("promtool") else ["promtool (tools/fetch_browser.sh)"])
+    with daemon_socket(tmp_path), page(tmp_path) as served, served.live() as live:
+        message(live, "status")
+        status, answer = served.request("/metrics", f"Authorization: Bearer {served.token}")
+        assert status == 200
+        text = answer.partition("\r\n\r\n")[2]
+        checked = subprocess.run(
+            ["promtool", "check", "metrics"], input=text, text=True, capture_output=True
+        )
+        assert (checked.returncode, checked.stderr, checked.stdout) == (0, "", "")
+        for line in (
+            "cushion_up 1.0",
+            'cushion_state{state="running"} 1.0',
+            'cushion_engine{engine="python"} 1.0',
+            'cushion_hop_seconds_bucket{le="0.0001"} 1.0',
+            "cushion_hop_seconds_count 6.0",
+            "cushion_late_callbacks_total 1.0",
+            'cushion_recoveries_total{cause="device-lost"} 0.0',
+        ):
+            assert line in text

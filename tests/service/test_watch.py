@@ -1,0 +1,147 @@
+"""Watching and controlling a daemon by its socket: bounded, versioned, in order, newest first."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from audioflinger_hook.service.status_server import NAME, PROTOCOL, WATCHERS_MAX
+from tests.monitor.stand_in import LIMIT_S, Settings, daemon_socket, until
+
+
+@pytest.fixture
+def live(tmp_path: Path) -> Iterator[Settings]:
+    with daemon_socket(tmp_path) as found:
+        yield found
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "cushion"
+
+
+class Client:
+    """A connection to the daemon's socket."""
+
+    def __init__(self, folder: Path, **request: Any) -> None:
+        self.socket = socket.socket(socket.AF_UNIX)
+        self.socket.settimeout(LIMIT_S)
+        self.socket.connect(str(folder / NAME))
+        self.lines = self.socket.makefile("rb")
+        self.ask(**request)
+
+    def ask(self, **request: Any) -> None:
+        self.socket.sendall(json.dumps({"protocol": PROTOCOL, **request}).encode() + b"\n")
+
+    def next(self) -> Any:
+        return json.loads(self.lines.readline())
+
+    def next_with(self, kind: str) -> Any:
+        while kind not in (found := self.next()):
+            pass
+        return found[kind]
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.lines.close()
+        self.socket.close()
+
+
+def test_a_client_that_watches_gets_versions_frames_settings_and_the_status(
+    live: Settings, folder: Path
+) -> None:
+    with Client(folder, ask="watch", rate_hz=60) as client:
+        assert client.next()["hello"]["protocol"] == PROTOCOL
+        assert client.next()["frame"]["missed"] == 0
+        assert client.next()["settings"]["undo"] == 0
+        assert client.next_with("status")["state"] == "running"
+
+
+def test_without_a_client_nothing_is_computed(live: Settings, folder: Path) -> None:
+    with Client(folder, ask="watch") as client:
+        client.next_with("frame")
+    until(lambda: not _is_counting(live), "end of the frames")
+
+
+def _is_counting(live: Settings) -> bool:
+    before = live.frames
+    threading.Event().wait(0.2)  # five frames
+    return live.frames != before
+
+
+@pytest.mark.parametrize("protocol", [0, 2, "1", None])
+def test_another_protocol_is_refused_with_both_versions(
+    live: Settings, folder: Path, protocol: object
+) -> None:
+    for asked in ({"ask": "watch"}, {"ask": "control", "mute": True}):
+        with Client(folder, **asked, protocol=protocol) as client:
+            assert f"speaks protocol {PROTOCOL}" in client.next()["error"]
+    assert live.requests == []
+
+
+@pytest.mark.parametrize("rate_hz", [0, 0.5, 61, -1, "30", None, True, 1e9])
+def test_a_rate_out_of_range_is_refused(live: Settings, folder: Path, rate_hz: object) -> None:
+    with Client(folder, ask="watch", rate_hz=rate_hz) as client:
+        assert client.next()["error"] == "rate_hz is out of range; allowed: 1 to 60"
+
+
+def test_some_threads_are_left_for_the_status(live: Settings, folder: Path) -> None:
+    with ExitStack() as stack:
+        for _ in range(WATCHERS_MAX):
+            client = stack.enter_context(Client(folder, ask="watch"))
+            client.next_with("frame")
+        with Client(folder, ask="watch") as another:
+            assert "clients watch already" in another.next()["error"]
+        with Client(folder, ask="status", protocol=None) as client:
+            assert "error" in client.next()
+        with Client(folder, ask="control", mute=True) as client:
+            assert client.next() == {"done": True}
+
+
+def test_a_client_that_does_not_read_misses_frames_and_then_gets_the_newest(
+    live: Settings, folder: Path
+) -> None:
+    with Client(folder, ask="watch", rate_hz=60) as client:
+        client.next_with("frame")
+        until(lambda: live.frames > 20, "frames")
+        stalled = 0
+
+        def has_stalled() -> bool:
+            nonlocal stalled
+            before = live.frames
+            threading.Event().wait(0.1)
+            stalled += live.frames == before
+            return stalled >= 3
+
+        until(has_stalled, "full buffer", 60.0)
+        made = live.frames
+        frames = 0
+        while client.next_with("frame")["missed"] == 0:
+            frames += 1
+        # What was in the kernel is some tenths of a second, not the whole time.
+        assert frames <= made
+        assert frames < 120
+
+
+def test_requests_are_answered_in_order(live: Settings, folder: Path) -> None:
+    with Client(folder, ask="control", set={"gain_db": 0}) as client:
+        assert client.next() == {"done": True}
+        for number in range(1, 10):
+            client.ask(ask="control", set={"gain_db": -number})
+        assert [client.next() for _ in range(9)] == [{"done": True}] * 9
+    assert [asked["set"]["gain_db"] for asked in live.requests] == [-n for n in range(10)]
+
+
+def test_a_request_over_4_kib_is_refused(live: Settings, folder: Path) -> None:
+    with Client(folder, ask="control", set={"gain_db": "x" * 4096}) as client:
+        assert "longer than 4096 bytes" in client.next()["error"]
+    assert live.requests == []

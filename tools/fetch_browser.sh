@@ -1,0 +1,7 @@
+#!/bin/sh
+# What the tests marked `browser` need besides a sound server: Debian's Chromium, and Prometheus with promtool.
+set -eu
+
+. "$(dirname "$0")/system_packages.sh"
+
+install_packages browser chromium fonts-dejavu-core prometheus
