@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -30,6 +29,7 @@ from device.errors import CushionError, InternalError, UsageError
 from device.output import VibrationOutput
 from device.rig import rig_by_name
 from device.rig.simulated_rig import SimulatedRig
+from device.stream.cpu_time import cpu_time_s
 
 HAL_FRAMES = 240
 """Frames that the output is assumed to take at once; a cycle is 20 ms of such frames."""
@@ -279,5 +279,5 @@ def simulated_rig_of(
         recorder=recorder,
         tolerance=settings.tolerance,
         model=settings.model,
-        clock=time.thread_time,
+        clock=cpu_time_s,
     )
