@@ -222,7 +222,8 @@ def test_damping_is_never_worse_than_none_on_random_rigs(seed):
     shares = [-0.2, 0.2, *np.random.default_rng(seed).uniform(-0.2, 0.2, 10)]
     source = rig.amplifier.source_impedance_ohm
     for by_mass in (False, True):
-        assert worst_against_none(rig.actuator, source, shares, by_mass) < 0.0
+        # Three of 60 rigs, with Qts of 8 to 10, get no filter: equal to none.
+        assert worst_against_none(rig.actuator, source, shares, by_mass) <= 0.0
 
 
 @pytest.mark.exhaustive
