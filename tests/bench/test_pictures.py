@@ -58,8 +58,8 @@ def test_a_page_shows_no_picture_that_lies_elsewhere(drawing, monkeypatch, tmp_p
 def test_what_could_not_be_measured_has_no_picture(drawing, monkeypatch, tmp_path):
     done = ran(monkeypatch, tmp_path / "page.md", tmp_path / "images", broken)
     assert done.code == 2
-    (error,) = done.stderr.splitlines()
-    assert "the ground is gone" in error
+    row, error = done.stderr.splitlines()
+    assert "the ground is gone" in row
     assert "no report was written" in error
     assert list((tmp_path / "images").iterdir()) == []
 

@@ -11,7 +11,8 @@ from tests.support.commands import call, listing, noise, refused, sound
 from tests.support.parameters import LIMITS
 
 TOP_LEVEL = (
-    "profile, damping, protection, exposure_cap, rig, gain_db, effects_file, tap, device, "
+    "profile, damping, protection, exposure_cap, rig, model, tolerance, gain_db, effects_file, "
+    "tap, device, "
     "offset_ms, drop_in, block_frames, realtime, engine, device_volume_db, [transform], "
     "[applications], [[actuator]]"
 )

@@ -166,9 +166,9 @@ def test_a_config_that_names_no_profile_is_checked_and_loaded_with_the_command_s
         settings = config.load(path, default).settings
         assert settings.profile == default
         assert settings.parameters == parameters_of(default, {"partials_max": 3})
-    path.write_text("[transform]\nvibration_top_hz = 62\n")
+    path.write_text("[transform]\nvibration_top_hz = 60\n")
     assert config.check(path, LIVE_DEFAULT)[1] == []
-    assert "1/window_s=33.3 Hz" in str(config.check(path, "game")[1][0])
+    assert "1/window_s=30.3 Hz" in str(config.check(path, "game")[1][0])
 
 
 def test_the_demo_names_the_profiles_that_there_are(tmp_path):

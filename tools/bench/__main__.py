@@ -16,6 +16,7 @@ from pathlib import Path
 from audioflinger_hook.cli.terminal import progress_bar
 from device.atomic_file import AtomicFile, write_bytes_atomically
 from device.errors import CushionError, UsageError
+from device.values import counted
 from tools.bench.figures.pictures import draw_all, need_matplotlib, shown_in
 from tools.bench.run import run_bench
 
@@ -68,8 +69,8 @@ def _run(options: argparse.Namespace) -> int:
         for row in report.missing:
             print(f"bench: not measured: {row}", file=sys.stderr)
         raise UsageError(
-            f"{len(report.missing)} rows could not be measured, so no report was written; see the "
-            "reasons above"
+            f"{counted(len(report.missing), 'rows')} could not be measured, so no report was "
+            "written; see the reasons above"
         )
     if target:
         write_bytes_atomically(target, page.encode())

@@ -79,13 +79,8 @@ def test_damping_makes_up_for_what_it_takes_and_says_what_remains():
     loud = RigProcessor(PAPER, RATE, 1, damped=True)
     through(loud, 10.0 * vibration)
     assert loud.protection().least_gain < 0.6
-<<<<<<< HEAD
     assert loud.strength_db is not None
     assert damped.strength_db is not None
-=======
-    assert damped.strength_db is not None
-    assert loud.strength_db is not None
->>>>>>> 7e52614
     assert loud.strength_db < damped.strength_db - 3.0
     plain = RigProcessor(PAPER, RATE, 1)
     through(plain, vibration)

@@ -45,7 +45,10 @@ def changed(name, value):
 @pytest.mark.parametrize("rig", [PAPER, CONSUMER], ids=lambda rig: rig.name)
 def test_every_value_of_a_rig_that_ships_says_where_it_comes_from(rig):
     values = {
-        f"{name}.{field.name}" for name, stage in rig.stages().items() for field in fields(stage)
+        f"{name}.{field.name}"
+        for name, stage in rig.stages().items()
+        for field in fields(stage)
+        if "eddy" not in field.name  # a file without them has none
     }
     sourced = [source.parameter for source in rig.sources]
     assert len(sourced) == len(set(sourced))

@@ -51,8 +51,15 @@ def test_all_wrong_parameters_are_named_at_once():
     )
 
 
-@pytest.mark.parametrize("name", asdict(PAPER.actuator))
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        (name, value)
+        for name in asdict(PAPER.actuator)
+        for value in (0.0, -1.0, math.nan, math.inf)
+        if value != 0.0 or "eddy" not in name  # a coil may have no eddy currents
+    ],
+)
 def test_no_actuator_has_a_parameter_that_is_not_physical(name, value):
     with pytest.raises(UsageError, match=f"{name}={value}"):
         replace(PAPER.actuator, **{name: value})

@@ -317,7 +317,7 @@ def test_volume_rate_and_mute_of_a_device_without_a_driver_are_set_and_read_back
         (["--samplerate", "0"], {}, 2, "not possible"),
         ([], {}, 2, "needs --volume-db, --samplerate or --mute"),
         (["--mute", "off", "--take-over"], {}, 2, "goes with neither"),
-        (["--mute", "perhaps"], {}, 2, "invalid choice"),
+        (["--mute", "perhaps"], {}, 2, "'perhaps' is not known; allowed: on, off"),
     ],
 )
 def test_what_cannot_be_set_is_told_and_no_mute_is_lifted(
