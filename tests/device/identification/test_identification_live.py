@@ -268,7 +268,7 @@ def test_a_loop_that_is_too_slow_is_told_with_its_delay(delay_s):
 
 def test_a_resistance_that_no_coil_has_is_laid_to_the_shunt():
     # the real one is 0.01 ohm, a digit was lost
-    devices = SimulatedDevices(PAPER, ELECTRICAL, gains={"current": 0.01})
+    devices = SimulatedDevices(PAPER, ELECTRICAL, gains={"current": 0.01}, noise=1e-7)
     message = refused(devices)
     assert message.startswith("resistance_ohm=3")
     assert "correct --shunt-ohm" in message
