@@ -98,7 +98,8 @@ def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
         compiled = name + sysconfig.get_config_var("EXT_SUFFIX")
         assert {compiled, f"{name}.pyi"} <= set(wheel_names)
     suffixes = {Path(name).suffix for name in wheel_names if ".dist-info/" not in name}
-    assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml", ".json"}
+    page = {".html", ".css", ".js", ".svg"}
+    assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml", ".json"} | page
 
 
 @pytest.mark.exhaustive

@@ -18,7 +18,7 @@ from device.errors import UsageError
 from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION, LinearActuator, Motion
 from device.rig.co_energy import energies
 from device.rig.crossfade import crossfade
-from device.rig.equations import Equations
+from device.rig.equations import FLUX, Equations
 from device.rig.model_levels import ModelLevel, ModelLevels
 from device.rig.nonlinear_model import ROWS, STEP_TOLERANCE, Path
 from device.rig.rig import Rig
@@ -33,12 +33,16 @@ HIGHEST_TOLERANCE = 1.0
 
 _FADE_SHARE = 0.25
 """A crossfade may deviate by this share of the tolerance."""
-_STEP_SHARE = 0.5
-"""Steps of the non-linear model may be off by this share of the tolerance."""
+_STEP_SHARE = 0.15
+"""Steps of the non-linear model may be off by this share of the tolerance: of the roughest drives
+some samples are off by six times what the steps' points say."""
 _ALIKE = 0.7
 """A block with this share of the excursion of one that was not linear is not estimated,"""
 _TRUSTED = 7
 """for this many blocks."""
+_FLUX_SHARE = 0.05
+"""A difference of flux decays within the linear model's first step, between whose points it is
+interpolated: that errs by up to 4 % of its force, as measured."""
 _SILENT = 1e-4
 """Share of the tolerance at the least peak, below which d becomes 0."""
 _ABSURD_V = 1e6
@@ -297,7 +301,17 @@ class AdaptiveActuator:
         )
         if not len(estimates):
             self._beyond_m, self._trusted = self._reached_m(moved, start, first), _TRUSTED
+        elif at.level is ModelLevel.NONLINEAR and self._flux_is_apart(moved[3, start:][:first]):
+            return np.empty((0, 4))
         return estimates
+
+    def _flux_is_apart(self, acceleration_m_s2: FloatArray) -> bool:
+        """Return whether a change to the linear model would show in a block's acceleration."""
+        p = self.rig.actuator
+        force_n = p.force_factor_n_per_a * abs(self._at.path.d[FLUX]) / p.inductance_h
+        peak_m_s2 = max(self._least_m_s2, float(np.abs(acceleration_m_s2).max(initial=0.0)))
+        apart_m_s2 = _FLUX_SHARE * force_n / p.moving_mass_kg
+        return bool(apart_m_s2 > self.tolerance * peak_m_s2)
 
     def _reached_m(self, moved: FloatArray, start: int, frames: int) -> float:
         return float(np.abs(moved[0, start : start + frames : self._q]).max())

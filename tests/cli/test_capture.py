@@ -13,6 +13,7 @@ import pytest
 import soundfile
 
 from audioflinger_hook.capture import Capture, CaptureWriter
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from tests.support.commands import (
     RATE,
     call,
@@ -102,7 +103,7 @@ def test_a_capture_of_the_demo_replays_to_what_the_demo_writes(tmp_path):
     done = cushion("demo", "--fast", "--out", tmp_path / "out", prelude=prelude)
     assert done.code == 0
     captured(tmp_path / "cap", "scene:demo")
-    report = replayed(tmp_path / "cap", tmp_path / "again.wav")
+    report = replayed(tmp_path / "cap", tmp_path / "again.wav", "--profile", LIVE_DEFAULT)
     assert report["buffers"] == -(-15 * RATE // 256)
     assert (tmp_path / "again.wav").read_bytes() == (tmp_path / "out/vibration.wav").read_bytes()
 

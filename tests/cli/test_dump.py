@@ -52,7 +52,6 @@ def tracks_of(lines):
         (5.5, {"engine": "stopped", "footsteps": "active", "speech": "idle"}),
         (9.5, {"speech": "stopped", "explosion": "idle"}),
         (12.5, {"explosion": "active", "chord": "active"}),
-        (99.0, {"engine": "stopped", "explosion": "stopped", "chord": "stopped"}),
     ],
 )
 def test_the_demos_tracks_are_in_the_state_that_the_scene_has_at_that_moment(at_s, states):

@@ -405,9 +405,9 @@ def test_a_steady_drive_keeps_as_much_as_the_fixed_gain_that_would_do(frequency_
     late = slice(RATE // 2, RATE)
     fixed = min(1.0 / max(excursions(LOUD, drive)), 1.0 / 3.0)
     kept = np.sqrt(np.mean(out[late] ** 2)) / np.sqrt(np.mean((fixed * drive[late]) ** 2))
-    # 0.8 dB are held back for actuators between the models, up to 0.8 dB for other masses and Bl,
+    # 0.8 dB are held back for actuators between the models, up to 1 dB for other masses and Bl,
     # 1 dB for the stop that may come next.
-    assert 20 * math.log10(kept) > -2.6
+    assert 20 * math.log10(kept) > -2.8
 
 
 def test_what_follows_a_loud_part_is_not_turned_down_for_long():
