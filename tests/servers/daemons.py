@@ -203,6 +203,18 @@ def best_lag(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:
     return int(np.argmax(products[: max(1, len(heard) - len(wanted) + 1)]))
 
 
+def nearest_lag(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> int:
+    """By how many ms `wanted` comes late in `heard`, where both differ least.
+
+    Products alone would choose the loudest place of a steady sound.
+    """
+    count = len(heard) - len(wanted) + 1
+    if count <= 1:
+        return 0
+    windows = np.lib.stride_tricks.sliding_window_view(heard, len(wanted))
+    return int(np.argmin(np.square(windows - wanted).sum(axis=1)))
+
+
 def likeness(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
     """The correlation of two envelopes, every second of them at its own best lag.
 
@@ -214,7 +226,7 @@ def likeness(heard: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
         part = wanted[start : start + 1_000]
         first = max(0, lag + start - 60)
         near = heard[first : lag + start + 60 + len(part)]
-        own = best_lag(near, part)
+        own = nearest_lag(near, part)
         found = near[own : own + len(part)]
         aligned[start : start + len(found)] = found
     return float(np.corrcoef(aligned, wanted)[0, 1])
