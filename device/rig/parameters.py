@@ -108,6 +108,10 @@ class AmplifierParameters(Stage):
     channels: Annotated[int, _whole(1, 64)] = 1  # how many actuators it drives
 
 
+EDDY = ("inductance_eddy_h", "resistance_eddy_ohm")
+"""Parameters of eddy currents, of which there are both or none."""
+
+
 @dataclass(frozen=True)
 class ActuatorParameters(Stage):
     """A voice-coil actuator near its rest position; all but the last two values are above 0.
@@ -152,14 +156,10 @@ class ActuatorParameters(Stage):
     def problems(cls, values: dict[str, Any]) -> list[str]:
         """Return what is wrong with the values; L2 without R2, and R2 without L2, too."""
         found = super().problems(values)
-        eddy_h, eddy_ohm = (
-            values.get(name, 0.0) for name in ("inductance_eddy_h", "resistance_eddy_ohm")
-        )
-        if not found and (eddy_h > 0.0) != (eddy_ohm > 0.0):
-            found = [
-                f"inductance_eddy_h={eddy_h!r} and resistance_eddy_ohm={eddy_ohm!r} must both be "
-                "above 0, or both 0"
-            ]
+        eddy = {name: values.get(name, 0.0) for name in EDDY}
+        if not found and len([name for name in EDDY if eddy[name] > 0.0]) == 1:
+            given, other = sorted(EDDY, key=lambda name: -eddy[name])
+            found = [f"{given}={eddy[given]!r} needs {other} above 0 as well, or both must be 0"]
         return found
 
     def coil_ohm(self, s: complex) -> complex:
