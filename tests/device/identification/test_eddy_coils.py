@@ -146,6 +146,8 @@ def test_eddy_currents_are_read_back_from_the_rigs_file_and_half_of_them_is_refu
     s = 2j * math.pi * 90.0
     z = 3.3 + s * 1e-3 + 1.0 / (1.0 / (s * 1e-3) + 1.0 / 2.0)
     assert rig.actuator.coil_ohm(s) == pytest.approx(z)
-    with pytest.raises(UsageError, match=r"inductance_eddy_h=0\.001 needs resistance_eddy_ohm above 0"):
+    with pytest.raises(
+        UsageError, match=r"inductance_eddy_h=0\.001 needs resistance_eddy_ohm above 0"
+    ):
         replace(PAPER.actuator, inductance_eddy_h=1e-3)
     assert isinstance(eddy, ActuatorParameters)
