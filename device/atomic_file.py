@@ -222,3 +222,13 @@ def _open_failure(path: Path, error: OSError | ValueError) -> CushionError:
 
 def _reason(error: OSError) -> str:
     return _REASONS.get(error.errno or 0, f"{error.strerror or error}; name another folder")
+
+
+def make_private_folder(folder: Path) -> None:
+    """Make a folder, and those above it, for this user alone. UsageError: it cannot be made."""
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(
+            f"cannot make the folder {folder}: {error.strerror}; make it yourself"
+        ) from error

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook.config.schema import ACTUATOR, KEYS, RENAMED, Key
-from device.atomic_file import write_bytes_atomically
+from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import InternalError, UsageError
 from device.values import Text, nearest
 
@@ -152,13 +152,7 @@ class LiveEdits:
         text = self._text()
         changed = edited_text(text, self.values)
         if changed != text:
-            folder = self._path.parent
-            try:
-                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            except OSError as error:
-                raise UsageError(
-                    f"cannot make the folder {folder}: {error.strerror}; make it yourself"
-                ) from error
+            make_private_folder(self._path.parent)
             write_bytes_atomically(self._path, changed.encode())
         self.unsaved = frozenset()
         for change in self._undo:

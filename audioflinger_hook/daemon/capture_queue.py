@@ -136,7 +136,7 @@ class Feed:
 class CaptureQueue(Feed):
     """A `Feed` that queues buffers until the output's thread mixes them, before it reads.
 
-    This saves CPU time, because one thread wakes up with warm caches instead of two, and adds no
+    This saves CPU time, because one thread wakes up with warm caches instead of two. It adds no
     latency: the output reads several blocks at once, and new buffers are mixed before each read.
 
     The capture's thread calls `push`, the output's thread `pull`; a thread that finds the other one

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from audioflinger_hook.service import unit
-from device.atomic_file import write_bytes_atomically
+from device.atomic_file import make_private_folder, write_bytes_atomically
 from device.errors import UsageError
 
 UNIT_BYTES_MAX = 1 << 16
@@ -83,12 +83,7 @@ def install(
     text = unit.unit_text([*(command or own_command()), "run", *arguments], state, systemd)
     before = _written_before(path)
     for folder in (path.parent, state):
-        try:
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        except OSError as error:
-            raise UsageError(
-                f"cannot make the folder {folder}: {error.strerror}; make it yourself"
-            ) from error
+        make_private_folder(folder)
     if before != text:
         write_bytes_atomically(path, text.encode())
     return Installed(path, before != text, START)

@@ -5,11 +5,11 @@
     q' = v - R i - Phi'(y) y'          q = L(y) i: flux that the current makes; Phi: the magnet's
     M z'' = -F + c y' - cs z' - ks z   z: the frame, where the rig has a seat; else z' = 0
 
-With s = (y, u, q[, z, z']) this is s' = A s + B v + E g(s): a linear part, and a remainder g of two
-components, a force and a voltage. The linear actuator on the ground (actuator.py) knows its answer
-S to the same voltage exactly. The difference d = s - S follows d' = A d + E g(S + d) without the
-voltage; with a seat, the force of S pushes the frame, a third component. So only d is ever
-approximated.
+With s = (y, u, q[, z, z']) this is s' = A s + B v + E g(s): a linear part and a remainder g. The
+remainder has two components, a force and a voltage. The linear actuator on the ground (actuator.py)
+knows its answer S to the same voltage exactly. The difference d = s - S follows
+d' = A d + E g(S + d), without the voltage. With a seat, the force of S pushes the frame, a third
+component. So only d is ever approximated.
 """
 
 from dataclasses import dataclass

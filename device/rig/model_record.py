@@ -36,9 +36,9 @@ def actuator_of(rig: Rig, samplerate: float, model: Model, tolerance: float) -> 
     if model == "nonlinear" and rig.large_signal is None:
         raise UsageError(
             f"rig {rig.name!r} has no data for the non-linear model: large_signal.stop_m is "
-            "missing; stiffness_rise, force_factor_loss, inductance_change, stop_n_per_m2 and "
-            "stop_loss_s_per_m take usual values where [large_signal] does not state them; add "
-            "[large_signal] to its file, or choose --model linear"
+            "missing. Add [large_signal] with it to the file, or choose --model linear. Optional "
+            "there, with usual values as defaults: stiffness_rise, force_factor_loss, "
+            "inductance_change, stop_n_per_m2, stop_loss_s_per_m"
         )
     levels: dict[Model, ModelLevel | None] = {
         "auto": None, "linear": ModelLevel.LINEAR, "nonlinear": ModelLevel.NONLINEAR
