@@ -38,8 +38,19 @@ class Daemon:
             stdin=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
         )
-        until(self._socket.exists, "socket")
-        until(lambda: self.settings()["keys"], "settings")
+        try:
+            until(self._answers, "settings")
+        except BaseException:
+            self.process.kill()
+            self.process.communicate()
+            raise
+
+    def _answers(self) -> bool:
+        # The socket's file exists a moment before the daemon listens on it.
+        try:
+            return bool(self.settings()["keys"])
+        except (FileNotFoundError, ConnectionRefusedError):
+            return False
 
     def _lines(self, request: dict[str, Any]) -> Iterator[Any]:
         with socket.socket(socket.AF_UNIX) as client:
