@@ -196,6 +196,7 @@ def test_a_kernel_is_not_made_without_a_setting(name):
         ("fresh_max", 17),
         ("rise_shares", np.zeros(0)),
         ("rise_shares", np.full_like(SETTINGS["rise_shares"], np.inf)),
+        ("emphasis", np.zeros(0)),
         ("hold_hops", 2**40),
         ("loudness_weights", np.ones(1)),
         ("speech_edges", SETTINGS["speech_edges"][1:]),

@@ -39,6 +39,7 @@ class OnsetPartials:
         """amplitude: from (vibration frequency in Hz, weight, level of the onset)."""
         self._design = design.onsets
         self._rise_shares = design.onsets.rise_shares.tolist()
+        self._emphasis = design.onsets.emphasis.tolist()
         self._worth_holding = design.tracking.worth_holding
         self._tick_s = design.grid.tick_s
         self._ceiling = design.synthesis.ceiling
@@ -105,20 +106,21 @@ class OnsetPartials:
         return max(0.0, self._ceiling - taken)
 
     def play(self, glides: Glides, tick: int, tracker: PartialTracker) -> None:
-        """Write one tick of `glides`; while the detector is still told more, follow that."""
+        """Write one tick of `glides`; while the detector is still told more, follow that.
+
+        The first ticks of an onset are emphasised as far as there is room under full scale.
+        """
+        ends_hz = [self._follow(one, tracker) if one else 0.0 for one in self._sounding]
+        room = self._room(tracker)
         for slot, one in enumerate(self._sounding):
             if one is None:
                 continue
-            hz = one.hz
-            if 0 < one.age < self._design.heard_ticks and self._detector.is_measuring:
-                told_hz, one.weight, amplitude = self._estimate(one.group)
-                hz = one.hz if one.joins else told_hz
-                wanted = amplitude - one.base
-                # Of a sound that is there already rounding leaves nothing, or next to nothing.
-                if wanted < self._worth_holding * amplitude or wanted < 0.0:
-                    wanted = 0.0
-                one.goal += min(wanted - one.goal, self._room(tracker))
+            hz = ends_hz[slot]
             goal = one.goal * self._rise_shares[min(one.age, len(self._rise_shares) - 1)]
+            emphasis = self._emphasis[min(one.age, len(self._emphasis) - 1)]
+            if emphasis > 1.0 and goal > 0.0:
+                # All of an onset by the same factor.
+                goal *= min(emphasis, self._ceiling / (self._ceiling - room))
             glides.start_hz[tick, slot], glides.end_hz[tick, slot] = one.hz, hz
             glides.start_amplitude[tick, slot] = one.amplitude
             glides.end_amplitude[tick, slot] = goal
@@ -128,6 +130,18 @@ class OnsetPartials:
             one.hz, one.amplitude, one.age = hz, goal, one.age + 1
             if goal == 0.0 and one.age > self._design.heard_ticks:
                 self._sounding[slot] = None
+
+    def _follow(self, one: _OnsetPartial, tracker: PartialTracker) -> float:
+        """Let a partial's goal follow what the detector has measured; return its new frequency."""
+        if not (0 < one.age < self._design.heard_ticks and self._detector.is_measuring):
+            return one.hz
+        hz, one.weight, amplitude = self._estimate(one.group)
+        wanted = amplitude - one.base
+        # Of a sound that is there already rounding leaves nothing, or next to nothing.
+        if wanted < self._worth_holding * amplitude or wanted < 0.0:
+            wanted = 0.0
+        one.goal += min(wanted - one.goal, self._room(tracker))
+        return one.hz if one.joins else hz
 
     def hand_over(self, tracker: PartialTracker) -> None:
         """Let those that are told as well as they can be go over to the tracker."""

@@ -116,31 +116,44 @@ void onset_partials_bear(const Settings *s, OnsetPartial *fresh, OnsetSources so
             fresh[slot].age = (double)s->heard_ticks;
 }
 
+/* Let a partial's goal follow what has been measured of its onset; return its new frequency. */
+static double follow(const Settings *s, OnsetPartial *fresh, OnsetPartial *one, OnsetSources sources,
+                     const Slots *slots)
+{
+    const int is_young = one->age > 0.0 && one->age < (double)s->heard_ticks;
+    if (!is_young || !onsets_are_measured(s, sources.onsets))
+        return one->hz;
+    const Estimate found = estimate(s, sources, group_of(one));
+    /* Of a sound that is there already rounding leaves nothing, or next to nothing. */
+    const double lacking = found.amplitude - one->base;
+    const int little = lacking < s->worth_holding * found.amplitude || lacking < 0.0;
+    const double wanted = little ? 0.0 : lacking;
+    one->weight = found.weight;
+    one->goal += smaller(wanted - one->goal, room(s, fresh, slots));
+    return one->joins == 0.0 ? found.hz : one->hz;
+}
+
 void onset_partials_play(const Settings *s, OnsetPartial *fresh, OnsetSources sources, const Slots *slots,
                 Glides *glides)
 {
+    for (size_t slot = 0; slot < s->fresh_max; slot++)
+        if (fresh[slot].sounds != 0.0)
+            glides->end_hz[slot] = follow(s, fresh, &fresh[slot], sources, slots);
+    const double left = room(s, fresh, slots);
     for (size_t slot = 0; slot < s->fresh_max; slot++) {
         OnsetPartial *one = &fresh[slot];
         if (one->sounds == 0.0) {
             glides->start_amplitude[slot] = glides->end_amplitude[slot] = 0.0;
             continue;
         }
-        double hz = one->hz;
-        if (one->age > 0.0 && one->age < (double)s->heard_ticks && onsets_are_measured(s, sources.onsets)) {
-            const Estimate found = estimate(s, sources, group_of(one));
-            /* Of a sound that is there already rounding leaves nothing, or next to nothing. */
-            const double lacking = found.amplitude - one->base;
-            const int little = lacking < s->worth_holding * found.amplitude || lacking < 0.0;
-            const double wanted = little ? 0.0 : lacking;
-            if (one->joins == 0.0)
-                hz = found.hz;
-            one->weight = found.weight;
-            one->goal += smaller(wanted - one->goal, room(s, fresh, slots));
-        }
+        const double hz = glides->end_hz[slot];
         const size_t share = (size_t)smaller(one->age, (double)(s->rise_shares.length - 1));
-        const double goal = one->goal * s->rise_shares.at[share];
+        double goal = one->goal * s->rise_shares.at[share];
+        const double emphasis = s->emphasis.at[(size_t)smaller(one->age, (double)(s->emphasis.length - 1))];
+        if (emphasis > 1.0 && goal > 0.0)
+            /* All of an onset by the same factor. */
+            goal *= smaller(emphasis, s->ceiling / (s->ceiling - left));
         glides->start_hz[slot] = one->hz;
-        glides->end_hz[slot] = hz;
         glides->start_amplitude[slot] = one->amplitude;
         glides->end_amplitude[slot] = goal;
         glides->start_phase[slot] = one->phase;

@@ -121,6 +121,8 @@ const char *settings_misfit(const Settings *s)
         return "groups_max, fresh_max: none, too many, or more groups than partials";
     if (s->rise_shares.length < 1)
         return "rise_shares: empty";
+    if (s->emphasis.length < 1)
+        return "emphasis: empty";
     if (s->find_onsets > 1 || s->by_energy > 1)
         return "find_onsets, by_energy: neither 0 nor 1";
     if (s->image_table.length < 1)

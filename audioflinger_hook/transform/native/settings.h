@@ -149,6 +149,7 @@
     ENTRY(band_edges)  /* bins: the first of each band, and past the last */                       \
     ENTRY(one_tone)    /* purity of a tone, by ticks since its onset */                            \
     ENTRY(rise_shares) /* of its amplitude that a fresh partial has after each tick */             \
+    ENTRY(emphasis)    /* factor on it after each tick */                                          \
     ENTRY(loudness_weights) /* of bins; empty where loudness is not followed */                    \
     ENTRY(loudness_edges)   /* bins: the first of each band, and past the last */                  \
     ENTRY(loudness_scale)   /* of bands: sone per Bark at the threshold */                         \

@@ -120,6 +120,8 @@ def _lag_rows(
     yield Row(
         f"{kind}: peak off the sound's, median", float(np.median(np.abs(peak))), "ms", name, limit
     )
+    late = float(np.median(peak))
+    yield Row(f"{kind}: peak after the sound's (earlier: under 0), median", late, "ms", name)
     yield Row(f"{kind}: felt as impacts", float(len(felt)), f"of {len(found)}", name)
 
 
