@@ -21,10 +21,11 @@ from device.drive import (
     wiring_of,
     wiring_refusals,
 )
+from device.drive.damping.design import resonance_as_damped
 from device.drive.settings import DAMPING, EXPOSURE_CAP, GAIN_MAX_DB, GAIN_MIN_DB, PROTECTION
 from device.errors import UsageError
 from device.rig.parameters import LEAST_TOLERANCE, MODELS, Model
-from device.rig.rig_file import SHIPPED, SUFFIX, read_rig
+from device.rig.rig_file import SHIPPED, SUFFIX, read_rig, rig_by_name
 from device.server.forwarding import MAX_DELAY_S
 from device.values import Choice, Described, Description, Number, Refusal, Switch, Text
 
@@ -257,6 +258,18 @@ class Settings(Described):
             kept = {name: getattr(self.parameters, name) for name in self.said}
             given["parameters"] = parameters_of(given["profile"], kept)
         return replace(self, **given)
+
+    @property
+    def transform_parameters(self) -> TransformParameters:
+        """The parameters; with strength "rig" and no resonance, that of the rig as it is damped.
+
+        UsageError: the rig's file cannot be read any more.
+        """
+        chosen = self.parameters
+        if chosen.strength != "rig" or chosen.resonance_hz:
+            return chosen
+        hz, q = resonance_as_damped(rig_by_name(self.rig).actuator, self.damping == "auto")
+        return replace(chosen, resonance_hz=hz, resonance_q=q)
 
     @property
     def sources(self) -> tuple[str, ...]:

@@ -114,7 +114,7 @@ def amplitude(values: Values) -> float:
 def from_settings(settings: Settings) -> dict[str, Value]:
     """Return the effect's parameters for a user's settings."""
     return {
-        **asdict(settings.parameters),
+        **asdict(settings.transform_parameters),
         "form": settings.form,
         "per_channel": settings.channels == "each",
         "sources": ",".join(settings.sources),

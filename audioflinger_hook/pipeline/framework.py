@@ -133,7 +133,7 @@ class Framework:
 
         UsageError: the settings cannot be used with this mix; nothing has changed.
         """
-        if settings.parameters != self.settings.parameters:
+        if settings.transform_parameters != self.settings.transform_parameters:
             self._try(self.mixer.samplerate, self.mixer.channels, settings)
         if settings == self.settings:
             return
@@ -219,7 +219,7 @@ class Framework:
     def _try(samplerate: int, channels: int, settings: Settings) -> None:
         """Raise UsageError if no transform can have these settings."""
         try:
-            HapticTransform(samplerate, channels, settings.parameters, form=settings.form)
+            HapticTransform(samplerate, channels, settings.transform_parameters, form=settings.form)
         except ValueError as error:  # the band does not fit the sample rate
             raise UsageError(f"no transform can be made at {samplerate} Hz: {error}") from error
 

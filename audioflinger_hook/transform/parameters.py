@@ -92,11 +92,15 @@ class TransformParameters(Described):
     strength: Annotated[
         str,
         Choice(
-            "vibration as strong as it is loud in full scale (flat), or as a seated body feels it "
-            "(felt)",
-            ("flat", "felt"),
+            "vibration as strong as it is loud in full scale (flat), as a seated body feels it "
+            "(felt), or felt and levelled over the rig's resonance (rig)",
+            ("flat", "felt", "rig"),
         ),
     ] = "flat"
+    resonance_hz: Annotated[
+        float, Number("resonance that strength = rig levels; 0: that of the rig", 0.0, 400.0, "Hz")
+    ] = 0.0
+    resonance_q: Annotated[float, Number("Q of resonance_hz", 0.1, 20.0)] = 1.0
     merge_ratio: Annotated[
         float,
         Number("partials closer than this share of their frequency are one; 0: off", 0.0, 1.0),

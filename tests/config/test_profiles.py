@@ -1,6 +1,7 @@
 """Profiles: what each is, what goes over it, and that each keeps what every stream keeps."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -273,3 +274,16 @@ def test_a_tone_is_pure_with_every_profile(name, hz):
     assert found_hz == pytest.approx(wanted_hz, abs=0.01)
     # Windows of a low tone hold few cycles and differ a little in loudness: 0.05 dB at 55 Hz.
     assert residual_db < (-45 if hz < 60 else -60)
+
+
+def test_strength_rig_takes_the_rig_s_resonance_unless_one_is_set() -> None:
+    settings = Settings(parameters=TransformParameters(strength="rig"))
+    free, damped = (replace(settings, damping=one).transform_parameters for one in ("off", "auto"))
+    assert free.resonance_hz == pytest.approx(91.8, abs=0.1)  # with the coil's inductance
+    assert free.resonance_q > 2.0
+    assert damped.resonance_q == 0.35
+    other = replace(settings, rig="consumer").transform_parameters
+    assert other.resonance_hz < 60.0
+    own = TransformParameters(strength="rig", resonance_hz=50.0, resonance_q=2.0)
+    assert replace(settings, parameters=own).transform_parameters == own
+    assert Settings(parameters=TransformParameters()).transform_parameters == TransformParameters()

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from audioflinger_hook.config.profiles import parameters_of
+from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.scenes.impacts import explosion
 from audioflinger_hook.scenes.speech import speech
 from audioflinger_hook.transform import TransformParameters
@@ -18,6 +19,8 @@ from audioflinger_hook.transform.live.loudness import LoudnessFollower, Loudness
 from audioflinger_hook.transform.live.transform import LiveTransform
 from audioflinger_hook.transform.mapping import VibrationMapping
 from audioflinger_hook.transform.spectrum import Spectrum
+from device.rig import CONSUMER, PAPER
+from device.rig.actuator import LinearActuator
 from tests.support.signals import (
     best_sinusoid,
     columns,
@@ -38,6 +41,7 @@ RATE = 48_000
 FOLLOWED = TransformParameters(loudness_db=30.0, level_law="energy")
 WIDE = replace(FOLLOWED, loudness_db=54.0, loudness_floor_db=-75.0)
 """As far as the profiles go."""
+LEVELLED = replace(parameters_of("cinema"), strength="rig", resonance_hz=90.0, resonance_q=4.0)
 
 LIVE = ("live", "live in NumPy")
 DESIGN = LiveDesign.of(FOLLOWED, RATE)
@@ -347,6 +351,27 @@ def test_equal_loudness_is_felt_equally_strong_at_every_vibration_frequency():
     # Without it the same amplitude would be felt 16 dB weaker at 200 Hz than at 30.
 
 
+@pytest.mark.parametrize("rig", [PAPER, CONSUMER])
+def test_strength_rig_levels_what_a_resonant_seat_makes_of_tones(rig):
+    spread_db = {}
+    for strength in ("felt", "rig"):
+        parameters = replace(parameters_of("cinema"), strength=strength)
+        settings = Settings(rig=rig.name, parameters=parameters)
+        mapping = VibrationMapping.of(parameters)
+        felt_db = []
+        for hz in (40.0, 80.0, 160.0, 400.0, 1_000.0, 3_000.0):
+            sound = tone(hz, 2.0, RATE, 0.03)
+            drive = played(sound, RATE, parameters=settings.transform_parameters)[:, 0]
+            moved = LinearActuator(rig.actuator, RATE).move(drive.astype(np.float64))
+            # Felt is acceleration by the inverse of its frequency.
+            felt = decibels(
+                np.std(moved.acceleration_m_s2[RATE:]) / mapping.vibration_hz(np.array([hz]))[0]
+            )
+            felt_db.append(float(felt))
+        spread_db[strength] = np.ptp(felt_db)
+    assert spread_db["rig"] < spread_db["felt"] - 6.0, spread_db
+
+
 @pytest.mark.parametrize("samplerate", [16_000, RATE])
 @pytest.mark.parametrize("strength", ["flat", "felt"])
 @pytest.mark.parametrize("hz", [60.0, 100.0, 440.0, 1_000.0, 3_000.0, None])
@@ -529,7 +554,7 @@ def test_damage_and_any_level_stay_finite_and_under_full_scale(form, parameters)
         assert np.abs(vibration).max() < 1.0
 
 
-@pytest.mark.parametrize("parameters", [FOLLOWED, WIDE, parameters_of("cinema")])
+@pytest.mark.parametrize("parameters", [FOLLOWED, WIDE, parameters_of("cinema"), LEVELLED])
 def test_the_kernel_and_numpy_follow_the_same_way(parameters):
     samplerate = 16_000
     quiet = 0.02 * talk(1.0, samplerate)

@@ -45,7 +45,9 @@ class ChainPlan:
             routed = tuple(range(outputs))
         # As in the Python engine, the mix alone needs no weights.
         mixed = () if sources in ((), ("mix",)) else sources
-        return cls(tap.samplerate, tap.channels, mixed, outputs, routed, settings.parameters)
+        return cls(
+            tap.samplerate, tap.channels, mixed, outputs, routed, settings.transform_parameters
+        )
 
     @property
     def weights(self) -> FloatArray | None:

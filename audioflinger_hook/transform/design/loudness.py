@@ -54,6 +54,9 @@ vertical acceleration falls with the inverse of frequency: W_k of ISO 2631-1 wit
 FELT_FROM_HZ = 30.0
 """Vibration under this counts as if it had this frequency: few actuators reach lower."""
 
+RIG_RATIO_MAX = 2.0
+"""A resonance is levelled by 6 dB at most: more under it would be excursion, not vibration."""
+
 PROGRAMME_TOP_DB = -10.0
 """Loudness of the loudest programmes; programmes down to `loudness_db` below it are lifted."""
 
@@ -211,13 +214,21 @@ class LoudnessDesign:
 
 
 def felt_weight(parameters: TransformParameters, vibration_hz: FloatArray) -> FloatArray:
-    """Return how strongly a seated body feels acceleration at frequencies in Hz, 1 at 40 Hz.
+    """Return how strongly a seated body feels a drive at frequencies in Hz.
 
-    It is always 1 for strength "flat".
+    It is always 1 for strength "flat", and for "felt" the sensitivity to acceleration, 1 at 40 Hz.
+    For "rig" it contains the acceleration for each volt of a resonant actuator, 1 far above its
+    resonance, as far as `RIG_RATIO_MAX`.
     """
     if parameters.strength == "flat":
         return np.ones_like(vibration_hz)
-    return FELT_AT_HZ / np.maximum(vibration_hz, FELT_FROM_HZ)
+    hz = np.maximum(vibration_hz, FELT_FROM_HZ)
+    felt: FloatArray = FELT_AT_HZ / hz
+    if parameters.strength == "rig" and parameters.resonance_hz > 0.0:
+        ratio = parameters.resonance_hz / hz
+        response = 1.0 / np.hypot(1.0 - ratio**2, ratio / parameters.resonance_q)
+        felt *= np.clip(response, 1.0 / RIG_RATIO_MAX, RIG_RATIO_MAX)
+    return felt
 
 
 def loudness_tables(bin_hz: float, bins: int, spread: float) -> tuple[FloatArray, ...]:

@@ -219,7 +219,7 @@ class SynthesisDesign:
         top_hz = EDGE_MARGIN * parameters.vibration_top_hz
         low_rate_hz = samplerate / grid.decimation
         low_b, low_a = ellip(ORDER, RIPPLE_DB, STOP_DB, top_hz, fs=low_rate_hz)
-        if parameters.strength == "felt":
+        if parameters.strength != "flat":
             edge_hz = BOTTOM_MARGIN * parameters.vibration_bottom_hz
             high_b, high_a = ellip(
                 HIGH_PASS_ORDER, RIPPLE_DB, HIGH_PASS_STOP_DB, edge_hz, "highpass", fs=low_rate_hz

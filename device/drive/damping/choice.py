@@ -5,7 +5,13 @@ No choice rings more than no damping would, at any f0 within `NEVER_WORSE` of th
 
 from dataclasses import dataclass
 
-from device.drive.damping.design import Damping, inverse_damping, no_damping, resonance_of
+from device.drive.damping.design import (
+    DAMPED_Q,
+    Damping,
+    inverse_damping,
+    no_damping,
+    resonance_of,
+)
 from device.drive.damping.residual import Residual, burst_response, undamped
 from device.rig import ActuatorParameters
 
@@ -14,7 +20,7 @@ UNCERTAINTY = 0.1
 """Share by which f0 may differ in either direction: sitters alone shift it by about 10 %."""
 NEVER_WORSE = 0.2
 """Share by which f0 may differ before damping may be worse than none."""
-WANTED_Q = (0.35, 0.4, 0.45, 0.55, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0)
+WANTED_Q = (DAMPED_Q, 0.4, 0.45, 0.55, 0.7, 0.85, 1.0, 1.4, 2.0, 3.0)
 CAUTION = (1.0, 0.9, 0.8, 0.65, 0.5, 0.35, 0.25)
 SHIFT = (1.0, 1.03)
 

@@ -15,6 +15,9 @@ from device.rig import ActuatorParameters
 from device.rig.actuator import state_space
 from device.units import FloatArray
 
+DAMPED_Q = 0.35
+"""Q of the poles that replace those of the actuator, unless another rig would need a higher."""
+
 
 @dataclass(frozen=True)
 class Resonance:
@@ -43,6 +46,16 @@ def resonance_of(p: ActuatorParameters, source_impedance_ohm: float = 0.0) -> Re
     pair = poles[np.lexsort((np.abs(poles), -np.abs(poles.imag)))][:2]
     magnitude = math.sqrt(abs(pair[0] * pair[1]))
     return Resonance(magnitude / math.tau, magnitude / -float((pair[0] + pair[1]).real))
+
+
+def resonance_as_damped(p: ActuatorParameters, is_damped: bool) -> tuple[float, float]:
+    """Return frequency in Hz and Q of the resonance that a drive meets, 1 to 400 Hz, 0.1 to 20.
+
+    is_damped: by a filter whose poles have `DAMPED_Q`.
+    """
+    ringing = resonance_of(p)
+    q = min(ringing.q, DAMPED_Q) if is_damped else ringing.q
+    return min(max(ringing.frequency_hz, 1.0), 400.0), min(max(q, 0.1), 20.0)
 
 
 def inverse_sections(ringing: Resonance, wanted: Resonance, samplerate: float) -> FloatArray:
