@@ -9,6 +9,7 @@ from contextlib import closing
 from dataclasses import asdict
 from typing import Any
 
+from audioflinger_hook.cli.outputs import OWN_SINKS, advice_for
 from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.cli.usb import mixer_of, volume_now
 from audioflinger_hook.cli.usb_formats import format_text, formats_of
@@ -20,7 +21,6 @@ from device.errors import CushionError
 from device.server import PulseConnection, ServerSnapshot
 from device.server.identity import identity_of, is_own_stream
 from device.stream import filter_stderr
-from device.stream.pcms import FALLBACK_SINK
 from device.usb import Found, UsbAudioDevice, find_devices, identify
 from device.usb.descriptors import parse_whole, playback_formats
 from device.usb.mapping import hw_names, sinks_of
@@ -107,9 +107,10 @@ def _server(snapshot: ServerSnapshot | None) -> dict[str, Any]:
                 "channels": sink.channels,
                 "default": sink.name == snapshot.default_sink,
                 "identity": asdict(identity_of(sink)),
+                "advice": advice_for(sink),
             }
             for sink in snapshot.sinks
-            if sink.name != FALLBACK_SINK
+            if sink.name not in OWN_SINKS
         ],
         "applications": [
             {
@@ -150,7 +151,7 @@ def _section(title: str, blocks: Iterable[list[str]]) -> None:
 def _sink_lines(sink: dict[str, Any]) -> list[str]:
     mark = ", the default" if sink["default"] else ""
     what = f"{sink['description']}, {sink['samplerate']} Hz, {sink['channels']} channels{mark}"
-    return [sink["device"], what]
+    return [sink["device"], what, *filter(None, [sink["advice"]])]
 
 
 def _usb_lines(device: dict[str, Any]) -> list[str]:

@@ -14,8 +14,8 @@ from audioflinger_hook import __version__
 from audioflinger_hook.cli.arguments import Parser, count, duration, number_or_off, seconds
 
 NEXT = (
-    "next: `cushion demo` plays a scene, `cushion devices` lists outputs, and `cushion run "
-    "--device DEVICE` plays the vibration of everything"
+    "next: `cushion setup` leads through the first run, `cushion demo` plays a scene, and "
+    "`cushion run --device DEVICE` plays the vibration of everything"
 )
 DESCRIPTION = "Feel what a computer plays: sound in, vibration of 20-220 Hz out."
 EXIT_CODES = (
@@ -180,6 +180,16 @@ def _calibrate(command: Parser) -> None:
     _json(command)
 
 
+def _setup(command: Parser) -> None:
+    _switch(command, "--yes", "ask nothing: take the options, and what is likely")
+    _value(command, "--device", str, "DEVICE", f"{SEE_DEVICES}; default: ask")
+    named = "cinema, game, music, paper or speech-free; default: ask"
+    _value(command, "--profile", str, "NAME", named)
+    _switch(command, "--no-test", "play no tone")
+    _switch(command, "--no-service", "install no service")
+    _switch(command, "--undo", "restore what was before the last setup")
+
+
 def _plugin(command: Parser) -> None:
     from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
 
@@ -273,6 +283,7 @@ def _switch(command: Parser, flag: str, meaning: str) -> None:
 
 
 COMMANDS: dict[str, tuple[Callable[[Parser], None], str, str]] = {
+    "setup": (_setup, "lead through the first run", ""),
     "demo": (_demo, "play the bundled scene through the whole chain", "--fast"),
     "render": (
         _render,

@@ -95,10 +95,17 @@ def check(
     then be missing.
     UsageError: the file cannot be read, or is not text.
     """
-    text = _text_of(path) if edits is None or path.exists() else ""
+    text = read_text(path) if edits is None or path.exists() else ""
+    return check_text(text, path.parent, default_profile, edits)
+
+
+def check_text(
+    text: str, folder: Path, default_profile: str, edits: Edits | None = None
+) -> tuple[Config | None, list[Mistake]]:
+    """Return the content of a config file's text, as `check` does. folder: of the file."""
     document, mistakes = _parse(text)
     apply_edits(document, edits or {})
-    reading = _Reading(_lines_of_keys(text), path.parent, mistakes, default_profile)
+    reading = _Reading(_lines_of_keys(text), folder, mistakes, default_profile)
     reading.read(document)
     reading.find_contradictions()
     if mistakes:
@@ -243,7 +250,7 @@ def _unknown(section: str, name: str, is_section: bool) -> Refusal:
     return Refusal(wrong, ", ".join(known), HEADERS.get(guess, guess))
 
 
-def _text_of(path: Path) -> str:
+def read_text(path: Path) -> str:
     """Return the text of a file. UsageError: it cannot be read, is too long or is not text."""
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):

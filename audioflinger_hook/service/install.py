@@ -79,14 +79,42 @@ def install(
     WriteError: the disk is full or failed.
     """
     path = _unit_path(environ)
-    state = _home(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
+    state = state_folder(environ)
     text = unit.unit_text([*(command or own_command()), "run", *arguments], state, systemd)
     before = _written_before(path)
-    for folder in (path.parent, state):
-        make_private_folder(folder)
+    make_private_folder(state)
     if before != text:
-        write_bytes_atomically(path, text.encode())
+        _write(path, text)
     return Installed(path, before != text, START)
+
+
+def installed_text(environ: Mapping[str, str] = os.environ) -> str | None:
+    """Return the text of the unit that `install` wrote, None without one. UsageError: as there."""
+    return _written_before(_unit_path(environ))
+
+
+def restore(text: str | None, environ: Mapping[str, str] = os.environ) -> Installed:
+    """Write or remove the unit, so that it is again what `installed_text` returned.
+
+    UsageError, WriteError: as for `install`.
+    """
+    if text is None:
+        return remove(environ)
+    path = _unit_path(environ)
+    changed = _written_before(path) != text
+    if changed:
+        _write(path, text)
+    return Installed(path, changed, START)
+
+
+def state_folder(environ: Mapping[str, str] = os.environ) -> Path:
+    """Return the folder of what this program keeps for itself. UsageError: there is no home."""
+    return _home(environ, "XDG_STATE_HOME", ".local/state") / "cushion"
+
+
+def _write(path: Path, text: str) -> None:
+    make_private_folder(path.parent)
+    write_bytes_atomically(path, text.encode())
 
 
 def remove(environ: Mapping[str, str] = os.environ) -> Installed:

@@ -565,7 +565,7 @@ def test_without_a_command_the_help_ends_with_the_next_step():
     done = call()
     assert (done.code, done.stderr) == (0, "")
     assert "usage: cushion" in done.stdout
-    assert "next: `cushion demo`" in done.stdout
+    assert "next: `cushion setup`" in done.stdout
 
 
 def test_the_rule_for_usb_devices_needs_no_device(tmp_path, monkeypatch):

@@ -1,0 +1,308 @@
+"""`cushion setup`: a guided first run, from the output to the config file and the service.
+
+All questions come first. What is written is written at the end, each file whole.
+"""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import sys
+import tomllib
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from audioflinger_hook.cli import setup_files
+from audioflinger_hook.cli.check import load_config
+from audioflinger_hook.cli.outputs import COILS, Output, list_outputs, shaker_pair
+from audioflinger_hook.cli.questions import agree, name_some, pick
+from audioflinger_hook.cli.setup_tone import Felt, try_output
+from audioflinger_hook.cli.terminal import warn
+from audioflinger_hook.cli.tone import PCM
+from audioflinger_hook.config import file as config
+from audioflinger_hook.config.commented import actuator_text, commented_text
+from audioflinger_hook.config.edits import edited_text
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
+from audioflinger_hook.service import install as service
+from device.address import DeviceAddress, parse_device
+from device.alsa import find_playback, list_cards
+from device.alsa.cards import list_playbacks
+from device.drive import ActuatorSettings
+from device.errors import LostError, NotFoundError, UsageError
+from device.server import PulseConnection
+from device.stream import PcmConfig, filter_stderr
+from device.usb import find_devices
+from device.values import nearest
+
+SPEECH_FREE = "speech-free"
+SPEECH_SUPPRESSION_DB = 12.0
+
+PLAYED = {
+    "cinema": "films, and everything else",
+    "game": "games",
+    "music": "music",
+    SPEECH_FREE: "films and talk, with speech left out",
+}
+"""What `setup` asks for, each by the profile that it gets."""
+
+NOTHING_WRITTEN = "nothing was written"
+
+
+def run(options: argparse.Namespace) -> int:
+    """Ask, write and tell what comes next; or undo the last set-up."""
+    if options.undo:
+        return _undo()
+    if not options.yes and not sys.stdin.isatty():
+        raise UsageError(
+            "setup asks questions, but its input is not a terminal; give the answers: "
+            "`cushion setup --yes --device DEVICE --profile NAME`"
+        )
+    path = config.default_path()
+    before = setup_files.text_of(path)
+    wired: tuple[ActuatorSettings, ...] = ()
+    if before is not None:  # one with mistakes is for its owner to repair
+        wired = load_config(path, LIVE_DEFAULT).settings.actuators
+    profile = _known_profile(options.profile)
+    has_service = not options.no_service and service.installed_text() is not None
+    choice = _choose_output(options, wired)
+    if choice is None:
+        print(f"The tone was stopped; {NOTHING_WRITTEN}.")
+        return 0
+    values: dict[str, Any] = {"device": choice.output.address}
+    if choice.level_db is not None:
+        values["gain_db"] = choice.level_db
+    values |= _profile_values(profile or _ask_profile(options.yes, before))
+    text = _new_text(path, before, values, choice.channels)
+    if text == before:
+        print(f"\n{path} says this already.")
+    else:
+        print(f"\n{path} will {'be' if before is None else 'change'}:")
+        print(_difference(before, text), end="")
+        if not options.yes and not agree("Write it?", default=before is None):
+            print(f"{path} stays as it is; {NOTHING_WRITTEN}.")
+            return 0
+    installs = not options.no_service and (
+        options.yes or agree("Start the daemon at every login?", default=True)
+    )
+    backup = setup_files.write(path, before, text, with_service=installs)
+    if text != before:
+        print(f"\n{path} is written.{f' The earlier file is {backup}.' if backup else ''}")
+    _tell(path, text, installs or has_service)
+    return 0
+
+
+def _undo() -> int:
+    done, commands = setup_files.undo()
+    print(*done, sep="\n")
+    if commands:
+        print("next, type:", *commands, sep="\n    ")
+    return 0
+
+
+def _known_profile(name: str | None) -> str | None:
+    known = (*PROFILES, SPEECH_FREE)
+    if name is not None and name not in known:
+        guess = nearest(name, known)
+        offer = f"; did you mean {guess}?" if guess else ""
+        raise UsageError(f"profile={name!r} is not known; allowed: {', '.join(known)}{offer}")
+    return name
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The output, and what was found out about it.
+
+    level_db: the level that was felt, None if nobody was asked. channels: of its shakers, empty for
+    all, or those of the config.
+    """
+
+    output: Output
+    level_db: float | None
+    channels: tuple[str, ...]
+
+
+def _choose_output(
+    options: argparse.Namespace, wired: tuple[ActuatorSettings, ...]
+) -> Choice | None:
+    """Return the choice, None if the tone was stopped. wired: the actuators of the config."""
+    filter_stderr()
+    named = None if options.device is None else parse_device(options.device)
+    with ExitStack() as stack:
+        pcms = stack.enter_context(closing(PcmConfig(PCM)))
+        connection = stack.enter_context(closing(PulseConnection()))
+        while True:
+            outputs = _outputs(connection)
+            if named is not None:
+                output = _named(named, outputs, connection)
+            else:
+                output = _first(outputs) if options.yes else _ask_output(outputs)
+            _warn_of_sound(output, options.yes, named is not None)
+            channels = () if wired or options.yes else _ask_channels(output)
+            felt, level_db = Felt.YES, None
+            if not options.no_test:
+                actuators = (ActuatorSettings(channels),) if channels else wired
+                device = parse_device(output.address)
+                try:
+                    felt, level_db = try_output(
+                        device, pcms.pcms[PCM], connection, actuators, ask=not options.yes
+                    )
+                except (LostError, NotFoundError, UsageError) as error:
+                    if options.yes or named is not None:
+                        raise
+                    felt = Felt.NO
+                    print(error)
+            if felt is Felt.YES:
+                return Choice(output, level_db, channels)
+            if felt is Felt.STOPPED:
+                return None
+            if named is not None:
+                raise NotFoundError(
+                    f"nothing was felt from {output.address}, and {NOTHING_WRITTEN}; check its "
+                    "amplifier and cables, or name another --device"
+                )
+            connection.snapshot()
+
+
+def _outputs(connection: PulseConnection) -> list[Output]:
+    playbacks = [each for card in list_cards() for each in list_playbacks(card)]
+    return list_outputs(connection.latest, find_devices().devices, playbacks)
+
+
+def _named(device: DeviceAddress, outputs: list[Output], connection: PulseConnection) -> Output:
+    """Return the output of a name. NotFoundError: there is none of this name."""
+    if device.kind not in ("sink", "usb", "hw"):
+        raise UsageError(
+            f"device {str(device)!r} is no output for a first run; allowed: sink:NAME, "
+            "usb:VID:PID, hw:CARD"
+        )
+    if device.kind == "hw":
+        find_playback(device.name)
+    else:
+        sink = device.sink(connection.latest)
+        for output in outputs:
+            if parse_device(output.address).sink(connection.latest) == sink:
+                return replace(output, address=str(device))
+    return Output(str(device), device.name, 0, "the named output")
+
+
+def _first(outputs: list[Output]) -> Output:
+    """Return the only output that surely has coils. UsageError: there is none, or more than one."""
+    sure = [output for output in outputs if output.rank == COILS]
+    if len(sure) == 1:
+        return sure[0]
+    names = ", ".join(output.address for output in outputs) or "none is connected"
+    raise UsageError(
+        "--yes chooses an output by itself only if one alone is known to have voice coils; name "
+        f"one with --device: {names}"
+    )
+
+
+def _ask_output(outputs: list[Output]) -> Output:
+    if not outputs:
+        raise NotFoundError("there is no output; connect a sound card, then run setup again")
+    print("Where is the shaker, exciter or controller connected?")
+    items = [
+        f"{each.description or each.address}\n     {each.address}: {each.note}" for each in outputs
+    ]
+    return outputs[pick("Output:", items, 0 if outputs[0].is_likely else None)]
+
+
+def _ask_channels(output: Output) -> tuple[str, ...]:
+    """Return the channels that drive shakers; empty for all, or where they are known."""
+    if len(output.positions) < 4 or output.has_coils:
+        return ()
+    print(f"It has the channels {', '.join(output.positions)}.")
+    pair = ",".join(shaker_pair(output.positions))
+    return name_some(f"Which drive shakers? all, or some, such as {pair}:", output.positions)
+
+
+def _warn_of_sound(output: Output, yes: bool, named: bool) -> None:
+    """Say that vibration would be heard. NotFoundError: that is not wanted."""
+    if not output.plays_the_sound:
+        return
+    heard = (
+        f"{output.address} plays the computer's sound, so vibration would be heard there; "
+        "`cushion run` needs another default output, or an application as --tap"
+    )
+    if yes and named:
+        warn(heard)
+        return
+    print(f"{heard}.")
+    if yes or not agree("Use it all the same?", default=False):
+        raise NotFoundError(
+            f"no output for vibration was chosen, and {NOTHING_WRITTEN}; connect a USB sound card "
+            "or a controller, then run setup again"
+        )
+
+
+def _ask_profile(yes: bool, before: str | None) -> str:
+    if yes:
+        return "" if before is not None else LIVE_DEFAULT
+    print("\nWhat do you play most?")
+    profiles = list(PLAYED)
+    return profiles[pick("Played:", [f"{PLAYED[name]} ({name})" for name in profiles], 0)]
+
+
+def _profile_values(profile: str) -> dict[str, Any]:
+    """Return the keys of a profile; none for "", which leaves them as they are."""
+    if profile == SPEECH_FREE:
+        values = {"transform.speech_suppression_db": SPEECH_SUPPRESSION_DB}
+        return {"profile": LIVE_DEFAULT, **values}
+    return {"profile": profile} if profile else {}
+
+
+def _new_text(
+    path: Path, before: str | None, values: dict[str, Any], channels: tuple[str, ...]
+) -> str:
+    """Return the config's new text. UsageError: it would have mistakes."""
+    if before is None:
+        text = commented_text(values, channels)
+    else:
+        document = tomllib.loads(before.removeprefix("\ufeff"))
+        changes = {name: value for name, value in values.items() if _of(document, name) != value}
+        text = edited_text(before, changes) if changes else before
+        if channels:
+            text = f"{text.rstrip()}\n\n{actuator_text(channels)}"
+    _, mistakes = config.check_text(text, path.parent, LIVE_DEFAULT)
+    if mistakes:
+        raise UsageError(f"{path} would have a mistake: {mistakes[0]}; {NOTHING_WRITTEN}")
+    return text
+
+
+def _of(document: dict[str, Any], name: str) -> Any:
+    section, _, key = name.rpartition(".")
+    table = document.get(section, {}) if section else document
+    return table.get(key)
+
+
+def _difference(before: str | None, text: str) -> str:
+    """Return a new file's keys without comments, or the lines that change."""
+    if before is None:
+        lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+        return "".join(f"  {line}\n" for line in lines)
+    compared = difflib.unified_diff(before.splitlines(), text.splitlines(), lineterm="", n=1)
+    return "".join(f"  {line}\n" for line in list(compared)[2:])
+
+
+def _tell(path: Path, text: str, has_service: bool) -> None:
+    """Say what happens now, and what to type next."""
+    found = config.check_text(text, path.parent, LIVE_DEFAULT)[0]
+    assert found is not None
+    settings = found.settings
+    print(
+        f"\nVibration of what this computer plays will go to {found.live.device}, with profile "
+        f"{settings.profile} at {settings.gain_db:g} dB."
+    )
+    print("next, type:")
+    begin = [(f"{command}", "") for command in service.START]
+    rows = begin if has_service else [("cushion run", "plays it; Ctrl+C ends it")]
+    rows = [
+        *rows,
+        ("cushion monitor --open", "shows it, and changes it while it plays"),
+        ("cushion status", "tells what it does"),
+        ("cushion setup --undo", "restores what was before"),
+    ]
+    for command, does in rows:
+        print(f"    {command:<24}{does}".rstrip())

@@ -1,0 +1,158 @@
+"""What `cushion setup` writes, and how it is undone: the config file and the service.
+
+Each set-up is recorded before it writes, in `setup-undo.json` of the state folder. Undoing takes
+the last record. Nothing is lost: a replaced config stays beside it, and so does one that was edited
+after the set-up that is undone.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from audioflinger_hook.config.file import read_text
+from audioflinger_hook.service import install as service
+from device.atomic_file import make_private_folder, write_bytes_atomically
+from device.errors import UsageError
+
+RECORDS_MAX = 20
+"""Set-ups that can be undone; older ones cannot."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One set-up. config: the file; written: the text that it got, None if it stayed as it was.
+
+    backup: where the earlier text is, None if there was none. unit_changed: whether the service was
+    installed; unit: its text before, None if there was none.
+    """
+
+    config: str
+    written: str | None
+    backup: str | None
+    unit_changed: bool
+    unit: str | None
+
+
+def write(path: Path, before: str | None, text: str, *, with_service: bool) -> str:
+    """Write the config and install the service, and return the backup's path, "" for none.
+
+    before: the text that the file had while the questions were asked; None if there was no file.
+    UsageError: the file has changed since, or a folder cannot be written.
+    WriteError: the disk is full or failed.
+    """
+    if text_of(path) != before:
+        raise UsageError(f"{path} was changed meanwhile and is left alone; run setup again")
+    changes = text != before
+    backup = None
+    if changes:
+        make_private_folder(path.parent)
+        if before is not None:
+            backup = _free_name(path, "before-setup")
+            write_bytes_atomically(backup, path.read_bytes())
+    record = Record(
+        config=str(path.absolute()),
+        written=text if changes else None,
+        backup=None if backup is None else str(backup.absolute()),
+        unit_changed=with_service,
+        unit=service.installed_text() if with_service else None,
+    )
+    if changes or with_service:
+        _save([*_records(), record])
+    if changes:
+        write_bytes_atomically(path, text.encode())
+    if with_service:
+        service.install(["--wait"], systemd=service.systemd_version())
+    return str(backup or "")
+
+
+def text_of(path: Path) -> str | None:
+    """Return the text of a config file, None if there is none. UsageError: it cannot be read."""
+    return read_text(path) if path.exists() or path.is_symlink() else None
+
+
+def undo() -> tuple[list[str], tuple[str, ...]]:
+    """Undo the last set-up; return what was done, and the commands to type next.
+
+    UsageError: there is nothing to undo, or the backup is gone.
+    """
+    records = _records()
+    if not records:
+        raise UsageError("there is nothing to undo: `cushion setup` has written nothing")
+    record = records[-1]
+    done: list[str] = []
+    commands: tuple[str, ...] = ()
+    if record.written is not None:
+        done += _restore_config(record)
+    if record.unit_changed:
+        restored = service.restore(record.unit)
+        what = "removed" if record.unit is None else "as it was before"
+        done.append(f"{restored.path}: {what}")
+        commands = restored.commands if restored.changed else ()
+    _save(records[:-1])
+    if record.backup is not None:
+        with suppress(OSError):
+            Path(record.backup).unlink()
+    return done, commands
+
+
+def _restore_config(record: Record) -> list[str]:
+    path = Path(record.config)
+    before = None
+    if record.backup is not None:
+        try:
+            before = Path(record.backup).read_bytes()
+        except OSError as error:
+            raise UsageError(
+                f"{record.backup} cannot be read ({error.strerror}), so {path} is left alone"
+            ) from error
+    done = []
+    now = path.read_bytes() if text_of(path) is not None else None
+    if now not in ((record.written or "").encode(), before, None):
+        kept = _free_name(path, "undone")
+        write_bytes_atomically(kept, now or b"")
+        done.append(f"{kept}: your later changes")
+    if before is None:
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            raise UsageError(f"cannot remove {path}: {error.strerror}; do it yourself") from error
+        return [*done, f"{path}: removed"]
+    make_private_folder(path.parent)
+    write_bytes_atomically(path, before)
+    return [*done, f"{path}: as it was before"]
+
+
+def _free_name(path: Path, word: str) -> Path:
+    """Return a path beside another that is free."""
+    number = 1
+    while True:
+        found = path.with_name(f"{path.name}.{word}{f'-{number}' if number > 1 else ''}")
+        if not found.exists() and not found.is_symlink():
+            return found
+        number += 1
+
+
+def _records_path() -> Path:
+    return service.state_folder() / "setup-undo.json"
+
+
+def _records() -> list[Record]:
+    path = _records_path()
+    try:
+        return [Record(**found) for found in json.loads(path.read_text(encoding="utf-8"))]
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, TypeError) as error:
+        raise UsageError(
+            f"{path} cannot be read ({error}); move it away, then run setup again"
+        ) from error
+
+
+def _save(records: list[Record]) -> None:
+    path = _records_path()
+    make_private_folder(path.parent)
+    kept = [asdict(record) for record in records[-RECORDS_MAX:]]
+    write_bytes_atomically(path, json.dumps(kept, indent=1).encode())

@@ -1,0 +1,191 @@
+"""A tone on one device and on no other: what `test-tone` and `setup` play."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from device.address import DeviceAddress
+from device.alsa import choose_setup, find_playback
+from device.alsa.negotiation import list_offers
+from device.alsa.usb_stream import read_usb_stream
+from device.alsa.use import why_blocked
+from device.drive import ActuatorSettings, ChannelMap, channels_needed, wiring_of
+from device.drive.channel_positions import sink_channel_map
+from device.errors import LostError, NotFoundError
+from device.server import FallbackSink, PulseConnection, StreamGuard
+from device.server.guard import Hold
+from device.stream import PlaybackStream
+from device.stream.pcms import CardDevice, Pcm, ServerDevice
+from device.stream.sample_format import SampleFormat
+from device.units import Float32Array
+from device.usb.coils import coil_channels
+
+PCM = "cushion_output"
+"""The PCM that the caller configures, before it connects to the server."""
+
+FADE_S = 0.1
+"""How long a tone takes to fade out."""
+
+SETTLE_S = 5.0
+"""Time until a new stream must run on its device."""
+
+CARD_RATE_HZ = 48_000
+
+
+class Tone:
+    """A sine on some channels, silent until `play`; `ended` is set once it is over.
+
+    Any thread may call `play` and `stop`.
+    """
+
+    def __init__(self, hz: float, samplerate: int, channels: Sequence[int]) -> None:
+        self._turn = 2.0 * math.pi * hz / samplerate  # radians per frame
+        self._samplerate = samplerate
+        self._channels = list(channels)
+        self._phase = self._amplitude = self._aim = 0.0
+        self._rise = self._fall = 1.0  # change of the amplitude per frame
+        self._frames_left = 0
+        self.ended = threading.Event()
+
+    def play(self, level: float, duration_s: float, fade_s: float = FADE_S) -> None:
+        """Fade to a level, hold it and fade out; also from another level.
+
+        level: amplitude, up to 1. fade_s: of the beginning. duration_s: with both fades.
+        """
+        self._frames_left = round((duration_s - FADE_S) * self._samplerate)
+        self._rise = level / (fade_s * self._samplerate)
+        self._fall = level / (FADE_S * self._samplerate)
+        self._aim = level
+        self.ended.clear()
+
+    def stop(self) -> None:
+        """Fade out now."""
+        self._frames_left = 0
+
+    def fill(self, out: Float32Array, now_s: float) -> None:
+        """Write the next frames, equal in all its channels. Called by the output's thread."""
+        aim, change = (self._aim, self._rise) if self._frames_left > 0 else (0.0, self._fall)
+        self._frames_left -= len(out)
+        frames = np.arange(1, len(out) + 1)
+        before = self._amplitude
+        if before <= aim:
+            amplitudes = np.minimum(before + change * frames, aim)
+        else:
+            amplitudes = np.maximum(before - max(change, self._fall) * frames, aim)
+        phases = self._phase + self._turn * frames
+        out[:, self._channels] = (amplitudes * np.sin(phases))[:, None]
+        self._phase = float(phases[-1]) % (2.0 * math.pi)
+        self._amplitude = float(amplitudes[-1])
+        if aim == before == 0.0:
+            self.ended.set()
+
+
+@dataclass(frozen=True)
+class TonePlayer:
+    """An open output with its tone. guard: None on a card, where no server can move the stream."""
+
+    name: str
+    tone: Tone
+    stream: PlaybackStream
+    guard: StreamGuard | None
+
+    def wait_audible(self) -> None:
+        """Wait until it plays. LostError: it does not within `SETTLE_S`."""
+        deadline_s = time.monotonic() + SETTLE_S
+        while not (self.stream.audible and self.stream.callbacks > 1):
+            if time.monotonic() > deadline_s:
+                raise LostError(f"{self.name} does not play after {SETTLE_S:g} s; check the device")
+            self.check()
+            time.sleep(0.01)
+
+    def wait_ended(self) -> None:
+        """Wait for the tone's end. LostError: the device was lost."""
+        while not self.tone.ended.wait(0.1):
+            self.check()
+
+    def check(self) -> None:
+        """Raise LostError if the stream is lost, also if the server moves it."""
+        gone = self.guard is not None and self.guard.hold is Hold.NO_DEVICE
+        if gone or self.stream.is_lost(time.monotonic()):
+            raise LostError("the device was lost while the tone played; plug it in again")
+
+    def fade_out(self) -> None:
+        """End the tone softly; raises nothing."""
+        self.tone.stop()
+        if self.stream.audible and not self.stream.is_lost():
+            self.tone.ended.wait(3.0 * FADE_S)
+
+
+@contextmanager
+def open_tone(
+    device: DeviceAddress,
+    pcm: Pcm,
+    connection: PulseConnection,
+    hz: float,
+    actuators: Sequence[ActuatorSettings] = (),
+) -> Iterator[TonePlayer]:
+    """Open a device for a tone, and close it in the end.
+
+    actuators: whose channels play it; without, those with coils.
+    NotFoundError: there is no such device, or it is in use.
+    UsageError: the device lacks a channel.
+    LostError: the device or the server does not answer.
+    """
+    with ExitStack() as stack:
+        if device.kind == "hw":
+            yield _on_card(device, pcm, hz, actuators, stack)
+            return
+        sink = device.sink(connection.latest)
+        stack.callback(FallbackSink(connection).close)
+        pcm.target = ServerDevice(sink.name)
+        tone = Tone(hz, sink.samplerate, _playing(sink_channel_map(sink, actuators)))
+        stream = PlaybackStream(pcm, sink.samplerate, sink.channels, tone.fill)
+        stack.callback(stream.close)
+        guard = StreamGuard(connection, stream, sink.name)
+        stack.callback(guard.release)
+        player = TonePlayer(f"{sink.name} ({sink.description})", tone, stream, guard)
+        stack.callback(player.fade_out)
+        yield player
+
+
+def _on_card(
+    device: DeviceAddress,
+    pcm: Pcm,
+    hz: float,
+    actuators: Sequence[ActuatorSettings],
+    stack: ExitStack,
+) -> TonePlayer:
+    playback = find_playback(device.name)
+    if refused := why_blocked(playback):
+        raise NotFoundError(refused)
+    coils = coil_channels(*playback.card.usb_id)
+    wiring = wiring_of(actuators)
+    needed = max(1, channels_needed(wiring), *(1 + coil for coil in coils))
+    setup = choose_setup(list_offers(read_usb_stream(playback)), CARD_RATE_HZ, needed)
+    channel_map = (
+        ChannelMap.of(wiring, setup.channels, device=str(playback))
+        if actuators
+        else ChannelMap.on_coils(1, setup.channels, coils, str(playback))
+    )
+    pcm.target = CardDevice(playback.card.number, playback.device)
+    tone = Tone(hz, setup.samplerate, _playing(channel_map))
+    sample_format: SampleFormat = setup.sample_format
+    stream = PlaybackStream(
+        pcm, setup.samplerate, setup.channels, tone.fill, sample_format=sample_format
+    )
+    stack.callback(stream.close)
+    player = TonePlayer(f"{playback} ({playback.name})", tone, stream, None)
+    stack.callback(player.fade_out)
+    stream.audible = True
+    return player
+
+
+def _playing(channel_map: ChannelMap) -> list[int]:
+    return [channel for channel, source in enumerate(channel_map.sources) if source is not None]
