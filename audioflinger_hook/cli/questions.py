@@ -61,8 +61,10 @@ def name_some(question: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _read(prompt: str) -> str:
+    # `input` would print it through C's stderr, which a command with audio streams silences.
+    print(prompt, end="", flush=True)
     try:
-        return input(prompt)
+        return input()
     except EOFError:
         print()
         sys.stdout.flush()
