@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+import audioflinger_hook
 from tests.support.recordings import ROOT, WHY_NONE, recordings
 
 PACKAGES = ["audioflinger_hook", "device"]
@@ -157,7 +158,7 @@ def test_the_wheel_holds_the_licence(wheel_names):
 
 
 def test_the_version_is_in_the_changelog():
-    version = PROJECT["project"]["version"]
+    version = audioflinger_hook.__version__
     assert f"## [{version}]" in (ROOT / "CHANGELOG.md").read_text()
 
 

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Everything that Haptic Cushion needs on this machine: tools/setup.sh run|test
 #
-#   run    a .venv with the program and the extras `figures` and `page`
+#   run    a .venv with the program and the extras `figures`, `live` and `page`
 #   test   the extra `dev` as well
 #
 # PyAudio and a part of the program (audioflinger_hook/transform/native) are compiled during the installation.
@@ -15,8 +15,8 @@
 set -eu
 
 case ${1-} in
-    run) wanted=figures,page ;;
-    test) wanted=figures,page,dev ;;
+    run) wanted=figures,live,page ;;
+    test) wanted=figures,live,page,dev ;;
     *)
         echo 'usage: tools/setup.sh run|test' >&2
         exit 2

@@ -15,6 +15,7 @@ from audioflinger_hook.cli.terminal import warn
 from audioflinger_hook.service.runtime_folder import RuntimeFolder
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
+from device.extras import not_installed
 
 OPENER = "page.html"
 """A file of the user's alone that leads a browser to the page: others can read the arguments of a
@@ -27,9 +28,7 @@ def run(options: argparse.Namespace) -> int:
         from audioflinger_hook.monitor.access import Listen, load_token
         from audioflinger_hook.monitor.server import PageServer
     except ModuleNotFoundError as error:
-        raise UsageError(
-            f"the page needs {error.name}, which is not installed; install haptic-cushion[page]"
-        ) from error
+        raise UsageError(not_installed(str(error.name), "page")) from error
     listen = Listen.parse(options.listen)
     if not 1.0 <= options.rate <= 60.0:
         raise UsageError(f"rate={options.rate:.12g} is out of range; allowed: 1 to 60 Hz")

@@ -18,6 +18,7 @@ from functools import cache
 from typing import Any
 
 from device.errors import NotFoundError
+from device.extras import not_installed
 
 FLOAT32_LE, FLOAT32_BE = 5, 6
 CONTEXT_NOAUTOSPAWN = 0x1
@@ -111,6 +112,8 @@ def load_pulsectl() -> Any:
     """Return the module pulsectl; NotFoundError: the library libpulse is not installed."""
     try:
         import pulsectl
+    except ModuleNotFoundError:
+        raise NotFoundError(not_installed("pulsectl", "live")) from None
     except (ImportError, OSError) as error:
         raise NotFoundError(
             f"the library libpulse cannot be loaded ({error}); install it (libpulse0)"

@@ -19,6 +19,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 from device.errors import InternalError, LostError, NotFoundError
+from device.extras import not_installed
 from device.stream.pcms import Pcm
 from device.stream.sample_format import SampleFormat
 
@@ -164,6 +165,8 @@ def _instance(pcm: Pcm) -> tuple[Any, int]:
     global _pyaudio
     try:
         import pyaudio
+    except ModuleNotFoundError:
+        raise NotFoundError(not_installed("PyAudio", "live")) from None
     except ImportError as error:
         raise NotFoundError(
             f"PyAudio cannot be loaded ({error}); install PortAudio (libportaudio2) and PyAudio"

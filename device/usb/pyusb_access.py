@@ -11,6 +11,7 @@ from functools import cache
 from typing import Any
 
 from device.errors import NoLibusbError, NoUsbDeviceError, UsbAccessError
+from device.extras import not_installed
 from device.usb.sysfs import UsbAudioDevice
 
 TIMEOUT_MS = 500
@@ -30,10 +31,8 @@ def libusb() -> Any:
     """
     try:
         from usb.backend import libusb1
-    except ImportError as error:
-        raise NoLibusbError(
-            f"no libusb: PyUSB cannot be imported ({error}); install it: pip install pyusb"
-        ) from None
+    except ImportError:
+        raise NoLibusbError(not_installed("PyUSB", "live")) from None
     backend = libusb1.get_backend()
     if backend is None:
         raise NoLibusbError(

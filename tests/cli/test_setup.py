@@ -1,0 +1,202 @@
+"""`cushion setup` without a sound server: what it refuses, how it ranks, writes and undoes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from audioflinger_hook.cli import setup_files
+from audioflinger_hook.cli.outputs import COILS, SOUND, USB, advice_for, list_outputs
+from audioflinger_hook.cli.setup import PLAYED, SPEECH_FREE
+from audioflinger_hook.cli.tone import Tone
+from audioflinger_hook.config.commented import commented_text
+from audioflinger_hook.config.file import check_text
+from audioflinger_hook.config.profiles import LIVE_DEFAULT, PROFILES
+from audioflinger_hook.config.schema import keys_of
+from device.errors import UsageError
+from device.server import ServerSnapshot
+from device.server.snapshot import Sink
+from device.stream.pcms import FALLBACK_SINK
+from tests.support.commands import call, refused
+
+QUAD = "front-left,front-right,rear-left,rear-right"
+SURROUND = f"{QUAD},front-center,lfe,side-left,side-right"
+DUALSENSE = {
+    "device.bus": "usb",
+    "device.vendor.id": "054c",
+    "device.product.id": "0ce6",
+}
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name in ("CONFIG", "STATE", "RUNTIME"):
+        folder = "RUNTIME_DIR" if name == "RUNTIME" else f"{name}_HOME"
+        monkeypatch.setenv(f"XDG_{folder}", str(tmp_path / name.lower()))
+    monkeypatch.setenv("PULSE_SERVER", f"unix:{tmp_path}/none")
+    return tmp_path
+
+
+def sink(name: str, positions: str = "front-left,front-right", **properties: str) -> Sink:
+    known = {key.replace("_", "."): value for key, value in properties.items()}
+    channels = positions.count(",") + 1
+    return Sink(1, name, name, "", 48_000, channels, None, known, channel_map=positions)
+
+
+def snapshot(*sinks: Sink, default: str = "speakers") -> ServerSnapshot:
+    return ServerSnapshot("PulseAudio", "16.1", default, "", sinks, (), (), (), 0)
+
+
+def test_without_a_terminal_it_says_what_to_give_instead() -> None:
+    error = refused(call("setup"))
+    assert "not a terminal" in error
+    assert "--yes --device DEVICE" in error
+
+
+def test_without_a_server_it_ends_as_every_command_does(home: Path) -> None:
+    assert "sound server" in refused(call("setup", "--yes", "--device", "haptic"), code=4)
+    assert not list(home.rglob("config.toml"))
+
+
+def test_an_unknown_profile_is_refused_with_the_nearest() -> None:
+    assert "did you mean cinema?" in refused(call("setup", "--yes", "--profile", "cinena"))
+
+
+def test_a_config_with_mistakes_is_left_to_its_owner(home: Path) -> None:
+    path = home / "config/cushion/config.toml"
+    path.parent.mkdir(parents=True)
+    path.write_text("profile = 7\n")
+    assert "line 1: profile" in refused(call("setup", "--yes", "--device", "haptic"))
+    assert path.read_text() == "profile = 7\n"
+
+
+def test_nothing_is_undone_that_was_not_done() -> None:
+    assert "nothing to undo" in refused(call("setup", "--undo"))
+
+
+def test_every_profile_that_is_asked_for_exists() -> None:
+    assert set(PLAYED) - {SPEECH_FREE} <= set(PROFILES)
+
+
+def test_voice_coils_come_first_and_what_plays_the_sound_last() -> None:
+    pad = sink("pad", QUAD)
+    pad = Sink(**{**vars(pad), "properties": DUALSENSE})
+    dac = sink("dac", device_bus="usb", device_vendor_id="1234", device_product_id="5678")
+    dac = Sink(**{**vars(dac), "properties": {**DUALSENSE, "device.product.id": "ffff"}})
+    found = list_outputs(snapshot(sink("speakers"), sink("other"), dac, pad), (), ())
+    assert [output.address for output in found] == [
+        "sink:pad",
+        "sink:dac",
+        "sink:other",
+        "sink:speakers",
+    ]
+    assert [found[0].rank, found[1].rank, found[3].rank] == [COILS, USB, SOUND]
+    assert "channels 3 and 4" in found[0].note
+
+
+def test_our_own_sinks_are_no_outputs() -> None:
+    assert list_outputs(snapshot(sink("cushion"), sink(FALLBACK_SINK)), (), ()) == []
+
+
+@pytest.mark.parametrize(
+    ("positions", "wanted"),
+    [
+        (SURROUND, '[[actuator]] channels = ["side-left", "side-right"]'),
+        (QUAD, '[[actuator]] channels = ["rear-left", "rear-right"]'),
+        ("front-left,front-right", ""),
+    ],
+)
+def test_the_advice_for_many_channels_is_valid_in_a_config(positions: str, wanted: str) -> None:
+    advice = advice_for(sink("card", positions))
+    assert advice.endswith(wanted)
+    if wanted:
+        text = wanted.replace("]] ", "]]\n")
+        assert check_text(text, Path(), LIVE_DEFAULT)[1] == []
+
+
+@pytest.mark.parametrize("device", ['sink:a "b" \\ c', "usb:152a:8750"])
+def test_a_new_config_holds_every_top_level_key_and_says_what_was_chosen(device: str) -> None:
+    values = {"device": device, "gain_db": -12.0, "transform.speech_suppression_db": 12.0}
+    text = commented_text(values, ("side-left",))
+    found, mistakes = check_text(text, Path(), LIVE_DEFAULT)
+    assert found is not None
+    assert not mistakes
+    assert (found.live.device, found.settings.gain_db) == (device, -12.0)
+    assert found.settings.parameters.speech_suppression_db == 12.0
+    assert found.settings.actuators[0].channels == ("side-left",)
+    for name in keys_of(""):
+        assert f"\n{name} = " in text or f"\n# {name} =" in text
+    lines = [line.removeprefix("# ") for line in text.splitlines()]
+    given = [line for line in lines if line.partition(" = ")[0] in keys_of("") and " = " in line]
+    bare = "\n".join(given)
+    assert check_text(bare, Path(), LIVE_DEFAULT)[1] == []  # every default is a valid value
+
+
+def test_undoing_gives_back_each_earlier_state_and_keeps_later_edits(home: Path) -> None:
+    path = home / "config/cushion/config.toml"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"\xef\xbb\xbf# mine\r\n")
+    mine = path.read_bytes()
+    before = setup_files.text_of(path)
+    setup_files.write(path, before, "gain_db = -1.0\n", with_service=True)
+    unit = home / "config/systemd/user/cushion.service"
+    assert unit.exists()
+    setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=False)
+    path.write_text("gain_db = -3.0\n")
+    done, commands = setup_files.undo()
+    assert path.read_text() == "gain_db = -1.0\n"
+    assert path.with_name("config.toml.undone").read_text() == "gain_db = -3.0\n"
+    assert len(done) == 2
+    assert unit.exists()
+    assert not commands
+    setup_files.undo()
+    assert path.read_bytes() == mine
+    assert not unit.exists()
+    assert sorted(found.name for found in path.parent.iterdir()) == [
+        "config.toml",
+        "config.toml.undone",
+    ]
+
+
+def test_a_first_setup_is_undone_by_removing_what_it_made(home: Path) -> None:
+    path = home / "config/cushion/config.toml"
+    setup_files.write(path, None, "gain_db = -1.0\n", with_service=False)
+    setup_files.undo()
+    assert not path.exists()
+
+
+def test_a_config_that_changed_meanwhile_is_left_alone(home: Path) -> None:
+    path = home / "config.toml"
+    path.write_text("gain_db = -1.0\n")
+    with pytest.raises(UsageError, match="changed meanwhile"):
+        setup_files.write(path, None, "gain_db = -2.0\n", with_service=False)
+    assert path.read_text() == "gain_db = -1.0\n"
+
+
+def test_a_backup_that_is_gone_leaves_the_config_alone(home: Path) -> None:
+    path = home / "config.toml"
+    path.write_text("gain_db = -1.0\n")
+    backup = setup_files.write(path, "gain_db = -1.0\n", "gain_db = -2.0\n", with_service=False)
+    Path(backup).unlink()
+    with pytest.raises(UsageError, match="left alone"):
+        setup_files.undo()
+    assert path.read_text() == "gain_db = -2.0\n"
+
+
+def test_a_tone_fades_in_without_a_step_and_ends_by_itself() -> None:
+    tone = Tone(50.0, 48_000, [1])
+    tone.play(0.5, 1.0, 0.5)
+    blocks = []
+    while not tone.ended.is_set():
+        block = np.zeros((500, 2), np.float32)
+        tone.fill(block, 0.0)
+        blocks.append(block)
+    wave = np.concatenate(blocks)
+    assert not np.any(wave[:, 0])
+    # A sine of 0.5 at 50 Hz changes by 0.0033 a frame at most.
+    assert np.abs(np.diff(wave[:, 1])).max() < 0.0034
+    assert np.abs(wave[:4_800, 1]).max() < 0.11  # a fifth of the fade
+    assert np.abs(wave[24_000:40_000, 1]).max() == pytest.approx(0.5, rel=1e-3)
+    assert len(wave) == pytest.approx(48_000, abs=1_500)

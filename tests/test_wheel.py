@@ -1,0 +1,102 @@
+"""The wheel alone, in an environment without PortAudio, pulsectl, PyUSB and the page's packages."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.commands import noise, sound, vibration
+from tests.support.recordings import ROOT
+
+NEEDED = ("numpy", "scipy", "soundfile", "_soundfile_data", "_soundfile", "cffi", "_cffi_backend")
+NEEDED += ("pycparser", "rich", "markdown_it", "mdurl", "pygments", "tomlkit")
+"""The modules of the dependencies, and of what these depend on themselves."""
+
+pytestmark = pytest.mark.exhaustive
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The programs' folder of an environment with the wheel and its dependencies, and no more."""
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
+    wheel = ["wheel", "--no-deps", "--no-build-isolation", "-w", str(folder), str(ROOT)]
+    subprocess.run([*pip, *wheel], check=True)
+    (built,) = folder.glob("*.whl")
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / "venv"], check=True)
+    python = folder / "venv/bin/python"
+    subprocess.run([*pip, "--python", python, "install", "--no-deps", built], check=True)
+    site = Path(sysconfig.get_path("purelib"))
+    (target,) = (folder / "venv/lib").glob("python*/site-packages")
+    for module in site.iterdir():
+        if module.name.split(".")[0] in NEEDED and module.name.split(".")[-1] != "dist-info":
+            (target / module.name).symlink_to(module)
+    return folder / "venv/bin"
+
+
+def run(environment: Path, *command: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    plain = {name: text for name, text in os.environ.items() if not name.startswith("PYTHON")}
+    program, *arguments = map(str, command)
+    return subprocess.run(
+        [environment / program, *arguments], cwd=cwd, env=plain, capture_output=True, text=True
+    )
+
+
+@pytest.mark.parametrize("module", ["pyaudio", "pulsectl", "usb", "websockets", "matplotlib"])
+def test_the_environment_lacks_what_only_extras_bring(
+    environment: Path, tmp_path: Path, module: str
+) -> None:
+    assert run(environment, "python", "-c", f"import {module}", cwd=tmp_path).returncode == 1
+
+
+def test_it_renders_as_the_full_environment_does(environment: Path, tmp_path: Path) -> None:
+    sound(tmp_path / "in.wav", noise(24_000, 2))
+    done = run(environment, "cushion", "render", "in.wav", "out.wav", "--json", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout)["frames"] == 24_000
+    assert np.abs(vibration(tmp_path / "out.wav")).max() > 0.01
+
+
+def test_the_library_is_whole_and_its_transform_is_compiled(
+    environment: Path, tmp_path: Path
+) -> None:
+    program = (
+        "import numpy as np, audioflinger_hook as a; import audioflinger_hook.transform._kernel\n"
+        "print(a.HapticTransform(48000, 2).process(np.ones((480, 2), np.float32)).shape)"
+    )
+    done = run(environment, "python", "-c", program, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, "(480, 1)\n"), done.stderr
+
+
+def test_the_demo_plays_without_a_picture(environment: Path, tmp_path: Path) -> None:
+    done = run(environment, "cushion", "demo", "--fast", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("\n") == 1
+    assert "matplotlib is not installed" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "package", "extra"),
+    [
+        (["test-tone", "--device", "haptic"], "pulsectl", "live"),
+        (["setup", "--yes", "--device", "haptic"], "pulsectl", "live"),
+        (["run", "--device", "haptic"], "pulsectl", "live"),
+        (["monitor"], "websockets", "page"),
+    ],
+)
+def test_a_command_that_needs_an_extra_names_it_in_one_line(
+    environment: Path, tmp_path: Path, command: list[str], package: str, extra: str
+) -> None:
+    done = run(environment, "cushion", *command, cwd=tmp_path)
+    assert done.returncode in (2, 3)
+    assert done.stderr.splitlines()[-1] == (
+        f'cushion: error: {package} is not installed; install it: pip install "haptic-cushion'
+        f'[{extra}]"'
+    )
