@@ -45,7 +45,7 @@ def project_copy(tmp_path_factory):
     for name in ["pyproject.toml", "setup.py", "README.md", "LICENSE"]:
         if (ROOT / name).exists():
             shutil.copy(ROOT / name, copy)
-    for name in [*PACKAGES, "tests", "tools"]:
+    for name in [*PACKAGES, "share", "tests", "tools"]:
         ignored = shutil.ignore_patterns("__pycache__", "*.so")
         shutil.copytree(ROOT / name, copy / name, ignore=ignored)
     (copy / "device/probe").mkdir()
@@ -77,7 +77,8 @@ def wheel_names(wheel):
 @pytest.mark.exhaustive
 def test_the_wheel_holds_the_two_packages_and_nothing_else(wheel_names):
     tops = {name.split("/")[0] for name in wheel_names}
-    assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
+    beside = (".dist-info", ".data")
+    assert {top for top in tops if not top.endswith(beside)} == set(PACKAGES)
 
 
 @pytest.mark.exhaustive
@@ -98,7 +99,7 @@ def test_the_wheel_holds_what_is_compiled_and_no_source_of_it(wheel_names):
     for name in ("audioflinger_hook/transform/_kernel", "device/_blocks"):
         compiled = name + sysconfig.get_config_var("EXT_SUFFIX")
         assert {compiled, f"{name}.pyi"} <= set(wheel_names)
-    suffixes = {Path(name).suffix for name in wheel_names if ".dist-info/" not in name}
+    suffixes = {Path(name).suffix for name in wheel_names if name.split("/")[0] in PACKAGES}
     page = {".html", ".css", ".js", ".svg"}
     assert suffixes <= {".py", ".pyi", ".so", ".typed", ".toml", ".xml", ".json"} | page
 

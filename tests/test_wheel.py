@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -16,7 +17,7 @@ from tests.support.commands import noise, sound, vibration
 from tests.support.recordings import ROOT
 
 NEEDED = ("numpy", "scipy", "soundfile", "_soundfile_data", "_soundfile", "cffi", "_cffi_backend")
-NEEDED += ("pycparser", "rich", "markdown_it", "mdurl", "pygments", "tomlkit")
+NEEDED += ("pycparser", "rich", "markdown_it", "mdurl", "pygments", "tomlkit", "typing_extensions")
 """The modules of the dependencies, and of what these depend on themselves."""
 
 pytestmark = pytest.mark.exhaustive
@@ -26,8 +27,14 @@ pytestmark = pytest.mark.exhaustive
 def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The programs' folder of an environment with the wheel and its dependencies, and no more."""
     folder = tmp_path_factory.mktemp("wheel")
+    copy = folder / "project"  # a build in the project's own folder would leave files there
+    for name in ("audioflinger_hook", "device", "share"):
+        ignored = shutil.ignore_patterns("__pycache__", "*.so")
+        shutil.copytree(ROOT / name, copy / name, ignore=ignored)
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, copy)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "-q"]
-    wheel = ["wheel", "--no-deps", "--no-build-isolation", "-w", str(folder), str(ROOT)]
+    wheel = ["wheel", "--no-deps", "--no-build-isolation", "-w", str(folder), str(copy)]
     subprocess.run([*pip, *wheel], check=True)
     (built,) = folder.glob("*.whl")
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / "venv"], check=True)
