@@ -84,5 +84,5 @@ def test_a_completion_parses(program: str, check: list[str], name: Path) -> None
 def test_the_manual_page_is_formatted_without_a_warning() -> None:
     if shutil.which("groff") is None:
         pytest.skip("groff is not here")
-    command = ["groff", "-man", "-Tutf8", "-ww", "-z", manual.SHARE / MAN]
+    command = ["groff", "-man", "-Tutf8", "-ww", "-z", str(manual.SHARE / MAN)]
     assert subprocess.run(command, capture_output=True, text=True).stderr == ""

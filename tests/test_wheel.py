@@ -16,8 +16,8 @@ import pytest
 from tests.support.commands import noise, sound, vibration
 from tests.support.recordings import ROOT
 
-NEEDED = ("numpy", "scipy", "soundfile", "_soundfile_data", "_soundfile", "cffi", "_cffi_backend")
-NEEDED += ("pycparser", "rich", "markdown_it", "mdurl", "pygments", "tomlkit", "typing_extensions")
+NEEDED = ["numpy", "scipy", "soundfile", "_soundfile_data", "_soundfile", "cffi", "_cffi_backend"]
+NEEDED += ["pycparser", "rich", "markdown_it", "mdurl", "pygments", "tomlkit", "typing_extensions"]
 """The modules of the dependencies, and of what these depend on themselves."""
 
 pytestmark = pytest.mark.exhaustive
