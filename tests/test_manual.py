@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from audioflinger_hook import __version__
 from tools import manual
 
 FILES = manual.files()
@@ -86,3 +87,20 @@ def test_the_manual_page_is_formatted_without_a_warning() -> None:
         pytest.skip("groff is not here")
     command = ["groff", "-man", "-Tutf8", "-ww", "-z", str(manual.SHARE / MAN)]
     assert subprocess.run(command, capture_output=True, text=True).stderr == ""
+
+
+def test_the_debian_package_has_this_version_and_these_dependencies() -> None:
+    debian = manual.SHARE.parent / "debian"
+    assert (debian / "changelog").read_text().startswith(f"haptic-cushion ({__version__}) ")
+    control = (debian / "control").read_text()
+    depends, _, recommends = control.partition("\nDepends:")[2].partition("\nRecommends:")
+    project = PROJECT["project"]
+    extras = project["optional-dependencies"]
+    for wanted, place in (
+        (project["dependencies"], depends),
+        (extras["live"] + extras["page"], recommends),
+    ):
+        for requirement in wanted:
+            name = requirement.partition(">")[0].removeprefix("py").removesuffix("-client")
+            name = {"audio": "pyaudio"}.get(name, name)
+            assert f"python3-{name}" in place
