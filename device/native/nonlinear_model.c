@@ -5,6 +5,14 @@
 #include "blocks.h"
 #include "nonlinear_path.h"
 
+/* Compiled for every processor and for those with wide registers, with the same operations on each
+ * number, so all give the same bits. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(ONE_MACHINE)
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#else
+#define WIDE
+#endif
+
 /* The state of the linear model, and of that with the Born term: the linear answer to the remainder
  * of the linear model. */
 typedef struct {
@@ -129,6 +137,18 @@ INLINE size_t count(const int n, const Work *work, Path *path, Pair *pair, size_
     return blocks;
 }
 
+WIDE static size_t run_on_ground(const Work *work, Path *path, size_t start, size_t stop,
+                                 size_t first, size_t each)
+{
+    return run(3, work, path, start, stop, first, each);
+}
+
+WIDE static size_t run_on_seat(const Work *work, Path *path, size_t start, size_t stop, size_t first,
+                               size_t each)
+{
+    return run(5, work, path, start, stop, first, each);
+}
+
 const char nonlinear_motion_doc[] = "Add the non-linear model's answer; see _blocks.pyi.";
 const char linear_suffices_doc[] = "Count the blocks that may be linear; see _blocks.pyi.";
 
@@ -158,7 +178,7 @@ static const char *misfit_of(const Py_buffer *v, const size_t *n, int arrays)
     if (!whole || whole > 24 || widest != (size_t)1 << (whole - 1) ||
         (size_t)v[MAPS].shape[0] < whole || (size_t)v[MAPS].shape[0] > whole + 24)
         return "bases: not one level for each halving to a sample";
-    if (v[MAPS].shape[1] != 2 + 18 + 42 + 30 && v[MAPS].shape[1] != 2 + 50 + 105 + 30)
+    if (v[MAPS].shape[1] != 2 + 18 + 48 + 30 && v[MAPS].shape[1] != 2 + 50 + 120 + 30)
         return "maps: for neither 3 nor 5 states";
     if (((const Path *)v[STATE].buf)->level < 0.0 ||
         !(((const Path *)v[STATE].buf)->level < (double)v[MAPS].shape[0]))
@@ -219,8 +239,8 @@ static PyObject *on_arrays(PyObject *const *arguments, Py_ssize_t count_given, i
                               : count(3, &work, path, pair, start, stop, first, each, last);
             } else {
                 work.mask = (size_t)last;
-                found = large ? run(5, &work, path, start, stop, first, each)
-                              : run(3, &work, path, start, stop, first, each);
+                found = large ? run_on_seat(&work, path, start, stop, first, each)
+                              : run_on_ground(&work, path, start, stop, first, each);
             }
             done = PyLong_FromSize_t(found);
         }

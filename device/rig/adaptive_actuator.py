@@ -142,6 +142,11 @@ class AdaptiveActuator:
         self._pending = np.empty(0), np.empty((ROWS, 0))
 
     @property
+    def block_frames(self) -> int:
+        """Frames for which a model is chosen, about 0.1 s."""
+        return self._block
+
+    @property
     def stepped_frames(self) -> int:
         """Frames so far that were solved step by step, whatever model was selected."""
         return self._levels.stepped_samples
