@@ -43,7 +43,7 @@ _TRUSTED = 7
 _FLUX_SHARE = 0.05
 """A difference of flux decays within the linear model's first step, between whose points it is
 interpolated: that errs by up to 4 % of its force, as measured."""
-_SILENT = 1e-4
+_SILENT = 1e-2
 """Share of the tolerance at the least peak, below which d becomes 0."""
 _ABSURD_V = 1e6
 _REPORTS = 4_096
@@ -258,12 +258,12 @@ class AdaptiveActuator:
             frames = first + (len(estimates) - 1) * each
             if at.level is not level:
                 at.path.begin(at.path.d)
-            self._levels.solve(level, volts, moved, at.path, start, (first, each, frames), mask)
-            if (np.abs(at.path.d) <= self._silent).all() and (
-                np.abs(at.pair) <= self._silent
-            ).all():
+            if not self._levels.passes_linear(volts, moved, at.path, start + frames):
+                self._levels.solve(level, volts, moved, at.path, start, (first, each, frames), mask)
+            at.pair[(np.abs(at.pair) <= self._silent).all(axis=1)] = 0.0
+            if (np.abs(at.path.d) <= self._silent).all():
                 at.path.begin(np.zeros(5))
-                at.pair[:] = 0.0
+                at.pair[0] = 0.0
             rows = estimates
         else:
             if at.level is not level:

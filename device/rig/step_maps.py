@@ -1,10 +1,11 @@
 """What the steps of the non-linear model need, computed once: exponentials, and tables of W' and V.
 
-Over a step h the remainder g is taken as the parabola through the Lobatto points 0, h/2 and h; the
-compiled form takes the cubic through the middle before as well. Then d(c h) = P d(0) + sum W_j g_j exactly, with P = exp(A c h) and W_j the integral of exp(A (c h - t))
+Over a step h the remainder g is taken as the parabola through the Lobatto points 0, h/2 and h. Then
+d(c h) = P d(0) + sum W_j g_j exactly, with P = exp(A c h) and W_j the integral of exp(A (c h - t))
 times E and the j-th Lagrange polynomial (an exponential integrator: Hochbruck and Ostermann,
-Exponential integrators, Acta Numerica 2010). Between samples the linear solution S follows from the
-same exponential and the straight line of the voltage.
+Exponential integrators, Acta Numerica 2010). The compiled form takes the cubic through the middle
+before as well. Between samples the linear solution S follows from the same exponential and the
+straight line of the voltage.
 """
 
 import math
