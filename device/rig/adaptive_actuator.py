@@ -19,8 +19,9 @@ from device.rig.actuator import QUANTITIES, SEAT_ACCELERATION, LinearActuator, M
 from device.rig.co_energy import energies
 from device.rig.crossfade import crossfade
 from device.rig.equations import FLUX, Equations
-from device.rig.model_levels import ModelLevel, ModelLevels
+from device.rig.model_levels import BlockReport, ModelLevel, ModelLevels
 from device.rig.nonlinear_model import ROWS, STEP_TOLERANCE, Path
+from device.rig.parameters import check_tolerance
 from device.rig.rig import Rig
 from device.rig.thermal import Temperatures
 from device.units import FloatArray, finite_or_zero
@@ -29,7 +30,6 @@ BLOCK_S = 0.1
 FADE_S = 0.01
 MARGIN = 2.0
 """The Born term times this estimates the error without it."""
-HIGHEST_TOLERANCE = 1.0
 
 _FADE_SHARE = 0.25
 """A crossfade may deviate by this share of the tolerance."""
@@ -49,17 +49,6 @@ _ABSURD_V = 1e6
 _REPORTS = 4_096
 _PART_BLOCKS = 4
 _NAMES = (*QUANTITIES, SEAT_ACCELERATION)
-
-
-@dataclass(frozen=True)
-class BlockReport:
-    """How one block was computed."""
-
-    frame: int  # number of the block's first frame since the start
-    frames: int
-    level: ModelLevel
-    estimate: float  # measured error as a share of the peak; infinity where it was stepped
-    excursion_peak_m: float
 
 
 @dataclass
@@ -350,12 +339,3 @@ class AdaptiveActuator:
             + self.equations.source_impedance_ohm
         )
         self._at.path.fields["fresh"] = 1.0
-
-
-def check_tolerance(tolerance: float) -> None:
-    """Raise UsageError for a tolerance that is not above 0 and at most 1."""
-    if not 0.0 < tolerance <= HIGHEST_TOLERANCE:
-        raise UsageError(
-            f"tolerance={tolerance!r} must be above 0 and at most {HIGHEST_TOLERANCE:g}; "
-            "0.01 allows 1 % of the peak"
-        )

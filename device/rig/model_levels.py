@@ -8,6 +8,7 @@ Each begins with the same excursion, speed and flux, so any model may follow any
 """
 
 import enum
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,6 +25,17 @@ class ModelLevel(enum.StrEnum):
     LINEAR = "linear"
     NONLINEAR = "non-linear"
     STEPPED = "step by step"
+
+
+@dataclass(frozen=True)
+class BlockReport:
+    """How one block was computed."""
+
+    frame: int  # number of the block's first frame since the start
+    frames: int
+    level: ModelLevel
+    estimate: float  # measured error as a share of the peak; infinity where it was stepped
+    excursion_peak_m: float
 
 
 class ModelLevels:
