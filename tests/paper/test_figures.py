@@ -146,8 +146,8 @@ def test_the_measured_resonance_is_the_rigs_own(resonance_hz):
 def test_specimens_that_are_a_tenth_off_enclose_the_published_resonance_and_the_drawn_curve(
     drawn, monkeypatch
 ):
-    # The paper gives one number of its Figure 6, about 90 Hz. Level and slopes are compared with the
-    # drawn curve and with the equations.
+    # The paper gives one number of its Figure 6, about 90 Hz. Level and slopes are compared with
+    # the drawn curve and with the equations.
     monkeypatch.setattr("tools.paper.response.TAKES", 1)
     hz = np.arange(15.0, 299.0, 0.5)
     curves, resonances_hz = {}, []
