@@ -83,6 +83,7 @@ def run(options: argparse.Namespace) -> int:
         played = _play(chain, scene, rig, fast=options.fast)
         heard.close()
         chain.close()
+        played.acceleration.append(rig.acceleration_m_s2)
     except BaseException:
         heard.abort()
         chain.abort()

@@ -247,10 +247,8 @@ def _keys(command: Parser, *fields: str, **more: Any) -> None:
         kind: dict[str, Any] = {"metavar": key.metavar}
         if isinstance(key.description, Switch):
             kind = {"action": "store_true", "default": None}
-        elif key.metavar.endswith("|off"):
-            kind["type"] = number_or_off
         elif isinstance(key.description, Number):
-            kind["type"] = float
+            kind["type"] = number_or_off if key.description.off else float
         command.add_argument(key.flag, dest=key.field, help=key.help, **kind, **more)
 
 

@@ -123,8 +123,6 @@ def _run_config(options: argparse.Namespace, edits: Edits | None = None) -> RunC
         "device_volume_db": options.device_volume_db,
     }
     kept = {n: value for n, value in given.items() if value is not None and n not in edits}
-    if kept.get("device_volume_db") == "off":
-        kept["device_volume_db"] = None
     live = dataclasses.replace(live, **kept)
     if live.device is None:
         raise UsageError(

@@ -340,6 +340,7 @@ class LiveSettings(Described):
             DEVICE_VOLUME_MIN_DB,
             0.0,
             "dB",
+            off=True,
             change="nothing",
         ),
     ] = None
@@ -351,6 +352,12 @@ class LiveSettings(Described):
         tuple[str, ...],
         _Names("applications to leave out", section="applications", change="stream"),
     ] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.device_volume_db is not None:
+            described = self.DESCRIPTIONS["device_volume_db"]
+            object.__setattr__(self, "device_volume_db", described.typed(self.device_volume_db))
 
     @classmethod
     def contradictions(cls, values: Mapping[str, Any]) -> dict[str, Refusal]:

@@ -13,8 +13,8 @@ from scipy.signal import butter, sosfilt
 from audioflinger_hook.transform import FloatArray
 from device.rig import PAPER, Rig
 from device.rig.actuator import Motion
-from device.rig.adaptive_actuator import AdaptiveActuator, BlockReport
-from device.rig.model_levels import ModelLevel
+from device.rig.adaptive_actuator import AdaptiveActuator
+from device.rig.model_levels import BlockReport, ModelLevel
 from device.rig.nonlinear_model import FLOOR
 from device.rig.parameters import ActuatorParameters
 from tools.bench.cost import Timings, interleaved
