@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from audioflinger_hook.service.status_server import NAME
-from tests.monitor.stand_in import until
+from tests.servers.listening import wait_for
 from tests.support.commands import environment
 from tests.support.recordings import ROOT
 
@@ -39,7 +39,7 @@ class Daemon:
             stderr=subprocess.PIPE,
         )
         try:
-            until(self._answers, "settings")
+            wait_for(self._answers, "settings", 60.0)
         except BaseException:
             self.process.kill()
             self.process.communicate()
