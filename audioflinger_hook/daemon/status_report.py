@@ -48,7 +48,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         since_s=report.since_s,
         tap=Endpoint(*tap),
         device=Endpoint(*device),
-        xruns=Xruns(*supervisor.xruns),
+        xruns=Xruns(supervisor.input.xruns, supervisor.output.xruns),
         recoveries=report.recoveries,
         warnings=tuple(supervisor.warnings),
         engine_reason=supervisor.engines.switch.reason,
@@ -56,11 +56,11 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
         volume_db=supervisor.engines.volume_db,
         device_rate=_device_rate(supervisor),
         applications=supervisor.applications,
-        muted=supervisor.is_muted,
+        muted=supervisor.config.muted,
         principal=tuple(Partial(*partial) for partial in _principal(supervisor)),
     )
     if native is not None and native.audible:
-        return with_native(status, native, supervisor.settings, supervisor.offset_s)
+        return with_native(status, native, supervisor.config.settings, supervisor.offset_s)
     if engine is None:
         return status
     line = engine.delay_line.status
@@ -104,7 +104,7 @@ def status_of(supervisor: Supervisor, now_s: float) -> Status:
 
 
 def _device_rate(supervisor: Supervisor) -> DeviceRateFigures | None:
-    found = supervisor.device_rate
+    found = supervisor.output.measure_rate()
     return DeviceRateFigures(found.nominal_hz, found.measured_hz, found.ppm) if found else None
 
 
