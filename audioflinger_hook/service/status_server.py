@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 import select
 import socket
@@ -82,14 +81,15 @@ def answer(request: bytes, read: Callable[[], Status]) -> bytes:
 
 
 class Live(Protocol):
-    """What a page shows and changes; the server's threads call it."""
+    """What a page shows and changes; the server's threads call it.
 
-    def frame(self) -> str:
-        """Return what changes many times a second, as JSON."""
-        ...
+    settings: another object after each change.
+    """
 
-    def news(self, seen: int) -> tuple[int, dict[str, Any] | None]:
-        """Return a number, 1 or more, and the settings; None where `seen` is that number."""
+    settings: dict[str, Any]
+
+    def frame(self, missed: int) -> bytes:
+        """Return what changes many times a second, as a line of JSON; missed: frames not sent."""
         ...
 
     def watched_by(self, page: str) -> None:
@@ -249,18 +249,16 @@ class StatusServer:
         ends = select.poll()
         ends.register(client, select.POLLHUP)
         now_s = due_s = self._clock()
-        status_s, seen, missed = -math.inf, 0, 0
+        status_due_s, told, missed = now_s, None, 0
         while True:
             if not rest:
-                # Written into the object: another one would cost more than the rest.
-                frame = live.frame()[:-1].encode()
-                rest = b'{"frame": %b, "missed": %d}}\n' % (frame, missed)
-                seen, settings = live.news(seen)
-                if settings is not None:
-                    rest += json.dumps({"settings": settings}).encode() + b"\n"
-                if now_s - status_s >= STATUS_EVERY_S or settings is not None:
-                    status_s = now_s
-                    rest += b'{"status": ' + answer(_ASK, self._read).rstrip() + b"}\n"
+                rest = live.frame(missed)
+                if live.settings is not told:
+                    told, status_due_s = live.settings, now_s
+                    rest += json.dumps({"settings": told}).encode() + b"\n"
+                if now_s >= status_due_s:
+                    status_due_s = now_s + STATUS_EVERY_S
+                    rest += b'{"status": %b}\n' % answer(_ASK, self._read).rstrip()
             try:
                 rest = rest[client.send(rest) :]
             except BlockingIOError:

@@ -44,14 +44,19 @@ class Settings:
         self.requests: list[dict[str, Any]] = []
         self.page = ""
         self.frames = 0
+        self.settings = {"keys": [], "unsaved": 0, "undo": 0}
 
-    def frame(self) -> str:
+    def frame(self, missed: int) -> bytes:
         self.frames += 1
-        sound, vibration = [[0.5, 0.125]] * 2, [[0.25, 0.03]]
-        return json.dumps({"sound": sound, "vibration": vibration, "partials": [[440, 100, 0.5]]})
-
-    def news(self, seen: int) -> tuple[int, dict[str, Any] | None]:
-        return 1, None if seen == 1 else {"keys": [], "unsaved": 0, "undo": 0}
+        frame = {
+            "state": "running",
+            "level": 1.0,
+            "sound": [[0.5, 0.125]] * 2,
+            "vibration": [[0.25, 0.03]],
+            "partials": [[440, 100, 0.5]],
+            "missed": missed,
+        }
+        return json.dumps({"frame": frame}).encode() + b"\n"
 
     def watched_by(self, page: str) -> None:
         self.page = page

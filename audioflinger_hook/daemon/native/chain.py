@@ -101,7 +101,13 @@ class Chain:
         try:
             files["design"].write_bytes(plan.design.to_bytes())
             files["conf"].write_text(self._config(realtime), "utf-8")
-            self.page = Page(files["page"], plan.tap_channels, plan.outputs, plan.weights)
+            self.page = Page(
+                files["page"],
+                plan.tap_channels,
+                plan.outputs,
+                len(plan.actuators),
+                plan.weights,
+            )
             with files["log"].open("wb") as log:
                 self._process = subprocess.Popen(
                     ["pipewire", "-c", str(files["conf"])],

@@ -107,10 +107,9 @@ class NativeEngine:
         return self._current.chain.page.readings() if self._current else None
 
     @property
-    def shown(self) -> Shown | None:
-        """What a page shows of the chain that plays, None before the first one."""
-        current = self._current
-        return current.chain.page.shown(len(current.chain.plan.actuators)) if current else None
+    def shown(self) -> Shown:
+        """What a page shows of the chain that plays; nothing before the first one."""
+        return self._current.chain.page.shown() if self._current else ((0, 0, 0), ())
 
     @property
     def page(self) -> Page | None:

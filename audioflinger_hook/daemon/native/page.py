@@ -92,17 +92,14 @@ class _Layout(ctypes.Structure):
     )
 
 
-# Read with one call each: a page asks many times a second.
-_PARTIALS, _PARTIALS_AT = struct.Struct(f"=2Q{3 * PARTIALS}d"), _Layout.partials.offset
-_SEQUENCE = struct.Struct("=Q")
-_SHOWN = struct.Struct(f"={2 * CHANNELS}d2Q{3 * PARTIALS}d")  # channels and partials are neighbours
-_CHANNELS = struct.Struct(f"={2 * CHANNELS}d")
-_ACTUATOR, _ACTUATORS_AT = struct.Struct("=Q3d"), _Layout.actuators.offset
-_CHANNELS_AT = _Layout.readings.offset + _TransformReadings.channels.offset
+_SEQUENCE, _SEQUENCE_AT = struct.Struct("=Q"), _Layout.partials.offset
+_SHOWN_AT = _Layout.readings.offset + _TransformReadings.channels.offset
+_BETWEEN = _Layout.actuators.offset - _SEQUENCE_AT - ctypes.sizeof(_PartialReadings)
 
 
-Shown = tuple[list[Reading], list[Reading], list[tuple[float, float, float]]]
-"""Readings of channels and of actuators, and the partials."""
+Shown = tuple[tuple[int, int, int], tuple[float, ...]]
+"""Counts of channels, actuators and partials, and their numbers: peak and mean square of each
+channel and each actuator; Hz of the sound, Hz of vibration and amplitude of each partial."""
 
 
 @dataclass(frozen=True)
@@ -121,16 +118,26 @@ class Page:
 
     The supervising thread calls the methods; any thread may call `readings` and `level`.
 
-    path: of the file; it must not exist. channels: of the tap. outputs: vibrations. weights:
-    (channels, outputs, 2) of the sources' halves; None for the mono mix, or for each channel by
-    itself.
+    path: of the file; it must not exist. channels: of the tap. outputs: vibrations. actuators: that
+    play them. weights: (channels, outputs, 2) of the sources' halves; None for the mono mix, or for
+    each channel by itself.
     """
 
     def __init__(
-        self, path: Path, channels: int, outputs: int, weights: FloatArray | None = None
+        self,
+        path: Path,
+        channels: int,
+        outputs: int,
+        actuators: int,
+        weights: FloatArray | None = None,
     ) -> None:
         self.path = path
-        self._channels = channels
+        self._channels, self._actuators = channels, actuators
+        # What a page shows, read with one call: it asks many times a second.
+        self._shown = struct.Struct(
+            f"={2 * channels}d{16 * (CHANNELS - channels)}x2Q{3 * PARTIALS}d{_BETWEEN}x"
+            + "8x2d8x" * actuators
+        )
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         file = os.open(path, flags, 0o600)
         try:
@@ -196,54 +203,35 @@ class Page:
         found = self._page.actuators[slot]
         return level_of(found.peak, found.square)
 
-    def shown(self, actuators: int) -> Shown:
-        """Return what a page shows, of the first actuators: one read, as it asks often."""
+    def shown(self) -> Shown:
+        """Return what a page shows; no partials where the plugin writes at every attempt."""
+        first = 2 * self._channels
+        partials = first + 2
         for _ in range(READ_TRIES):
-            found = _SHOWN.unpack_from(self._memory, _CHANNELS_AT)
-            (again,) = _SEQUENCE.unpack_from(self._memory, _PARTIALS_AT)
-            sequence = found[2 * CHANNELS]
-            if sequence == again and not sequence % 2:
+            found = self._shown.unpack_from(self._memory, _SHOWN_AT)
+            (again,) = _SEQUENCE.unpack_from(self._memory, _SEQUENCE_AT)
+            if found[first] == again and not again % 2:
+                count = min(found[first + 1], PARTIALS)
                 break
         else:
-            found = (*found[: 2 * CHANNELS + 1], 0)
-        first = 2 * CHANNELS + 2
-        last = first + 3 * min(found[first - 1], PARTIALS)
-        return (
-            [*zip(found[: 2 * self._channels : 2], found[1 : 2 * self._channels : 2], strict=True)],
-            self.actuator_readings(actuators),
-            [
-                *zip(
-                    found[first:last:3],
-                    found[first + 1 : last : 3],
-                    found[first + 2 : last : 3],
-                    strict=True,
-                )
-            ],
+            count = 0
+        numbers = (
+            *found[:first],
+            *found[partials + 3 * PARTIALS :],
+            *found[partials : partials + 3 * count],
         )
-
-    def actuator_readings(self, count: int) -> list[Reading]:
-        """Return peak and mean square of the first actuators, as they are played."""
-        end = _ACTUATORS_AT + count * _ACTUATOR.size
-        found = _ACTUATOR.iter_unpack(memoryview(self._memory)[_ACTUATORS_AT:end])
-        return [(peak, square) for _, peak, square, _ in found]
+        return (self._channels, self._actuators, count), numbers
 
     def channel_readings(self) -> list[Reading]:
         """Return peak and mean square of each channel of the tap."""
-        numbers = _CHANNELS.unpack_from(self._memory, _CHANNELS_AT)
-        return [*zip(numbers[::2], numbers[1::2], strict=True)][: self._channels]
+        found = self._page.readings.channels[: self._channels]
+        return [(peak, square) for peak, square in found]
 
     def principal(self) -> list[tuple[float, float, float]]:
-        """Return what the latest hop vibrates, as `HapticTransform.principal` does.
-
-        Nothing where the plugin writes at every attempt.
-        """
-        for _ in range(READ_TRIES):
-            sequence, count, *numbers = _PARTIALS.unpack_from(self._memory, _PARTIALS_AT)
-            (again,) = _SEQUENCE.unpack_from(self._memory, _PARTIALS_AT)
-            if sequence == again and not sequence % 2:
-                found = zip(numbers[::3], numbers[1::3], numbers[2::3], strict=True)
-                return [*found][:count]
-        return []
+        """Return what the latest hop vibrates, as `HapticTransform.principal` does."""
+        (_, _, count), numbers = self.shown()
+        found = numbers[len(numbers) - 3 * count :]
+        return [*zip(found[::3], found[1::3], found[2::3], strict=True)]
 
     def close(self) -> None:
         """Remove the file; readings stay. May be repeated."""
