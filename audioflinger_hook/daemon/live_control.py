@@ -84,9 +84,9 @@ class LiveControl:
         self._lock = threading.Lock()
         self._tell()
 
-    def frame(self, missed: int) -> bytes:
+    def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
         """Return what changes many times a second; see `frame_of`."""
-        return frame_of(self._supervisor, self._level, missed)
+        return frame_of(self._supervisor, self._level, missed, in_memory=in_memory)
 
     def watched_by(self, page: str) -> None:
         """Note the address of a page that watches."""

@@ -1,7 +1,8 @@
 """What a page shows many times a second, as a line of JSON.
 
 Each frame is computed after a pause in which other programs used the processor's caches. So it
-costs what it touches: numbers are read at once and put into one form at once.
+costs what it touches: numbers are read at once and put into one form at once. What the native
+engine shows lies in memory, where a client of this computer reads it without the daemon.
 """
 
 from __future__ import annotations
@@ -10,32 +11,43 @@ from functools import cache
 from itertools import chain
 
 from audioflinger_hook.daemon.engine import Engine
-from audioflinger_hook.daemon.native.page import Shown
+from audioflinger_hook.daemon.native.layout import Shown
 from audioflinger_hook.daemon.supervisor import Supervisor
 from audioflinger_hook.service.state import DaemonState
 
-_NOTHING: Shown = ((0, 0, 0), ())
+_IN_MEMORY = (
+    b'{"frame": {"state": "%s", "level": %.4g, '
+    b'"memory": {"name": "%s", "channels": %d, "actuators": %d}, "missed": %d}}\n'
+)
 
 
-def frame_of(supervisor: Supervisor, level: float, missed: int) -> bytes:
-    """Return `{"frame": ...}` and a line break.
+def frame_of(
+    supervisor: Supervisor, level: float, missed: int, *, in_memory: bool
+) -> tuple[bytes, bool]:
+    """Return `{"frame": ...}` with a line break, and whether the next one may come later.
 
     Any thread may call it; audio threads do not wait for it. sound, vibration: peak and mean square
     of each channel and of each actuator. partials: Hz of the sound, Hz of the vibration, and
-    amplitude before the level.
+    amplitude before the level. memory, instead of these: the page of the native engine, a file of
+    the daemon's folder that `ShownReader` reads.
 
     level: factor on the vibration, 0 while it is muted. missed: frames that were not sent.
+    in_memory: whether the client reads that file.
     """
     state = supervisor.states.state
-    counts, numbers = _NOTHING
-    if state is DaemonState.RUNNING:
-        engines = supervisor.engines
-        native = engines.switch.native
-        if native is not None and native.audible:
-            counts, numbers = native.shown
-        elif engines.python is not None:
-            counts, numbers = _shown_of(engines.python)
-    return _form(*counts) % (state.value.encode(), level, *numbers, missed)
+    plays = state is DaemonState.RUNNING
+    native, engine = supervisor.engines.switch.native, supervisor.engines.python
+    page = native.page if native is not None and native.audible else None
+    shown: Shown = ((0, 0, 0), ())
+    if page is not None and in_memory:
+        name, reader = page.path.name.encode(), page.reader
+        counts = reader.channels, reader.actuators
+        return _IN_MEMORY % (state.value.encode(), level, name, *counts, missed), True
+    if page is not None and plays:
+        shown = page.reader.shown()
+    elif engine is not None and plays:
+        shown = _shown_of(engine)
+    return _form(*shown[0]) % (state.value.encode(), level, *shown[1], missed), not plays
 
 
 @cache

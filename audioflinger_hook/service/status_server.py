@@ -35,6 +35,9 @@ WATCHERS_MAX = 4
 """Clients that may watch at a time; the other threads are left for the rest."""
 
 RATE_MAX_HZ = 60.0
+SELDOM_S = 0.25
+"""Time between frames that tell the state alone."""
+
 STATUS_EVERY_S = 2.0
 """A watching client gets frames at its rate, and the whole status as often as this."""
 
@@ -88,8 +91,12 @@ class Live(Protocol):
 
     settings: dict[str, Any]
 
-    def frame(self, missed: int) -> bytes:
-        """Return what changes many times a second, as a line of JSON; missed: frames not sent."""
+    def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
+        """Return what changes many times a second, as a line of JSON.
+
+        And whether the next one may come after SELDOM_S. missed: frames that were not sent.
+        in_memory: whether the client reads the native engine's figures by itself.
+        """
         ...
 
     def watched_by(self, page: str) -> None:
@@ -233,11 +240,11 @@ class StatusServer:
             if self._live is not None and isinstance(page := asked.get("page"), str):
                 self._live.watched_by(page)
             try:
-                self._watch(client, 1.0 / rate_hz)
+                self._watch(client, 1.0 / rate_hz, in_memory=asked.get("memory") is True)
             finally:
                 self._watchers.release()
 
-    def _watch(self, client: socket.socket, period_s: float) -> None:
+    def _watch(self, client: socket.socket, period_s: float, *, in_memory: bool) -> None:
         live = self._live
         assert live is not None
         client.setblocking(False)
@@ -249,10 +256,10 @@ class StatusServer:
         ends = select.poll()
         ends.register(client, select.POLLHUP)
         now_s = due_s = self._clock()
-        status_due_s, told, missed = now_s, None, 0
+        status_due_s, told, missed, seldom = now_s, None, 0, False
         while True:
             if not rest:
-                rest = live.frame(missed)
+                rest, seldom = live.frame(missed, in_memory=in_memory)
                 if live.settings is not told:
                     told, status_due_s = live.settings, now_s
                     rest += json.dumps({"settings": told}).encode() + b"\n"
@@ -264,7 +271,7 @@ class StatusServer:
             except BlockingIOError:
                 missed += 1
             now_s = self._clock()
-            due_s = max(due_s + period_s, now_s)
+            due_s = max(due_s + (max(period_s, SELDOM_S) if seldom else period_s), now_s)
             if ends.poll(1e3 * (due_s - now_s)) or self._stopping.is_set():
                 return
 

@@ -46,7 +46,7 @@ class Settings:
         self.frames = 0
         self.settings = {"keys": [], "unsaved": 0, "undo": 0}
 
-    def frame(self, missed: int) -> bytes:
+    def frame(self, missed: int, *, in_memory: bool) -> tuple[bytes, bool]:
         self.frames += 1
         frame = {
             "state": "running",
@@ -56,7 +56,7 @@ class Settings:
             "partials": [[440, 100, 0.5]],
             "missed": missed,
         }
-        return json.dumps({"frame": frame}).encode() + b"\n"
+        return json.dumps({"frame": frame}).encode() + b"\n", False
 
     def watched_by(self, page: str) -> None:
         self.page = page

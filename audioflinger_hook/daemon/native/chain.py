@@ -9,7 +9,8 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from audioflinger_hook.daemon.native.page import CHANNELS, Page
+from audioflinger_hook.daemon.native.layout import CHANNELS
+from audioflinger_hook.daemon.native.page import Page
 from audioflinger_hook.daemon.native.plan import ChainPlan
 from audioflinger_hook.daemon.native.taps import Ports
 from audioflinger_hook.plugin import plugin_path

@@ -1,105 +1,19 @@
-"""The page of memory that the daemon and the plugin share; plugin/native/page.h has the layout.
-
-Each value has one writer and is written at once, so neither side waits for the other.
-"""
+"""The page of memory that the daemon and the plugin share."""
 
 from __future__ import annotations
 
-import ctypes
 import mmap
 import os
-import struct
 from dataclasses import dataclass
 from pathlib import Path
 
+from audioflinger_hook.daemon.native.layout import MAGIC, SIZE, Layout, ShownReader
 from audioflinger_hook.service.meters import Level, Reading, level_of
 from audioflinger_hook.transform.downmix import mix_weights
 from device.drive.damping import Damping
 from device.units import FloatArray
 
-MAGIC = 0x3345474150485543
-CHANNELS = 8
-"""Largest number of channels of a tap, and of vibrations."""
-
-ACTUATORS = 32
-PARTIALS = 16
-READ_TRIES = 4
-"""Attempts to read the partials while the plugin writes; writing takes less than 1 µs."""
-
 DELAY_MAX_S = 2.0
-
-
-class _TransformWishes(ctypes.Structure):
-    _fields_ = (
-        ("channels", ctypes.c_uint64),
-        ("outputs", ctypes.c_uint64),
-        ("mixed", ctypes.c_uint64),
-        ("weights", ctypes.c_double * CHANNELS * 2 * CHANNELS),
-    )
-
-
-class _TransformReadings(ctypes.Structure):
-    _fields_ = (
-        ("frames", ctypes.c_uint64),
-        ("replaced", ctypes.c_uint64),
-        ("limited", ctypes.c_uint64),
-        ("sound_peak", ctypes.c_double),
-        ("sound_square", ctypes.c_double),
-        ("vibration_peak", ctypes.c_double),
-        ("vibration_square", ctypes.c_double),
-        ("channels", ctypes.c_double * 2 * CHANNELS),
-    )
-
-
-class _PartialReadings(ctypes.Structure):
-    _fields_ = (
-        ("sequence", ctypes.c_uint64),
-        ("count", ctypes.c_uint64),
-        ("partials", ctypes.c_double * 3 * PARTIALS),
-    )
-
-
-class _ActuatorWishes(ctypes.Structure):
-    _fields_ = (
-        ("gain", ctypes.c_double),
-        ("delay_s", ctypes.c_double),
-        ("audible", ctypes.c_uint64),
-        ("damped", ctypes.c_uint64),
-        ("damping_gain", ctypes.c_double),
-        ("section", ctypes.c_double * 6),
-    )
-
-
-class _ActuatorReadings(ctypes.Structure):
-    _fields_ = (
-        ("frames", ctypes.c_uint64),
-        ("peak", ctypes.c_double),
-        ("square", ctypes.c_double),
-        ("audible", ctypes.c_double),
-    )
-
-
-class _Layout(ctypes.Structure):
-    _fields_ = (
-        ("magic", ctypes.c_uint64),
-        ("size", ctypes.c_uint64),
-        ("sound_gain", ctypes.c_double),
-        ("transform", _TransformWishes),
-        ("readings", _TransformReadings),
-        ("partials", _PartialReadings),
-        ("wishes", _ActuatorWishes * ACTUATORS),
-        ("actuators", _ActuatorReadings * ACTUATORS),
-    )
-
-
-_SEQUENCE, _SEQUENCE_AT = struct.Struct("=Q"), _Layout.partials.offset
-_SHOWN_AT = _Layout.readings.offset + _TransformReadings.channels.offset
-_BETWEEN = _Layout.actuators.offset - _SEQUENCE_AT - ctypes.sizeof(_PartialReadings)
-
-
-Shown = tuple[tuple[int, int, int], tuple[float, ...]]
-"""Counts of channels, actuators and partials, and their numbers: peak and mean square of each
-channel and each actuator; Hz of the sound, Hz of vibration and amplitude of each partial."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +34,7 @@ class Page:
 
     path: of the file; it must not exist. channels: of the tap. outputs: vibrations. actuators: that
     play them. weights: (channels, outputs, 2) of the sources' halves; None for the mono mix, or for
-    each channel by itself.
+    each channel by itself. reader: of what a live page shows.
     """
 
     def __init__(
@@ -132,20 +46,16 @@ class Page:
         weights: FloatArray | None = None,
     ) -> None:
         self.path = path
-        self._channels, self._actuators = channels, actuators
-        # What a page shows, read with one call: it asks many times a second.
-        self._shown = struct.Struct(
-            f"={2 * channels}d{16 * (CHANNELS - channels)}x2Q{3 * PARTIALS}d{_BETWEEN}x"
-            + "8x2d8x" * actuators
-        )
+        self._channels = channels
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
         file = os.open(path, flags, 0o600)
         try:
-            os.ftruncate(file, ctypes.sizeof(_Layout))
-            self._memory = mmap.mmap(file, ctypes.sizeof(_Layout))
+            os.ftruncate(file, SIZE)
+            memory = mmap.mmap(file, SIZE)
         finally:
             os.close(file)
-        self._page = page = _Layout.from_buffer(self._memory)
+        self._page = page = Layout.from_buffer(memory)
+        self.reader = ShownReader(memory, channels, actuators)
         page.transform.channels, page.transform.outputs = channels, outputs
         page.transform.mixed = weights is not None
         if weights is not None:
@@ -155,7 +65,7 @@ class Page:
         page.sound_gain = 1.0
         for wishes in page.wishes:
             wishes.gain = 1.0
-        page.size, page.magic = ctypes.sizeof(_Layout), MAGIC
+        page.size, page.magic = SIZE, MAGIC
 
     def set_sound_gain(self, gain: float) -> None:
         """Set the factor on the tap's samples, 0 to 100; it changes over one buffer."""
@@ -203,25 +113,6 @@ class Page:
         found = self._page.actuators[slot]
         return level_of(found.peak, found.square)
 
-    def shown(self) -> Shown:
-        """Return what a page shows; no partials where the plugin writes at every attempt."""
-        first = 2 * self._channels
-        partials = first + 2
-        for _ in range(READ_TRIES):
-            found = self._shown.unpack_from(self._memory, _SHOWN_AT)
-            (again,) = _SEQUENCE.unpack_from(self._memory, _SEQUENCE_AT)
-            if found[first] == again and not again % 2:
-                count = min(found[first + 1], PARTIALS)
-                break
-        else:
-            count = 0
-        numbers = (
-            *found[:first],
-            *found[partials + 3 * PARTIALS :],
-            *found[partials : partials + 3 * count],
-        )
-        return (self._channels, self._actuators, count), numbers
-
     def channel_readings(self) -> list[Reading]:
         """Return peak and mean square of each channel of the tap."""
         found = self._page.readings.channels[: self._channels]
@@ -229,7 +120,7 @@ class Page:
 
     def principal(self) -> list[tuple[float, float, float]]:
         """Return what the latest hop vibrates, as `HapticTransform.principal` does."""
-        (_, _, count), numbers = self.shown()
+        (_, _, count), numbers = self.reader.shown()
         found = numbers[len(numbers) - 3 * count :]
         return [*zip(found[::3], found[1::3], found[2::3], strict=True)]
 
