@@ -46,6 +46,7 @@ class Frames:
         self._memory: mmap.mmap | None = None
         self._reader: ShownReader | None = None
         self._frames, self._moved_s = 0, -math.inf
+        self._old_sequence = -1
 
     def take(self, kind: str, content: dict[str, Any]) -> None:
         """Take a message of the daemon."""
@@ -85,11 +86,14 @@ class Frames:
         if frames != self._frames:
             self._frames, self._moved_s = frames, now_s
         if now_s - self._moved_s > REST_S:
+            self._old_sequence = reader.sequence
             return {}
         (channels, actuators, partials), exact = reader.shown()
         numbers = [float(f"{number:.5g}") for number in exact]
         of_vibration = 2 * channels
         of_partials = of_vibration + 2 * actuators
+        if reader.sequence == self._old_sequence:  # of the sound before the pause
+            partials = 0
         return {
             "sound": _grouped(numbers[:of_vibration], 2),
             "vibration": _grouped(numbers[of_vibration:of_partials], 2),

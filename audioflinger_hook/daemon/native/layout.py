@@ -122,8 +122,12 @@ class ShownReader:
     @property
     def frames(self) -> int:
         """Frames of sound that were processed; it stands still while nothing plays."""
-        (frames,) = _COUNT.unpack_from(self._memory, _FRAMES_AT)
-        return int(frames)
+        return int(_COUNT.unpack_from(self._memory, _FRAMES_AT)[0])
+
+    @property
+    def sequence(self) -> int:
+        """A count that changes when partials are written."""
+        return int(_COUNT.unpack_from(self._memory, _SEQUENCE_AT)[0])
 
     def shown(self) -> Shown:
         """Return what a page shows; no partials where the plugin writes at every attempt."""
