@@ -67,9 +67,9 @@ class Settings:
 
 
 @contextmanager
-def daemon_socket(base: Path) -> Iterator[Settings]:
+def daemon_socket(base: Path, live: Settings | None = None) -> Iterator[Settings]:
     """A daemon's socket in the runtime folder `base`."""
-    live = Settings()
+    live = live or Settings()
     with (
         RuntimeFolder({"XDG_RUNTIME_DIR": str(base)}, create=True) as folder,
         StatusServer(folder, lambda: STATUS, time.monotonic, live),
