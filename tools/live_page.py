@@ -15,7 +15,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -53,51 +53,45 @@ def missing_browser() -> list[str]:
 
 
 class Monitor:
-    """A running `cushion monitor`. address: of the page, with its token; stderr: what it wrote."""
+    """A running `cushion monitor`.
 
-    def __init__(self, server: SoundServer, *options: str) -> None:
+    environment: of its process. address: of the page, with its token; "" where it ended instead.
+    stderr: what it has written.
+    """
+
+    def __init__(self, environment: Mapping[str, str], *options: str) -> None:
         self.process = subprocess.Popen(
             [*CUSHION, "monitor", *options],
-            env={**server.environment, "PYTHONPATH": str(ROOT)},
-            cwd=ROOT,
+            env={**environment, "PYTHONPATH": str(ROOT)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             text=True,
         )
         self.stderr = ""
-        self.address = ""
-        self._found = threading.Event()
+        self._told = threading.Event()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-        if not self._found.wait(START_S) or not self.address:
+        if not self._told.wait(START_S):
             self.close()
             raise RuntimeError(f"the page does not start: {self.stderr}")
+        self.address = self.stderr.partition("the live page: ")[2].strip()
+        self.base, _, self.token = self.address.partition("#")
+        self.host = self.base.removeprefix("http://").rstrip("/")
+        self.port = int(self.host.rpartition(":")[2] or 0)
 
     @property
-    def base(self) -> str:
-        """The address without the token."""
-        return self.address.partition("#")[0]
-
-    @property
-    def token(self) -> str:
-        """The token."""
-        return self.address.partition("#")[2]
-
-    @property
-    def port(self) -> int:
-        """The port."""
-        return int(self.base.rstrip("/").rpartition(":")[2])
+    def cookie(self) -> str:
+        """The cookie that opens the page."""
+        return f"cushion_{self.port}={self.token}"
 
     def _read(self) -> None:
         assert self.process.stderr is not None
         for line in self.process.stderr:
             self.stderr += line
-            _, found, address = line.partition("the live page: ")
-            if found:
-                self.address = address.strip()
-                self._found.set()
-        self._found.set()
+            if "the live page: " in line:
+                self._told.set()
+        self._told.set()
 
     def close(self) -> int:
         """End it; return its exit code."""
@@ -116,7 +110,7 @@ class Monitor:
 @contextmanager
 def served(server: SoundServer, *options: str) -> Iterator[Monitor]:
     """A page on a free port of this computer."""
-    monitor = Monitor(server, "--listen", "127.0.0.1:0", *options)
+    monitor = Monitor(server.environment, "--listen", "127.0.0.1:0", *options)
     try:
         yield monitor
     finally:

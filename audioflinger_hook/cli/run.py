@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
 
         def follow_config(_now_s: float) -> str:
             """Reload the config and return the changes."""
-            again, changes = follow(edits.values, supervisor.is_muted)
+            again, changes = follow(edits.values, supervisor.config.muted)
             control.reloaded(again)
             return str(changes)
 
@@ -183,7 +183,7 @@ def _keep_on(
     reporter.begin(*(address for address, _ in supervisor.endpoints))
     freeze_loaded_objects()
     try:
-        while not supervisor.ended:
+        while not supervisor.input.ended:
             if signals.end:
                 raise KeyboardInterrupt
             now_s = time.monotonic()
@@ -204,8 +204,8 @@ def _keep_on(
             wake.wait(min(supervisor.rest_s, watchdog.check_s or supervisor.rest_s))
     finally:
         reporter.end(supervisor.warnings)
-    if supervisor.summary:
-        print(supervisor.summary)
+    if supervisor.output.summary:
+        print(supervisor.output.summary)
 
 
 def _slept_s() -> float:

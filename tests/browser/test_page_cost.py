@@ -19,6 +19,7 @@ import pytest
 from tests.browser.conftest import Room, state
 from tests.servers.daemons import ROOT, tone
 from tests.servers.listening import need, playing, wait_for
+from tools.live_page import Monitor
 
 FRAMES_PER_S = 30.0
 ROUNDS = 5
@@ -93,13 +94,13 @@ def test_a_page_costs_the_daemon_half_a_percent_and_nothing_once_it_is_closed(ro
         wait_for(lambda: room.daemon.status(), "status")
         for _ in range(ROUNDS):
             alone.append(cpu_percent(pid))
-            room.monitor = type(room.monitor)(room.server, "--listen", "127.0.0.1:0")
+            room.monitor = Monitor(room.server.environment, "--listen", "127.0.0.1:0")
             page = room.open()
             watched.append(cpu_percent(pid))
             page.context.close()
             room.monitor.close()
             after.append(cpu_percent(pid))
-    room.monitor = type(room.monitor)(room.server, "--listen", "127.0.0.1:0")
+    room.monitor = Monitor(room.server.environment, "--listen", "127.0.0.1:0")
     medians = [statistics.median(one) for one in (alone, watched, after)]
     print("percent of a core: alone {:.2f}, watched {:.2f}, closed {:.2f}".format(*medians))
     assert medians[1] - medians[0] <= GROWTH_PERCENT
@@ -107,13 +108,11 @@ def test_a_page_costs_the_daemon_half_a_percent_and_nothing_once_it_is_closed(ro
 
 
 def test_eight_clients_one_of_them_stopped_lose_no_buffer(room: Room) -> None:
-    host = room.monitor.base.removeprefix("http://").rstrip("/")
-    cookie = f"cushion_{room.monitor.port}={room.monitor.token}"
     with playing(room.server, "desktop", tone(440.0, 60.0)), ExitStack() as stack:
         clients = []
         for _ in range(8):
             client = subprocess.Popen(
-                [sys.executable, "-c", CLIENT, host, cookie],
+                [sys.executable, "-c", CLIENT, room.monitor.host, room.monitor.cookie],
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 text=True,

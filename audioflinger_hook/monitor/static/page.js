@@ -53,13 +53,13 @@ function listen(kind, content) {
   }
 }
 
-/** Levels in dBFS, partials with names, the strongest first. */
+/** Levels in dBFS, partials as they are played, with names, the strongest first. */
 function readable(content) {
   const decibels = (power) => Math.max(-150, 10 * Math.log10(power));
   const levels = (readings) => readings.map(([peak, square]) => [decibels(peak * peak), decibels(square)]);
-  const partials = content.partials.map(([audio, felt, amplitude]) => ({ audio, felt, amplitude }));
+  const partials = content.partials.map(([audio, felt, amplitude]) => ({ audio, felt, amplitude: content.level * amplitude }));
   partials.sort((one, other) => other.amplitude - one.amplitude);
-  return { sound: levels(content.sound), vibration: levels(content.vibration), partials };
+  return { sound: levels(content.sound), vibration: levels(content.level ? content.vibration : content.vibration.map(() => [0, 0])), partials };
 }
 
 function showState() {
