@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 
 from audioflinger_hook.cli.check import load_config
+from audioflinger_hook.cli.open_files import allow_open_files
 from audioflinger_hook.cli.replay import capture_files
 from audioflinger_hook.cli.run_reporter import RunReporter
 from audioflinger_hook.cli.signals import Signals, freeze_loaded_objects
@@ -38,6 +39,7 @@ from device.stream import filter_stderr
 
 def run(options: argparse.Namespace) -> int:
     """Run for `--seconds` since it was ready, until the sound ends, or until a signal arrives."""
+    allow_open_files()
     run_config = _run_config(options)
     if not options.debug:
         filter_stderr()
