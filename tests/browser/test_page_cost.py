@@ -28,9 +28,9 @@ from tools.live_page import Monitor
 
 TONE_HZ = 440.0
 FRAMES_PER_S = 30.0
-STOPPED_S = 4
+STOPPED_S = 3
 ROUNDS = 5
-ROUND_S = 6.0
+ROUND_S = 4.0
 GROWTH_PERCENT = 0.5
 SOAK_S = 600.0
 CLIENT = """
