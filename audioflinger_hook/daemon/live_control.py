@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from audioflinger_hook.config.edits import EDITABLE, LiveEdits, editable
+from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import CHANGES, Key
 from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.daemon.applications import choosing
@@ -259,7 +260,7 @@ def _shown(name: str, key: Key, value: Any) -> dict[str, Any]:
         "allowed": described.allowed,
         "schema": {k: v for k, v in described.json_schema().items() if k != "description"},
         "unit": getattr(described, "unit", ""),
-        "default": key.default,
+        "default": LIVE_DEFAULT if name == "profile" else key.default,
         "value": value,
         "change": CHANGES[key.change],
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import resource
 import statistics
 import time
 from collections.abc import Callable
@@ -176,7 +177,7 @@ def test_two_pages_show_each_others_changes_and_save_keeps_the_comments(
     other.context.close()
 
 
-def test_a_config_that_cannot_be_written_is_told(room: Room, page: Page) -> None:
+def test_a_config_that_cannot_be_read_is_told(room: Room, page: Page) -> None:
     text = room.config.read_text()
     room.config.unlink()
     room.config.mkdir()
@@ -188,6 +189,28 @@ def test_a_config_that_cannot_be_written_is_told(room: Room, page: Page) -> None
     finally:
         room.config.rmdir()
         room.config.write_text(text)
+
+
+def test_a_config_that_cannot_be_written_is_told_and_the_change_stays(
+    room: Room, page: Page
+) -> None:
+    unlimited = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    set_number(page, "gain_db", "-6")
+    wait_for(lambda: not page.is_disabled("#save"), "a change to save")
+    # A full disk, as far as the daemon can tell; it holds for root as well.
+    resource.prlimit(room.daemon.process.pid, resource.RLIMIT_FSIZE, (0, resource.RLIM_INFINITY))
+    try:
+        page.click("#save")
+        notice = page.locator("#notice")
+        wait_for(lambda: notice.inner_text(), "refusal")
+    finally:
+        resource.prlimit(room.daemon.process.pid, resource.RLIMIT_FSIZE, unlimited)
+    assert "config.toml" in notice.inner_text()
+    assert "the file would be larger than allowed" in notice.inner_text()
+    assert room.config.read_text() == CONFIG
+    assert page.locator(card(page, "gain_db")).get_attribute("data-unsaved") == "true"
+    page.click("#undo")
+    wait_for(lambda: page.is_disabled("#save"), "nothing to save")
 
 
 def test_an_application_is_left_out_and_included_again(room: Room, page: Page) -> None:
@@ -298,10 +321,17 @@ def test_reduced_motion_draws_a_few_times_a_second(room: Room) -> None:
 # ------------------------------------------------------------------------------------------- losses
 
 
-def test_a_reload_and_a_second_tab_need_no_token(room: Room, page: Page) -> None:
+def test_a_reload_and_a_second_tab_need_no_token_and_keep_what_may_be_undone(
+    room: Room, page: Page
+) -> None:
     assert "#" not in page.url
+    set_number(page, "gain_db", "-7")
+    wait_for(lambda: page.is_enabled("#undo"), "the change")
     page.reload()
     state(page, "Running", "Idle")
+    wait_for(lambda: page.is_enabled("#undo") and page.is_enabled("#save"), "what may be undone")
+    page.click("#undo")
+    wait_for(lambda: page.is_disabled("#save"), "nothing to save")
     second = page.context.new_page()
     second.goto(room.monitor.base)
     state(second, "Running", "Idle")
