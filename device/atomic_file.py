@@ -88,13 +88,18 @@ class AtomicFile:
         """Bytes in the file, as the filesystem counts them."""
         return os.fstat(self._file_fd).st_size
 
-    def commit(self) -> None:
-        """Give the file its name: sync the content, then replace the old file in one step."""
+    def commit(self, *, sync: bool = True) -> None:
+        """Give the file its name: sync the content, then replace the old file in one step.
+
+        sync: whether to wait until the content is on the disk. Without it, a power failure soon
+        after may leave a file of that name that is not whole.
+        """
         if self._file_fd < 0:
             raise WriteError(f"cannot write {self.path}: it was closed before")
         folder = self._folder_fd
         try:
-            os.fsync(self._file_fd)
+            if sync:
+                os.fsync(self._file_fd)
             if self._part is None:
                 try:
                     self._link_as(self._name)
