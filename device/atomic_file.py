@@ -75,10 +75,10 @@ class AtomicFile:
         except OSError as error:
             raise self._failure(error) from error
 
-    def overwrite_start(self, content: bytes) -> None:
-        """Overwrite the first bytes of the file; later writes still go to its end."""
+    def overwrite(self, content: bytes, position: int = 0) -> None:
+        """Overwrite bytes from a position on; later writes still go to the file's end."""
         try:
-            written = os.pwrite(self._file_fd, content, 0)
+            written = os.pwrite(self._file_fd, content, position)
         except OSError as error:
             raise self._failure(error) from error
         if written != len(content):

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from audioflinger_hook import __version__
-from audioflinger_hook.cli.arguments import Parser, count, duration, number_or_off, seconds
+from audioflinger_hook.cli.arguments import Parser, band_hz, count, duration, number_or_off, seconds
 
 NEXT = (
     "next: `cushion demo` plays a scene, `cushion devices` lists outputs, and `cushion run "
@@ -78,6 +78,23 @@ def _render(command: Parser) -> None:
     _value(command, "--out-dir", Path, "DIR", "write DIR/IN.wav for every IN, several at once")
     _value(command, "--workers", count, "N", "processes at once; default: the usable cores")
     _rendering(command)
+
+
+def _export(command: Parser) -> None:
+    command.add_argument("input", type=Path, metavar="IN", help="a sound file")
+    command.add_argument("output", type=Path, metavar="OUT", help="the file to write")
+    from audioflinger_hook.exports.options import FORMATS
+
+    names = f"{', '.join(FORMATS)}; default: by OUT's ending"
+    _value(command, "--format", str, "NAME", names)
+    _value(command, "--output-rate", count, "HZ", "rate of a waveform; default: the sound's")
+    band = "band of the target's actuator, such as 55:200; 20-220 Hz is mapped to it"
+    _value(command, "--device-band", band_hz, "LOW:HIGH", band)
+    _keys(command, "form", "channels")
+    _profile(command, live=False)
+    _keys(command, "rig", "damping", "protection", "model", "tolerance")
+    _value(command, "--config", Path, "FILE", CONFIG_HELP)
+    _json(command)
 
 
 def _inspect(command: Parser) -> None:
@@ -278,6 +295,11 @@ COMMANDS: dict[str, tuple[Callable[[Parser], None], str, str]] = {
         _render,
         "write the vibration of sound files",
         "film.wav vibration.wav --profile cinema",
+    ),
+    "export": (
+        _export,
+        "write the vibration in a format of other haptic tools",
+        "film.wav film.ahap --device-band 80:230",
     ),
     "inspect": (_inspect, "list the principal frequencies of a sound file", "film.wav --at 12.5"),
     "capture": (_capture, "record the buffers of a sound as delivered", "recorded --seconds 10"),

@@ -1,0 +1,129 @@
+"""`export`: a client's sound as a file of any format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.exports.decimation import LeakMeter, ResampledOutput
+from audioflinger_hook.exports.options import FORMATS, ExportOptions, ExportReport, format_of
+from audioflinger_hook.exports.sound_output import SoundFileOutput
+from audioflinger_hook.offline.render import Progress, RenderReport, render
+from audioflinger_hook.sources import Client
+from device.errors import UsageError
+from device.output import VibrationOutput
+from device.wav_output import WavOutput
+
+__all__ = ["FORMATS", "ExportOptions", "ExportReport", "export", "format_of"]
+
+
+def export(
+    client: Client,
+    target: Path,
+    settings: Settings,
+    options: ExportOptions,
+    progress: Progress | None = None,
+    warnings: Sequence[str] = (),
+) -> ExportReport:
+    """Write the vibration of a client's sound in any format; the file appears whole or not at all.
+
+    Equal sound, settings and options give equal bytes. The client is closed. Any one thread may
+    call it.
+
+    client: plays the sound.
+    target: the file to create or replace. Its name is free; `options` say the format.
+    settings: how vibration is made, as for `render`.
+    options: format, rate and band.
+    progress: called after every buffer.
+    warnings: warnings about the source, complete when it has ended.
+    UsageError: the format cannot hold what is asked, or the target cannot be written.
+    WriteError: the disk is full or failed.
+    InternalError: the haptic effect failed.
+    """
+    try:
+        return _Waveform(options).export(client, target, settings, progress, warnings)
+    finally:
+        client.close()
+
+
+class _Waveform:
+    """Exports the vibration itself: renders it to an output that this opens."""
+
+    def __init__(self, options: ExportOptions) -> None:
+        self._options = options
+        self._file: VibrationOutput | None = None
+        self._meter: LeakMeter | None = None
+
+    def export(
+        self,
+        client: Client,
+        target: Path,
+        settings: Settings,
+        progress: Progress | None,
+        warnings: Sequence[str],
+    ) -> ExportReport:
+        report = render(
+            client,
+            target,
+            settings,
+            progress=progress,
+            warnings=warnings,
+            open_output=self._open,
+        )
+        assert self._file is not None
+        assert self._meter is not None
+        frames = -(-report.frames * self._file.samplerate // report.samplerate)
+        limited = getattr(self._file, "limited_samples", 0)
+        found = report_of(report, self._options.format, target, self._meter.leak_db)
+        more = [f"{limited} samples beyond full scale were limited"] if limited else []
+        return replace(
+            found,
+            frames=frames,
+            samplerate=self._file.samplerate,
+            limited_samples=found.limited_samples + limited,
+            warnings=found.warnings + more,
+        )
+
+    def _open(self, path: Path, samplerate: int, channels: int) -> VibrationOutput:
+        name = self._options.format
+        check_channel_count(name, channels)
+        rate = self._options.output_rate_hz or samplerate
+        if name == "flac":
+            self._file = SoundFileOutput(path, rate, channels, "FLAC", "PCM_24")
+        else:
+            self._file = WavOutput(path, rate, channels)
+        converted = self._file if rate == samplerate else ResampledOutput(self._file, samplerate)
+        self._meter = LeakMeter(converted)
+        return self._meter
+
+
+def check_channel_count(name: str, channels: int) -> None:
+    """Raise UsageError if a format cannot hold this many channels of vibration."""
+    most = FORMATS[name].channels_max
+    if channels > most:
+        enough = [other for other, one in FORMATS.items() if one.channels_max >= channels]
+        raise UsageError(
+            f"the format {name} cannot hold {channels} channels of vibration; allowed: 1 to "
+            f"{most}; use channels = mono, fewer actuators, or one of: {', '.join(enough)}"
+        )
+
+
+def report_of(report: RenderReport, name: str, target: Path, leak_db: float | None) -> ExportReport:
+    """Return the export's report for a rendering."""
+    return ExportReport(
+        format=name,
+        frames=report.frames,
+        samplerate=report.samplerate,
+        channels=report.channels,
+        duration_s=report.frames / report.samplerate,
+        profile=report.profile,
+        peak=report.peak,
+        leak_above_250_hz_db=leak_db,
+        limited_samples=report.limited_samples,
+        replaced_samples=report.replaced_samples,
+        bytes=target.stat().st_size,
+        exposure=report.exposure,
+        warnings=list(report.warnings),
+    )
