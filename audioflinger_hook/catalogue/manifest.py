@@ -31,8 +31,7 @@ from device.errors import UsageError
 from device.values import counted, nearest
 
 SOUNDS = frozenset(
-    ".wav .wave .rf64 .w64 .flac .ogg .oga .opus .mp3 .aif .aiff .au .caf .aac .ac3 .eac3 .dts "
-    ".wma".split()
+    [".wav", ".wave", ".rf64", ".w64", ".flac", ".ogg", ".oga", ".opus", ".mp3", ".aif", ".aiff", ".au", ".caf", ".aac", ".ac3", ".eac3", ".dts", ".wma"]
 ).union(FILMS)
 """Endings of the files that are taken from a folder."""
 

@@ -115,4 +115,6 @@ def _picture(course: Sequence[int]) -> str:
         for index, peak in enumerate(course)
         if (high := middle * min(1.0, peak / 1e3)) > 0.0
     )
-    return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" preserveAspectRatio="none"><path d="{bars}"/></svg>'
+    return (
+        f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" preserveAspectRatio="none"><path d="{bars}"/></svg>'
+    )

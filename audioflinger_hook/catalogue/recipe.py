@@ -12,6 +12,7 @@ from typing import Any
 
 from audioflinger_hook.catalogue.item import Item
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.exports.options import FORMATS, ExportOptions
 from audioflinger_hook.transform import TRANSFORM_VERSION
 from device.errors import UsageError
 from device.rig.rig_file import SHIPPED
@@ -26,8 +27,7 @@ class Recipe:
 
     out: folder of the results, path or URL.
     settings: how vibration is made.
-    suffix: ending of the results' names.
-    format, output_rate_hz, device_band_hz: as for an export.
+    options: format of the results.
     track, language: of films, for items that name none.
     verify: whether sounds are known by their SHA-256, not by path, size and time.
     version: version of the program that made the recipe.
@@ -35,10 +35,7 @@ class Recipe:
 
     out: str
     settings: Settings
-    suffix: str
-    format: str = "wav"
-    output_rate_hz: int | None = None
-    device_band_hz: tuple[float, float] | None = None
+    options: ExportOptions
     track: int | None = None
     language: str | None = None
     verify: bool = False
@@ -46,7 +43,7 @@ class Recipe:
 
     def name(self, item: Item) -> str:
         """Return the name of an item's result in the folder of the results."""
-        return item.id + self.suffix
+        return item.id + FORMATS[self.options.format].suffixes[0]
 
     def settings_of(self, item: Item) -> Settings:
         """Return the settings for one item."""
@@ -72,9 +69,7 @@ class Recipe:
         """Return the recipe for people to read."""
         return {
             "version": self.version,
-            "format": self.format,
-            "output_rate_hz": self.output_rate_hz,
-            "device_band_hz": self.device_band_hz,
+            **asdict(self.options),
             "settings": json.loads(json.dumps(asdict(self.settings), default=str)),
         }
 
@@ -83,9 +78,7 @@ class Recipe:
         if settings not in known:
             document = [
                 self.version,
-                self.format,
-                self.output_rate_hz,
-                self.device_band_hz,
+                asdict(self.options),
                 asdict(settings),
                 [_content_of(path) for path in _files_of(settings)],
             ]

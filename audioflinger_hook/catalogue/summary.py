@@ -6,16 +6,18 @@ import heapq
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from tempfile import TemporaryFile
-from typing import IO, Any
+from shutil import copyfile
+from tempfile import NamedTemporaryFile
+from typing import Any
 
+from audioflinger_hook.catalogue.storage import Storage
 from audioflinger_hook.catalogue.work import Outcome
 
 LISTED = 10
 """Slowest and strangest items that are listed."""
 
-STRANGE_LEAK_DB = -50.0
-"""Energy above 250 Hz that no rendering of the test sounds reaches."""
+STRANGE_LEAK_DB = -30.0
+"""Energy above 250 Hz that even white noise does not reach."""
 
 
 @dataclass
@@ -72,7 +74,9 @@ class Summary:
 
     def lines(self) -> list[str]:
         """Return the summary for people, line by line."""
-        speed = f", {self.sound_s / self.worker_s:.0f} x real time a worker" if self.worker_s else ""
+        speed = (
+            f", {self.sound_s / self.worker_s:.0f} x real time a worker" if self.worker_s else ""
+        )
         found = [
             f"{self.items} items: {self.rendered} rendered ({self.sound_s / 3600.0:.2f} h of sound"
             f"{speed}), {self.skipped} skipped, {self.failed} failed"
@@ -117,19 +121,22 @@ class Failures:
     """The failed items as lines of a manifest, in a temporary file; a context manager."""
 
     def __init__(self) -> None:
-        self._file: IO[bytes] = TemporaryFile()
+        self._file = NamedTemporaryFile("w", encoding="ascii", prefix="cushion-")
         self.count = 0
 
     def add(self, outcome: Outcome) -> None:
         """Add an item that failed."""
         row = {**outcome.item.row(), "error": outcome.error, "exit_code": outcome.exit_code}
-        self._file.write(json.dumps(row).encode() + b"\n")
+        self._file.write(json.dumps(row) + "\n")
         self.count += 1
 
-    def content(self) -> bytes:
-        """Return all lines."""
-        self._file.seek(0)
-        return self._file.read()
+    def save(self, storage: Storage, name: str) -> None:
+        """Write the manifest, or delete that of an earlier run if no item has failed."""
+        if not self.count:
+            storage.delete(name)
+            return
+        self._file.flush()
+        storage.put(name, lambda path: copyfile(self._file.name, path))
 
     def __enter__(self) -> Failures:
         return self

@@ -26,7 +26,8 @@ from audioflinger_hook.catalogue.storage import (
     storage_of,
 )
 from audioflinger_hook.catalogue.timing import Timing, has_errno
-from audioflinger_hook.offline.render import render
+from audioflinger_hook.exports.export import export
+from audioflinger_hook.exports.options import FORMATS
 from audioflinger_hook.sources import FileTap, TapClient
 from audioflinger_hook.sources.film import FILMS, FilmTap
 from audioflinger_hook.sources.part import PartTap
@@ -140,12 +141,11 @@ def _render(
 
     def make(target: Path) -> dict[str, Any]:
         tap = open_sound(path, item, recipe)
-        report = render(TapClient(tap), target, settings)
-        found = {one: getattr(report, one) for one in FIGURES if hasattr(report, one)}
-        noted = [
-            str(one).replace(str(path), item.audio) for one in (*report.warnings, *tap.warnings)
-        ]
-        return {**found, "warnings": noted, **asdict(measure(target, settings.rig))}
+        report = export(TapClient(tap), target, settings, recipe.options, warnings=tap.warnings)
+        found = {one: getattr(report, one) for one in FIGURES}
+        found["warnings"] = [str(one).replace(str(path), item.audio) for one in report.warnings]
+        waveform = not FORMATS[recipe.options.format].parametric
+        return {**found, **(asdict(measure(target, settings.rig)) if waveform else {})}
 
     try:
         figures, made = storage.put(name, make)
