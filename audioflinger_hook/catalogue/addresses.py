@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -72,7 +73,7 @@ def parse_address(text: str, what: str) -> str:
         raise UsageError(f"{what} = {scrubbed(text)} {NO_CREDENTIALS}")
     if text.startswith("file://"):
         text = text.removeprefix("file://")
-    return text.rstrip("/") if is_url(text) else os.path.abspath(os.path.expanduser(text))
+    return text.rstrip("/") if is_url(text) else os.path.normpath(Path(text).absolute())
 
 
 def filesystem_of(url: str, refuse: Callable[[str], CushionError] = UsageError) -> tuple[Any, str]:

@@ -10,16 +10,15 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from contextlib import suppress
 from multiprocessing.connection import wait
 from types import FrameType, TracebackType
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from audioflinger_hook.catalogue.addresses import scrubbed
 from device.errors import LostError, UsageError
 
-P = ParamSpec("P")
 T = TypeVar("T")
 
 CLUSTER_EXTRA = "--dask needs dask.distributed; pip install 'haptic-cushion[cluster]'"
@@ -53,25 +52,28 @@ class Place(Protocol):
     ) -> None: ...
 
 
-class ThisProcess(Executor):
+class ThisProcess:
     """Runs each batch at once, in this process."""
 
     def slots(self) -> int:
         """Return 1."""
         return 1
 
-    def submit(self, work: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+    def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
         """Return a future that is done."""
         future: Future[T] = Future()
-        future.set_result(work(*args, **kwargs))
+        future.set_result(work(*arguments))
         return future
 
-    def lost_worker(self, _error: BaseException) -> bool:
+    def lost_worker(self, error: BaseException) -> bool:
         """Return False: without this process nobody would ask."""
         return False
 
     def __enter__(self) -> ThisProcess:
         return self
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        pass
 
 
 class LocalWorkers:
@@ -178,15 +180,16 @@ class DaskCluster:
         except ImportError:
             raise UsageError(CLUSTER_EXTRA) from None
         self._lost = distributed.KilledWorker
+        new_client: Any = distributed.Client
         self.address = address
         quiet = {"silence_logs": "CRITICAL", "set_as_default": False}
         dask.config.set({"distributed.comm.timeouts.connect": CONNECT_S})
         try:
             if address == LOCAL_CLUSTER:
                 more = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": None}
-                self._client = distributed.Client(**quiet, **more)
+                self._client = new_client(**quiet, **more)
             else:
-                self._client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+                self._client = new_client(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError, TypeError, ImportError) as error:
             said = scrubbed(f"{type(error).__name__}: {error}")
             raise LostError(

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from hashlib import blake2b
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 import numpy as np
@@ -30,9 +30,13 @@ from audioflinger_hook.sources.film import FILMS
 from device.errors import UsageError
 from device.values import counted, nearest
 
-SOUNDS = frozenset(
-    [".wav", ".wave", ".rf64", ".w64", ".flac", ".ogg", ".oga", ".opus", ".mp3", ".aif", ".aiff", ".au", ".caf", ".aac", ".ac3", ".eac3", ".dts", ".wma"]
-).union(FILMS)
+SOUNDS = FILMS.union(
+    f".{ending}"
+    for ending in (
+        "wav", "wave", "rf64", "w64", "flac", "ogg", "oga", "opus", "mp3", "aif", "aiff", "au",
+        "caf", "aac", "ac3", "eac3", "dts", "wma",
+    )
+)  # fmt: skip
 """Endings of the files that are taken from a folder."""
 
 SHOWN_MAX = 100
@@ -124,7 +128,8 @@ class Manifest:
                 if is_url(folder) and not audio.startswith("/"):
                     audio = f"{folder}/{audio}"
                 else:
-                    audio = os.path.normpath(os.path.join(folder, os.path.expanduser(audio)))
+                    path = audio if audio.startswith("/") else f"{folder}/{audio}"
+                    audio = os.path.normpath(path)
             if f"{audio}/".startswith(f"{self.out}/"):
                 mistakes.add(where, f"audio={shown(audio)} is in the output folder; name another")
                 continue
@@ -139,7 +144,7 @@ class Manifest:
     def _kind(self) -> str:
         """Return what the manifest is: "folder", "glob", "one", "csv" or "lines"."""
         path = self.address
-        ending = os.path.splitext(path.removesuffix(".gz"))[1].lower()
+        ending = _ending(path.removesuffix(".gz"))
         if self._remote:
             filesystem, inside = self._remote
             try:
@@ -149,7 +154,7 @@ class Manifest:
                 said = f"{type(error).__name__}: {scrubbed(str(error))}"
                 raise UsageError(f"{self._name} cannot be read ({said})") from None
         else:
-            is_folder, there = os.path.isdir(path), os.path.exists(path)
+            is_folder, there = Path(path).is_dir(), Path(path).exists()
         if is_folder:
             self._root, self.is_listing = f"{path}/", True
             return "folder"
@@ -159,7 +164,7 @@ class Manifest:
         if not there:
             raise UsageError(f"{self._name} does not exist; give a manifest, a folder or a glob")
         if ending in SOUNDS:
-            self._root, self.is_listing = f"{os.path.dirname(path)}/", True
+            self._root, self.is_listing = f"{path.rpartition('/')[0]}/", True
             return "one"
         return "csv" if ending == ".csv" else "lines"
 
@@ -177,11 +182,10 @@ class Manifest:
             yield number, {"audio": audio}
 
     def _opened(self) -> IO[bytes]:
-        if self._remote:
-            filesystem, inside = self._remote
-            raw: IO[bytes] = filesystem.open(inside, "rb")
-        else:
-            raw = Path(self.address).open("rb")
+        filesystem, inside = self._remote or (None, "")
+        raw: IO[bytes] = (
+            filesystem.open(inside, "rb") if filesystem else Path(self.address).open("rb")  # noqa: SIM115
+        )
         return gzip.GzipFile(fileobj=raw) if self.address.endswith(".gz") else raw  # type: ignore[return-value]
 
     def _lines(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -274,9 +278,8 @@ class Manifest:
                 if values.setdefault(ours, value) != value:
                     both = f"{shown(values[ours])} and {shown(value)}"
                     mistakes.add(where, f"{ours} is given twice, as {both}; leave one out")
-            elif guess := nearest(name, _SIMILAR):
-                if _differ_little(name, guess):
-                    mistakes.add(where, f"{shown(name)} is not known; did you mean {guess}?")
+            elif (guess := nearest(name, _SIMILAR)) and _differ_little(name, guess):
+                mistakes.add(where, f"{shown(name)} is not known; did you mean {guess}?")
         return typed(values) if mistakes.count == before else None
 
     def _find_twins(self, part: IO[bytes], mistakes: Mistakes) -> None:
@@ -306,7 +309,7 @@ def _walk(folder: str, out: str) -> Iterator[str]:
             continue
         if not is_folder:
             yield path
-        elif not os.path.islink(path):  # a link may lead back
+        elif not Path(path).is_symlink():  # a link may lead back
             yield from _walk(path, out)
 
 
@@ -335,14 +338,19 @@ def _parts_match(path: list[str], pattern: list[str]) -> bool:
 
 
 def _is_sound(path: str) -> bool:
-    return os.path.splitext(path)[1].lower() in SOUNDS
+    return _ending(path) in SOUNDS
+
+
+def _ending(path: str) -> str:
+    return PurePosixPath(path).suffix.lower()
 
 
 def _differ_little(name: str, known: str) -> bool:
     """Return whether a name is so near a known one that it is a mistake, not another column."""
     plain = name.lower().replace("-", "_").strip()
     return plain in (known, f"{known}s", known.removesuffix("s"), known.removesuffix("_s")) or (
-        abs(len(name) - len(known)) <= 1 and sum(a != b for a, b in zip(plain, known)) <= 2
+        abs(len(name) - len(known)) <= 1
+        and sum(a != b for a, b in zip(plain, known, strict=False)) <= 2
     )
 
 

@@ -37,8 +37,8 @@ class Page:
     """Collects pictures while a run goes on; memory does not grow. A context manager."""
 
     def __init__(self) -> None:
-        self._ordinary: IO[bytes] = TemporaryFile()
-        self._strange: IO[bytes] = TemporaryFile()
+        self._ordinary: IO[bytes] = TemporaryFile()  # noqa: SIM115
+        self._strange: IO[bytes] = TemporaryFile()  # noqa: SIM115
         self._pictures = 0
         self._left_out = 0
 

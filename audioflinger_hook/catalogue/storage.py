@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Protocol, TypeVar
 
 from audioflinger_hook.catalogue.addresses import filesystem_of, is_url, scrubbed
@@ -216,7 +216,7 @@ class RemoteStorage:
     def put(self, name: str, make: Callable[[Path], T]) -> tuple[T, Made]:
         """Make a result in a temporary folder, and upload it."""
         with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
-            path = Path(folder) / f"result{os.path.splitext(name)[1]}"
+            path = Path(folder) / f"result{PurePosixPath(name).suffix}"
             result = make(path)
             size, sha256 = path.stat().st_size, _sha256(path)
             self.delete(name + RECORD)
@@ -281,7 +281,7 @@ def local_copy(audio: str) -> Iterator[Path]:
         return
     filesystem, inside = filesystem_of(audio)
     with tempfile.TemporaryDirectory(prefix="cushion-") as folder:
-        path = Path(folder) / f"sound{os.path.splitext(inside)[1]}"
+        path = Path(folder) / f"sound{PurePosixPath(inside).suffix}"
         with remote_errors(scrubbed(audio), UnreadableError):
             filesystem.get_file(inside, str(path))
         yield path
@@ -294,7 +294,7 @@ def identity_of(audio: str) -> Stamp | None:
         with remote_errors(scrubbed(audio), UnreadableError):
             return _remote_stamp(filesystem.info(inside))
     try:
-        found = os.stat(audio)
+        found = Path(audio).stat()
     except (OSError, ValueError):
         return None
     return Stamp(found.st_size, str(found.st_mtime_ns))

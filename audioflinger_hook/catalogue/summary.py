@@ -121,7 +121,7 @@ class Failures:
     """The failed items as lines of a manifest, in a temporary file; a context manager."""
 
     def __init__(self) -> None:
-        self._file = NamedTemporaryFile("w", encoding="ascii", prefix="cushion-")
+        self._file = NamedTemporaryFile("w", encoding="ascii", prefix="cushion-")  # noqa: SIM115
         self.count = 0
 
     def add(self, outcome: Outcome) -> None:

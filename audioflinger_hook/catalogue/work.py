@@ -189,17 +189,19 @@ SoundTap = FileTap | FilmTap | PartTap
 
 def _open(path: Path, item: Item, recipe: Recipe) -> tuple[FileTap | FilmTap, int]:
     """Return a tap on the whole sound, and the number of frames that it leaves out."""
-    chosen = {"track": item.track or recipe.track, "language": item.language or recipe.language}
+    track, language = item.track or recipe.track, item.language or recipe.language
     is_film = item.track or item.language or path.suffix.lower() in FILMS
     if is_film and path.is_file() and path.stat().st_size:
-        return FilmTap(path, **chosen), 0
+        return FilmTap(path, track=track, language=language), 0
     try:
         tap = FileTap(path)
     except UsageError as error:
         if "is not a sound file" not in str(error):
             raise
         try:
-            return FilmTap(path, **chosen), 0  # AAC, WMA and others that libsndfile does not read
+            return FilmTap(
+                path, track=track, language=language
+            ), 0  # AAC, WMA and others that libsndfile does not read
         except UsageError:
             raise error from None
     first = round(item.start_s * tap.samplerate)

@@ -42,7 +42,9 @@ class LineConsole(Console):
 class Advance(Protocol):
     """Takes the finished and the total amount (None: unknown), and a note to show."""
 
-    def __call__(self, done: float, total: float | None, note: str = "") -> None: ...
+    def __call__(self, done: float, total: float | None, note: str = "") -> None:
+        """Draw the progress."""
+        ...
 
 
 @contextmanager

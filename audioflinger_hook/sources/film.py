@@ -149,7 +149,7 @@ class FilmTap:
                 self._note(error)
                 return
             for frame in resampled:
-                part = frame.to_ndarray().reshape(-1, self.channels)
+                part: NDArray[Any] = frame.to_ndarray().reshape(-1, self.channels)
                 done += len(part)
                 yield part
 
