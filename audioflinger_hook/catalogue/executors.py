@@ -87,6 +87,9 @@ class LocalWorkers:
 
     def __init__(self, count: int) -> None:
         self._count = count
+        # Workers use all cores already: threads of BLAS would only wait for one another.
+        for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ.setdefault(name, "1")
         # A server process imports everything once and forks workers, which then start at once.
         # Forks of this process would inherit the state of its threads.
         self._context = multiprocessing.get_context("forkserver")
