@@ -10,8 +10,9 @@ import io
 import json
 import os
 import tempfile
+import zlib
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path, PurePosixPath
@@ -115,9 +116,12 @@ class Manifest:
             if values is None:
                 continue
             given = values.get("audio")
-            if "id" not in values and isinstance(given, str):
-                values["id"] = default_id(given, values.get("start_s"), self._root)
-            if refusals := Item.refusals(values):
+            named = "id" in values
+            if not named:
+                values["id"] = default_id(str(given), values.get("start_s"), self._root)
+            if refusals := Item.refusals(values | {"line": line}):
+                if not named and "audio" in refusals:
+                    refusals.pop("id", None)  # it was made from the audio's name
                 for name, refusal in refusals.items():
                     value = f"={shown(values[name])}" if name in values else ""
                     mistakes.add(where, f"{name}{value} {refusal}")
@@ -174,19 +178,23 @@ class Manifest:
                 with self._opened() as file:
                     rows = self._csv if self._sources == "csv" else self._lines
                     yield from rows(file, mistakes)
-            except (OSError, EOFError, UnicodeDecodeError) as error:
+            except (OSError, EOFError, UnicodeDecodeError, zlib.error) as error:
                 said = scrubbed(getattr(error, "strerror", None) or str(error))
                 raise UsageError(f"{self._name} cannot be read ({said})") from None
             return
         for number, audio in enumerate(self._found(), 1):
             yield number, {"audio": audio}
 
-    def _opened(self) -> IO[bytes]:
-        filesystem, inside = self._remote or (None, "")
-        raw: IO[bytes] = (
-            filesystem.open(inside, "rb") if filesystem else Path(self.address).open("rb")  # noqa: SIM115
-        )
-        return gzip.GzipFile(fileobj=raw) if self.address.endswith(".gz") else raw  # type: ignore[return-value]
+    @contextmanager
+    def _opened(self) -> Iterator[IO[bytes]]:
+        with ExitStack() as stack:
+            filesystem, inside = self._remote or (None, "")
+            raw: IO[bytes] = stack.enter_context(
+                filesystem.open(inside, "rb") if filesystem else Path(self.address).open("rb")  # noqa: SIM115
+            )
+            if self.address.endswith(".gz"):
+                raw = stack.enter_context(gzip.GzipFile(fileobj=raw))  # type: ignore[assignment]
+            yield raw
 
     def _lines(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
         line = 0
@@ -213,8 +221,10 @@ class Manifest:
             yield line, row
 
     def _csv(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
-        text = io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape", newline="")
-        reader = csv.reader(text, strict=True)
+        with io.TextIOWrapper(file, "utf-8-sig", errors="surrogateescape", newline="") as text:
+            yield from self._table(csv.reader(text, strict=True), mistakes)
+
+    def _table(self, reader: Any, mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
         header: list[str] = []
         while True:
             where = f"{self._name}:{reader.line_num + 1}"
@@ -275,7 +285,9 @@ class Manifest:
         for name, value in row.items():
             ours = ALIASES.get(name, name)
             if ours in Item.NAMES:
-                if values.setdefault(ours, value) != value:
+                if ours not in values:
+                    values[ours] = value
+                elif values[ours] != value:
                     both = f"{shown(values[ours])} and {shown(value)}"
                     mistakes.add(where, f"{ours} is given twice, as {both}; leave one out")
             elif (guess := nearest(name, _SIMILAR)) and _differ_little(name, guess):
