@@ -16,7 +16,7 @@ from multiprocessing.connection import wait
 from types import FrameType, TracebackType
 from typing import Any, Protocol, TypeVar
 
-from audioflinger_hook.catalogue.addresses import scrubbed
+from audioflinger_hook.catalogue.addresses import NO_CREDENTIALS, credentials_in, scrubbed
 from device.errors import LostError, UsageError
 
 T = TypeVar("T")
@@ -182,6 +182,8 @@ class DaskCluster:
             import distributed
         except ImportError:
             raise UsageError(CLUSTER_EXTRA) from None
+        if credentials_in(address):
+            raise UsageError(f"--dask={scrubbed(address)} {NO_CREDENTIALS}")
         self._lost = distributed.KilledWorker
         new_client: Any = distributed.Client
         self.address = address

@@ -139,8 +139,8 @@ def default_id(audio: str, start_s: object, root: str = "") -> str:
 
     start_s: added to the name if it is not 0. root: beginning of the path that is left out.
     """
-    path = urlsplit(audio).path if is_url(audio) else audio
-    path = path.removeprefix(root) if root else path
+    path = audio.removeprefix(root) if root else audio
+    path = urlsplit(path).path if is_url(path) else path
     parts = [part for part in PurePosixPath(path).parts if part not in ("/", ".", "..")]
     name = str(PurePosixPath(*parts).with_suffix("")) if parts else ""
     if isinstance(start_s, (int, float)) and start_s > 0.0:

@@ -44,7 +44,9 @@ SHOWN_MAX = 100
 """Mistakes that are listed; all are counted."""
 
 LINE_MAX = 1 << 20
-PARTITIONS = 64
+PARTITIONS, SPOOLED_BYTES = 64, 1 << 16
+"""All ids are divided by their hashes; what is beyond these bytes goes to temporary files."""
+
 _ENTRY = np.dtype([("name", "<u8"), ("line", "<u8")])
 _SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
 
@@ -94,7 +96,10 @@ class Manifest:
         """Return the number of items, and every mistake, in memory that does not grow."""
         mistakes, count = Mistakes(), 0
         with ExitStack() as stack:
-            parts = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(PARTITIONS)]
+            parts = [
+                stack.enter_context(tempfile.SpooledTemporaryFile(SPOOLED_BYTES))
+                for _ in range(PARTITIONS)
+            ]
             for item in self.items(mistakes):
                 count += 1
                 name = int.from_bytes(blake2b(os.fsencode(item.id), digest_size=8).digest())
@@ -188,12 +193,14 @@ class Manifest:
     @contextmanager
     def _opened(self) -> Iterator[IO[bytes]]:
         with ExitStack() as stack:
-            filesystem, inside = self._remote or (None, "")
-            raw: IO[bytes] = stack.enter_context(
-                filesystem.open(inside, "rb") if filesystem else Path(self.address).open("rb")  # noqa: SIM115
-            )
+            if self._remote:
+                filesystem, inside = self._remote
+                # Its own readline has no limit of length.
+                raw: Any = io.BufferedReader(stack.enter_context(filesystem.open(inside, "rb")))
+            else:
+                raw = stack.enter_context(Path(self.address).open("rb"))
             if self.address.endswith(".gz"):
-                raw = stack.enter_context(gzip.GzipFile(fileobj=raw))  # type: ignore[assignment]
+                raw = stack.enter_context(gzip.GzipFile(fileobj=raw))
             yield raw
 
     def _lines(self, file: IO[bytes], mistakes: Mistakes) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -294,7 +301,7 @@ class Manifest:
                 mistakes.add(where, f"{shown(name)} is not known; did you mean {guess}?")
         return typed(values) if mistakes.count == before else None
 
-    def _find_twins(self, part: IO[bytes], mistakes: Mistakes) -> None:
+    def _find_twins(self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes) -> None:
         """Find two items with one id, in one partition of all ids."""
         part.seek(0)
         entries = np.frombuffer(part.read(), _ENTRY)
