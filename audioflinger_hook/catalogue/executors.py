@@ -5,6 +5,7 @@ Each is a `concurrent.futures.Executor`. Dask has one of its own, so nothing els
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -24,7 +25,7 @@ T = TypeVar("T")
 CLUSTER_EXTRA = "--dask needs dask.distributed; pip install 'haptic-cushion[cluster]'"
 LOCAL_CLUSTER = "local"
 CONNECT_S = "10s"
-SCHEDULER_LOST_S = "30s"
+CLOSE_S = 5.0
 
 
 class Place(Protocol):
@@ -185,16 +186,25 @@ class DaskCluster:
         if credentials_in(address):
             raise UsageError(f"--dask={scrubbed(address)} {NO_CREDENTIALS}")
         self._lost = distributed.KilledWorker
-        new_client: Any = distributed.Client
         self.address = address
-        quiet = {"silence_logs": "CRITICAL", "set_as_default": False}
+        self._cluster: Any = None
+        for name in list(logging.root.manager.loggerDict):
+            if name.startswith(("distributed", "tornado")):
+                # What they tell reaches the user as errors of ours, without tracebacks.
+                logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         dask.config.set({"distributed.comm.timeouts.connect": CONNECT_S})
+        new_client: Any = distributed.Client
         try:
             if address == LOCAL_CLUSTER:
-                more = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": None}
-                self._client = new_client(**quiet, **more)
-            else:
-                self._client = new_client(address, timeout=CONNECT_S, set_as_default=False)
+                self._cluster = distributed.LocalCluster(
+                    n_workers=count,
+                    threads_per_worker=1,
+                    dashboard_address=":0",
+                    silence_logs=logging.CRITICAL,
+                )
+            self._client = new_client(
+                self._cluster or address, timeout=CONNECT_S, set_as_default=False
+            )
         except (OSError, ValueError, TypeError, ImportError) as error:
             said = scrubbed(f"{type(error).__name__}: {error}")
             raise LostError(
@@ -232,7 +242,10 @@ class DaskCluster:
         with suppress(Exception):
             self._pool.shutdown(wait=False)
         with suppress(Exception):
-            self._client.close(timeout=2)
+            self._client.close(timeout=CLOSE_S)
+        if self._cluster is not None:
+            with suppress(Exception):
+                self._cluster.close(timeout=CLOSE_S)
 
     def _gone(self) -> LostError:
         return LostError(
