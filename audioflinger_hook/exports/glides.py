@@ -100,11 +100,13 @@ class PlayedGlides:
 
     def gain(self, hz: FloatArray) -> FloatArray:
         """Return what the low-pass leaves of amplitudes at these frequencies."""
-        return np.interp(hz, self._hz, self._gain)
+        gain: FloatArray = np.interp(hz, self._hz, self._gain)
+        return gain
 
     def turns(self, hz: FloatArray) -> FloatArray:
         """Return the phase in cycles that the low-pass adds beyond the delay of `shift_s`."""
-        return np.interp(hz, self._hz, self._turns)
+        turns: FloatArray = np.interp(hz, self._hz, self._turns)
+        return turns
 
 
 class AnalyticVibration:

@@ -156,7 +156,8 @@ def effects_of(track: PartialTrack, band_hz: tuple[float, float] | None) -> list
     place = np.clip(np.searchsorted(times, seconds, "right") - 1, 0, times.size - 2)
     since = seconds - times[place]
     turns = track.phase + turned[place] + since * (hz[place] + at_hz) / 2
-    kept = simplify(times, amplitude[:, None], np.full((times.size, 1), AMPLITUDE_TOLERANCE * amplitude.max()), 1, times.size)  # fmt: skip
+    tolerance = np.full((times.size, 1), AMPLITUDE_TOLERANCE * amplitude.max())
+    kept = simplify(times, amplitude[:, None], tolerance, 1, times.size)
     knees = np.clip(np.rint(TICKS_A_SECOND * times[kept]), first, last).astype(int) - first
     level = np.interp(seconds, times[kept], amplitude[kept])
     effects = []

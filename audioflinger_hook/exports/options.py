@@ -47,16 +47,14 @@ FORMATS: dict[str, Format] = {
     "flac": Format((".flac",), "vibration, 24 bits", channels_max=8),
     "ogg-haptic": Format(
         (".ogg", ".oga"),
-        "the sound with its vibration as haptic channels of Android",
+        "the sound, with vibration as Android's haptic channels",
         channels_max=2,
     ),
     "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
     "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
     "vibration-xml": Format((".xml",), "vibration effect of Android 16", True, whole=True),
     "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
-    "partials": Format(
-        (".jsonl", ".partials"), "partial tracks, JSON lines", True, channels_max=64
-    ),
+    "partials": Format((".jsonl",), "partial tracks, JSON lines", True, channels_max=64),
 }
 """Every format by its name."""
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
+
 from audioflinger_hook.exports.band import to_device_hz
 from audioflinger_hook.exports.parametric import Composed, Job
 from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
@@ -59,6 +61,8 @@ class PartialLines:
     def _write(self, voice: int, track: PartialTrack) -> None:
         self._tracks += 1
         self._points += len(track.points)
+        points = np.array(track.points)
+        points[:, 1] = to_device_hz(points[:, 1], self._band_hz)
         self._line(
             {
                 "type": "track",
@@ -67,12 +71,11 @@ class PartialLines:
                 "onset": track.onset,
                 "phase": round(track.phase, 6),
                 "points": [
-                    [round(time_s, 6), round(float(to_device_hz(hz, self._band_hz)), 4),
-                     round(amplitude, 7)]
-                    for time_s, hz, amplitude in track.points
+                    [round(time_s, 6), round(hz, 4), round(amplitude, 7)]
+                    for time_s, hz, amplitude in points.tolist()
                 ],
             }
-        )  # fmt: skip
+        )
 
     def _line(self, entry: dict[str, object]) -> None:
         self._file.write(json.dumps(entry, separators=(",", ":")).encode() + b"\n")

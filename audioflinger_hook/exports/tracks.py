@@ -84,9 +84,8 @@ class TrackReader:
             number = track.number if track and joined else self._count
             if not track or slot not in self._open:
                 self._count += number == self._count
-                track = PartialTrack(
-                    number, bool(fresh[place]), (row[START_PHASE] + turns[place]) % 1.0
-                )
+                phase = (row[START_PHASE] + turns[place]) % 1.0
+                track = PartialTrack(number, bool(fresh[place]), phase)
                 track.points.append(
                     (self._time_s(row[FRAME]), row[START_HZ], row[START_LEVEL] * start_gain[place])
                 )

@@ -175,9 +175,8 @@ def _merged(
     allowed = max(1.0, STEP_TOLERANCE * float(amplitude.max(initial=0)))
     steps: list[tuple[int, int]] = []
     low = high = 0
-    for place, (duration, level) in enumerate(
-        zip(durations.tolist(), amplitude.tolist(), strict=True)
-    ):
+    for place, level in enumerate(amplitude.tolist()):
+        duration = int(durations[place])
         new_low, new_high = min(low, level), max(high, level)
         fresh = not steps or edges[place] in begins or (level == 0) != (steps[-1][1] == 0)
         if fresh or new_high - new_low > allowed:
