@@ -6,10 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports import ahap, haptic_clip, vibration_xml
 from audioflinger_hook.exports.decimation import LeakMeter, ResampledOutput
 from audioflinger_hook.exports.hjif import HjifWriter
+from audioflinger_hook.exports.ogg_haptic import OggHapticOutput
 from audioflinger_hook.exports.options import (
     FORMATS,
     ExportOptions,
@@ -76,6 +80,7 @@ class _Waveform:
 
     def __init__(self, options: ExportOptions) -> None:
         self._options = options
+        self._audio_channels = 0
         self._file: VibrationOutput | None = None
         self._meter: LeakMeter | None = None
 
@@ -87,6 +92,7 @@ class _Waveform:
         progress: Progress | None,
         warnings: Sequence[str],
     ) -> ExportReport:
+        self._audio_channels = client.channels
         report = render(
             client,
             target,
@@ -94,6 +100,7 @@ class _Waveform:
             progress=progress,
             warnings=warnings,
             open_output=self._open,
+            hear=self._hear,
         )
         assert self._file is not None
         assert self._meter is not None
@@ -109,12 +116,18 @@ class _Waveform:
             warnings=found.warnings + more,
         )
 
+    def _hear(self, sound: NDArray[np.float32]) -> None:
+        if isinstance(self._file, OggHapticOutput):
+            self._file.hear(sound)
+
     def _open(self, path: Path, samplerate: int, channels: int) -> VibrationOutput:
         name = self._options.format
         check_channel_count(name, channels)
         rate = self._options.output_rate_hz or samplerate
         if name == "flac":
             self._file = SoundFileOutput(path, rate, channels, "FLAC", "PCM_24")
+        elif name == "ogg-haptic":
+            self._file = OggHapticOutput(path, rate, self._audio_channels, channels)
         else:
             self._file = WavOutput(path, rate, channels)
         converted = self._file if rate == samplerate else ResampledOutput(self._file, samplerate)

@@ -96,6 +96,11 @@ class ExportOptions:
                     f"output_rate_hz={rate} does not fit the format {self.format}, which holds no "
                     f"waveform; leave it out, or choose one of {_names(parametric=False)}"
                 )
+            if self.format == "ogg-haptic":
+                raise UsageError(
+                    f"output_rate_hz={rate} does not fit the format ogg-haptic, which holds the "
+                    "sound at its own rate; leave it out, or choose wav or flac"
+                )
             if not OUTPUT_RATE_MIN_HZ <= rate <= OUTPUT_RATE_MAX_HZ:
                 raise UsageError(
                     f"output_rate_hz={rate} is out of range; allowed: {OUTPUT_RATE_MIN_HZ} to "
