@@ -13,7 +13,7 @@ from audioflinger_hook.exports.glides import VibrationCurve
 from audioflinger_hook.exports.simplify import simplify
 from device.units import FloatArray, amplitude_to_db
 
-SMOOTHED_S = 0.025
+SMOOTHED_S = 0.04
 """Length of the Hann window over power: swings above about 20 Hz are not kept, since a few dozen
 points a second cannot show them. The window ends at onsets."""
 
@@ -123,7 +123,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
     tolerance = np.column_stack(
         (np.full(times.size, limits.tolerance * loudest), FREQUENCY_TOLERANCE_HZ / np.sqrt(share))
     )
-    spacing, longest = max(1, round(limits.spacing_s * rate)), max(1, int(limits.longest_s * rate))
+    longest = max(1, int(limits.longest_s * rate))
     time_s: list[float] = []
     kept: list[NDArray[np.intp]] = []
     transients: list[Transient] = []
@@ -132,6 +132,9 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         begins = at[first].time_s if first else 0.0
         ends = at[end].time_s if end < times.size else duration_s
         part = slice(first, end)
+        # With its two ends a segment has no more points than its share of a second allows.
+        allowed = max(2, int((ends - begins) / limits.spacing_s))
+        spacing = max(1, int(np.ceil((end - first) / (allowed - 1))))
         chosen = first + simplify(times[part], points[part], tolerance[part], spacing, longest)
         if len(chosen) == 1:
             chosen = np.repeat(chosen, 2)

@@ -5,11 +5,11 @@ framework.take_glides() -> GlideReader -> VibrationCurve (one channel), PartialT
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import freqz, lfilter
+from scipy.signal import lfilter
 
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.design.synthesis import glide_shape, glide_turns
@@ -76,37 +76,63 @@ class VibrationCurve:
         return self.start_s + np.arange(self.amplitude.size) / self.rate_hz
 
 
-class PlayedGlides:
-    """How glides of one design become vibration: delay, and the low-pass at each frequency.
+def first_fresh_slot(design: LiveDesign) -> int:
+    """Return the number of the first slot of partials that are born of an onset."""
+    return 2 * (design.analysis.partials_max + design.onsets.fresh_max)
 
-    design: of the transform; rate in Hz and latency are its own.
-    """
 
-    def __init__(self, design: LiveDesign) -> None:
-        synthesis = design.synthesis
-        self.samplerate = design.samplerate
-        self.latency_frames = design.latency_frames
-        self.decimation = design.grid.decimation
-        self.low_rate_hz = design.samplerate / self.decimation
-        self.interpolation_frames = (synthesis.phases.size - 1) / 2
-        delay_s = synthesis.delay_s(DELAY_AT_HZ, design.samplerate)
-        self.low_pass_s = delay_s - self.interpolation_frames / design.samplerate
-        self.shift_s = delay_s - design.latency_frames / design.samplerate
-        """Time of a glide in the aligned vibration, less its own time."""
-        self._hz = np.arange(1.0, design.samplerate / self.decimation / 2.5, 0.25)
-        _, response = freqz(synthesis.low_b, synthesis.low_a, self._hz, fs=self.low_rate_hz)
-        self._gain = np.abs(response)
-        self._turns = np.unwrap(np.angle(response)) / (2.0 * np.pi) + self._hz * self.low_pass_s
+def rising(design: LiveDesign, rows: FloatArray) -> NDArray[np.bool_]:
+    """Return of each row of a channel whether it belongs to a hop whose amplitudes rise in sum."""
+    if not len(rows):
+        return np.zeros(0, dtype=np.bool_)
+    of_hop = rows[:, SLOT] < first_fresh_slot(design)
+    rise = np.where(of_hop, rows[:, END_LEVEL] - rows[:, START_LEVEL], 0.0)
+    _, hop = np.unique(rows[:, FRAME], return_inverse=True)
+    found: NDArray[np.bool_] = of_hop & (np.bincount(hop, rise)[hop] > design.synthesis.still)
+    return found
 
-    def gain(self, hz: FloatArray) -> FloatArray:
-        """Return what the low-pass leaves of amplitudes at these frequencies."""
-        gain: FloatArray = np.interp(hz, self._hz, self._gain)
-        return gain
 
-    def turns(self, hz: FloatArray) -> FloatArray:
-        """Return the phase in cycles that the low-pass adds beyond the delay of `shift_s`."""
-        turns: FloatArray = np.interp(hz, self._hz, self._turns)
-        return turns
+def analytic(
+    design: LiveDesign, rows: FloatArray, rises: NDArray[np.bool_]
+) -> tuple[NDArray[np.complex128], FloatArray]:
+    """Return signal and frequency in Hz at the low rate of glides of one length, (rows, steps)."""
+    frames = int(rows[0, FRAMES])
+    steps = frames // design.grid.decimation
+    still = glide_shape(steps)
+    # Amplitudes of a hop that rises are there after a part of it.
+    shape = np.where(rises[:, None], design.synthesis.attack[:steps], still)
+    turn, glide = glide_turns(steps, frames / design.samplerate)
+    hz = rows[:, START_HZ, None]
+    bend = rows[:, END_HZ, None] - hz
+    start = rows[:, START_LEVEL, None]
+    angle = hz * turn + bend * glide + 2.0 * np.pi * rows[:, START_PHASE, None]
+    level = start + (rows[:, END_LEVEL, None] - start) * shape
+    return level * np.exp(1j * angle), hz + bend * still
+
+
+def low_pass(
+    design: LiveDesign, signal: NDArray[np.complex128], state: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Return what the live form's low-pass makes of a signal, and its next state."""
+    smooth, state = lfilter(design.synthesis.low_b, design.synthesis.low_a, signal, zi=state)
+    return smooth, state
+
+
+def at_rest(design: LiveDesign) -> NDArray[np.complex128]:
+    """Return the low-pass's state after silence."""
+    return np.zeros(design.synthesis.low_a.size - 1, np.complex128)
+
+
+def aligned_s(design: LiveDesign, frame: float) -> float:
+    """Return where a step of the low rate that begins at a frame is in the aligned vibration."""
+    interpolation_frames = (design.synthesis.phases.size - 1) / 2
+    return (frame + interpolation_frames - design.latency_frames) / design.samplerate
+
+
+def low_pass_delay_s(design: LiveDesign) -> float:
+    """Return the low-pass's delay at `DELAY_AT_HZ`."""
+    delay_s = design.synthesis.delay_s(DELAY_AT_HZ, design.samplerate)
+    return delay_s - (design.synthesis.phases.size - 1) / 2 / design.samplerate
 
 
 class AnalyticVibration:
@@ -116,43 +142,30 @@ class AnalyticVibration:
     """
 
     def __init__(self, design: LiveDesign) -> None:
-        self._synthesis, self._grid = design.synthesis, design.grid
+        self._design = design
         self._next = 0
         self._signal = np.zeros(0, np.complex128)
         self._power, self._moment = np.zeros((2, 0))
-        self._state = np.zeros(design.synthesis.low_a.size - 1, np.complex128)
+        self._state = at_rest(design)
 
     def add(self, rows: FloatArray) -> None:
         """Take all rows of some whole hops and ticks of this channel."""
         if not len(rows):
             return
-        grid, synthesis = self._grid, self._synthesis
-        first = np.rint(rows[:, FRAME] / grid.decimation).astype(np.int64) - self._next
-        self._reserve(int(first.max()) + grid.steps)
-        for frames, steps, rise_shape in (
-            (grid.hop_frames, grid.steps, synthesis.attack),
-            (grid.tick_frames, grid.tick_steps, synthesis.tick_glide),
-        ):
+        design = self._design
+        rises = rising(design, rows)
+        first = np.rint(rows[:, FRAME] / design.grid.decimation).astype(np.int64) - self._next
+        self._reserve(int(first.max()) + design.grid.steps)
+        for frames in np.unique(rows[:, FRAMES]):
             chosen = rows[:, FRAMES] == frames
-            mine, places = rows[chosen], first[chosen]
-            if not len(mine):
-                continue
-            rise = mine[:, END_LEVEL] - mine[:, START_LEVEL]
-            _, hop = np.unique(places, return_inverse=True)
-            rising = np.bincount(hop, rise)[hop] > synthesis.still
-            shape = np.where(rising[:, None], rise_shape, glide_shape(steps))
-            level = mine[:, START_LEVEL, None] + rise[:, None] * shape
-            turn, glide = glide_turns(steps, frames / self._grid_rate)
-            hz = mine[:, START_HZ, None]
-            bend = mine[:, END_HZ, None] - hz
-            angle = hz * turn + bend * glide + 2.0 * np.pi * mine[:, START_PHASE, None]
-            signal = level * np.exp(1j * angle)
-            power = level * level
-            moment = power * (hz + bend * glide_shape(steps))
-            for row, place in enumerate(places.tolist()):
-                self._signal[place : place + steps] += signal[row]
-                self._power[place : place + steps] += power[row]
-                self._moment[place : place + steps] += moment[row]
+            signal, hz = analytic(design, rows[chosen], rises[chosen])
+            power = signal.real**2 + signal.imag**2
+            moment = power * hz
+            for row, place in enumerate(first[chosen].tolist()):
+                part = slice(place, place + signal.shape[1])
+                self._signal[part] += signal[row]
+                self._power[part] += power[row]
+                self._moment[part] += moment[row]
 
     def take(self, steps: int) -> tuple[NDArray[np.complex128], FloatArray, FloatArray]:
         """Return the next steps: signal, sum of the partials' powers, and that times frequency."""
@@ -161,14 +174,8 @@ class AnalyticVibration:
         power, self._power = self._power[:steps], self._power[steps:]
         moment, self._moment = self._moment[:steps], self._moment[steps:]
         self._next += steps
-        smooth, self._state = lfilter(
-            self._synthesis.low_b, self._synthesis.low_a, signal, zi=self._state
-        )
+        smooth, self._state = low_pass(self._design, signal, self._state)
         return smooth, power, moment
-
-    @property
-    def _grid_rate(self) -> float:
-        return self._grid.hop_frames / self._grid.hop_s
 
     def _reserve(self, steps: int) -> None:
         lacking = steps - self._signal.size
@@ -186,23 +193,25 @@ class CurveReader:
     """
 
     def __init__(self, design: LiveDesign, gain: float) -> None:
-        self._played = PlayedGlides(design)
+        self._design = design
         self._vibration = AnalyticVibration(design)
         self._gain = gain
-        self._first_fresh = 2 * (design.analysis.partials_max + design.onsets.fresh_max)
-        self._steps = max(1, round(self._played.low_rate_hz / CURVE_RATE_HZ))
+        low_rate_hz = design.samplerate / design.grid.decimation
+        self._steps = max(1, round(low_rate_hz / CURVE_RATE_HZ))
+        self._rate_hz = low_rate_hz / self._steps
         self._powers: list[NDArray[np.float32]] = []
         self._hz: list[NDArray[np.float32]] = []
-        self._births: list[tuple[float, float, float]] = []
+        self._births: list[tuple[float, float]] = []
         self._samples = 0
 
     def add(self, rows: FloatArray, frame: int) -> None:
         """Take this channel's rows; all that begin before this frame are there."""
-        fresh = rows[:, SLOT] >= self._first_fresh
+        fresh = rows[:, SLOT] >= first_fresh_slot(self._design)
         born = rows[fresh & (rows[:, START_LEVEL] == 0.0) & (rows[:, END_LEVEL] > 0.0)]
-        self._births += [(row[FRAME], row[START_HZ], row[END_LEVEL]) for row in born.tolist()]
+        self._births += [(row[FRAME], row[START_HZ]) for row in born.tolist()]
         self._vibration.add(rows)
-        samples = int(frame // (self._played.decimation * self._steps)) - self._samples
+        sample_frames = self._design.grid.decimation * self._steps
+        samples = int(frame // sample_frames) - self._samples
         if samples <= 0:
             return
         self._samples += samples
@@ -217,29 +226,25 @@ class CurveReader:
 
     def curve(self, duration_s: float) -> VibrationCurve:
         """Return the curve from the start to the end of the sound."""
-        played = self._played
-        rate_hz = played.low_rate_hz / self._steps
-        # The centre of the first sample, in the aligned vibration.
-        centre_frames = (self._steps - 1) / 2 * played.decimation + played.interpolation_frames
-        first_s = (centre_frames - played.latency_frames) / played.samplerate
+        design, rate_hz = self._design, self._rate_hz
+        first_s = aligned_s(design, (self._steps - 1) / 2 * design.grid.decimation)
         amplitude = np.sqrt(np.concatenate([*self._powers, np.zeros(1, np.float32)]))
-        late = round(played.low_pass_s * rate_hz)
+        late = round(low_pass_delay_s(design) * rate_hz)
         hz = held(np.concatenate([np.full(late + 1, np.nan, np.float32), *self._hz]))
         dropped = max(0, int(np.ceil(-first_s * rate_hz)))
-        kept = max(1, int(duration_s * rate_hz))
+        kept = min(max(1, int(duration_s * rate_hz)), max(1, amplitude.size - dropped))
         start_s = first_s + dropped / rate_hz
-        amplitude, hz = amplitude[dropped:][:kept], hz[dropped:][: min(kept, amplitude.size)]
-        curve = VibrationCurve(rate_hz, start_s, amplitude, hz[: amplitude.size], ())
-        return VibrationCurve(rate_hz, start_s, amplitude, curve.hz, self._onsets(curve))
+        part = slice(min(dropped, amplitude.size - 1), dropped + kept)
+        curve = VibrationCurve(rate_hz, start_s, amplitude[part], hz[part], ())
+        return replace(curve, onsets=self._onsets(curve))
 
     def _onsets(self, curve: VibrationCurve) -> tuple[Onset, ...]:
         """Return the births of partials that raise the envelope, where it rises most."""
         level, found = curve.amplitude, list[Onset]()
         loudest = float(level.max(initial=0.0))
         reach = max(2, round(ONSET_REACH_S * curve.rate_hz))
-        for frame, hz, _ in sorted(self._births):
-            born_s = frame / self._played.samplerate + self._played.shift_s
-            place = round((born_s - self._played.low_pass_s - curve.start_s) * curve.rate_hz)
+        for frame, hz in sorted(self._births):
+            place = round((aligned_s(self._design, frame) - curve.start_s) * curve.rate_hz)
             place = max(1, place)
             window = level[place - 1 : place + reach].astype(np.float64)
             if window.size < 3:

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from audioflinger_hook.exports.band import band_text, to_device_hz
+from audioflinger_hook.exports.band import band_text
 from audioflinger_hook.exports.options import VIBRATION_HIGH_HZ, VIBRATION_LOW_HZ
 from audioflinger_hook.exports.parametric import Composed, Job, check_duration
-from audioflinger_hook.exports.simplify import simplify
 from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
 from device.atomic_file import write_bytes_atomically
 from device.errors import UsageError
@@ -26,9 +25,6 @@ from device.units import FloatArray
 TICKS_A_SECOND = 1_000
 LEVEL_1_BANDS, LEVEL_2_BANDS = 7, 63
 DRIFT_TURNS = 0.1
-AMPLITUDE_TOLERANCE = 0.01
-"""Largest error of a keyframe's amplitude, of the track's largest."""
-
 BODY_PART_UNSPECIFIED = 0
 VERSION = "2024"
 DATE = "2024-01-01"
@@ -141,25 +137,18 @@ class HjifWriter:
 
 def effects_of(track: PartialTrack, band_hz: tuple[float, float] | None) -> list[dict[str, Any]]:
     """Return a track as effects that follow one another in phase, none overlapping the next."""
-    times = np.array([point[0] for point in track.points])
-    amplitude = np.minimum(1.0, [point[2] for point in track.points])
-    hz = to_device_hz(np.array([point[1] for point in track.points]), band_hz)
+    track = track.on_device(band_hz)
+    times, amplitude = track.time_s, np.minimum(1.0, track.amplitude)
     first = max(0, math.ceil(TICKS_A_SECOND * float(times[0])))
     last = math.floor(TICKS_A_SECOND * float(times[-1]))
-    if last - first < 1 or not amplitude.max() > 0.0:
+    if last - first < 1:
         return []
-    # Phase and frequency at every tick; the frequency is linear between points.
+    # Phase and frequency at every tick.
     ticks = np.arange(first, last + 1)
     seconds = ticks / TICKS_A_SECOND
-    at_hz = np.interp(seconds, times, hz)
-    turned = np.concatenate(([0.0], np.cumsum(np.diff(times) * (hz[1:] + hz[:-1]) / 2)))
-    place = np.clip(np.searchsorted(times, seconds, "right") - 1, 0, times.size - 2)
-    since = seconds - times[place]
-    turns = track.phase + turned[place] + since * (hz[place] + at_hz) / 2
-    tolerance = np.full((times.size, 1), AMPLITUDE_TOLERANCE * amplitude.max())
-    kept = simplify(times, amplitude[:, None], tolerance, 1, times.size)
-    knees = np.clip(np.rint(TICKS_A_SECOND * times[kept]), first, last).astype(int) - first
-    level = np.interp(seconds, times[kept], amplitude[kept])
+    at_hz, turns = np.interp(seconds, times, track.hz), track.turns_at(seconds)
+    level = np.interp(seconds, times, amplitude)
+    knees = np.clip(np.rint(TICKS_A_SECOND * times), first, last).astype(int) - first
     effects = []
     begin = 0
     while begin < ticks.size - 1:

@@ -10,7 +10,6 @@ import json
 
 import numpy as np
 
-from audioflinger_hook.exports.band import to_device_hz
 from audioflinger_hook.exports.parametric import Composed, Job
 from audioflinger_hook.exports.tracks import PartialTrack, TrackReader
 from device.atomic_file import AtomicFile
@@ -59,21 +58,22 @@ class PartialLines:
         self._file.abort()
 
     def _write(self, voice: int, track: PartialTrack) -> None:
+        track = track.on_device(self._band_hz)
         self._tracks += 1
-        self._points += len(track.points)
-        points = np.array(track.points)
-        points[:, 1] = to_device_hz(points[:, 1], self._band_hz)
+        self._points += track.time_s.size
+        columns = (
+            np.round(track.time_s, 6),
+            np.round(track.hz, 3),
+            np.round(track.amplitude, 7),
+            np.round(track.turns % 1.0, 4) % 1.0,
+        )
         self._line(
             {
                 "type": "track",
                 "channel": voice,
                 "track": track.number,
                 "onset": track.onset,
-                "phase": round(track.phase, 6),
-                "points": [
-                    [round(time_s, 6), round(hz, 4), round(amplitude, 7)]
-                    for time_s, hz, amplitude in points.tolist()
-                ],
+                "points": np.column_stack(columns).tolist(),
             }
         )
 
