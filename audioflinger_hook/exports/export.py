@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from audioflinger_hook.config.settings import Settings
+from audioflinger_hook.exports import ahap, haptic_clip, vibration_xml
 from audioflinger_hook.exports.decimation import LeakMeter, ResampledOutput
-from audioflinger_hook.exports.options import FORMATS, ExportOptions, ExportReport, format_of
+from audioflinger_hook.exports.hjif import HjifWriter
+from audioflinger_hook.exports.ogg_haptic import OggHapticOutput
+from audioflinger_hook.exports.options import (
+    FORMATS,
+    ExportOptions,
+    ExportReport,
+    check_channel_count,
+    format_of,
+)
+from audioflinger_hook.exports.parametric import CurveWriter, Job, Writer, export_parametric
+from audioflinger_hook.exports.partial_lines import PartialLines
 from audioflinger_hook.exports.sound_output import SoundFileOutput
 from audioflinger_hook.offline.render import Progress, RenderReport, render
 from audioflinger_hook.sources import Client
-from device.errors import UsageError
 from device.output import VibrationOutput
 from device.wav_output import WavOutput
 
@@ -43,9 +56,23 @@ def export(
     InternalError: the haptic effect failed.
     """
     try:
+        if open_writer := WRITERS.get(options.format):
+            return export_parametric(
+                open_writer, client, target, settings, options, progress, warnings
+            )
         return _Waveform(options).export(client, target, settings, progress, warnings)
     finally:
         client.close()
+
+
+WRITERS: dict[str, Callable[[Job], Writer]] = {
+    "ahap": lambda job: CurveWriter(job, ahap.compose),
+    "haptic": lambda job: CurveWriter(job, haptic_clip.compose),
+    "vibration-xml": lambda job: CurveWriter(job, vibration_xml.compose),
+    "hjif": HjifWriter,
+    "partials": PartialLines,
+}
+"""What writes each parametric format."""
 
 
 class _Waveform:
@@ -53,6 +80,7 @@ class _Waveform:
 
     def __init__(self, options: ExportOptions) -> None:
         self._options = options
+        self._audio_channels = 0
         self._file: VibrationOutput | None = None
         self._meter: LeakMeter | None = None
 
@@ -64,6 +92,7 @@ class _Waveform:
         progress: Progress | None,
         warnings: Sequence[str],
     ) -> ExportReport:
+        self._audio_channels = client.channels
         report = render(
             client,
             target,
@@ -71,6 +100,7 @@ class _Waveform:
             progress=progress,
             warnings=warnings,
             open_output=self._open,
+            hear=self._hear,
         )
         assert self._file is not None
         assert self._meter is not None
@@ -86,28 +116,23 @@ class _Waveform:
             warnings=found.warnings + more,
         )
 
+    def _hear(self, sound: NDArray[np.float32]) -> None:
+        if isinstance(self._file, OggHapticOutput):
+            self._file.hear(sound)
+
     def _open(self, path: Path, samplerate: int, channels: int) -> VibrationOutput:
         name = self._options.format
         check_channel_count(name, channels)
         rate = self._options.output_rate_hz or samplerate
         if name == "flac":
             self._file = SoundFileOutput(path, rate, channels, "FLAC", "PCM_24")
+        elif name == "ogg-haptic":
+            self._file = OggHapticOutput(path, rate, self._audio_channels, channels)
         else:
             self._file = WavOutput(path, rate, channels)
         converted = self._file if rate == samplerate else ResampledOutput(self._file, samplerate)
         self._meter = LeakMeter(converted)
         return self._meter
-
-
-def check_channel_count(name: str, channels: int) -> None:
-    """Raise UsageError if a format cannot hold this many channels of vibration."""
-    most = FORMATS[name].channels_max
-    if channels > most:
-        enough = [other for other, one in FORMATS.items() if one.channels_max >= channels]
-        raise UsageError(
-            f"the format {name} cannot hold {channels} channels of vibration; allowed: 1 to "
-            f"{most}; use channels = mono, fewer actuators, or one of: {', '.join(enough)}"
-        )
 
 
 def report_of(report: RenderReport, name: str, target: Path, leak_db: float | None) -> ExportReport:

@@ -31,17 +31,30 @@ class Format:
         Whether it holds envelopes or partials instead of a waveform.
     channels_max : int
         Most channels of vibration.
+    whole : bool
+        Whether its file is made as a whole, so that the sound may last 3 hours at most.
     """
 
     suffixes: tuple[str, ...]
     description: str
     parametric: bool = False
     channels_max: int = 1
+    whole: bool = False
 
 
 FORMATS: dict[str, Format] = {
     "wav": Format((".wav", ".wave", ".rf64"), "vibration, float32", channels_max=64),
     "flac": Format((".flac",), "vibration, 24 bits", channels_max=8),
+    "ogg-haptic": Format(
+        (".ogg", ".oga"),
+        "the sound, with vibration as Android's haptic channels",
+        channels_max=2,
+    ),
+    "ahap": Format((".ahap",), "curves and transients of Core Haptics", True, whole=True),
+    "haptic": Format((".haptic",), "envelopes of Meta and Lofelt", True, whole=True),
+    "vibration-xml": Format((".xml",), "vibration effect of Android 16", True, whole=True),
+    "hjif": Format((".hjif",), "partials of ISO/IEC 23090-31", True, channels_max=64, whole=True),
+    "partials": Format((".jsonl",), "partial tracks, JSON lines", True, channels_max=64),
 }
 """Every format by its name."""
 
@@ -82,6 +95,11 @@ class ExportOptions:
                 raise UsageError(
                     f"output_rate_hz={rate} does not fit the format {self.format}, which holds no "
                     f"waveform; leave it out, or choose one of {_names(parametric=False)}"
+                )
+            if self.format == "ogg-haptic":
+                raise UsageError(
+                    f"output_rate_hz={rate} does not fit the format ogg-haptic, which holds the "
+                    "sound at its own rate; leave it out, or choose wav or flac"
                 )
             if not OUTPUT_RATE_MIN_HZ <= rate <= OUTPUT_RATE_MAX_HZ:
                 raise UsageError(
@@ -162,3 +180,14 @@ def format_of(path: Path) -> str:
 
 def _names(*, parametric: bool) -> str:
     return ", ".join(name for name, one in FORMATS.items() if one.parametric == parametric)
+
+
+def check_channel_count(name: str, channels: int) -> None:
+    """Raise UsageError if a format cannot hold this many channels of vibration."""
+    most = FORMATS[name].channels_max
+    if channels > most:
+        enough = [other for other, one in FORMATS.items() if one.channels_max >= channels]
+        raise UsageError(
+            f"the format {name} cannot hold {channels} channels of vibration; allowed: 1 to "
+            f"{most}; use channels = mono, fewer actuators, or one of: {', '.join(enough)}"
+        )
