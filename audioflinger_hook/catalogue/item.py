@@ -162,4 +162,7 @@ def typed(values: Mapping[str, Any]) -> dict[str, Any]:
         found["channels"] = (channels,)
     elif isinstance(channels, list):
         found["channels"] = tuple(channels)
+    for name in ("start_s", "duration_s"):
+        if type(found.get(name)) is int:
+            found[name] = float(found[name])
     return found

@@ -14,8 +14,10 @@ import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from hashlib import blake2b
 from pathlib import Path, PurePosixPath
+from struct import Struct
 from typing import IO, Any
 
 import numpy as np
@@ -47,7 +49,7 @@ LINE_MAX = 1 << 20
 PARTITIONS, SPOOLED_BYTES = 64, 1 << 16
 """All ids are divided by their hashes; what is beyond these bytes goes to temporary files."""
 
-_ENTRY = np.dtype([("name", "<u8"), ("line", "<u8")])
+_ENTRY = Struct("<QQ")
 _SIMILAR = ("audio", "start_s", "duration_s", "channels", "profile", "language", "audio_filepath")
 
 
@@ -84,6 +86,8 @@ class Manifest:
 
     def __init__(self, address: str, out: str) -> None:
         self.address = parse_address(address, "MANIFEST")
+        self._name = scrubbed(self.address)
+        self._folder = self.address.rpartition("/")[0]
         self.out = out
         self._remote = filesystem_of(self.address) if is_url(self.address) else None
         self.is_listing = False
@@ -103,8 +107,7 @@ class Manifest:
             for item in self.items(mistakes):
                 count += 1
                 name = int.from_bytes(blake2b(os.fsencode(item.id), digest_size=8).digest())
-                entry = np.array((name, item.line), _ENTRY).tobytes()
-                parts[name % PARTITIONS].write(entry)
+                parts[name % PARTITIONS].write(_ENTRY.pack(name, item.line))
             for part in parts:
                 self._find_twins(part, mistakes)
         if not count and not mistakes.count:
@@ -114,41 +117,44 @@ class Manifest:
     def items(self, mistakes: Mistakes | None = None) -> Iterator[Item]:
         """Yield the items without a mistake; `mistakes` takes the others."""
         mistakes = mistakes if mistakes is not None else Mistakes()
-        folder = self.address.rpartition("/")[0]
         for line, row in self._rows(mistakes):
             where = f"{self._name}:{line}"
             values = self._values(where, row, mistakes)
             if values is None:
                 continue
-            given = values.get("audio")
             named = "id" in values
             if not named:
-                values["id"] = default_id(str(given), values.get("start_s"), self._root)
-            if refusals := Item.refusals(values | {"line": line}):
+                given = str(values.get("audio"))
+                values["id"] = default_id(given, values.get("start_s"), self._root)
+            values["line"] = line
+            if isinstance(values.get("audio"), str):
+                values["audio"] = self._absolute(values["audio"])
+            try:
+                item = Item(**values)
+            except (UsageError, TypeError):
+                refusals = Item.refusals(values)
                 if not named and "audio" in refusals:
                     refusals.pop("id", None)  # it was made from the audio's name
                 for name, refusal in refusals.items():
                     value = f"={shown(values[name])}" if name in values else ""
                     mistakes.add(where, f"{name}{value} {refusal}")
                 continue
-            audio = str(given)
-            if not is_url(audio):
-                # A relative path is relative to the manifest, which may be a URL itself.
-                if is_url(folder) and not audio.startswith("/"):
-                    audio = f"{folder}/{audio}"
-                else:
-                    path = audio if audio.startswith("/") else f"{folder}/{audio}"
-                    audio = os.path.normpath(path)
-            if f"{audio}/".startswith(f"{self.out}/"):
-                mistakes.add(where, f"audio={shown(audio)} is in the output folder; name another")
+            if f"{item.audio}/".startswith(f"{self.out}/"):
+                audio = shown(item.audio)
+                mistakes.add(where, f"audio={audio} is in the output folder; name another")
                 continue
-            yield Item.from_values({**values, "audio": audio, "line": line})
+            yield item
+
+    def _absolute(self, audio: str) -> str:
+        """Return a sound's path or URL; a relative path is relative to the manifest."""
+        if not audio or is_url(audio):
+            return audio
+        if audio.startswith("/"):
+            return os.path.normpath(audio)
+        joined = f"{self._folder}/{audio}"
+        return joined if is_url(joined) else os.path.normpath(joined)
 
     # ------------------------------------------------------------------------------------- rows
-
-    @property
-    def _name(self) -> str:
-        return scrubbed(self.address)
 
     def _kind(self) -> str:
         """Return what the manifest is: "folder", "glob", "one", "csv" or "lines"."""
@@ -297,14 +303,14 @@ class Manifest:
                 elif values[ours] != value:
                     both = f"{shown(values[ours])} and {shown(value)}"
                     mistakes.add(where, f"{ours} is given twice, as {both}; leave one out")
-            elif (guess := nearest(name, _SIMILAR)) and _differ_little(name, guess):
+            elif guess := _meant(name):
                 mistakes.add(where, f"{shown(name)} is not known; did you mean {guess}?")
         return typed(values) if mistakes.count == before else None
 
     def _find_twins(self, part: tempfile.SpooledTemporaryFile[bytes], mistakes: Mistakes) -> None:
         """Find two items with one id, in one partition of all ids."""
         part.seek(0)
-        entries = np.frombuffer(part.read(), _ENTRY)
+        entries = np.frombuffer(part.read(), [("name", "<u8"), ("line", "<u8")])
         entries = entries[np.lexsort((entries["line"], entries["name"]))]
         again = np.flatnonzero(entries["name"][1:] == entries["name"][:-1])
         for index in again[:SHOWN_MAX]:
@@ -364,8 +370,14 @@ def _ending(path: str) -> str:
     return PurePosixPath(path).suffix.lower()
 
 
+@lru_cache(maxsize=1024)
+def _meant(name: str) -> str:
+    """Return the known name that differs so little that it is meant, "" for another column."""
+    known = nearest(name, _SIMILAR)
+    return known if known and _differ_little(name, known) else ""
+
+
 def _differ_little(name: str, known: str) -> bool:
-    """Return whether a name is so near a known one that it is a mistake, not another column."""
     plain = name.lower().replace("-", "_").strip()
     return plain in (known, f"{known}s", known.removesuffix("s"), known.removesuffix("_s")) or (
         abs(len(name) - len(known)) <= 1
