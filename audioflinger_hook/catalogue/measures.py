@@ -1,14 +1,12 @@
-"""What a record says about a vibration file: its exposure, and its course for a picture."""
+"""What a record says about a vibration: its exposure, and its course for a picture."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.fft
-import soundfile
 from scipy.signal import sosfilt
 
 from device.drive.exposure.dose import wk_sections
@@ -18,53 +16,83 @@ from device.rig.seat import SeatMotion
 from device.units import Float32Array, FloatArray
 
 DAY_S = 8 * 3600.0
-BLOCK_S = 8.0
 HIGHEST_HZ = 1_000.0
 """Vibration above is negligible."""
 
 RESPONSE_HZ = 6_000
+POINT_S = 0.02
 POINTS = 120
-"""Points of the picture; each is the peak of its share of the time."""
+"""Points of the picture, at least if the sound is longer than 2.4 s; at most twice as many."""
 
 
-@dataclass(frozen=True)
-class Measures:
-    """Exposure and course of a vibration.
+class VibrationMeter:
+    """Measures a vibration block by block, whatever their lengths; memory does not grow.
 
-    exposure_a8_m_s2: A(8) of ISO 2631-1 that the sound adds to a day, of the strongest channel:
-        the weighted acceleration of the rig's linear model at full volume, spread over eight hours.
-    course: peaks in thousandths of full scale, up to 120, in order of time.
+    Parameters
+    ----------
+    rig : str
+        Name or file of the rig that would play it.
     """
 
-    exposure_a8_m_s2: float
-    course: list[int]
+    def __init__(self, rig: str) -> None:
+        self._rig = rig
+        self._rate = 0
+        self._energy: FloatArray = np.zeros(0)
+        self._block: Float32Array = np.zeros((0, 0), np.float32)
+        self._filled = 0
+        self._peaks: list[float] = []
+        self._point_frames = 0
+        self._fold = 1  # points of POINT_S in one of the picture's points
+        self._in_point = 0
 
+    def watch(self, vibration: FloatArray | Float32Array, samplerate: int) -> None:
+        """Take a block, (frames, channels)."""
+        if not self._rate:
+            self._rate = samplerate
+            channels = vibration.shape[1]
+            self._energy = np.zeros(channels)
+            self._point_frames = max(1, round(POINT_S * samplerate))
+            self._block = np.zeros((POINTS * self._point_frames, channels), np.float32)
+        while len(vibration):
+            taken = vibration[: len(self._block) - self._filled]
+            self._block[self._filled : self._filled + len(taken)] = taken
+            self._filled += len(taken)
+            vibration = vibration[len(taken) :]
+            if self._filled == len(self._block):
+                self._take_block()
 
-def measure(path: Path, rig: str) -> Measures:
-    """Return the measures of a vibration file that libsndfile reads; memory does not grow.
+    def measures(self) -> dict[str, Any]:
+        """Return exposure and course of all that was taken.
 
-    rig: name or file of the rig.
-    """
-    with soundfile.SoundFile(path) as file:
-        rate, frames = file.samplerate, max(1, file.frames)
-        blocksize = round(BLOCK_S * rate)
-        energy = np.zeros(file.channels)
-        course = np.zeros(min(POINTS, frames))
-        done = 0
-        buffer = np.empty((blocksize, file.channels), np.float32)
-        while len(block := file.read(out=buffer)):
-            energy += _weighted_energy(block, rate, rig)
-            # Frame n belongs to point n · points // frames; a point may lie in two blocks.
-            first = done * len(course) // frames
-            last = (done + len(block) - 1) * len(course) // frames
-            points = np.arange(first, last + 1)
-            starts = np.maximum(-(-points * frames // len(course)) - done, 0)
-            high, low = (one.reduceat(block, starts) for one in (np.maximum, np.minimum))
-            peaks = np.maximum(high, -low).max(axis=1)
-            course[points] = np.maximum(course[points], peaks)
-            done += len(block)
-    a8 = float(np.sqrt(energy.max() / DAY_S))
-    return Measures(a8, [round(1e3 * float(point)) for point in course])
+        exposure_a8_m_s2: A(8) of ISO 2631-1 that the sound adds to a day, of the strongest channel:
+            the weighted acceleration of the rig's linear model at full volume, spread over 8 h.
+        course: peaks in thousandths of full scale, in order of time, 1 to 240; course_step_s: the
+            time of each.
+        """
+        if self._filled:
+            self._take_block()
+        energy = self._energy.max() if len(self._energy) else 0.0
+        return {
+            "exposure_a8_m_s2": float(np.sqrt(energy / DAY_S)),
+            "course": [round(1e3 * peak) for peak in self._peaks],
+            "course_step_s": self._fold * self._point_frames / max(1, self._rate),
+        }
+
+    def _take_block(self) -> None:
+        block = self._block[: self._filled]
+        self._filled = 0
+        self._energy += _weighted_energy(block, self._rate, self._rig)
+        starts = np.arange(0, len(block), self._point_frames)
+        high, low = (one.reduceat(block, starts, axis=0) for one in (np.maximum, np.minimum))
+        for peak in np.maximum(high, -low).max(axis=1).tolist():
+            if self._in_point:
+                self._peaks[-1] = max(self._peaks[-1], peak)
+            else:
+                self._peaks.append(peak)
+            self._in_point = (self._in_point + 1) % self._fold
+            if not self._in_point and len(self._peaks) == 2 * POINTS:
+                self._peaks = [max(self._peaks[n : n + 2]) for n in range(0, 2 * POINTS, 2)]
+                self._fold *= 2
 
 
 def _weighted_energy(block: Float32Array, rate: int, rig: str) -> FloatArray:

@@ -8,14 +8,14 @@ import math
 import pickle
 import platform
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
 from audioflinger_hook.catalogue.addresses import is_url, scrubbed
 from audioflinger_hook.catalogue.item import Item
-from audioflinger_hook.catalogue.measures import measure
+from audioflinger_hook.catalogue.measures import VibrationMeter
 from audioflinger_hook.catalogue.recipe import VERSION, Recipe
 from audioflinger_hook.catalogue.storage import (
     RECORD,
@@ -27,7 +27,6 @@ from audioflinger_hook.catalogue.storage import (
 )
 from audioflinger_hook.catalogue.timing import Timing, has_errno
 from audioflinger_hook.exports.export import export
-from audioflinger_hook.exports.options import FORMATS
 from audioflinger_hook.sources import FileTap, TapClient
 from audioflinger_hook.sources.film import FILMS, FilmTap
 from audioflinger_hook.sources.part import PartTap
@@ -141,11 +140,18 @@ def _render(
 
     def make(target: Path) -> dict[str, Any]:
         tap = open_sound(path, item, recipe)
-        report = export(TapClient(tap), target, settings, recipe.options, warnings=tap.warnings)
+        meter = VibrationMeter(settings.rig)
+        report = export(
+            TapClient(tap),
+            target,
+            settings,
+            recipe.options,
+            warnings=tap.warnings,
+            watch=meter.watch,
+        )
         found = {one: getattr(report, one) for one in FIGURES}
         found["warnings"] = [str(one).replace(str(path), item.audio) for one in report.warnings]
-        waveform = not FORMATS[recipe.options.format].parametric
-        return {**found, **(asdict(measure(target, settings.rig)) if waveform else {})}
+        return {**found, **meter.measures()}
 
     try:
         figures, made = storage.put(name, make)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.signal import ellip, sosfilt
 
@@ -69,6 +71,10 @@ class ResampledOutput:
             self._output.write(frames[skipped:])
 
 
+Watch = Callable[[FloatArray | Float32Array, int], None]
+"""Called with each block of vibration, (frames, channels), before its conversion, and its rate."""
+
+
 class LeakMeter:
     """Measures the energy above 250 Hz of what passes to an output. Use from one thread.
 
@@ -76,10 +82,11 @@ class LeakMeter:
     attenuation below 222 Hz.
     """
 
-    def __init__(self, output: VibrationOutput) -> None:
+    def __init__(self, output: VibrationOutput, watch: Watch | None = None) -> None:
         self.samplerate = output.samplerate
         self.channels = output.channels
         self._output = output
+        self._watch = watch
         self._high_pass = ellip(
             10, 0.1, 80.0, AUDIBLE_FROM_HZ, "high", fs=self.samplerate, output="sos"
         )
@@ -101,6 +108,8 @@ class LeakMeter:
             above, self._state = sosfilt(self._high_pass, exact, axis=0, zi=self._state)
             self._energy += float(np.vdot(exact, exact))
             self._above += float(np.vdot(above, above))
+            if self._watch:
+                self._watch(vibration, self.samplerate)
         self._output.write(vibration)
 
     def close(self) -> None:

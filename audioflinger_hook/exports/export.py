@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from audioflinger_hook.config.settings import Settings
 from audioflinger_hook.exports import ahap, haptic_clip, vibration_xml
-from audioflinger_hook.exports.decimation import LeakMeter, ResampledOutput
+from audioflinger_hook.exports.decimation import LeakMeter, ResampledOutput, Watch
 from audioflinger_hook.exports.hjif import HjifWriter
 from audioflinger_hook.exports.ogg_haptic import OggHapticOutput
 from audioflinger_hook.exports.options import (
@@ -39,6 +39,7 @@ def export(
     options: ExportOptions,
     progress: Progress | None = None,
     warnings: Sequence[str] = (),
+    watch: Watch | None = None,
 ) -> ExportReport:
     """Write the vibration of a client's sound in any format; the file appears whole or not at all.
 
@@ -51,6 +52,7 @@ def export(
     options: format, rate and band.
     progress: called after every buffer.
     warnings: warnings about the source, complete when it has ended.
+    watch: called with the vibration, block by block, at the sound's rate.
     UsageError: the format cannot hold what is asked, or the target cannot be written.
     WriteError: the disk is full or failed.
     InternalError: the haptic effect failed.
@@ -58,9 +60,9 @@ def export(
     try:
         if open_writer := WRITERS.get(options.format):
             return export_parametric(
-                open_writer, client, target, settings, options, progress, warnings
+                open_writer, client, target, settings, options, progress, warnings, watch
             )
-        return _Waveform(options).export(client, target, settings, progress, warnings)
+        return _Waveform(options, watch).export(client, target, settings, progress, warnings)
     finally:
         client.close()
 
@@ -78,8 +80,9 @@ WRITERS: dict[str, Callable[[Job], Writer]] = {
 class _Waveform:
     """Exports the vibration itself: renders it to an output that this opens."""
 
-    def __init__(self, options: ExportOptions) -> None:
+    def __init__(self, options: ExportOptions, watch: Watch | None) -> None:
         self._options = options
+        self._watch = watch
         self._audio_channels = 0
         self._file: VibrationOutput | None = None
         self._meter: LeakMeter | None = None
@@ -131,7 +134,7 @@ class _Waveform:
         else:
             self._file = WavOutput(path, rate, channels)
         converted = self._file if rate == samplerate else ResampledOutput(self._file, samplerate)
-        self._meter = LeakMeter(converted)
+        self._meter = LeakMeter(converted, self._watch)
         return self._meter
 
 

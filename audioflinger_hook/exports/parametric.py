@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from audioflinger_hook.config.settings import Settings
-from audioflinger_hook.exports.decimation import LeakMeter
+from audioflinger_hook.exports.decimation import LeakMeter, Watch
 from audioflinger_hook.exports.glides import VOICE, CurveReader, VibrationCurve
 from audioflinger_hook.exports.options import (
     FORMATS,
@@ -153,6 +153,7 @@ def export_parametric(
     options: ExportOptions,
     progress: Progress | None,
     warnings: Sequence[str],
+    watch: Watch | None = None,
 ) -> ExportReport:
     """Play a client's sound, let a writer make the file, and return the report.
 
@@ -171,7 +172,7 @@ def export_parametric(
     job = Job(target, settings, options, design, channels, db_to_amplitude(settings.gain_db))
     framework.take_glides()  # starts the recording
     heard = _Heard(rate, channels)
-    meter = LeakMeter(heard)
+    meter = LeakMeter(heard, watch)
     writer = open_writer(job)
     try:
         chain = Pipeline(client, framework, [AlignedOutput(meter, framework.latency_frames)])

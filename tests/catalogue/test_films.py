@@ -46,11 +46,11 @@ def film(
                     continue
                 piece = np.clip(sound[first : first + PIECE], -1.0, 1.0)
                 packed = np.ascontiguousarray((piece * 32_767).astype(np.int16).reshape(1, -1))
-                frame = av.AudioFrame.from_ndarray(packed, format="s16", layout="stereo")
-                frame.sample_rate = RATE
-                frame.time_base = Fraction(1, RATE)
-                frame.pts = first + round(start_s * RATE)
-                container.mux(stream.encode(frame))
+                heard = av.AudioFrame.from_ndarray(packed, format="s16", layout="stereo")
+                heard.sample_rate = RATE
+                heard.time_base = Fraction(1, RATE)
+                heard.pts = first + round(start_s * RATE)
+                container.mux(stream.encode(heard))
             container.mux(stream.encode())
     return path
 

@@ -166,10 +166,10 @@ def test_all_mistakes_are_told_at_once_with_their_lines_and_nothing_is_rendered(
     done = call("catalogue", path, "--out", tmp_path / "out")
     assert done.code == 2
     assert done.stdout == ""
-    told = done.stderr.splitlines()
-    assert len(told) == len(expected)
-    for text, (line, words) in zip(told, expected, strict=True):
-        assert text.startswith(f"cushion: error: {path}:{line}: ")
+    said = done.stderr.splitlines()
+    assert len(said) == len(expected)
+    for text, (number, words) in zip(said, expected, strict=True):
+        assert text.startswith(f"cushion: error: {path}:{number}: ")
         assert words in text
     assert "hidden" not in done.stderr
     assert not (tmp_path / "out").exists()

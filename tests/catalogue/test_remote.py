@@ -88,7 +88,7 @@ def test_a_storage_that_fails_and_then_works_loses_nothing(
     store, tmp_path, monkeypatch, failures, method
 ):
     application, _, files, folder, local = store
-    waits = []
+    waits: list[float] = []
     monkeypatch.setattr("time.sleep", waits.append)
     application.failures[:] = failures
     application.fails = lambda verb, path: verb == method and path.endswith(".wav")

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from audioflinger_hook.catalogue import recipe as recipes
-from audioflinger_hook.catalogue import work
+from audioflinger_hook.catalogue import storage, work
 from tests.support.catalogues import LOW_RATE, library, manifest, record, results, rows
 from tests.support.commands import call, cushion, noise, refused, sound, vibration
 
@@ -333,9 +333,10 @@ storage.LocalStorage.put = limited
 
 
 def test_i_o_is_repeated_and_nothing_else(sounds, tmp_path, monkeypatch):
-    waits, fails = [], [errno.EIO, errno.EIO]
+    waits: list[float] = []
+    fails = [errno.EIO, errno.EIO]
     monkeypatch.setattr("time.sleep", waits.append)
-    identity = work.identity_of
+    identity = storage.identity_of
 
     def failing(audio):
         if audio.endswith("s00.wav") and fails:
