@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from audioflinger_hook.catalogue import recipe as recipes
 from audioflinger_hook.catalogue import storage, work
+from audioflinger_hook.exports.options import FORMATS
 from tests.support.catalogues import LOW_RATE, library, manifest, record, results, rows
 from tests.support.commands import call, cushion, noise, refused, sound, vibration
 
@@ -140,6 +141,41 @@ def test_a_copied_folder_of_results_is_known_by_its_bytes(sounds, tmp_path):
         (copied / path.name).write_bytes(path.read_bytes())
     for _ in range(2):
         assert summary(sounds, "--out", copied, "--workers", 1)[0]["skipped"] == 6
+
+
+def test_a_result_without_the_record_of_its_own_run_is_not_taken_for_another(
+    sounds, expected, tmp_path, monkeypatch
+):
+    out = tmp_path / "out"
+    summary(sounds, "--out", out, "--workers", 1)
+
+    def ended(*_arguments):
+        raise KeyboardInterrupt
+
+    # Another profile's result has the same size. Its run ends before it writes the record.
+    with monkeypatch.context() as patch:
+        patch.setattr(work, "_write_record", ended)
+        options = ("--out", out, "--workers", 1, "--profile", "cinema")
+        assert call("catalogue", sounds, *options).code == 130
+    assert results(out) != expected
+    assert summary(sounds, "--out", out, "--workers", 1)[0]["rendered"] == 1
+    assert results(out) == expected
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_has_the_bytes_of_an_export(tmp_path, name):
+    folder, out = library(tmp_path / "in", 2, 12_000), tmp_path / "out"
+    for state in ("rendered", "skipped"):
+        found, code = summary(folder, "--out", out, "--workers", 1, "--format", name)
+        assert (found[state], code) == (2, 0)
+    suffix = FORMATS[name].suffixes[0]
+    alone = tmp_path / f"alone{suffix}"
+    assert call("export", folder / "s00.wav", alone, "--format", name).code == 0
+    assert (out / f"s00{suffix}").read_bytes() == alone.read_bytes()
+    found = record(out, f"s00{suffix}")
+    assert found["bytes"] == alone.stat().st_size
+    assert found["exposure_a8_m_s2"] > 0.0
+    assert max(found["course"]) > 0
 
 
 def test_results_of_another_version_are_made_anew(sounds, expected, tmp_path, monkeypatch):
