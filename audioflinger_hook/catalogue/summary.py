@@ -12,6 +12,7 @@ from typing import Any
 
 from audioflinger_hook.catalogue.storage import Storage
 from audioflinger_hook.catalogue.work import Outcome
+from device.values import counted
 
 LISTED = 10
 """Slowest and strangest items that are listed."""
@@ -78,7 +79,7 @@ class Summary:
             f", {self.sound_s / self.worker_s:.0f} x real time a worker" if self.worker_s else ""
         )
         found = [
-            f"{self.items} items: {self.rendered} rendered ({self.sound_s / 3600.0:.2f} h of sound"
+            f"{counted(self.items, 'items')}: {self.rendered} rendered ({self.sound_s / 3600.0:.2f} h of sound"
             f"{speed}), {self.skipped} skipped, {self.failed} failed"
         ]
         for title, kept in (("slowest", self.slowest), ("strangest", self.strangest)):
