@@ -75,12 +75,11 @@ class Summary:
 
     def lines(self) -> list[str]:
         """Return the summary for people, line by line."""
-        speed = (
-            f", {self.sound_s / self.worker_s:.0f} x real time a worker" if self.worker_s else ""
-        )
+        speed = self.sound_s / self.worker_s if self.worker_s else 0.0
         found = [
-            f"{counted(self.items, 'items')}: {self.rendered} rendered ({self.sound_s / 3600.0:.2f} h of sound"
-            f"{speed}), {self.skipped} skipped, {self.failed} failed"
+            f"{counted(self.items, 'items')}: {self.rendered} rendered "
+            f"({self.sound_s / 3600.0:.2f} h of sound, {speed:.0f} x real time a worker), "
+            f"{self.skipped} skipped, {self.failed} failed"
         ]
         for title, kept in (("slowest", self.slowest), ("strangest", self.strangest)):
             if kept:
