@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import fnmatch
 import glob
 import gzip
 import io
@@ -16,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import blake2b
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from struct import Struct
 from typing import IO, Any
 
@@ -29,18 +28,16 @@ from audioflinger_hook.catalogue.addresses import (
     scrubbed,
 )
 from audioflinger_hook.catalogue.item import ALIASES, Item, default_id, shown, typed
-from audioflinger_hook.sources.film import FILMS
+from audioflinger_hook.catalogue.listing import (
+    SOUNDS,
+    ending_of,
+    fixed_part,
+    is_sound,
+    matches,
+    walk,
+)
 from device.errors import UsageError
 from device.values import counted, nearest
-
-SOUNDS = FILMS.union(
-    f".{ending}"
-    for ending in (
-        "wav", "wave", "rf64", "w64", "flac", "ogg", "oga", "opus", "mp3", "aif", "aiff", "au",
-        "caf", "aac", "ac3", "eac3", "dts", "wma",
-    )
-)  # fmt: skip
-"""Endings of the files that are taken from a folder."""
 
 SHOWN_MAX = 100
 """Mistakes that are listed; all are counted."""
@@ -159,7 +156,7 @@ class Manifest:
     def _kind(self) -> str:
         """Return what the manifest is: "folder", "glob", "one", "csv" or "lines"."""
         path = self.address
-        ending = _ending(path.removesuffix(".gz"))
+        ending = ending_of(path.removesuffix(".gz"))
         if self._remote:
             filesystem, inside = self._remote
             try:
@@ -174,7 +171,7 @@ class Manifest:
             self._root, self.is_listing = f"{path}/", True
             return "folder"
         if not there and glob.has_magic(path):
-            self._root, self.is_listing = f"{_fixed_part(path)}/", True
+            self._root, self.is_listing = f"{fixed_part(path)}/", True
             return "glob"
         if not there:
             raise UsageError(f"{self._name} does not exist; give a manifest, a folder or a glob")
@@ -279,15 +276,15 @@ class Manifest:
             names = filesystem.glob(inside) if pattern else filesystem.find(inside)
             for name in sorted(names):
                 audio = str(filesystem.unstrip_protocol(name))
-                if (pattern or _is_sound(name)) and not audio.startswith(f"{self.out}/"):
+                if (pattern or is_sound(name)) and not audio.startswith(f"{self.out}/"):
                     yield audio
         elif self._sources == "glob":
-            for path in _walk(self._root.rstrip("/"), self.out):
-                if _matches(path, self.address):
+            for path in walk(self._root.rstrip("/"), self.out):
+                if matches(path, self.address):
                     yield path
         else:
-            for path in _walk(self.address, self.out):
-                if _is_sound(path):
+            for path in walk(self.address, self.out):
+                if is_sound(path):
                     yield path
 
     def _values(self, where: str, row: dict[str, Any], mistakes: Mistakes) -> dict[str, Any] | None:
@@ -319,55 +316,6 @@ class Manifest:
             advice = "list them in a manifest with an id each" if self.is_listing else "give ids"
             mistakes.add(f"{self._name}:{second}", f"has the same id as {what} {first}; {advice}")
         mistakes.count += max(0, len(again) - SHOWN_MAX)
-
-
-def _walk(folder: str, out: str) -> Iterator[str]:
-    """Yield every file of a folder and those in it, in order, without hidden ones and `out`."""
-    try:
-        with os.scandir(folder) as entries:
-            names = sorted((entry.name, entry.is_dir()) for entry in entries)
-    except OSError as error:
-        raise UsageError(f"{folder} cannot be listed ({error.strerror})") from None
-    for name, is_folder in names:
-        path = f"{folder.rstrip('/')}/{name}"
-        if name.startswith(".") or path == out:
-            continue
-        if not is_folder:
-            yield path
-        elif not Path(path).is_symlink():  # a link may lead back
-            yield from _walk(path, out)
-
-
-def _fixed_part(pattern: str) -> str:
-    """Return the folders before the first wildcard of a glob."""
-    parts = pattern.split("/")
-    first = next(index for index, part in enumerate(parts) if glob.has_magic(part))
-    return "/".join(parts[:first])
-
-
-def _matches(path: str, pattern: str) -> bool:
-    """Return whether a path matches a glob, in which `**` stands for any number of folders."""
-    return _parts_match(path.split("/"), pattern.split("/"))
-
-
-def _parts_match(path: list[str], pattern: list[str]) -> bool:
-    if not pattern:
-        return not path
-    if pattern[0] == "**":
-        return any(_parts_match(path[n:], pattern[1:]) for n in range(len(path) + 1))
-    return (
-        bool(path)
-        and fnmatch.fnmatchcase(path[0], pattern[0])
-        and _parts_match(path[1:], pattern[1:])
-    )
-
-
-def _is_sound(path: str) -> bool:
-    return _ending(path) in SOUNDS
-
-
-def _ending(path: str) -> str:
-    return PurePosixPath(path).suffix.lower()
 
 
 @lru_cache(maxsize=1024)
