@@ -101,7 +101,9 @@ def test_a_killed_client_loses_nothing_and_leaves_no_process(sounds, expected, t
     assert before.items() <= finished(out).items()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.exhaustive)]
+)
 @pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.exhaustive), 2])
 def test_an_interrupted_run_keeps_whole_items_and_the_next_goes_on(
     sounds, expected, tmp_path, number, workers

@@ -65,6 +65,7 @@ def test_sounds_and_results_in_s3_have_the_bytes_of_local_ones(store, tmp_path):
     assert json.loads(status.stdout)["done"] == 4
 
 
+@pytest.mark.exhaustive
 def test_worker_processes_reach_the_storage_by_themselves(store, tmp_path):
     _, env, files, folder, local = store
     lines = [{"audio": f"s3://{folder}/in/s{n:02d}.wav"} for n in range(4)]
