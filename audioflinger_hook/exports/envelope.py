@@ -8,12 +8,13 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
 from audioflinger_hook.exports.glides import VibrationCurve
 from audioflinger_hook.exports.simplify import simplify
 from device.units import FloatArray, amplitude_to_db
 
-SMOOTHED_S = 0.04
+SMOOTHED_S = 0.03
 """Length of the Hann window over power: swings above about 20 Hz are not kept, since a few dozen
 points a second cannot show them. The window ends at onsets."""
 
@@ -23,6 +24,9 @@ envelope starts with the other half and has all of it after this time."""
 
 LEVEL_TOLERANCE = 0.012
 """Largest error of the envelope, of its largest written value."""
+
+TIED = 1e-3
+"""Weight of the curve's own value at a point, in samples, against the least-squares fit."""
 
 FREQUENCY_TOLERANCE_HZ = 4.0
 """Largest error of the frequency where the envelope is largest; more where it is weak."""
@@ -103,21 +107,21 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
     times = curve.times_s
     at = {int(np.ceil((one.time_s - curve.start_s) * rate)): one for one in curve.onsets}
     edges, smooth = _edges(curve), smoothed(curve)
-    lowered = smooth.copy()
+    lowered, found = smooth.copy(), dict[int, Transient]()
     length = max(1, round(TRANSIENT_S * rate))
-    found: dict[int, Transient] = {}
     for cut in edges[1:-1] if limits.transients else ():
-        rise = 0.5 * (smooth[cut : cut + length].max() - smooth[cut - 1])
-        if rise > 0.0:
-            fall = rise * (1.0 - np.arange(length) / length)[: times.size - cut]
-            lowered[cut : cut + length] = np.maximum(0.0, lowered[cut : cut + length] - fall)
-            # The envelope begins with at least as much as the transient, of which a player's
-            # intensity multiplies both.
-            lowered[cut] = max(lowered[cut], rise)
-            found[cut] = Transient(0, at[cut].time_s, float(rise), at[cut].hz)
+        after = smooth[cut : cut + length]
+        fall = 1.0 - np.arange(after.size) / length
+        # Half of the rise, and never more than half of the level: what is left for the envelope is
+        # then at least as much as the transient, whose intensity its curve multiplies.
+        pulse = 0.5 * min(float(after.max() - smooth[cut - 1]), float((after / fall).min()))
+        if pulse > 0.0:
+            lowered[cut : cut + after.size] -= pulse * fall
+            found[cut] = Transient(0, at[cut].time_s, pulse, at[cut].hz)
     written = law.write(lowered)
     clipped = written > 1.0
-    points = np.column_stack((np.minimum(written, 1.0), curve.hz.astype(np.float64)))
+    written = np.minimum(written, 1.0)
+    points = np.column_stack((written, curve.hz.astype(np.float64)))
     loudest = max(1e-9, float(points[:, 0].max()))
     share = np.maximum(1e-3, lowered / max(1e-12, float(lowered.max())))
     tolerance = np.column_stack(
@@ -125,6 +129,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
     )
     longest = max(1, int(limits.longest_s * rate))
     time_s: list[float] = []
+    levels: list[FloatArray] = []
     kept: list[NDArray[np.intp]] = []
     transients: list[Transient] = []
     for first, end in pairwise(edges):
@@ -133,7 +138,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         ends = at[end].time_s if end < times.size else duration_s
         part = slice(first, end)
         # With its two ends a segment has no more points than its share of a second allows.
-        allowed = max(2, int((ends - begins) / limits.spacing_s))
+        allowed = max(2, int((ends - begins) / limits.spacing_s + 0.01))
         spacing = max(1, int(np.ceil((end - first) / (allowed - 1))))
         chosen = first + simplify(times[part], points[part], tolerance[part], spacing, longest)
         if len(chosen) == 1:
@@ -143,9 +148,10 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
             transients.append(Transient(len(time_s), begins, one.amplitude, one.hz))
         inner = times[chosen[1:-1]]
         time_s += [begins, *np.clip(inner, begins, ends).tolist(), ends]
+        levels.append(np.clip(fitted(times[part], written[part], times[chosen]), 0.0, 1.0))
         kept.append(chosen)
     places = np.concatenate(kept)
-    level, hz = points[places, 0], points[places, 1]
+    level, hz = np.concatenate(levels), points[places, 1]
     return Envelope(
         np.array(time_s),
         level,
@@ -154,6 +160,26 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         _errors(curve, smooth, np.array(time_s), law.read(level), hz, transients),
         int(clipped[places].sum()),
     )
+
+
+def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
+    """Return the values at the knots whose straight lines are nearest to a curve by least squares.
+
+    times, values: (n,) the curve. knots: (k,) ascending, within the times.
+    """
+    if knots.size < 3 or knots[0] == knots[-1]:
+        return np.interp(knots, times, values)
+    place = np.clip(np.searchsorted(knots, times, "right") - 1, 0, knots.size - 2)
+    share = (times - knots[place]) / np.diff(knots)[place]
+    size = knots.size
+    diagonal = np.bincount(place, (1 - share) ** 2, size) + np.bincount(place + 1, share**2, size)
+    beside = np.bincount(place, share * (1 - share), size)
+    wanted = np.bincount(place, (1 - share) * values, size)
+    wanted += np.bincount(place + 1, share * values, size)
+    # A little of the curve itself, so that a knot between two samples has a value.
+    bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
+    found: FloatArray = solveh_banded(bands, wanted + TIED * np.interp(knots, times, values))
+    return found
 
 
 def played(
