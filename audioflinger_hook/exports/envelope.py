@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -84,7 +84,8 @@ class Envelope:
     transients : tuple of Transient
         In order.
     error : dict
-        `envelope_error_db`: r.m.s. error in dB of the envelope's r.m.s., transients included;
+        `envelope_error_db`: r.m.s. error of the smoothed envelope, transients included, in dB of
+        its r.m.s.;
         `frequency_error_hz`: r.m.s. error, weighted by power; `points`, `transients`: counts.
     clipped_points : int
         Points above full scale, written as 1.
@@ -198,11 +199,16 @@ def envelope_error(
     curve: VibrationCurve, time_s: FloatArray, amplitude: FloatArray
 ) -> dict[str, float]:
     """Return `envelope_error_db` of an envelope without transients; see `Envelope`."""
-    smooth = smoothed(curve)
-    total = float(np.square(smooth).sum())
+    return _envelope_error(curve, np.interp(curve.times_s, time_s, amplitude))
+
+
+def _envelope_error(curve: VibrationCurve, made: FloatArray) -> dict[str, float]:
+    """Compare amplitudes, both smoothed; nothing is returned for silence."""
+    wanted = smoothed(curve)
+    total = float(np.square(wanted).sum())
     if not total:
         return {}
-    off = np.interp(curve.times_s, time_s, amplitude) - smooth
+    off = smoothed(replace(curve, amplitude=made.astype(np.float32))) - wanted
     error = float(np.sqrt(np.square(off).sum() / total))
     return {"envelope_error_db": max(-120.0, amplitude_to_db(error))}
 
@@ -234,14 +240,11 @@ def _errors(
 ) -> dict[str, float]:
     times = curve.times_s
     power = smooth * smooth
-    total = float(power.sum())
-    made = played(times, (time_s, amplitude), transients)
-    off_hz = np.interp(times, time_s, hz) - curve.hz
     found = {"points": float(time_s.size), "transients": float(len(transients))}
-    if total:
-        error = float(np.sqrt(np.square(made - smooth).sum() / total))
-        found["envelope_error_db"] = max(-120.0, amplitude_to_db(error))
-        found["frequency_error_hz"] = float(np.sqrt((power * off_hz**2).sum() / total))
+    found |= _envelope_error(curve, played(times, (time_s, amplitude), transients))
+    if power.any():
+        off_hz = np.interp(times, time_s, hz) - curve.hz
+        found["frequency_error_hz"] = float(np.sqrt((power * off_hz**2).sum() / power.sum()))
     return found
 
 
