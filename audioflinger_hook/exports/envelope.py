@@ -16,7 +16,7 @@ from device.units import FloatArray, amplitude_to_db
 
 SMOOTHED_S = 0.03
 """Length of the Hann window over power: swings above about 20 Hz are not kept, since a few dozen
-points a second cannot show them. The window ends at onsets."""
+points a second cannot show them. The window never reaches beyond an onset."""
 
 TRANSIENT_S = 0.02
 """Length of a transient, which falls to 0 in a straight line. It has half of an onset's rise; the
@@ -139,7 +139,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         ends = at[end].time_s if end < times.size else duration_s
         part = slice(first, end)
         # With its two ends a segment has no more points than its share of a second allows.
-        allowed = max(2, int((ends - begins) / limits.spacing_s + 0.01))
+        allowed = max(2, int((ends - begins) / limits.spacing_s + 0.01) + 1)
         spacing = max(1, int(np.ceil((end - first) / (allowed - 1))))
         chosen = first + simplify(times[part], points[part], tolerance[part], spacing, longest)
         if len(chosen) == 1:
@@ -249,11 +249,23 @@ def _errors(
 
 
 def _smoothed(amplitude: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the r.m.s. under a Hann window that is cut off at both ends."""
-    length = 2 * max(1, round(0.5 * SMOOTHED_S * rate_hz)) + 1
-    window = np.hanning(length + 2)[1:-1]
-    weight = np.convolve(np.ones(amplitude.size), window)
-    power = np.convolve(amplitude**2, window)
-    part = slice(length // 2, length // 2 + amplitude.size)
-    smooth: FloatArray = np.sqrt(power[part] / weight[part])
+    """Return the r.m.s. under a Hann window, which gives way to a third of it at both ends.
+
+    A whole window, cut off at an onset, would look ahead of its rise.
+    """
+    half = max(1, round(0.5 * SMOOTHED_S * rate_hz))
+    square = amplitude**2
+    place = np.arange(square.size)
+    share = np.minimum(1.0, np.minimum(place, place[::-1]) / half)
+    whole, short = _mean(square, half), _mean(square, max(1, half // 3))
+    smooth: FloatArray = np.sqrt(share * whole + (1.0 - share) * short)
     return smooth
+
+
+def _mean(square: FloatArray, half: int) -> FloatArray:
+    window = np.hanning(2 * half + 3)[1:-1]
+    part = slice(half, half + square.size)
+    mean: FloatArray = (
+        np.convolve(square, window)[part] / np.convolve(np.ones(square.size), window)[part]
+    )
+    return mean
