@@ -26,7 +26,7 @@ SHARPNESS_LOW_HZ, SHARPNESS_HIGH_HZ = 65.0, 300.0
 """Frequencies of sharpness 0 and 1; the scale is linear. Apple publishes none: this is the common
 reading."""
 
-LIMITS = Limits(spacing_s=1 / 58, longest_s=2.0, law=PERCEPTUAL)
+LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0, law=PERCEPTUAL)
 SHORTEST_S = 0.001
 DECIMALS = 5
 

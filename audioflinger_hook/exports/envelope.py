@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
 from audioflinger_hook.exports.glides import VibrationCurve
 from audioflinger_hook.exports.simplify import simplify
 from device.units import FloatArray, amplitude_to_db
 
-SMOOTHED_S = 0.04
+SMOOTHED_S = 0.03
 """Length of the Hann window over power: swings above about 20 Hz are not kept, since a few dozen
-points a second cannot show them. The window ends at onsets."""
+points a second cannot show them. The window never reaches beyond an onset."""
 
 TRANSIENT_S = 0.02
 """Length of a transient, which falls to 0 in a straight line. It has half of an onset's rise; the
@@ -23,6 +24,9 @@ envelope starts with the other half and has all of it after this time."""
 
 LEVEL_TOLERANCE = 0.012
 """Largest error of the envelope, of its largest written value."""
+
+TIED = 1e-3
+"""Weight of the curve's own value at a point, in samples, against the least-squares fit."""
 
 FREQUENCY_TOLERANCE_HZ = 4.0
 """Largest error of the frequency where the envelope is largest; more where it is weak."""
@@ -80,7 +84,8 @@ class Envelope:
     transients : tuple of Transient
         In order.
     error : dict
-        `envelope_error_db`: r.m.s. error in dB of the envelope's r.m.s., transients included;
+        `envelope_error_db`: r.m.s. error of the smoothed envelope, transients included, in dB of
+        its r.m.s.;
         `frequency_error_hz`: r.m.s. error, weighted by power; `points`, `transients`: counts.
     clipped_points : int
         Points above full scale, written as 1.
@@ -103,21 +108,21 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
     times = curve.times_s
     at = {int(np.ceil((one.time_s - curve.start_s) * rate)): one for one in curve.onsets}
     edges, smooth = _edges(curve), smoothed(curve)
-    lowered = smooth.copy()
+    lowered, found = smooth.copy(), dict[int, Transient]()
     length = max(1, round(TRANSIENT_S * rate))
-    found: dict[int, Transient] = {}
     for cut in edges[1:-1] if limits.transients else ():
-        rise = 0.5 * (smooth[cut : cut + length].max() - smooth[cut - 1])
-        if rise > 0.0:
-            fall = rise * (1.0 - np.arange(length) / length)[: times.size - cut]
-            lowered[cut : cut + length] = np.maximum(0.0, lowered[cut : cut + length] - fall)
-            # The envelope begins with at least as much as the transient, of which a player's
-            # intensity multiplies both.
-            lowered[cut] = max(lowered[cut], rise)
-            found[cut] = Transient(0, at[cut].time_s, float(rise), at[cut].hz)
+        after = smooth[cut : cut + length]
+        fall = 1.0 - np.arange(after.size) / length
+        # Half of the rise, and never more than half of the level: what is left for the envelope is
+        # then at least as much as the transient, whose intensity its curve multiplies.
+        pulse = 0.5 * min(float(after.max() - smooth[cut - 1]), float((after / fall).min()))
+        if pulse > 0.0:
+            lowered[cut : cut + after.size] -= pulse * fall
+            found[cut] = Transient(0, at[cut].time_s, pulse, at[cut].hz)
     written = law.write(lowered)
     clipped = written > 1.0
-    points = np.column_stack((np.minimum(written, 1.0), curve.hz.astype(np.float64)))
+    written = np.minimum(written, 1.0)
+    points = np.column_stack((written, curve.hz.astype(np.float64)))
     loudest = max(1e-9, float(points[:, 0].max()))
     share = np.maximum(1e-3, lowered / max(1e-12, float(lowered.max())))
     tolerance = np.column_stack(
@@ -125,6 +130,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
     )
     longest = max(1, int(limits.longest_s * rate))
     time_s: list[float] = []
+    levels: list[FloatArray] = []
     kept: list[NDArray[np.intp]] = []
     transients: list[Transient] = []
     for first, end in pairwise(edges):
@@ -133,7 +139,7 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         ends = at[end].time_s if end < times.size else duration_s
         part = slice(first, end)
         # With its two ends a segment has no more points than its share of a second allows.
-        allowed = max(2, int((ends - begins) / limits.spacing_s))
+        allowed = max(2, int((ends - begins) / limits.spacing_s + 0.01) + 1)
         spacing = max(1, int(np.ceil((end - first) / (allowed - 1))))
         chosen = first + simplify(times[part], points[part], tolerance[part], spacing, longest)
         if len(chosen) == 1:
@@ -143,9 +149,10 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
             transients.append(Transient(len(time_s), begins, one.amplitude, one.hz))
         inner = times[chosen[1:-1]]
         time_s += [begins, *np.clip(inner, begins, ends).tolist(), ends]
+        levels.append(np.clip(fitted(times[part], written[part], times[chosen]), 0.0, 1.0))
         kept.append(chosen)
     places = np.concatenate(kept)
-    level, hz = points[places, 0], points[places, 1]
+    level, hz = np.concatenate(levels), points[places, 1]
     return Envelope(
         np.array(time_s),
         level,
@@ -154,6 +161,26 @@ def envelope_of(curve: VibrationCurve, duration_s: float, limits: Limits) -> Env
         _errors(curve, smooth, np.array(time_s), law.read(level), hz, transients),
         int(clipped[places].sum()),
     )
+
+
+def fitted(times: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
+    """Return the values at the knots whose straight lines are nearest to a curve by least squares.
+
+    times, values: (n,) the curve. knots: (k,) ascending, within the times.
+    """
+    if knots.size < 3 or knots[0] == knots[-1]:
+        return np.interp(knots, times, values)
+    place = np.clip(np.searchsorted(knots, times, "right") - 1, 0, knots.size - 2)
+    share = (times - knots[place]) / np.diff(knots)[place]
+    size = knots.size
+    diagonal = np.bincount(place, (1 - share) ** 2, size) + np.bincount(place + 1, share**2, size)
+    beside = np.bincount(place, share * (1 - share), size)
+    wanted = np.bincount(place, (1 - share) * values, size)
+    wanted += np.bincount(place + 1, share * values, size)
+    # A little of the curve itself, so that a knot between two samples has a value.
+    bands = np.vstack((np.concatenate(([0.0], beside[:-1])), diagonal + TIED))
+    found: FloatArray = solveh_banded(bands, wanted + TIED * np.interp(knots, times, values))
+    return found
 
 
 def played(
@@ -172,11 +199,16 @@ def envelope_error(
     curve: VibrationCurve, time_s: FloatArray, amplitude: FloatArray
 ) -> dict[str, float]:
     """Return `envelope_error_db` of an envelope without transients; see `Envelope`."""
-    smooth = smoothed(curve)
-    total = float(np.square(smooth).sum())
+    return _envelope_error(curve, np.interp(curve.times_s, time_s, amplitude))
+
+
+def _envelope_error(curve: VibrationCurve, made: FloatArray) -> dict[str, float]:
+    """Compare amplitudes, both smoothed; nothing is returned for silence."""
+    wanted = smoothed(curve)
+    total = float(np.square(wanted).sum())
     if not total:
         return {}
-    off = np.interp(curve.times_s, time_s, amplitude) - smooth
+    off = smoothed(replace(curve, amplitude=made.astype(np.float32))) - wanted
     error = float(np.sqrt(np.square(off).sum() / total))
     return {"envelope_error_db": max(-120.0, amplitude_to_db(error))}
 
@@ -208,23 +240,32 @@ def _errors(
 ) -> dict[str, float]:
     times = curve.times_s
     power = smooth * smooth
-    total = float(power.sum())
-    made = played(times, (time_s, amplitude), transients)
-    off_hz = np.interp(times, time_s, hz) - curve.hz
     found = {"points": float(time_s.size), "transients": float(len(transients))}
-    if total:
-        error = float(np.sqrt(np.square(made - smooth).sum() / total))
-        found["envelope_error_db"] = max(-120.0, amplitude_to_db(error))
-        found["frequency_error_hz"] = float(np.sqrt((power * off_hz**2).sum() / total))
+    found |= _envelope_error(curve, played(times, (time_s, amplitude), transients))
+    if power.any():
+        off_hz = np.interp(times, time_s, hz) - curve.hz
+        found["frequency_error_hz"] = float(np.sqrt((power * off_hz**2).sum() / power.sum()))
     return found
 
 
 def _smoothed(amplitude: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the r.m.s. under a Hann window that is cut off at both ends."""
-    length = 2 * max(1, round(0.5 * SMOOTHED_S * rate_hz)) + 1
-    window = np.hanning(length + 2)[1:-1]
-    weight = np.convolve(np.ones(amplitude.size), window)
-    power = np.convolve(amplitude**2, window)
-    part = slice(length // 2, length // 2 + amplitude.size)
-    smooth: FloatArray = np.sqrt(power[part] / weight[part])
+    """Return the r.m.s. under a Hann window, which gives way to a third of it at both ends.
+
+    A whole window, cut off at an onset, would look ahead of its rise.
+    """
+    half = max(1, round(0.5 * SMOOTHED_S * rate_hz))
+    square = amplitude**2
+    place = np.arange(square.size)
+    share = np.minimum(1.0, np.minimum(place, place[::-1]) / half)
+    whole, short = _mean(square, half), _mean(square, max(1, half // 3))
+    smooth: FloatArray = np.sqrt(share * whole + (1.0 - share) * short)
     return smooth
+
+
+def _mean(square: FloatArray, half: int) -> FloatArray:
+    window = np.hanning(2 * half + 3)[1:-1]
+    part = slice(half, half + square.size)
+    mean: FloatArray = (
+        np.convolve(square, window)[part] / np.convolve(np.ones(square.size), window)[part]
+    )
+    return mean

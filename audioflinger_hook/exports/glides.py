@@ -24,10 +24,10 @@ DELAY_AT_HZ = 60.0
 ONSET_REACH_S = 0.014
 """An onset is where the envelope rises most, within this time of the birth of its partials."""
 
-ONSETS_APART_S = 0.05
+ONSETS_APART_S = 0.06
 """Onsets closer than this are one."""
 
-RISE_FROM = 0.08
+RISE_FROM = 0.4
 """An onset must raise the envelope by this share of its level afterwards, ..."""
 
 AUDIBLE = 0.01

@@ -18,7 +18,7 @@ from audioflinger_hook.exports.options import VIBRATION_HIGH_HZ, VIBRATION_LOW_H
 from audioflinger_hook.exports.parametric import Composed, Job
 from device.units import FloatArray
 
-LIMITS = Limits(spacing_s=1 / 58, longest_s=2.0)
+LIMITS = Limits(spacing_s=1 / 59, longest_s=2.0)
 SHORTEST_S = 0.001
 DECIMALS = 5
 

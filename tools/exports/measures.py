@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import find_peaks, hilbert
+from scipy.signal import hilbert
 
 from device.units import FloatArray
 
@@ -20,7 +22,14 @@ ONSET_FROM = 0.3
 """... from at most this share of its level afterwards: what swells or beats is none."""
 
 ONSETS_APART_S = 0.08
-ONSET_REACH_S = 0.025
+BORN_BEFORE_S = 0.012
+"""Vibration rises most within this time of the birth of an onset's partials."""
+
+ONSET_REACH_S = 0.015
+"""The other vibration may be shifted by this to either side."""
+
+AROUND_S = 0.02
+"""What is compared on both sides of an onset."""
 
 
 @dataclass(frozen=True)
@@ -31,14 +40,16 @@ class Likeness:
     onset_errors_ms: tuple[float, ...]
 
 
-def likeness(original: FloatArray, made: FloatArray, rate_hz: int) -> Likeness:
-    """Compare two vibrations of one length, (frames,)."""
+def likeness(
+    original: FloatArray, made: FloatArray, rate_hz: int, births_s: Sequence[float] = ()
+) -> Likeness:
+    """Compare two vibrations of one length, (frames,); births_s: see `onset_errors_ms`."""
     ours, theirs = (envelope(one, rate_hz, ENVELOPE_S) for one in (original, made))
     if np.ptp(ours) and np.ptp(theirs):
         correlation = float(np.corrcoef(ours, theirs)[0, 1])
     else:
         correlation = float(np.ptp(ours) == np.ptp(theirs))
-    return Likeness(correlation, onset_errors_ms(original, made, rate_hz))
+    return Likeness(correlation, onset_errors_ms(original, made, rate_hz, births_s))
 
 
 def envelope(vibration: FloatArray, rate_hz: int, window_s: float) -> FloatArray:
@@ -47,27 +58,57 @@ def envelope(vibration: FloatArray, rate_hz: int, window_s: float) -> FloatArray
     window = np.hanning(length + 2)[1:-1]
     power = np.abs(hilbert(vibration)) ** 2
     smooth = np.convolve(power, window / window.sum())[length // 2 :][: power.size]
-    return np.sqrt(np.maximum(smooth, 0.0))
+    found: FloatArray = np.sqrt(np.maximum(smooth, 0.0))
+    return found
 
 
-def onset_errors_ms(original: FloatArray, made: FloatArray, rate_hz: int) -> tuple[float, ...]:
-    """Return for each onset of the original how much later the other one rises, in ms."""
+def births_in(partials: bytes) -> list[float]:
+    """Return when the partials of onsets begin, in s, by an exported file of partial tracks."""
+    lines = (json.loads(line) for line in partials.splitlines())
+    return sorted(line["points"][0][0] for line in lines if line.get("onset"))
+
+
+def onset_errors_ms(
+    original: FloatArray, made: FloatArray, rate_hz: int, births_s: Sequence[float]
+) -> tuple[float, ...]:
+    """Return for each onset of the original how much later the other one is, in ms.
+
+    It is the shift at which both short envelopes rise most alike around the onset.
+
+    births_s: where the live form has found onsets; those that begin clearly are compared.
+    """
     ours, theirs = (_rises(one, rate_hz) for one in (original, made))
     short = envelope(original, rate_hz, ONSET_WINDOW_S)
-    reach = round(ONSET_REACH_S * rate_hz)
-    half = round(0.5 * ONSET_WINDOW_S * rate_hz)
-    peaks, _ = find_peaks(
-        ours, height=ONSET_SHARE * short.max(initial=0.0), distance=round(ONSETS_APART_S * rate_hz)
-    )
-    errors = []
-    for place in peaks.tolist():
-        after = short[place : place + 2 * half + 1].max()
-        if short[max(0, place - half)] > ONSET_FROM * after:
+    half, reach = round(0.5 * ONSET_WINDOW_S * rate_hz), round(ONSET_REACH_S * rate_hz)
+    around = round(AROUND_S * rate_hz)
+    errors: list[float] = []
+    last = -round(ONSETS_APART_S * rate_hz)
+    for birth_s in births_s:
+        born = max(0, round(birth_s * rate_hz))
+        near = ours[born : born + round(BORN_BEFORE_S * rate_hz) + 1]
+        if not near.size:
             continue
-        first = max(0, place - reach)
-        found = first + int(theirs[first : place + reach + 1].argmax())
-        errors.append(1e3 * (found - place) / rate_hz)
+        place = born + int(near.argmax())
+        after = short[place : place + 2 * half + 1].max()
+        clear = short[max(0, place - half)] <= ONSET_FROM * after
+        strong = ours[place] >= ONSET_SHARE * short.max()
+        if not (clear and strong and place - last >= round(ONSETS_APART_S * rate_hz)):
+            continue
+        last = place
+        errors.append(1e3 * _lag(ours, theirs, place, reach, around) / rate_hz)
     return tuple(errors)
+
+
+def _lag(ours: FloatArray, theirs: FloatArray, place: int, reach: int, around: int) -> int:
+    """Return the shift in frames at which two curves correlate best around a place."""
+    pad = reach + around
+    mine = np.pad(ours, pad)[place + reach : place + reach + 2 * around + 1]
+    other = np.pad(theirs, pad)[place : place + 2 * (reach + around) + 1]
+    windows = np.lib.stride_tricks.sliding_window_view(other, mine.size)
+    centred = windows - windows.mean(axis=1, keepdims=True)
+    norm = np.sqrt(np.square(centred).sum(axis=1))
+    likes = centred @ (mine - mine.mean()) / np.maximum(norm, 1e-12)
+    return int(likes.argmax()) - reach
 
 
 def _rises(vibration: FloatArray, rate_hz: int) -> FloatArray:
@@ -75,4 +116,5 @@ def _rises(vibration: FloatArray, rate_hz: int) -> FloatArray:
     short = envelope(vibration, rate_hz, ONSET_WINDOW_S)
     half = round(0.5 * ONSET_WINDOW_S * rate_hz)
     padded = np.pad(short, (half, half), constant_values=(0.0, short[-1]))
-    return padded[2 * half :] - padded[: -2 * half]
+    rises: FloatArray = padded[2 * half :] - padded[: -2 * half]
+    return rises

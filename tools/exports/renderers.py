@@ -164,7 +164,8 @@ def _times(duration_s: float, rate_hz: int) -> FloatArray:
 
 def _interp(times: FloatArray, points: list[tuple[float, float]]) -> FloatArray:
     at, values = np.array(points).T
-    return np.interp(times, at, values)
+    found: FloatArray = np.interp(times, at, values)
+    return found
 
 
 def _with_pulses(
@@ -178,4 +179,5 @@ def _with_pulses(
 
 
 def _oscillator(amplitude: FloatArray, hz: FloatArray, rate_hz: int) -> FloatArray:
-    return amplitude * np.cos(2.0 * np.pi * np.cumsum(hz) / rate_hz)
+    vibration: FloatArray = amplitude * np.cos(2.0 * np.pi * np.cumsum(hz) / rate_hz)
+    return vibration
