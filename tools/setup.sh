@@ -16,7 +16,7 @@ set -eu
 
 case ${1-} in
     run) wanted=figures,page ;;
-    test) wanted=figures,page,dev ;;
+    test) wanted=figures,page,films,remote,cluster,dev ;;
     *)
         echo 'usage: tools/setup.sh run|test' >&2
         exit 2
