@@ -244,7 +244,7 @@ def main() -> int:
     found = digests(quick if options.quick else lambda _name: True)
     golden = json.loads(DIGESTS.read_text())
     if options.write:
-        if golden["transform_version"] == found["transform_version"] and any(
+        if golden.get("transform_version") == found["transform_version"] and any(
             name.startswith("render/") and digest != found.get(name)
             for name, digest in golden.items()
         ):
