@@ -1,9 +1,10 @@
-"""What README.md says is what happens."""
+"""What README.md and the pages of docs/ say is what happens."""
 
 from __future__ import annotations
 
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from audioflinger_hook.cli.parser import build_parser
+from audioflinger_hook.cli.parser import COMMANDS, build_parser
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
 from audioflinger_hook.config.schema import ACTUATOR, KEYS
@@ -21,26 +22,35 @@ from audioflinger_hook.config.settings import LiveSettings, Settings
 from audioflinger_hook.transform import TransformParameters
 from device.drive import ActuatorSettings
 from device.drive.settings import DELAY_MAX_MS, GAIN_MIN_DB
+from device.errors import UsageError
 from tests.support.parameters import CHOICES, LIMITS
-from tools.readme_keys import with_table
+from tools.docs.__main__ import outdated
+from tools.docs.commands import parser_of
 
-ROOT = Path(__file__).resolve().parents[1]
-README = (ROOT / "README.md").read_text()
+ROOT = Path(__file__).resolve().parents[2]
+README = "README.md"
+PAGES = (README, *sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob("docs/**/*.md")))
+CONFIG, EFFECTS, ACTUATORS = "docs/config.md", "docs/effects.md", "docs/actuators.md"
 ACTUATOR_KEYS = tuple(ActuatorSettings.DESCRIPTIONS)
-OWN_EFFECT = "An effect of your own"
+README_WORDS_MAX = 1_000  # a page that is read in four minutes
+USAGE = re.compile(r"\[options\]|^cushion (COMMAND|NAME)")  # a line that shows a form, not a call
 
 
-def block(language: str, section: str = "") -> str:
-    """Return the first block of a language, after the heading of a section if one is named."""
-    after = README[README.index(f"\n## {section}") :]
-    found = re.search(rf"```{language}\n(.*?)```", after, re.DOTALL)
-    assert found, f"README.md has no {language} block"
+def text_of(page: str) -> str:
+    """Return the text of a page."""
+    return (ROOT / page).read_text()
+
+
+def block(language: str, page: str) -> str:
+    """Return the first block of a language on a page."""
+    found = re.search(rf"```{language}\n(.*?)```", text_of(page), re.DOTALL)
+    assert found, f"{page} has no {language} block"
     return found[1]
 
 
 def test_the_library_example_runs_and_says_what_it_should() -> None:
     ran = subprocess.run(
-        [sys.executable, "-W", "error", "-c", block("python")],
+        [sys.executable, "-W", "error", "-c", block("python", README)],
         capture_output=True,
         text=True,
         check=True,
@@ -51,7 +61,7 @@ def test_the_library_example_runs_and_says_what_it_should() -> None:
 
 def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) -> None:
     path = tmp_path / "config.toml"
-    path.write_text(block("toml"))
+    path.write_text(block("toml", CONFIG))
     found, problems = config.check(path)
     assert problems == []
     assert found == config.Config(Settings(profile=LIVE_DEFAULT), LiveSettings(device="sink:NAME"))
@@ -61,29 +71,27 @@ def test_the_config_example_is_valid_complete_and_the_default(tmp_path: Path) ->
         # A key without a default stands there as a comment, and so may a profile's.
         comment = "(# )?" if key.owner is TransformParameters or key.default is None else ""
         shown = rf"^{comment}{key.name} = "
-        assert re.search(shown, block("toml"), re.MULTILINE), f"{key.name} is missing"
+        assert re.search(shown, block("toml", CONFIG), re.MULTILINE), f"{key.name} is missing"
 
 
-def test_the_table_of_keys_is_that_of_the_schema() -> None:
-    assert with_table(README) == README, "run `python -m tools.readme_keys --write`"
+def test_the_generated_parts_are_those_of_the_schema_the_parser_and_the_code() -> None:
+    assert outdated() == [], "run `python -m tools.docs --write`"
     for key in KEYS:
-        assert f"\n| `{key.name}` |" in README
+        assert f"\n| `{key.name}` |" in text_of(CONFIG)
 
 
 def test_the_example_of_several_actuators_is_valid_and_names_every_key(tmp_path: Path) -> None:
-    after = README[README.index("\n### Several actuators") :]
-    found = re.search(r"```toml\n(.*?)```", after, re.DOTALL)
-    assert found
+    example = block("toml", ACTUATORS)
     path = tmp_path / "config.toml"
-    path.write_text(found[1])
+    path.write_text(example)
     done, problems = config.check(path)
     assert problems == []
     assert done is not None
     assert [actuator.source for actuator in done.settings.actuators] == ["left", "right"]
-    told = {key for key in ACTUATOR_KEYS if re.search(rf"^{key} = ", found[1], re.MULTILINE)}
+    told = {key for key in ACTUATOR_KEYS if re.search(rf"^{key} = ", example, re.MULTILINE)}
     assert told == {*ACTUATOR_KEYS} - {"damping"}  # named beside rig and protection
     for limit in (GAIN_MIN_DB, DELAY_MAX_MS):
-        assert f"{limit:g}" in found[1]
+        assert f"{limit:g}" in example
 
 
 def test_every_limit_in_the_config_example_is_the_real_one() -> None:
@@ -104,15 +112,15 @@ def test_every_choice_of_the_config_example_names_all_its_words() -> None:
 
 def line_of(key: str) -> str:
     """Return the line of the config example that a parameter stands on."""
-    found = re.search(rf"^(# )?{key} = .*", block("toml"), re.MULTILINE)
+    found = re.search(rf"^(# )?{key} = .*", block("toml", CONFIG), re.MULTILINE)
     assert found, key
     return found[0]
 
 
 def installed(folder: Path) -> Path:
-    """Put the README's own effect where an installer would, and return that folder."""
-    project = tomllib.loads(block("toml", OWN_EFFECT))["project"]
-    (folder / "gentle.py").write_text(block("python", OWN_EFFECT))
+    """Put the own effect of docs/effects.md where an installer would, and return that folder."""
+    project = tomllib.loads(block("toml", EFFECTS))["project"]
+    (folder / "gentle.py").write_text(block("python", EFFECTS))
     facts = folder / f"{project['name']}-{project['version']}.dist-info"
     facts.mkdir()
     (facts / "METADATA").write_text(
@@ -132,8 +140,8 @@ def test_the_effect_of_one_s_own_runs_before_the_haptic_effect_and_halves_it(
     site = tmp_path / "site"
     site.mkdir()
     path = os.pathsep.join((str(installed(site)), str(ROOT)))
-    (tmp_path / "audio_effects.xml").write_text(block("xml", OWN_EFFECT))
-    chosen = re.findall(r"```toml\n(effects_file.*?)```", README, re.DOTALL)
+    (tmp_path / "audio_effects.xml").write_text(block("xml", EFFECTS))
+    chosen = re.findall(r"```toml\n(effects_file.*?)```", text_of(EFFECTS), re.DOTALL)
     (tmp_path / "config.toml").write_text("".join(chosen))
     time_s = np.arange(48_000) / 48_000
     soundfile.write(tmp_path / "sound.wav", 0.4 * np.sin(2 * np.pi * 440 * time_s), 48_000)
@@ -161,15 +169,79 @@ def test_the_effect_of_one_s_own_runs_before_the_haptic_effect_and_halves_it(
 
 
 def test_the_command_table_names_exactly_the_commands_that_exist() -> None:
-    named = set(re.findall(r"^\| `cushion ([\w-]+)", README, re.MULTILINE))
+    named = set(
+        re.findall(r"^\| \[`cushion ([\w-]+)`\]", text_of("docs/commands.md"), re.MULTILINE)
+    )
     usage = build_parser().format_help()
     found = re.findall(r"^    ([\w-]+)(?: |$)", usage, re.MULTILINE)
     assert named == set(found)
 
 
-@pytest.mark.parametrize("link", re.findall(r"\]\(([^)#]+)\)", README))
-def test_every_link_leads_somewhere(link: str) -> None:
-    assert (ROOT / link).exists()
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_command_reference_names_every_option_of_the_help(command: str) -> None:
+    page = text_of("docs/commands.md")
+    section = page.partition(f"\n## cushion {command}\n")[2].partition("\n## ")[0]
+    said = parser_of(command).format_help()
+    options = set(re.findall(r"(?<![\w-])--[a-z][\w-]*", said.partition("example:")[0]))
+    shown = set(re.findall(r"^\| `(--[a-z][\w-]*)", section, re.MULTILINE))
+    assert shown == options - {"--help", "--debug"}
+
+
+def links_of(page: str) -> list[str]:
+    """Return the targets of a page's links, without those to other sites."""
+    targets = re.findall(r"\]\(([^)\s]+)\)", without_code(text_of(page)))
+    return [target for target in targets if "://" not in target]
+
+
+def without_code(text: str) -> str:
+    """Return a page without its blocks and spans of code."""
+    return re.sub(
+        r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    )
+
+
+def anchors_of(page: str) -> set[str]:
+    """Return the anchors that a page offers: those of its headings, as a forge makes them."""
+    text = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    slugs = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return slugs | set(re.findall(r'<a id="([^"]+)">', text))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_leads_to_a_file_and_a_heading_that_exist(page: str) -> None:
+    for link in links_of(page):
+        name, _, anchor = link.partition("#")
+        target = ((ROOT / page).parent / name).resolve() if name else ROOT / page
+        assert target.exists(), link
+        if anchor:
+            assert anchor in anchors_of(target.relative_to(ROOT).as_posix()), link
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_line_is_one_that_the_parser_accepts(page: str) -> None:
+    for line in commands_in(text_of(page)):
+        _, *words = shlex.split(line, comments=True)
+        if len(words) == 1 and words[0] in COMMANDS:
+            continue  # a command's name alone, in a sentence
+        try:
+            build_parser().parse_args(words)
+        except UsageError as error:
+            pytest.fail(f"{page}: {line}: {error}")
+
+
+def commands_in(text: str) -> list[str]:
+    """Return the lines of a page's code, in blocks, that call cushion."""
+    joined = text.replace("\\\n", " ")
+    found = re.findall(r"^(?: {4}|\$ )?((?:\.venv/bin/)?cushion .*)$", joined, re.MULTILINE)
+    spans = re.findall(r"(?<!\[)`((?:\.venv/bin/)?cushion [a-z][^`\n]*)`", text)
+    lines = [line for line in (*found, *spans) if not USAGE.search(line)]
+    return [line for line in lines if len(line.split()) > 1]
+
+
+def test_the_readme_is_short_and_names_the_commands_that_do_the_set_up() -> None:
+    assert len(text_of(README).split()) <= README_WORDS_MAX
+    assert all(f"`make {goal}`" in text_of(README) for goal in ("run", "test"))
 
 
 @pytest.mark.parametrize("page", ["architecture", "decisions", "transform", "benchmarks"])
