@@ -11,13 +11,13 @@ from audioflinger_hook.mixer.effects_port import OUTPUT_MIX
 from audioflinger_hook.mixer.mix_buffer import MixBuffer
 
 RATE, FRAMES = 48_000, 480
-TAKEN = (Command.INIT, Command.SET_CONFIG, Command.RESET, Command.ENABLE, Command.DISABLE)
 
 
 class Gentle:
     """Halves the sound, and so the vibration made of it."""
 
     descriptor = EffectDescriptor(uuid.uuid4(), uuid.uuid4(), name="Gentle", implementor="You")
+
     def process(self, source: MixBuffer, target: MixBuffer) -> int:
         """Change one buffer in place."""
         target.audio[:] = 0.5 * source.audio
@@ -25,7 +25,7 @@ class Gentle:
 
     def command(self, code: int, data: object = None) -> tuple[int, object]:
         """Accept what every effect must accept."""
-        return (OK, None) if code in TAKEN else (ENOSYS, None)
+        return (OK, None) if code <= Command.DISABLE else (ENOSYS, None)
 
 
 chains = EffectChains(lambda: 0.0, budget_share=float("inf"))
