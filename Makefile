@@ -85,7 +85,7 @@ bench:
 docs:
 	@sh tools/setup.sh docs
 	.venv/bin/python -m tools.docs
-	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --quiet --clean
+	NO_MKDOCS_2_WARNING=1 .venv/bin/python -m mkdocs build --strict --clean
 	@echo 'out/site/index.html'
 
 clean:

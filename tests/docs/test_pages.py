@@ -183,7 +183,7 @@ def test_the_command_reference_names_every_option_of_the_help(command: str) -> N
     section = page.partition(f"\n## cushion {command}\n")[2].partition("\n## ")[0]
     said = parser_of(command).format_help()
     options = set(re.findall(r"(?<![\w-])--[a-z][\w-]*", said.partition("example:")[0]))
-    shown = set(re.findall(r"^\| `(--[a-z][\w-]*)", section, re.MULTILINE))
+    shown = set(re.findall(r"^\| (?:`|<code>)(--[a-z][\w-]*)", section, re.MULTILINE))
     assert shown == options - {"--help", "--debug"}
 
 

@@ -65,5 +65,8 @@ def _row(action: argparse.Action) -> str:
     name = action.option_strings[0] if action.option_strings else str(action.metavar)
     if action.option_strings and action.nargs != 0:
         name = f"{name} {action.metavar}"
-    cells = (f"`{name}`", str(action.help))
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    shown = f"`{name}`"
+    if "|" in name:  # in code, a forge and the site's generator read a bar in a table differently
+        shown = f"<code>{name.replace('|', '&#124;')}</code>"
+    meaning = str(action.help).replace("|", "\\|")
+    return f"| {shown} | {meaning} |"

@@ -17,9 +17,6 @@ CODES = {
     for name, kind in vars(device.errors).items()
     if isinstance(kind, type) and issubclass(kind, CushionError)
 }
-WARNINGS = ("warn", "Refusal")
-"""Functions whose first argument reaches a user: a warning, and a mistake of a config file."""
-
 AREAS = {
     "Command line": ("audioflinger_hook/cli",),
     "Config file": ("audioflinger_hook/config", "device/values.py", "device/drive"),
@@ -60,18 +57,28 @@ def errors_list() -> str:
 
 def messages(tree: ast.Module) -> Iterator[tuple[str, str]]:
     """Yield (text, exit code) of what a module's errors, warnings and refusals say."""
+    constants = {
+        target.id: statement.value
+        for statement in tree.body
+        if isinstance(statement, ast.Assign)
+        for target in statement.targets
+        if isinstance(target, ast.Name)
+    }
     for node in ast.walk(tree):
         if not isinstance(node, ast.Call) or not node.args:
             continue
         called = node.func
         name = called.id if isinstance(called, ast.Name) else getattr(called, "attr", "")
-        text = template(node.args[0])
+        said = node.args[0]
+        text = template(constants.get(said.id, said) if isinstance(said, ast.Name) else said)
         if len(re.sub(rf"[{VALUE}\W]+", "", text)) < 6:
             continue  # another message handed on
         if name in CODES:
             yield text, str(CODES[name])
-        elif name in WARNINGS:
-            yield text, "2" if name == "Refusal" else "warning"
+        elif name == "Refusal":  # a mistake of a setting: its key, its value and what is allowed
+            yield f"{VALUE}={VALUE} {text}; allowed: {VALUE}", "2"
+        elif name == "warn":
+            yield text, "warning"
 
 
 def template(node: ast.expr) -> str:
