@@ -10,12 +10,12 @@ from audioflinger_hook.transform.arrays import FloatArray, IntArray, strided_win
 from audioflinger_hook.transform.design import LiveDesign
 from audioflinger_hook.transform.input_stage import BandPass
 from audioflinger_hook.transform.live.analysis import LiveAnalysis
+from audioflinger_hook.transform.live.levels import Levels
 from audioflinger_hook.transform.live.loudness import LoudnessFollower
 from audioflinger_hook.transform.live.onset_partials import OnsetPartials
 from audioflinger_hook.transform.live.onsets import OnsetDetector, Ticks
 from audioflinger_hook.transform.live.partials import PartialTracker
-from audioflinger_hook.transform.live.speech import SpeechSuppressor
-from audioflinger_hook.transform.live.synthesis import Glides, Synthesizer, limit_amplitudes
+from audioflinger_hook.transform.live.synthesis import Glides, Synthesizer
 from audioflinger_hook.transform.principal import Principals
 from audioflinger_hook.transform.spectrum import ComplexArray, Spectrum
 
@@ -50,6 +50,8 @@ class LiveTransform:
 
     Attributes
     ----------
+    levels : Levels
+        How strongly partials vibrate.
     told : tuple
         (Hz of the sound, Hz of vibration, amplitude) of what the latest hop vibrates.
     """
@@ -71,12 +73,7 @@ class LiveTransform:
         self._analysis = LiveAnalysis(design.analysis)
         self._silence = design.input.silence
         self._ceiling = synthesis.ceiling
-        self.follower: LoudnessFollower | None = None
-        if design.loudness.loudness_weights.size:
-            self.follower = LoudnessFollower(design.loudness)
-        self._speech: SpeechSuppressor | None = None
-        if design.speech.speech_db > 0.0:
-            self._speech = SpeechSuppressor(design.speech)
+        self.levels = Levels(design)
         self._bandpass = BandPass(
             design.input.band_b, design.input.band_a, design.input.denormal_guard
         )
@@ -110,16 +107,17 @@ class LiveTransform:
         self._tracker.reset()
         self._onset_partials.reset()
         self._synthesizer.reset()
-        if self.follower:
-            self.follower.reset()
-        if self._speech:
-            self._speech.reset()
+        self.levels.reset()
+
+    @property
+    def follower(self) -> LoudnessFollower | None:
+        """The follower of the loudness, None if none is followed."""
+        return self.levels.follower
 
     @property
     def asleep(self) -> bool:
         """Whether nothing is played, and what was heard has no effect any more."""
-        forgotten = self._speech is None or self._speech.at_rest
-        return self._tracker.idle and not self._ringing and forgotten
+        return self._tracker.idle and not self._ringing and self.levels.at_rest
 
     @property
     def frames_to_hop(self) -> int:
@@ -190,8 +188,8 @@ class LiveTransform:
         if not heard.any() and not seen.bands.any() and self.asleep:
             if self._find_onsets:
                 self._detector.rest(ticks)
-            if self.follower and full.size:
-                self.follower.rest()
+            if full.size:
+                self.levels.rest()
             self._tick = (self._tick + ticks) % grid.ticks
             return np.zeros(sound.size)
         found = self._analyse(joined, full[heard])
@@ -228,7 +226,7 @@ class LiveTransform:
             ]
         )
         spectra = self._spectrum.transform(windows)
-        loudness = self.follower.loudness_db(spectra) if self.follower else [0.0] * full.size
+        loudness = self.levels.loudness_db(spectra)
         found = self._analysis.strongest(spectra)
         edges = found.boundaries(full.size).tolist()
         hz = self._mapping.vibration_hz(found.audio_hz)
@@ -282,20 +280,16 @@ class LiveTransform:
         """Write the hop that follows what was found; None: of a window in which nothing can be."""
         self._onset_partials.hand_over(self._tracker)
         strength = 1.0
-        if self.follower and found:
-            strength = self.follower.strength(found.loudness_db)
-        elif self.follower:
-            self.follower.rest()
-        if self._speech and found:
-            self._speech.add_hop(found.spectrum)
-        elif self._speech:
-            self._speech.add_silence()
+        if found:
+            strength = self.levels.hear(found.spectrum, found.loudness_db)
+        else:
+            self.levels.hear_silence()
         count = found.hz.size if found and strength > 0.0 else 0
         left = 1.0
         self.told = ()
         if found and count:
             left = self._mapping.level_ratio(found.principal.amplitude, found.principal.r)
-            amplitude, limited = self._level(found.principal, found.hz, strength)
+            amplitude, limited = self.levels.amplitudes(found.principal, found.hz, strength)
             if limited:
                 self.limited_frames += self._grid.hop_frames
             audio_hz, hz, gain = found.principal.audio_hz, found.hz, found.gain
@@ -321,38 +315,6 @@ class LiveTransform:
         elif self._ringing:
             self._ringing -= 1
 
-    def _level(self, found: Principals, hz: FloatArray, strength: float) -> tuple[FloatArray, bool]:
-        """Return the amplitudes of one hop's partials, and whether they were limited.
-
-        strength: what the follower makes of their loudness.
-        """
-        amplitude = self._mapping.amplitudes(found.amplitude, found.r)
-        gain, tilt = 1.0, np.ones(hz.size)
-        if self.follower:
-            # What is felt well takes less of the room under full scale.
-            felt = self.follower.felt_weight(hz)
-            tilt = np.sqrt(felt)
-            felt *= amplitude * tilt
-            gain = self.follower.gain_for(strength, float((felt * felt).sum()))
-        if self._speech:
-            # Before the amplitude mapping, so that what speech loses is not missing from the rest;
-            # after the follower, which would turn the rest up.
-            left = self._speech.gains(found.audio_hz)
-            amplitude = self._mapping.amplitudes(found.amplitude * left, found.r * left)
-        amplitude = amplitude * tilt * gain
-        if self.follower:
-            amplitude = self.follower.concentrated(amplitude, hz, self._ceiling)
-        return limit_amplitudes(amplitude, self._ceiling)
-
     def _onset_amplitude(self, hz: float, weight: float, level: float) -> float:
-        """Return the amplitude of what begins at a vibration frequency in Hz.
-
-        weight: the share of its level that the amplitude mapping leaves.
-        """
-        amplitude = weight * level
-        if self.follower:
-            amplitude = weight * self.follower.onset_strength(self._detector.power, level)
-        if self._speech:
-            audio_hz = np.array([self._mapping.audio_hz(hz)])
-            amplitude *= float(self._speech.gains(audio_hz, coarse=True)[0])
-        return amplitude
+        """Return the amplitude of what begins now; see `Levels.onset_amplitude`."""
+        return self.levels.onset_amplitude(hz, weight, level, self._detector.power)
