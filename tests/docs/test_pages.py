@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import soundfile
 
+from audioflinger_hook import __version__
 from audioflinger_hook.cli.parser import COMMANDS, build_parser
 from audioflinger_hook.config import file as config
 from audioflinger_hook.config.profiles import LIVE_DEFAULT
@@ -242,6 +243,10 @@ def commands_in(text: str) -> list[str]:
 def test_the_readme_is_short_and_names_the_commands_that_do_the_set_up() -> None:
     assert len(text_of(README).split()) <= README_WORDS_MAX
     assert all(f"`make {goal}`" in text_of(README) for goal in ("run", "test"))
+
+
+def test_the_citation_names_the_version_of_the_program() -> None:
+    assert f"\nversion: {__version__}\n" in text_of("CITATION.cff")
 
 
 @pytest.mark.parametrize("page", ["architecture", "decisions", "transform", "benchmarks"])

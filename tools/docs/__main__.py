@@ -10,6 +10,7 @@ from tools.docs.api import api_reference
 from tools.docs.commands import commands_reference
 from tools.docs.errors import errors_list
 from tools.docs.keys import keys_tables
+from tools.docs.results import results_tables
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 BEGIN = "<!-- from here: written by python -m tools.docs --write -->\n"
@@ -19,6 +20,7 @@ GENERATED = {
     "commands.md": commands_reference,
     "config.md": keys_tables,
     "errors.md": errors_list,
+    "results.md": results_tables,
 }
 """Page: the function that returns its generated part."""
 
