@@ -28,10 +28,11 @@ from device.values import Choice, Number, Switch
 from tests.support.commands import call, listing, noise, sound
 
 ROOT = Path(__file__).resolve().parents[2]
+CONFIG_PAGE = ROOT / "docs/config.md"
 EXAMPLES = [
     text
-    for page in ("config", "actuators", "effects", "hardware")
-    for text in re.findall(r"```toml\n(.*?)```", (ROOT / f"docs/{page}.md").read_text(), re.DOTALL)
+    for page in (CONFIG_PAGE, *sorted({*ROOT.glob("docs/**/*.md")} - {CONFIG_PAGE}))
+    for text in re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)
 ]
 
 MISTAKES = """\
@@ -293,7 +294,7 @@ def test_the_schema_uses_words_of_json_schema_with_values_of_their_types() -> No
 def test_the_schema_accepts_the_examples_of_the_pages_and_every_default() -> None:
     examples = [tomllib.loads(text) for text in EXAMPLES]
     configs = [example for example in examples if "project" not in example]
-    assert len(configs) >= 3
+    assert len(configs) == 6
     assert all(map(accepts, configs))
     # All keys of the example, those in comments included.
     example = EXAMPLES[0]
