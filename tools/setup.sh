@@ -17,8 +17,8 @@ set -eu
 
 case ${1-} in
     run) wanted=figures,page ;;
-    test) wanted=figures,page,dev ;;
-    docs) wanted=figures,page,dev,docs ;;
+    test) wanted=figures,page,films,remote,cluster,dev ;;
+    docs) wanted=figures,page,films,remote,cluster,dev,docs ;;
     *)
         echo 'usage: tools/setup.sh run|test|docs' >&2
         exit 2

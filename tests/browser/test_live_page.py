@@ -59,6 +59,10 @@ def card(page: Page, key: str) -> str:
     return f".control:has(#control-{key})"
 
 
+def is_unsaved(page: Page, key: str) -> bool:
+    return page.locator(card(page, key)).get_attribute("data-unsaved") == "true"
+
+
 def set_number(page: Page, key: str, value: str) -> None:
     field = page.locator(card(page, key)).locator("input[type=number]")
     field.fill(value)
@@ -130,7 +134,7 @@ def test_a_control_moves_the_level_that_is_played_and_undo_returns_it(
         before_db = level_db(heard())
         set_number(page, "gain_db", "-23")
         wait_for(lambda: settled_db(heard, before_db - 20.0), "20 dB less")
-        assert page.locator(card(page, "gain_db")).get_attribute("data-unsaved") == "true"
+        assert is_unsaved(page, "gain_db")
         page.click("#mute")
         wait_for(lambda: level_db(heard()) < -120.0, "silence")
         assert page.inner_text("#state-word") == "Running, muted"
@@ -208,9 +212,9 @@ def test_a_config_that_cannot_be_written_is_told_and_the_change_stays(
     assert "config.toml" in notice.inner_text()
     assert "the file would be larger than allowed" in notice.inner_text()
     assert room.config.read_text() == CONFIG
-    assert page.locator(card(page, "gain_db")).get_attribute("data-unsaved") == "true"
+    assert is_unsaved(page, "gain_db")
     page.click("#undo")
-    wait_for(lambda: page.is_disabled("#save"), "nothing to save")
+    wait_for(lambda: not is_unsaved(page, "gain_db"), "the value of before")
 
 
 def test_an_application_is_left_out_and_included_again(room: Room, page: Page) -> None:
@@ -331,7 +335,7 @@ def test_a_reload_and_a_second_tab_need_no_token_and_keep_what_may_be_undone(
     state(page, "Running", "Idle")
     wait_for(lambda: page.is_enabled("#undo") and page.is_enabled("#save"), "what may be undone")
     page.click("#undo")
-    wait_for(lambda: page.is_disabled("#save"), "nothing to save")
+    wait_for(lambda: not is_unsaved(page, "gain_db"), "the value of before")
     second = page.context.new_page()
     second.goto(room.monitor.base)
     state(second, "Running", "Idle")

@@ -222,7 +222,8 @@ def test_every_link_leads_to_a_file_and_a_heading_that_exist(page: str) -> None:
 @pytest.mark.parametrize("page", PAGES)
 def test_every_command_line_is_one_that_the_parser_accepts(page: str) -> None:
     for line in commands_in(text_of(page)):
-        _, *words = shlex.split(line, comments=True)
+        filled = re.sub(r"\$\w+", "1", line)  # what the shell fills in
+        _, *words = shlex.split(filled, comments=True)
         if len(words) == 1 and words[0] in COMMANDS:
             continue  # a command's name alone, in a sentence
         try:

@@ -17,6 +17,10 @@ EXAMPLES = ROOT / "examples"
 SHOWN = {
     "block_by_block": ([], r"48000 frames of sound, 48000 of vibration\nlatency 7\.3 ms"),
     "compare_profiles": ([], r"paper +-\d.*\ncinema .*\ngame .*\nmusic "),
+    "export_formats": (
+        ["sound.wav", "exports"],
+        r"(?s)sound\.ahap: .*sound\.haptic: .*sound\.hjif: ",
+    ),
     "file_to_vibration": (["sound.wav", "out.wav"], r"out\.wav: 1\.0 s, peak 0\.\d"),
     "own_effect": ([], r"sound 0\.20, vibration 0\.(19|2\d)"),
     "principal_frequencies": ([], r"(?s)220\.\d Hz.* 277\.\d Hz.* 329\.\d Hz"),

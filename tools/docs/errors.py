@@ -22,8 +22,14 @@ AREAS = {
     "Config file": ("audioflinger_hook/config", "device/values.py", "device/drive"),
     "Sound files and captures": (
         *("audioflinger_hook/offline", "audioflinger_hook/capture", "audioflinger_hook/sources"),
-        *("audioflinger_hook/pipeline", "device/wav_output.py", "device/atomic_file.py"),
+        *(
+            "audioflinger_hook/pipeline",
+            "audioflinger_hook/exports",
+            "device/wav_output.py",
+            "device/atomic_file.py",
+        ),
     ),
+    "Catalogues": ("audioflinger_hook/catalogue",),
     "Live sound": ("audioflinger_hook/daemon", "device/stream", "device/server", "device/clock"),
     "Service, status and page": ("audioflinger_hook/service", "audioflinger_hook/monitor"),
     "USB devices and sound cards": ("device/usb", "device/alsa", "device/address.py"),

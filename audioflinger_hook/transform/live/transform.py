@@ -65,6 +65,8 @@ class LiveTransform:
         self.limited_frames = 0
         self.onset_after_frames = grid.window_frames
         self.told: tuple[tuple[float, float, float], ...] = ()
+        self._heard_frames = 0
+        self._glides: list[tuple[float, ...]] | None = None
         self._grid = grid
         self._mapping = design.mapping
         self._spectrum = Spectrum(
@@ -133,6 +135,7 @@ class LiveTransform:
             joined = np.concatenate((self._past, filtered))
             self._past = joined[joined.size - self._past.size :]
             self._hop_peak = max(self._hop_peak, float(np.abs(filtered).max()))
+            self._heard_frames += self._pending_frames
             self._pending_frames = 0
             self._ready = np.zeros(self._grid.tick_frames)
         self._tick = 0
@@ -191,13 +194,36 @@ class LiveTransform:
             if full.size:
                 self.levels.rest()
             self._tick = (self._tick + ticks) % grid.ticks
+            self._heard_frames += sound.size
             return np.zeros(sound.size)
         found = self._analyse(joined, full[heard])
         glides = self._glide(found, seen, full, heard, ticks)
+        if self._glides is not None:
+            hops, fresh, _ = glides
+            self._record(hops, (full + 1) * grid.tick_frames, grid.hop_frames, 0)
+            ends = (np.arange(ticks) + 1) * grid.tick_frames
+            self._record(fresh, ends, grid.tick_frames, self._tracker.slots)
+        self._heard_frames += sound.size
         vibration, limited = self._synthesizer.play(*glides, self._tick)
         self._tick = (self._tick + ticks) % grid.ticks
         self.limited_frames += limited
         return vibration
+
+    def take_glides(self, voice: int) -> list[tuple[float, ...]]:
+        """Return rows of `GLIDE_COLUMNS` since the last call; the first call starts recording."""
+        if self._glides is None:
+            self._heard_frames = -self._pending_frames
+        rows, self._glides = self._glides or [], []
+        return [(frame, frames, voice, *rest) for frame, frames, *rest in rows]
+
+    def _record(self, glides: Glides, starts: IntArray, frames: int, first_slot: int) -> None:
+        """Add the slots that sound. starts: of each hop, in frames from this batch's first."""
+        assert self._glides is not None
+        sounding = (glides.start_amplitude != 0.0) | (glides.end_amplitude != 0.0)
+        for hop, slot in zip(*(places.tolist() for places in sounding.nonzero()), strict=True):
+            start = self._heard_frames + int(starts[hop])
+            row = glides.row(hop, slot)
+            self._glides.append((start, frames, first_slot + slot, *row))
 
     def _audible(self, peaks: FloatArray, full: IntArray) -> BoolArray:
         """Return of each full hop whether its window may hold anything principal."""

@@ -110,6 +110,11 @@ static void follow(Live *live, Voice *voice, double strength, size_t count)
                     left, &voice->onsets, live->tracking_space);
 }
 
+static size_t number_of(const Live *live, const Voice *voice)
+{
+    return (size_t)(voice - live->voices);
+}
+
 /* Compute the next hop of the partials. */
 static void end_hop(Live *live, Voice *voice)
 {
@@ -143,6 +148,8 @@ static void end_hop(Live *live, Voice *voice)
         memset(voice->hop, 0, s->steps * sizeof(double));
         return;
     }
+    const GlidePlace place = {number_of(live, voice), 0, tracking_slots(s), s->hop_frames};
+    glide_log_add(&live->log, place, &live->glides);
     synthesis_hop(s, &live->glides, voice->hop);
 }
 
@@ -180,6 +187,9 @@ static void advance(Live *live, Voice *voice)
     if (fresh) {
         *voice->ringing = (double)s->ring_hops;
         onset_partials_play(s, voice->fresh, told, &voice->slots, &live->fresh_glides);
+        const GlidePlace place = {number_of(live, voice), tracking_slots(s), s->fresh_max,
+                                  s->tick_frames};
+        glide_log_add(&live->log, place, &live->fresh_glides);
     }
     if (*voice->ringing > 0.0) {
         const double *hop = voice->hop + (full ? 0 : (live->tick + 1) * s->tick_steps);
@@ -310,6 +320,7 @@ void live_process(Live *live, Sound sound, size_t frames, double *vibration)
         vibration += part * live->voices_count;
         frames -= part;
         live->filled += part;
+        live->log.frame += part;
         live->oldest = (live->oldest + part) % s->window_frames;
         if (live->filled == s->tick_frames) {
             live->filled = 0;
