@@ -166,7 +166,7 @@ def test_the_version_is_in_the_changelog():
 # --- the Makefile, the scripts
 
 
-TARGETS = ["help", "run", "test", "test-all", "soak", "bench", "clean"]
+TARGETS = ["help", "run", "test", "test-all", "soak", "bench", "docs", "clean"]
 TARGETS += ["test-exhaustive", "test-servers", "test-usb"]
 
 

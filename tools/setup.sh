@@ -1,8 +1,9 @@
 #!/bin/sh
-# Everything that Haptic Cushion needs on this machine: tools/setup.sh run|test
+# Everything that Haptic Cushion needs on this machine: tools/setup.sh run|test|docs
 #
 #   run    a .venv with the program and the extras `figures` and `page`
 #   test   the extra `dev` as well
+#   docs   the extra `docs` too
 #
 # PyAudio and a part of the program (audioflinger_hook/transform/native) are compiled during the installation.
 # Where the compiler or a header for that is missing, the system's package manager installs it (Debian,
@@ -17,8 +18,9 @@ set -eu
 case ${1-} in
     run) wanted=figures,page ;;
     test) wanted=figures,page,films,remote,cluster,dev ;;
+    docs) wanted=figures,page,films,remote,cluster,dev,docs ;;
     *)
-        echo 'usage: tools/setup.sh run|test' >&2
+        echo 'usage: tools/setup.sh run|test|docs' >&2
         exit 2
         ;;
 esac
